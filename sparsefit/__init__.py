@@ -1,0 +1,87 @@
+"""sparsefit: choose a sparse regression back-end, and prove the choice.
+
+Names are imported when first used, so that the command line answers at once.
+"""
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sparsefit.derivative import Derivative as Derivative
+    from sparsefit.errors import InputError as InputError
+    from sparsefit.errors import SparsefitError as SparsefitError
+    from sparsefit.estimator import Estimate as Estimate
+    from sparsefit.estimator import Estimator as Estimator
+    from sparsefit.fit import Fit as Fit
+    from sparsefit.fit import Path as Path
+    from sparsefit.fit import fit as fit
+    from sparsefit.fit import path as path
+    from sparsefit.flight import Flight as Flight
+    from sparsefit.flight import read_flight as read_flight
+    from sparsefit.flight import simulate_flight as simulate_flight
+    from sparsefit.flight import write_flight as write_flight
+    from sparsefit.flow import CellularFlow as CellularFlow
+    from sparsefit.flow import SuperposedFlow as SuperposedFlow
+    from sparsefit.library import LengthScaleGrid as LengthScaleGrid
+    from sparsefit.library import Library as Library
+    from sparsefit.library import RegressionProblem as RegressionProblem
+    from sparsefit.objective import Certificate as Certificate
+    from sparsefit.readout import Readout as Readout
+    from sparsefit.score import Score as Score
+    from sparsefit.score import score as score
+    from sparsefit.vehicle import PointMassVehicle as PointMassVehicle
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "CellularFlow": "flow",
+    "SuperposedFlow": "flow",
+    "PointMassVehicle": "vehicle",
+    "Flight": "flight",
+    "simulate_flight": "flight",
+    "read_flight": "flight",
+    "write_flight": "flight",
+    "Derivative": "derivative",
+    "LengthScaleGrid": "library",
+    "Library": "library",
+    "RegressionProblem": "library",
+    "Certificate": "objective",
+    "Fit": "fit",
+    "Path": "fit",
+    "fit": "fit",
+    "path": "fit",
+    "Readout": "readout",
+    "Estimate": "estimator",
+    "Estimator": "estimator",
+    "Score": "score",
+    "score": "score",
+    "InputError": "errors",
+    "SparsefitError": "errors",
+}
+__all__ = ["__version__", *_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+class _Package(ModuleType):
+    """Keeps sf.fit and sf.score the functions: importing their rooms would bind the modules."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if isinstance(value, ModuleType) and _HOMES.get(name) == name:
+            value = getattr(value, name)
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -1,0 +1,79 @@
+"""Interchangeable back-ends: ``get(name, **settings)``.
+
+Those of other packages are found by the entry-point group ``sparsefit.backends``; a plug-in that
+cannot be loaded is listed with its error and raises it when asked for, it does not vanish.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
+from typing import Any, cast
+
+from sparsefit.backends.base import Backend, Solution, settings_of
+from sparsefit.errors import InputError, unknown
+
+__all__ = ["BACKENDS", "Backend", "Solution", "get", "known", "load", "settings_of"]
+
+BACKENDS: Mapping[str, str] = MappingProxyType(
+    {
+        "least-squares": "sparsefit.backends.least_squares:LeastSquares",
+        "stlsq": "sparsefit.backends.stlsq:STLSQ",
+        "lasso": "sparsefit.backends.lasso:Lasso",
+        "group-lasso": "sparsefit.backends.group_lasso:GroupLasso",
+    }
+)
+"""The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
+
+
+@cache
+def _plugins() -> Mapping[str, EntryPoint]:
+    return MappingProxyType(
+        {
+            entry.name: entry
+            for entry in entry_points(group="sparsefit.backends")
+            if entry.name not in BACKENDS
+        }
+    )
+
+
+def known() -> tuple[str, ...]:
+    """Names of all back-ends: sparsefit's own, then the plug-ins."""
+    return (*BACKENDS, *sorted(_plugins()))
+
+
+def load(name: str) -> type[Backend]:
+    """The class of a back-end. Raises InputError on an unknown name or a plug-in that is broken."""
+    if name in BACKENDS:
+        module, _, attribute = BACKENDS[name].partition(":")
+        return cast(type[Backend], getattr(import_module(module), attribute))
+    if name not in _plugins():
+        raise unknown("back-end", name, known())
+    try:
+        loaded = _plugins()[name].load()
+    except Exception as error:  # a plug-in may raise anything on import
+        raise InputError(
+            f"back-end {name!r} (plug-in {_plugins()[name].value}) cannot be loaded: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if not (is_dataclass(loaded) and callable(getattr(loaded, "solve", None))):
+        raise InputError(
+            f"back-end {name!r} (plug-in {_plugins()[name].value}) is not a frozen dataclass with "
+            "a `solve` method"
+        )
+    return cast(type[Backend], loaded)
+
+
+def get(name: str, **settings: Any) -> Backend:
+    """The back-end of that name with these settings.
+
+    Raises InputError on an unknown name, an unknown setting or a value out of range.
+    """
+    backend = load(name)
+    valid = [item.name for item in fields(cast(Any, backend))]
+    for key in settings:
+        if key not in valid:
+            raise unknown(f"setting of {name}", key, valid)
+    return backend(**settings)

@@ -1,0 +1,271 @@
+"""Exact LASSO path in Gram space by homotopy (LARS with the LASSO modification).
+
+    minimise over w (k,):   1/2 w'G w - c'w + alpha |w|_1
+
+Between two events the solution is linear in alpha: with active columns A, signs s and
+H = S G_AA S, the signed weights grow by H^-1 1 for each unit alpha loses.  An event is a column
+whose correlation |c - G w| reaches alpha (it enters) or an active weight that reaches zero (it
+leaves).  Each requested alpha is polished by a Newton step on the exact Gram rows and checked
+against the optimality conditions; what fails is settled at that alpha by a primal active-set
+method, and what fails that too is reported as incomplete.
+
+Sources: Osborne, Presnell and Turlach, IMA J. Numer. Anal. 20 (2000) 389-403; Efron, Hastie,
+Johnstone and Tibshirani, Ann. Statist. 32 (2004) 407-499; for the repair, Lee, Battle, Raina
+and Ng, NIPS 19 (2006) 801-808.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .active_set import DEPENDENT_BELOW, ActiveSet, Breakdown, Vector
+
+OPTIMAL_WITHIN = 1e-9  # excess of a correlation over alpha, relative to alpha
+ROUNDING = 1e-13  # the same, absolute, in units of the largest |c|
+FLAT = 1e-16  # distance to an event below which it is at hand, relative to alpha
+FRESH_SLOPE_ABOVE = 1e-11  # error of the slope that is corrected at a requested alpha
+CAUTION = (1.0, 1e2, 1e4, 1e6)  # factors on what counts as dependent, one repair after another
+NEWTON_STEPS, NEWTON_SHARE = 3, 1e-2  # at a requested alpha, and the part of the margin they aim at
+STEPS_PER_COLUMN, STEPS_AT_LEAST = 3, 50  # to one requested alpha; more is taken for cycling
+
+
+@dataclass(frozen=True, eq=False)
+class HomotopyPath:
+    """Weights (p, k) at the p requested penalties, events on the way, and which are optimal.
+
+    Where `complete` (p,) is false the weights are the best ones known, not a solution.
+    """
+
+    weights: Vector
+    steps: int
+    complete: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """Where the path stands: signed active weights and correlations, and their slopes.
+
+    `weights` and `slope` (k,) hold the active columns in the order of `active`; `correlation` is
+    c - G w (k,), `descent` its decrease per unit of alpha; `open` (2, k) is 0 for the columns
+    that may not enter: active ones, and `waiting` ones that depend on the active ones.
+    """
+
+    active: ActiveSet
+    cross: Vector
+    weights: Vector
+    slope: Vector
+    correlation: Vector
+    descent: Vector
+    open: Vector
+    dependent_below: float = DEPENDENT_BELOW
+    waiting: list[int] = field(default_factory=list)
+
+    @classmethod
+    def start(cls, gram: Vector, cross: Vector, caution: float = 1.0) -> "_Walk":
+        """At w = 0; `caution` makes more columns count as dependent."""
+        zero, ones = np.zeros((3, len(cross))), np.ones((2, len(cross)))
+        active, below = ActiveSet.empty(gram), caution * DEPENDENT_BELOW
+        return cls(active, cross, zero[0], zero[1], cross.copy(), zero[2], ones, below)
+
+    @classmethod
+    def at(cls, gram: Vector, cross: Vector, weights: Vector, caution: float) -> "_Walk":
+        """At `weights` (k,), entered largest first and without those that depend on others."""
+        walk = cls.start(gram, cross, caution)
+        for column in np.argsort(-np.abs(weights))[: np.count_nonzero(weights)].tolist():
+            if _enter(walk, column, float(np.sign(weights[column]))):
+                walk.weights[walk.active.size - 1] = abs(weights[column])
+        return walk
+
+    def full(self) -> Vector:
+        """Weights (k,) in the order of the columns."""
+        weights = np.zeros(len(self.cross))
+        weights[self.active.columns] = self.weights[: self.active.size] * self.active.signs
+        return weights
+
+
+def lasso_path(gram: Vector, cross: Vector, alphas: Vector) -> HomotopyPath:
+    """Solve for G = `gram` (k, k), c = `cross` (k,) at every one of `alphas` (p,), descending.
+
+    Columns may be zero, repeated or dependent.  `alphas` are >= 0, in the units of `cross`.
+    Raises ValueError if they ascend or are negative.
+    """
+    if np.any(np.diff(alphas) > 0) or np.any(np.asarray(alphas) < 0):
+        raise ValueError("alphas must descend and not be negative: sort them largest first")
+    unit, height = _binary_unit(np.diagonal(gram)), _binary_unit(cross)
+    scaled = gram if unit == 1.0 else gram / unit
+    # What a broken inverse overflows to is caught by the checks, not by warnings.
+    with np.errstate(all="ignore"):
+        weights, steps, complete = _visit(scaled, cross / height, np.asarray(alphas) / height)
+    return HomotopyPath(weights * (height / unit), steps, complete)
+
+
+def _binary_unit(values: Vector) -> float:
+    """Power of two next to max |values|: dividing by it rounds nothing."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    return float(2.0 ** (np.frexp(largest)[1] - 1)) if not 0.99 < largest < 1.01 else 1.0
+
+
+def _visit(gram: Vector, cross: Vector, alphas: Vector) -> tuple[Vector, int, NDArray[np.bool_]]:
+    """The path on scaled data: weights (p, k), steps, complete (p,)."""
+    walk = _Walk.start(gram, cross)
+    weights = np.zeros((len(alphas), len(cross)))
+    complete = np.zeros(len(alphas), dtype=bool)
+    alpha, steps = float(np.max(np.abs(cross), initial=0.0)), 0
+    if not (np.isfinite(alpha) and np.isfinite(gram).all()):
+        return weights, steps, complete
+    known = np.zeros(len(cross))
+    for point, goal in enumerate(alphas.tolist()):
+        if goal >= alpha and not known.any():
+            complete[point] = True
+            continue
+        walk, taken, complete[point] = _reach(walk, alpha, goal, known)
+        known = walk.full() if complete[point] else known
+        weights[point], alpha, steps = known, goal, steps + taken
+    return weights, steps, complete
+
+
+def _reach(walk: _Walk, alpha: float, goal: float, known: Vector) -> tuple[_Walk, int, bool]:
+    """Follow the path to `goal`; where it breaks, settle there from the last `known` weights.
+
+    Returns the walk to go on with, the steps taken and whether it stands at an optimum.
+    """
+    limit = STEPS_PER_COLUMN * len(known) + STEPS_AT_LEAST
+    steps = 0
+    try:
+        steps = _follow(walk, alpha, goal, limit)
+        if steps < limit and _polish(walk, goal):
+            return walk, steps, True
+    except Breakdown:
+        pass
+    for caution in CAUTION:
+        try:
+            walk = _Walk.at(walk.active.gram, walk.cross, known, caution)
+            steps += _settle(walk, goal, limit)
+            if _polish(walk, goal):
+                return walk, steps, True
+        except Breakdown:
+            pass
+    return walk, steps, False
+
+
+def _follow(walk: _Walk, alpha: float, goal: float, limit: int) -> int:
+    """Walk from event to event until alpha is `goal`; returns the events, at most `limit`."""
+    k = len(walk.cross)
+    active, correlation, descent = walk.active, walk.correlation, walk.descent
+    distance, rate = np.empty((2, k)), np.empty((2, k))
+    (upper, lower), (up, down), flat = distance, rate, rate.reshape(-1)
+    for step in range(limit):
+        n = active.size
+        near = FLAT * alpha + 1e-300
+        # Events per unit of alpha: the largest rate comes first, and 0 means never.
+        np.subtract(alpha, correlation, out=upper)
+        np.add(alpha, correlation, out=lower)
+        np.maximum(distance, near, out=distance)
+        np.subtract(1.0, descent, out=up)
+        np.add(1.0, descent, out=down)
+        np.divide(rate, distance, out=rate)
+        np.multiply(rate, walk.open, out=rate)
+        first = int(flat.argmax())
+        entry, exit_, position = float(flat[first]), 0.0, 0
+        if n:
+            shrinking = walk.slope[:n] / np.minimum(-walk.weights[:n], -near)
+            position = int(shrinking.argmax())
+            exit_ = float(shrinking[position])
+        soonest = max(entry, exit_)
+        arrived = soonest * (alpha - goal) <= 1.0
+        length = alpha - goal if arrived else 1.0 / soonest
+        walk.weights[:n] += length * walk.slope[:n]
+        correlation -= length * descent
+        if arrived:
+            return step
+        alpha -= length
+        if exit_ >= entry:
+            _leave(walk, position)
+        else:
+            _enter(walk, first % k, 1.0 if first < k else -1.0)
+    return limit
+
+
+def _enter(walk: _Walk, column: int, sign: float) -> bool:
+    """Let a column in with weight zero and bend the slope; a dependent one has to wait."""
+    walk.open[:, column] = 0.0
+    direction = walk.active.entering(column, sign)
+    if direction.dependent(walk.dependent_below):
+        walk.waiting.append(column)
+        return False
+    amount = (1.0 - sign * walk.descent[column]) / direction.pivot
+    walk.active.enter(column, sign, direction)
+    n = walk.active.size
+    walk.weights[n - 1] = walk.slope[n - 1] = 0.0
+    walk.slope[:n] += amount * direction.step
+    np.add(walk.descent, amount * direction.product, out=walk.descent)
+    return True
+
+
+def _leave(walk: _Walk, position: int) -> None:
+    """Take a column out at weight zero and bend the slope; those that waited may try again."""
+    last = walk.active.size - 1
+    column = int(walk.active.columns[position])
+    direction = walk.active.leaving(position)
+    amount = float(walk.slope[position]) / direction.pivot
+    walk.slope[: last + 1] -= amount * direction.step
+    np.subtract(walk.descent, amount * direction.product, out=walk.descent)
+    walk.active.leave(position, direction)
+    walk.weights[position], walk.slope[position] = walk.weights[last], walk.slope[last]
+    walk.open[:, [column, *walk.waiting]] = 1.0
+    walk.waiting.clear()
+
+
+def _polish(walk: _Walk, alpha: float) -> bool:
+    """Newton steps from exact correlations; whether the result is optimal at `alpha`."""
+    active, n = walk.active, walk.active.size
+    weights, margin = walk.weights[:n], OPTIMAL_WITHIN * alpha + ROUNDING
+    np.subtract(walk.cross, active.product(weights), out=walk.correlation)
+    for _ in range(NEWTON_STEPS):
+        weights += active.solve(active.gather(walk.correlation) - alpha)
+        np.subtract(walk.cross, active.product(weights), out=walk.correlation)
+        slack = np.abs(active.gather(walk.correlation) - alpha).max(initial=0.0)
+        if slack <= NEWTON_SHARE * margin:
+            break
+        active.rebuilt()
+    _freshen(walk)
+    smallest, largest = weights.min(initial=0.0), weights.max(initial=0.0)
+    np.maximum(weights, 0.0, out=weights)  # an exit that lies within rounding of this alpha
+    fits = slack <= margin and np.abs(walk.correlation).max() <= alpha + margin
+    return bool(fits and smallest >= -ROUNDING * largest)
+
+
+def _freshen(walk: _Walk) -> None:
+    """Correct the slope where the updates have worn it: H slope = 1."""
+    active, n = walk.active, walk.active.size
+    error = 1.0 - active.gather(walk.descent)
+    if not np.abs(error).max(initial=0.0) < FRESH_SLOPE_ABOVE:
+        walk.slope[:n] += active.solve(error)
+        walk.descent[:] = active.product(walk.slope[:n])
+
+
+def _settle(walk: _Walk, alpha: float, limit: int) -> int:
+    """Primal active set at one `alpha` from any weights: descends until no column objects."""
+    active = walk.active
+    for step in range(limit):
+        n = active.size
+        weights = walk.weights[:n]
+        walk.correlation[:] = walk.cross - active.product(weights)
+        move = active.solve(active.gather(walk.correlation) - alpha)
+        ratio = move / np.minimum(-weights, -FLAT * alpha - 1e-300)
+        position = int(ratio.argmax()) if n else 0
+        if n and ratio[position] > 1.0:
+            weights += move / ratio[position]
+            _leave(walk, position)
+            continue
+        weights += move
+        walk.correlation[:] = walk.cross - active.product(weights)
+        excess = np.abs(walk.correlation) * walk.open[0]
+        column = int(excess.argmax())
+        if excess[column] <= alpha * (1.0 + 0.1 * OPTIMAL_WITHIN) + 0.1 * ROUNDING:
+            return step
+        _enter(walk, column, float(np.sign(walk.correlation[column])))
+    return limit

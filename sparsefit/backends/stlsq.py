@@ -1,0 +1,171 @@
+"""Sequentially thresholded least squares (Brunton, Proctor & Kutz 2016), after PySINDy 2.1.
+
+Each iteration, for each target on its own support S: w = (X_S'X_S + ridge I)^-1 X_S'y, then
+columns with |w| < threshold leave for good. It stops when nothing has ever left, or when the
+last two supports agree for all targets. ``unbias``: a last ordinary least squares on the support.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
+
+from sparsefit.backends.base import Solution, checked_number
+from sparsefit.errors import InputError, unknown
+from sparsefit.library import RegressionProblem
+from sparsefit.objective import CertificateKind
+
+Array = NDArray[np.float64]
+Support = NDArray[np.bool_]
+Mode = Literal["scaled", "pysindy"]
+SAFE_RCOND = (
+    1e-10  # of the Gram matrix: below it, refined normal equations lose digits that QR keeps
+)
+
+
+@dataclass(frozen=True)
+class STLSQ:
+    """Sequentially thresholded least squares.
+
+    mode: ``scaled`` works in columns of unit rms, with ridge relative to Z'Z/m and the threshold
+    relative to the rms of the target, so neither depends on units or the number of samples.
+    ``pysindy`` is PySINDy's STLSQ: threshold and ridge (its alpha) act on the plain sum of
+    squares; ``normalize_columns`` divides columns by their 2-norm first, as its option does.
+    """
+
+    name: ClassVar[str] = "stlsq"
+    certificate_kind: ClassVar[CertificateKind] = "fixed_point"
+    mode: Mode = "scaled"
+    threshold: float = 0.1
+    ridge: float = 0.05
+    unbias: bool = True
+    max_iterations: int = 20
+    normalize_columns: bool = False
+
+    def __post_init__(self) -> None:
+        if self.mode not in get_args(Mode):
+            raise unknown("mode of stlsq", str(self.mode), get_args(Mode))
+        checked_number(self.name, "threshold", self.threshold, low=0.0)
+        checked_number(self.name, "ridge", self.ridge, low=0.0)
+        checked_number(self.name, "max_iterations", self.max_iterations, low=1.0)
+        for flag in ("unbias", "normalize_columns"):
+            if not isinstance(getattr(self, flag), bool):
+                raise InputError(f"stlsq: {flag} must be true or false")
+        if self.normalize_columns and self.mode == "scaled":
+            raise InputError(
+                "stlsq: normalize_columns belongs to mode 'pysindy'; mode 'scaled' always scales"
+            )
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """Weights on the support that thresholding leaves."""
+        if problem.samples < problem.columns and self.ridge == 0:
+            return Solution(
+                None,
+                "error",
+                f"{problem.samples} samples are fewer than {problem.columns} columns and ridge "
+                "is 0: the first solve is not unique; set ridge above 0 or use lasso",
+            )
+        system = _System.of(problem, self)
+        support = np.ones((problem.columns, problem.targets), dtype=bool)
+        previous = support
+        for iteration in range(1, self.max_iterations + 1):
+            previous, (values, support) = support, self._step(problem, system, support)
+            if not support.any():
+                return Solution(
+                    None,
+                    "unidentifiable",
+                    f"empty support: threshold {self.threshold:g} removed every column; lower it",
+                    iterations=iteration,
+                )
+            if support.all() or (iteration > 1 and np.array_equal(support, previous)):
+                break
+        weights = values / system.scale[:, None]
+        if self.unbias:
+            weights = _least_squares_on(problem, support)
+        empty = [
+            name for name, on in zip(problem.target_names, support.T, strict=True) if not on.any()
+        ]
+        note = f"support of {', '.join(empty)} is empty" if empty else ""
+        return Solution(weights, reason=note, iterations=iteration)
+
+    def next_support(self, problem: RegressionProblem, weights: Array) -> Support:
+        """The support that one more iteration would leave, for the fixed-point certificate."""
+        return self._step(problem, _System.of(problem, self), weights != 0)[1]
+
+    def _step(
+        self, problem: RegressionProblem, system: "_System", support: Support
+    ) -> tuple[Array, Support]:
+        values = np.zeros(support.shape)
+        for t in range(support.shape[1]):
+            on = np.flatnonzero(support[:, t])
+            if len(on):
+                values[on, t] = _ridge_solve(problem, system, on, t)
+        kept = (np.abs(values) >= system.threshold) & support
+        return np.where(kept, values, 0.0), kept
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Normal equations in the units in which ridge and threshold act."""
+
+    gram: Array
+    cross: Array
+    scale: Array
+    ridge: float
+    threshold: Array
+
+    @classmethod
+    def of(cls, problem: RegressionProblem, settings: STLSQ) -> "_System":
+        s = problem.statistics
+        if settings.mode == "scaled":
+            threshold = settings.threshold * np.sqrt(s.target_square)
+            return cls(s.gram, s.cross, s.rms, settings.ridge, threshold)
+        scale = s.rms * np.sqrt(s.samples) if settings.normalize_columns else np.ones_like(s.rms)
+        lift = s.rms / scale
+        gram = s.gram * (lift[:, None] * lift * s.samples)
+        cross = s.cross * (lift[:, None] * s.samples)
+        return cls(
+            gram, cross, scale, settings.ridge, np.full(len(s.target_square), settings.threshold)
+        )
+
+
+def _ridge_solve(
+    problem: RegressionProblem, system: _System, on: NDArray[np.intp], t: int
+) -> Array:
+    full = len(on) == len(system.gram)
+    block = system.gram.copy() if full else system.gram[np.ix_(on, on)]
+    block[np.diag_indices_from(block)] += system.ridge
+    factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
+    if failed == 0:
+        solution: Array = dpotrs(factor, system.cross[on, t], lower=1)[0]
+        return solution
+    if system.ridge > 0:
+        raise LinAlgError(f"stlsq: ridge {system.ridge:g} is too small for this library")
+    columns = problem.theta[:, on] / system.scale[on]
+    least: Array = np.linalg.lstsq(columns, problem.target[:, t], rcond=None)[0]
+    return least
+
+
+def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:
+    """Ordinary least squares of each target on its own support, in the units of theta."""
+    s = problem.statistics
+    weights = np.zeros(support.shape)
+    for t in range(support.shape[1]):
+        on = np.flatnonzero(support[:, t])
+        if not len(on):
+            continue
+        theta, target = problem.theta[:, on], problem.target[:, t]
+        factor, failed = dpotrf(s.gram[np.ix_(on, on)], lower=1)
+        if failed or dpocon(factor, 1.0 * len(on), uplo="L")[0] < SAFE_RCOND:
+            weights[on, t] = np.linalg.lstsq(theta, target, rcond=None)[0]
+            continue
+        rms = s.rms[on]
+        value = dpotrs(factor, s.cross[on, t], lower=1)[0] / rms
+        for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
+            gradient = theta.T @ (target - theta @ value) / (rms * s.samples)
+            value = value + dpotrs(factor, gradient, lower=1)[0] / rms
+        weights[on, t] = value
+    return weights

@@ -1,0 +1,160 @@
+"""State derivatives from samples: the forward difference (Eq. 15) and better ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sparsefit.errors import InputError, unknown
+from sparsefit.flight import Flight
+from sparsefit.vehicle import PointMassVehicle
+
+Array: TypeAlias = npt.NDArray[np.float64]
+Rates: TypeAlias = tuple[Array, Array, Array]  # time (m,), state (m, 4), its rate (m, 4)
+
+UNIFORM_TOLERANCE = 1e-6  # relative; steps that differ by more are not one step
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """States and their derivatives on the same m samples (Eq. 16).
+
+    Args:
+        time: t [s], (m,).
+        position: [m], (m, 2).
+        velocity: [m/s], (m, 2).
+        position_rate: the derivative of the position [m/s], (m, 2); the measured velocity is
+            ``velocity``.
+        acceleration: the derivative of the velocity [m/s^2], (m, 2).
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    position_rate: Array
+    acceleration: Array
+
+    def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
+        """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
+        return vehicle.flow_velocity(self.velocity, self.acceleration)
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """How derivatives are taken from a flight's samples; position and velocity alike.
+
+    - ``forward``: Eq. 15, first order; the last sample is dropped.
+    - ``central``: three points, any spacing, second order; both ends are dropped.
+    - ``midpoint``: difference quotient and mean state of two neighbours, second order.
+    - ``savgol``: a polynomial of ``order`` fitted to ``window`` samples (Savitzky and Golay,
+      1964), states smoothed too; uniform steps only; half a window is dropped at either end.
+
+    Args:
+        method: one of `METHODS`.
+        window: samples in the savgol window, odd, >= 3.
+        order: degree of the savgol polynomial, 1 <= order < window.
+
+    Raises:
+        InputError: if a setting is out of its range.
+    """
+
+    method: str = "savgol"
+    window: int = 5
+    order: int = 4
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.method not in METHODS:
+            raise unknown("derivative", self.method, METHODS)
+        if not _is_integer(self.window) or self.window < 3 or self.window % 2 == 0:
+            raise InputError(f"window must be an odd integer, 3 or above; got {self.window!r}")
+        if not _is_integer(self.order) or not 1 <= self.order < self.window:
+            raise InputError(
+                f"order must be an integer from 1 to window - 1 = {self.window - 1}; "
+                f"got {self.order!r}"
+            )
+
+    def __call__(self, flight: Flight) -> Samples:
+        """Return states and derivatives of ``flight``.
+
+        Raises:
+            InputError: with ``savgol``, if the flight is shorter than the window or its time
+                steps are not uniform.
+        """
+        state = np.hstack([flight.position, flight.velocity])
+        time, smooth, rate = _RULES[self.method](self, flight.time, state)
+        return Samples(
+            time=time,
+            position=smooth[:, :2],
+            velocity=smooth[:, 2:],
+            position_rate=rate[:, :2],
+            acceleration=rate[:, 2:],
+        )
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _forward(_: Derivative, time: Array, state: Array) -> Rates:
+    return time[:-1], state[:-1], _quotients(time, state)
+
+
+def _central(_: Derivative, time: Array, state: Array) -> Rates:
+    """Weight the two quotients by the opposite step, which cancels the second-order term."""
+    quotient, step = _quotients(time, state), np.diff(time)[:, None]
+    before, after = step[:-1], step[1:]
+    rate = (after * quotient[:-1] + before * quotient[1:]) / (before + after)
+    return time[1:-1], state[1:-1], rate
+
+
+def _midpoint(_: Derivative, time: Array, state: Array) -> Rates:
+    middle = time[:-1] + np.diff(time) / 2.0
+    return middle, (state[:-1] + state[1:]) / 2.0, _quotients(time, state)
+
+
+def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
+    """Only full windows are kept: the polynomial at an edge extrapolates."""
+    from scipy.signal import savgol_filter  # half a second to import: only who asks pays
+
+    if len(time) < rule.window:
+        raise InputError(
+            f"savgol window {rule.window} is longer than the flight of {len(time)} samples: "
+            "use a smaller window, or central"
+        )
+    step = _uniform_step(time)
+    whole = slice(rule.window // 2, len(time) - rule.window // 2)
+    smooth = savgol_filter(state, rule.window, rule.order, axis=0)
+    rate = savgol_filter(state, rule.window, rule.order, deriv=1, delta=step, axis=0)
+    return time[whole], smooth[whole], rate[whole]
+
+
+def _quotients(time: Array, state: Array) -> Array:
+    return np.diff(state, axis=0) / np.diff(time)[:, None]
+
+
+def _uniform_step(time: Array) -> float:
+    """Return the mean step [s], or refuse: steps may differ by 1e-6 and the rounding of time."""
+    steps = np.diff(time)
+    mean = float(time[-1] - time[0]) / len(steps)
+    row = int(np.argmax(np.abs(steps - mean)))
+    rounding = 4.0 * np.spacing(np.abs(time).max())  # clocks that count from 1970 need it
+    if abs(steps[row] - mean) > UNIFORM_TOLERANCE * mean + rounding:
+        raise InputError(
+            f"savgol needs uniform time steps; the step after row {row} is {steps[row]:.6g} s, "
+            f"the mean {mean:.6g} s: use central or midpoint"
+        )
+    return mean
+
+
+_RULES: dict[str, Callable[[Derivative, Array, Array], Rates]] = {
+    "forward": _forward,
+    "central": _central,
+    "midpoint": _midpoint,
+    "savgol": _savgol,
+}
+METHODS: tuple[str, ...] = tuple(_RULES)

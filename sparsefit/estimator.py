@@ -1,0 +1,207 @@
+"""From a flight to U0, L_w and tau_w: derivative, library, back-end and readout in one record."""
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from sparsefit import backends
+from sparsefit.backends.base import Backend, settings_of
+from sparsefit.derivative import Derivative, Samples
+from sparsefit.errors import InputError, unknown
+from sparsefit.fit import TOLERANCE, Fit, fit
+from sparsefit.flight import Flight
+from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
+from sparsefit.objective import Certificate
+from sparsefit.readout import Readout
+
+FORMAT = "sparsefit-estimator/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What every back-end shares on one flight: samples, Phi and the regression problem."""
+
+    samples: Samples
+    flow_velocity: np.ndarray
+    problem: RegressionProblem
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
+
+    status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
+    grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
+    length scale [m]; seconds: preparation, fit and readout together.
+    """
+
+    mean_velocity: float
+    length_scale: float
+    timescale: float
+    status: str
+    reason: str
+    backend: str
+    settings: dict[str, Any]
+    certificate: Certificate | None = None
+    grid_length_scale: float = math.nan
+    weights_by_scale: dict[float, float] = field(default_factory=dict, repr=False)
+    seconds: float = math.nan
+    samples: int = 0
+    columns: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """The estimate as JSON-ready values; NaN becomes None."""
+        values = asdict(self)
+        values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
+        cleaned: dict[str, Any] = _without_nan(values)
+        return cleaned
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """A complete choice: how derivatives are taken, the library, the back-end and the readout.
+
+    ``derivative`` and ``backend`` also take a name, with default settings.
+    """
+
+    derivative: Derivative | str = Derivative()
+    library: Library = Library()
+    backend: Backend | str = "group-lasso"
+    readout: Readout = Readout()
+    tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        if isinstance(self.derivative, str):
+            object.__setattr__(self, "derivative", Derivative(self.derivative))
+        if isinstance(self.backend, str):
+            object.__setattr__(self, "backend", backends.get(self.backend))
+        for name, kind in (
+            ("derivative", Derivative),
+            ("library", Library),
+            ("backend", Backend),
+            ("readout", Readout),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(
+                    f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
+                )
+
+    def estimate(self, flight: Flight) -> Estimate:
+        """Estimate the flow's parameters from a flight.
+
+        Raises InputError where the flight does not suit the settings (too few samples for the
+        derivative, say); a flight that cannot tell the parameters has status ``unidentifiable``.
+        """
+        prepared = self.prepare(flight)
+        return self.read(prepared, self.fit(prepared))
+
+    def prepare(self, flight: Flight) -> Prepared:
+        """Derivatives, flow velocity and regression problem of a flight."""
+        start = perf_counter()
+        assert isinstance(self.derivative, Derivative)
+        samples = self.derivative(flight)
+        problem = self.library.build(samples, flight.vehicle)
+        phi = samples.flow_velocity(flight.vehicle)
+        return Prepared(samples, phi, problem, perf_counter() - start)
+
+    def fit(self, prepared: Prepared) -> Fit:
+        """The certified fit of this estimator's back-end."""
+        assert not isinstance(self.backend, str)
+        return fit(prepared.problem, self.backend, tolerance=self.tolerance)
+
+    def read(self, prepared: Prepared, found: Fit) -> Estimate:
+        """Parameters from a fit (Eqs. 21-25)."""
+        start = perf_counter()
+        problem, scales = prepared.problem, prepared.problem.group_scales
+        assert scales is not None
+        length_scale = mean_velocity = math.nan
+        by_scale: dict[float, float] = {}
+        status, reason = found.status, found.reason
+        if np.isfinite(found.weights).all():
+            weights = self.readout.scale_weights(problem, found.weights)
+            by_scale = dict(zip(scales.tolist(), weights.tolist(), strict=True))
+            if not found.weights.any():
+                status, reason = "unidentifiable", "no length scale: all weights are zero"
+            else:
+                length_scale = float(scales[int(np.argmax(weights))])
+                mean_velocity = self.readout.velocity(
+                    prepared.samples.position, prepared.flow_velocity, problem.target, length_scale
+                )
+        timescale = length_scale / mean_velocity if mean_velocity else math.nan
+        if status in ("ok", "inaccurate") and not (
+            math.isfinite(mean_velocity) and mean_velocity > 0
+        ):
+            status = "unidentifiable"
+            reason = (
+                f"no mean velocity: readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
+            )
+        return Estimate(
+            mean_velocity,
+            length_scale,
+            timescale,
+            status,
+            reason,
+            found.backend.name,
+            settings_of(found.backend),
+            found.certificate,
+            length_scale,
+            by_scale,
+            prepared.seconds + found.seconds + perf_counter() - start,
+            problem.samples,
+            problem.columns,
+        )
+
+    def to_json(self) -> str:
+        """The estimator as JSON text, which ``from_json`` reads back."""
+        record = {
+            "format": FORMAT,
+            "derivative": asdict(self.derivative),  # type: ignore[arg-type]
+            "library": asdict(self.library),
+            "backend": {"name": self.backend.name, **settings_of(self.backend)},  # type: ignore[union-attr]
+            "readout": asdict(self.readout),
+            "tolerance": self.tolerance,
+        }
+        return json.dumps(record, indent=2, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> "Estimator":
+        """Read an estimator written by ``to_json``. Raises InputError on anything else."""
+        try:
+            record = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise InputError(f"not an estimator: line {error.lineno}: {error.msg}") from None
+        if not isinstance(record, dict) or record.get("format") != FORMAT:
+            raise InputError(f'not an estimator: no "format": "{FORMAT}"; write one with to_json')
+        parts = {k: v for k, v in record.items() if k != "format"}
+        tolerance = parts.pop("tolerance", TOLERANCE)
+        known = ("derivative", "library", "backend", "readout")
+        for key, value in parts.items():
+            if key not in known:
+                raise unknown("key of the estimator", key, (*known, "tolerance"))
+            if not isinstance(value, dict):
+                raise InputError(f"estimator: {key} must be an object, not {value!r}")
+        library = dict(parts.get("library", {}))
+        backend = dict(parts.get("backend", {"name": "group-lasso"}))
+        try:
+            return cls(
+                Derivative(**parts.get("derivative", {})),
+                Library(**{**library, "grid": LengthScaleGrid(**library.get("grid", {}))}),
+                backends.get(str(backend.pop("name", "")), **backend),
+                Readout(**parts.get("readout", {})),
+                tolerance,
+            )
+        except TypeError as error:  # an unexpected keyword, or a value of the wrong type
+            raise InputError(f"estimator: {error}") from None
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

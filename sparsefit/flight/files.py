@@ -1,0 +1,84 @@
+"""Flights in files: ``.csv`` and ``.parquet``, exact both ways."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import ModuleType
+
+from sparsefit.errors import InputError, unknown
+from sparsefit.flight import csv_file, parquet_file
+from sparsefit.flight.record import Flight
+from sparsefit.flight.table import FlightTable
+from sparsefit.vehicle import PointMassVehicle
+
+FORMATS: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
+
+
+def read_flight(path: str | os.PathLike[str], *, vehicle: PointMassVehicle | None = None) -> Flight:
+    """Read a flight from a ``.csv`` or ``.parquet`` file.
+
+    Columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored. The
+    vehicle: ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0
+    where it is not given), the same keys in the metadata of Parquet. The true flow, where known:
+    ``mean_velocity`` and ``length_scale``, numbered ``_1``, ``_2``, ... when superposed.
+
+    Args:
+        path: the file.
+        vehicle: used in place of the one in the file.
+
+    Raises:
+        InputError: naming file, line and column, if the file is missing, is not a flight, or
+            holds no vehicle and none is given.
+        MissingExtra: for Parquet without pyarrow.
+    """
+    file = Path(path)
+    decode = _format(file).decode
+    content = _content(file)
+    try:
+        table: FlightTable = decode(content)
+        return table.flight(vehicle)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write ``flight`` to a ``.csv`` or ``.parquet`` file; `read_flight` returns it exactly.
+
+    The file appears whole or not at all.
+
+    Raises:
+        InputError: if the file exists and ``overwrite`` is false, or cannot be written.
+        MissingExtra: for Parquet without pyarrow.
+    """
+    file = Path(path)
+    encode = _format(file).encode
+    if file.exists() and not overwrite:
+        raise InputError(f"{file} exists; pass overwrite=True or choose another name")
+    _replace(file, encode(FlightTable.from_flight(flight)))
+
+
+def _format(file: Path) -> ModuleType:
+    suffix = file.suffix.lower()
+    if suffix not in FORMATS:
+        raise unknown("file type", suffix or file.name, FORMATS)
+    return FORMATS[suffix]
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}; check the path") from None
+
+
+def _replace(file: Path, content: bytes) -> None:
+    """Write beside the target and rename: a reader never meets half a file."""
+    partial = file.with_name(f".{file.name}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(content)
+        partial.replace(file)
+    except OSError as error:
+        raise InputError(f"cannot write {file}: {error.strerror}; check the folder") from None
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,125 @@
+"""The record of one flight, and what makes it a valid one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sparsefit.errors import InputError
+from sparsefit.flow import CellularFlow, Flow, SuperposedFlow
+from sparsefit.vehicle import PointMassVehicle
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """What a vehicle logged: time, position and velocity on the same samples.
+
+    The arrays are stored as read-only float64 copies. Rows count from 0 in every message.
+
+    Args:
+        time: t [s], shape (m,), strictly increasing, m >= 3.
+        position: (x, y) [m], shape (m, 2).
+        velocity: (vx, vy) [m/s], shape (m, 2).
+        vehicle: the vehicle that flew.
+        flow: the true flow where it is known; no estimate ever reads it.
+
+    Raises:
+        InputError: naming the field and row, if the shapes differ, a value is not finite, the
+            time does not increase, or there are fewer than three samples.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    vehicle: PointMassVehicle
+    flow: Flow | None = None
+
+    def __post_init__(self) -> None:
+        """Check every field and freeze the arrays."""
+        time = _frozen("time", self.time, ("m",))
+        position = _frozen("position", self.position, ("m", 2))
+        velocity = _frozen("velocity", self.velocity, ("m", 2))
+        _check_lengths(time, position, velocity)
+        _check_increasing(time)
+        _check_kinds(self.vehicle, self.flow)
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "velocity", velocity)
+
+    @property
+    def samples(self) -> int:
+        """The number of samples m."""
+        return len(self.time)
+
+    @property
+    def duration(self) -> float:
+        """The time from the first sample to the last [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def extent(self) -> float:
+        """The larger side of the flight's bounding box [m]."""
+        return float(np.ptp(self.position, axis=0).max())
+
+
+def _frozen(name: str, value: object, shape: tuple[str | int, ...]) -> Array:
+    """Return a read-only float64 copy, or refuse by name, shape and row."""
+    array = _floats(name, value)
+    wanted = (*array.shape[:1], *shape[1:])
+    if array.ndim != len(shape) or array.shape != wanted:
+        text = "(m,)" if len(shape) == 1 else "(m, 2)"
+        raise InputError(f"{name} must have shape {text}; got {array.shape}")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        place = f"row {bad[0][0]}" + (f", {'xy'[bad[0][1]]}" if array.ndim == 2 else "")
+        found = array[tuple(bad[0])]
+        raise InputError(f"{name} must be finite: {place} is {found}; drop or repair that sample")
+    array.flags.writeable = False
+    return array
+
+
+def _floats(name: str, value: object) -> Array:
+    """Copy to float64; text, dates, complex, masked and ragged input is refused, not cast."""
+    try:
+        raw = np.asarray(value)
+    except ValueError:
+        raise InputError(f"{name} must be an array of numbers; its rows differ in length") from None
+    if raw.dtype.kind not in "iuf" or np.ma.is_masked(value):
+        kind = "masked values" if np.ma.is_masked(value) else f"type {raw.dtype}"
+        raise InputError(f"{name} must be an array of real numbers; got {kind}")
+    return np.array(raw, dtype=np.float64, order="C")
+
+
+def _check_lengths(time: Array, position: Array, velocity: Array) -> None:
+    counts = (len(time), len(position), len(velocity))
+    if len(set(counts)) != 1:
+        raise InputError(
+            "time, position and velocity must have one row per sample each; "
+            "got {} times, {} positions and {} velocities".format(*counts)
+        )
+    if len(time) < MINIMUM_SAMPLES:
+        raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples; got {len(time)}")
+
+
+def _check_increasing(time: Array) -> None:
+    falls = np.flatnonzero(np.diff(time) <= 0)
+    if len(falls):
+        row = int(falls[0]) + 1
+        raise InputError(
+            f"time must increase strictly: row {row} (t={time[row]}) follows "
+            f"t={time[row - 1]}; sort or drop repeated samples"
+        )
+
+
+def _check_kinds(vehicle: object, flow: object) -> None:
+    if not isinstance(vehicle, PointMassVehicle):
+        raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
+    if flow is not None and not isinstance(flow, (CellularFlow, SuperposedFlow)):
+        raise InputError(f"flow must be a CellularFlow, a SuperposedFlow or None; got {flow!r}")

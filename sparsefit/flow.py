@@ -1,0 +1,97 @@
+"""The flows a vehicle flies through: one cellular flow (Eqs. 1-2), or several superposed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sparsefit.errors import InputError, positive
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CellularFlow:
+    """A steady array of eddies that alternate in their direction of rotation (Eq. 1).
+
+    ``w = U0 (sin(pi x/L) cos(pi y/L), -cos(pi x/L) sin(pi y/L))``: free of divergence, of
+    period 2L in x and y, with ``|w| <= U0`` reached half-way along the cell edges.
+
+    Args:
+        mean_velocity: U0 [m/s], > 0.
+        length_scale: L [m], the side of one eddy, > 0.
+
+    Raises:
+        InputError: if one of them is not a finite number above 0.
+    """
+
+    mean_velocity: float
+    length_scale: float
+
+    def __post_init__(self) -> None:
+        """Check both parameters and store them as floats."""
+        speed = positive("mean_velocity", self.mean_velocity, "m/s")
+        scale = positive("length_scale", self.length_scale, "m")
+        object.__setattr__(self, "mean_velocity", speed)
+        object.__setattr__(self, "length_scale", scale)
+
+    @property
+    def timescale(self) -> float:
+        """The turnover time L / U0 [s] (Eq. 2)."""
+        return self.length_scale / self.mean_velocity
+
+    @property
+    def wavenumber(self) -> float:
+        """Return pi / L [1/m]."""
+        return math.pi / self.length_scale
+
+    @property
+    def components(self) -> tuple[CellularFlow, ...]:
+        """The flow as a superposition of one."""
+        return (self,)
+
+    def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return the flow velocity [m/s], shape (..., 2), at positions x, y [m] (Eq. 1)."""
+        east, north = np.broadcast_arrays(
+            self.wavenumber * np.asarray(x, dtype=np.float64),
+            self.wavenumber * np.asarray(y, dtype=np.float64),
+        )
+        shape = (np.sin(east) * np.cos(north), -np.cos(east) * np.sin(north))
+        return self.mean_velocity * np.stack(shape, axis=-1)
+
+
+@dataclass(frozen=True)
+class SuperposedFlow:
+    """The sum of several cellular flows: eddies within eddies.
+
+    Args:
+        components: the cellular flows, at least one.
+
+    Raises:
+        InputError: if there is none, or one is not a `CellularFlow`.
+    """
+
+    components: tuple[CellularFlow, ...]
+
+    def __post_init__(self) -> None:
+        """Check the components and store them as a tuple."""
+        found = self.components
+        parts = tuple(found) if isinstance(found, (tuple, list)) else ()
+        if not parts or not all(isinstance(part, CellularFlow) for part in parts):
+            raise InputError(
+                "SuperposedFlow needs a tuple of at least one CellularFlow, "
+                f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {found!r}"
+            )
+        object.__setattr__(self, "components", parts)
+
+    def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m]."""
+        total: Array = np.sum([part.velocity(x, y) for part in self.components], axis=0)
+        return total
+
+
+Flow: TypeAlias = CellularFlow | SuperposedFlow

@@ -1,0 +1,179 @@
+"""One TOML file as typed values; whatever does not fit is refused by file, section and key."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TypeAlias, cast
+
+from sparsefit.errors import InputError
+
+Table: TypeAlias = Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value stands: file, section and key; `via` tells which override put it there."""
+
+    file: str
+    section: str = ""
+    key: str = ""
+    via: str = ""
+
+    def at(self, key: str) -> Place:
+        """The place of one key of this section."""
+        return Place(self.file, self.section, key, self.via)
+
+    def within(self, section: str) -> Place:
+        """The place of one section of this file."""
+        return Place(self.file, section, "", self.via)
+
+    def error(self, problem: str) -> InputError:
+        """The refusal of what stands here: `file: [section] key "x" problem`."""
+        section = f"[{self.section}] " if self.section else ""
+        key = f'key "{self.key}" ' if self.key else ""
+        return InputError(f"{self.file}: {self.via}{section}{key}{problem}")
+
+
+def read_toml(path: str | Path) -> dict[str, object]:
+    """The parsed file; `InputError` names the file, and the line where it is not TOML."""
+    try:
+        text = Path(path).read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file: check the name") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not UTF-8 text: save the study file as UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}:{_line(str(error), text)}: not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply for a study file") from None
+
+
+def _line(message: str, text: str) -> int:
+    found = re.search(r"at line (\d+)", message)
+    return int(found.group(1)) if found else text.count("\n") + 1
+
+
+def only(table: Table, valid: Iterable[str], place: Place) -> None:
+    """Refuse the first key of `table` that is not in `valid`, with the nearest valid one."""
+    known = list(valid)
+    for key in table:
+        if key not in known:
+            raise place.at(key).error("unknown" + suggestion(key, known))
+
+
+def suggestion(name: str, valid: Iterable[str]) -> str:
+    """`: did you mean "x"?` or, with nothing near, the valid names."""
+    known = sorted(valid)
+    near = get_close_matches(name, known, n=1)
+    return f': did you mean "{near[0]}"?' if near else f" (known: {', '.join(known)})"
+
+
+def required(table: Table, key: str, place: Place) -> object:
+    """The value of a key that must be given."""
+    if key not in table:
+        raise place.at(key).error("missing: a study needs it")
+    return table[key]
+
+
+def number(value: object, place: Place) -> float:
+    """A finite number; a boolean is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise place.error(f"must be a number, not {shown(value)}")
+    try:
+        real = float(value)
+    except OverflowError:
+        real = math.inf
+    if not math.isfinite(real):
+        raise place.error(f"must be a finite number, not {shown(value)}")
+    return real
+
+
+def positive(value: object, place: Place) -> float:
+    """A finite number above zero."""
+    real = number(value, place)
+    if real <= 0.0:
+        raise place.error(f"must be above 0, not {shown(value)}")
+    return real
+
+
+def integer(value: object, place: Place, *, least: int) -> int:
+    """A whole number of at least `least`; a boolean is none."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise place.error(f"must be a whole number, not {shown(value)}")
+    if value < least:
+        raise place.error(f"must be at least {least}, not {value}")
+    return value
+
+
+def text(value: object, place: Place) -> str:
+    """One non-empty line of text."""
+    if not isinstance(value, str):
+        raise place.error(f"must be text in quotes, not {shown(value)}")
+    if not value.strip() or "\n" in value:
+        raise place.error("must be one non-empty line of text")
+    return value
+
+
+def items(value: object, place: Place) -> list[object]:
+    """A list of at least one item."""
+    if not isinstance(value, list):
+        raise place.error(f"must be a list, not {shown(value)}")
+    if not value:
+        raise place.error("must not be an empty list: remove the key or give values")
+    return value
+
+
+def distinct(values: Sequence[object], place: Place) -> None:
+    """Refuse a list that holds one value twice."""
+    seen: set[str] = set()
+    for value in values:
+        canonical = canonical_json(value)
+        if canonical in seen:
+            raise place.error(f"lists {shown(value)} twice")
+        seen.add(canonical)
+
+
+def table(value: object, place: Place) -> Table:
+    """A TOML table."""
+    if not isinstance(value, dict):
+        raise place.error(f"must be a table, not {shown(value)}")
+    return cast(Table, value)
+
+
+def tables(value: object, place: Place) -> list[Table]:
+    """An array of tables, `[[name]]`, of at least one."""
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        raise place.error(f"must be written as [[{place.key or place.section}]]")
+    return cast(list[Table], items(value, place))
+
+
+def shown(value: object) -> str:
+    """A value as it appears in a message: short, on one line."""
+    words = " ".join(repr(value).split())
+    return words if len(words) <= 60 else words[:57] + "..."
+
+
+def canonical_json(value: object) -> str:
+    """Sorted keys, no blanks, and 10.0 written as 10: equal content gives equal text."""
+    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), default=str)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

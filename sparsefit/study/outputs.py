@@ -1,0 +1,44 @@
+"""What a study shows of its cases: the names of its tables and figures."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Iterable
+
+from sparsefit.study.document import Place, distinct, items, only, suggestion, table, text
+
+
+def read_outputs(value: object, place: Place) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(tables, figures) of [outputs], each name known to its registry."""
+    section = table(value, place.at("outputs"))
+    here = place.within("outputs")
+    only(section, ("tables", "figures"), here)
+    kinds = [_names(section[kind], kind, here) if kind in section else () for kind in REGISTRIES]
+    return kinds[0], kinds[1]
+
+
+REGISTRIES = {"tables": "TABLES", "figures": "FIGURES"}
+
+
+def known(kind: str) -> Iterable[str] | None:
+    """The registered names; None where the room that draws them is not installed.
+
+    Imported only when a study asks for it: figures bring in the plotting library.
+    """
+    module = f"sparsefit.study.{kind}"
+    if importlib.util.find_spec(module) is None:
+        return None
+    names: Iterable[str] = getattr(importlib.import_module(module), REGISTRIES[kind])
+    return names
+
+
+def _names(value: object, kind: str, place: Place) -> tuple[str, ...]:
+    here = place.at(kind)
+    names = tuple(text(item, here) for item in items(value, here))
+    distinct(names, here)
+    registered = known(kind)
+    for name in names:
+        if registered is not None and name not in registered:
+            raise here.error(f'names "{name}", unknown' + suggestion(name, registered))
+    return names

@@ -1,0 +1,43 @@
+"""How long a run still takes, from what its cases took so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+MEMORY = 20  # outcomes of a cell over which its mean forgets, so that it follows a trend
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """Cases left per cell, and the mean seconds and number of those seen."""
+
+    left: NDArray[np.int64]
+    mean: NDArray[np.float64]
+    seen: NDArray[np.int64]
+    processes: int
+
+    @classmethod
+    def start(cls, left: NDArray[np.int64], processes: int) -> Pace:
+        """Nothing seen yet."""
+        return cls(left.copy(), np.zeros(len(left)), np.zeros(len(left), np.int64), processes)
+
+    def note(self, cell: int, seconds: float) -> None:
+        """One case of `cell` ended after `seconds` of a worker's time."""
+        self.left[cell] -= 1
+        self.seen[cell] += 1
+        self.mean[cell] += (seconds - self.mean[cell]) / min(self.seen[cell], MEMORY)
+
+    @property
+    def eta(self) -> float | None:
+        """Seconds left; None before the first case has ended.
+
+        A cell never seen counts as the mean of those seen.
+        """
+        known = self.seen > 0
+        if not known.any():
+            return None
+        typical = np.where(known, self.mean, self.mean[known].mean())
+        return float(self.left @ typical) / self.processes

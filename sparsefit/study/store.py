@@ -1,0 +1,158 @@
+"""The answers of a study on disk: `cases.parquet`, `weights.parquet`, and where they stand."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from sparsefit.errors import InputError
+from sparsefit.study.design import Cell, case_id, cells
+from sparsefit.study.document import canonical_json
+from sparsefit.study.execution import Outcome
+from sparsefit.study.spec import Study
+
+CASES = "cases.parquet"
+WEIGHTS = "weights.parquet"
+
+TEXT, REAL, WHOLE, FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+# `samples` and `columns` are 0 where no library was built; what is not known is NaN or "".
+COLUMNS = {
+    "case_id": TEXT,
+    "study": TEXT,
+    "flight": WHOLE,
+    "split": TEXT,
+    "protocol": TEXT,
+    "backend": TEXT,
+    "settings": TEXT,
+    "label": TEXT,
+    "status": TEXT,
+    "reason": TEXT,
+    "true_mean_velocity": REAL,
+    "true_length_scale": REAL,
+    "true_timescale": REAL,
+    "est_mean_velocity": REAL,
+    "est_length_scale": REAL,
+    "est_timescale": REAL,
+    "grid_length_scale": REAL,
+    "hit": FLAG,
+    "certificate_kind": TEXT,
+    "certificate": REAL,
+    "seconds": REAL,
+    "samples": WHOLE,
+    "columns": WHOLE,
+}
+
+
+def read_cases(folder: str | Path) -> pd.DataFrame:
+    """The rows of a finished study from its results folder, `results/<name>`.
+
+    Raises:
+        InputError: if there are none yet, or the file is not readable.
+    """
+    return _read(Path(folder) / CASES)
+
+
+def read_weights(folder: str | Path) -> pd.DataFrame:
+    """`case_id, length_scale [m], weight` of a study whose figures include `weights`."""
+    return _read(Path(folder) / WEIGHTS)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file: run the study first (sparsefit study run)")
+    try:
+        frame: pd.DataFrame = pq.read_table(path).to_pandas()
+    except (OSError, pa.ArrowInvalid) as error:
+        cause = " ".join(str(error).split())
+        raise InputError(f"{path}: not readable ({cause}): run the study with --fresh") from None
+    return frame
+
+
+def write_cases(study: Study, outcomes: Iterable[Outcome], folder: Path) -> None:
+    """All rows in plan order, in one atomic step; the weights too where the study keeps them."""
+    every = cells(study)
+    ordered = sorted(outcomes, key=lambda outcome: (outcome.flight, outcome.cell))
+    if study.store_weights:
+        _replace(_weights_table(ordered, every), folder / WEIGHTS)
+    _replace(cases_table(study, ordered, every), folder / CASES)
+
+
+def cases_table(study: Study, ordered: Sequence[Outcome], every: Sequence[Cell]) -> pa.Table:
+    """The rows of `cases.parquet`, one per outcome, with fixed column types."""
+    swept = {factor.key: _level_type(factor.levels) for factor in study.sweep}
+    schema = COLUMNS | swept
+    truths: dict[tuple[int, object], dict[str, float]] = {}
+    columns: dict[str, list[object]] = {name: [] for name in schema}
+    for outcome in ordered:
+        cell = every[outcome.cell]
+        variant = (outcome.flight, cell.setup.flights)
+        if variant not in truths:
+            truths[variant] = _truth(study, outcome.flight, cell)
+        row = _planned(study, outcome.flight, cell) | truths[variant] | vars(outcome)
+        row |= {key: _level(cell.levels[key], kind) for key, kind in swept.items()}
+        for name, values in columns.items():
+            values.append(row[name])
+    return pa.table({name: pa.array(values, type=schema[name]) for name, values in columns.items()})
+
+
+def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
+    return {
+        "case_id": case_id(flight, cell.key),
+        "study": study.name,
+        "split": study.split(flight),
+        "protocol": cell.protocol,
+        "backend": cell.backend,
+        "settings": cell.canonical_settings,
+        "label": cell.label,
+    }
+
+
+def _truth(study: Study, flight: int, cell: Cell) -> dict[str, float]:
+    flow = cell.setup.flights.draw(flight, study.count, study.seed).flow
+    return {
+        "true_mean_velocity": flow.mean_velocity,
+        "true_length_scale": flow.length_scale,
+        "true_timescale": flow.timescale,
+    }
+
+
+def _level_type(levels: Sequence[object]) -> pa.DataType:
+    """Numbers stay numbers; every other level is text."""
+    plain = all(isinstance(one, int | float) and not isinstance(one, bool) for one in levels)
+    return REAL if plain else TEXT
+
+
+def _level(value: object, kind: pa.DataType) -> object:
+    if kind == TEXT:
+        return value if isinstance(value, str) else canonical_json(value)
+    return value
+
+
+def _weights_table(ordered: Sequence[Outcome], every: Sequence[Cell]) -> pa.Table:
+    rows = [
+        (case_id(outcome.flight, every[outcome.cell].key), scale, weight)
+        for outcome in ordered
+        for scale, weight in outcome.weights
+    ]
+    types: Mapping[str, pa.DataType] = {"case_id": TEXT, "length_scale": REAL, "weight": REAL}
+    return pa.table(
+        {
+            name: pa.array([row[i] for row in rows], type=kind)
+            for i, (name, kind) in enumerate(types.items())
+        }
+    )
+
+
+def _replace(rows: pa.Table, path: Path) -> None:
+    """Write beside, then rename: a reader sees the old file or the new one, never half of one."""
+    beside = path.with_name(path.name + ".writing")
+    with beside.open("wb") as file:
+        pq.write_table(rows, file)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)

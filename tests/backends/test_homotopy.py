@@ -1,0 +1,241 @@
+"""The homotopy path against scikit-learn, identities, and the optimality conditions themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sparsefit.backends.active_set import ActiveSet, Breakdown
+from sparsefit.backends.homotopy import HomotopyPath, lasso_path
+
+Array = NDArray[np.float64]
+
+
+def gram_of(design: Array, target: Array) -> tuple[Array, Array]:
+    """G and c of columns scaled to unit rms; a dead column stays zero."""
+    rms = np.sqrt((design**2).mean(axis=0))
+    scaled = design / np.where(rms > 0, rms, 1.0)
+    return scaled.T @ scaled / len(target), scaled.T @ target / len(target)
+
+
+def fractions(cross: Array, last: float = 1e-3, points: int = 30) -> Array:
+    return np.abs(cross).max() * np.geomspace(1.0, last, points)
+
+
+def violation(gram: Array, cross: Array, path: HomotopyPath, alphas: Array) -> float:
+    """Worst breach of |c - G w| <= alpha, w (c - G w) = alpha |w|, relative to max |c|."""
+    residual = cross - path.weights @ gram
+    excess = np.abs(residual).max(axis=1) - alphas
+    mismatch = np.abs(path.weights) * np.abs(residual - alphas[:, None] * np.sign(path.weights))
+    return float(max(excess.max(), mismatch.max())) / float(np.abs(cross).max())
+
+
+def cellular(seed: int, samples: int, noise: float) -> tuple[Array, Array]:
+    """Eight products of sines for each of 56 length scales along a smooth random curve."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0.0, 20.0, samples)
+    position = [3.0 * time + rng.uniform(0, 5) + 2 * np.sin(f * time) for f in rng.uniform(1, 3, 2)]
+    columns = []
+    for scale in np.arange(1.0, 12.0 + 1e-9, 0.2):
+        (sx, cx), (sy, cy) = (
+            (np.sin(np.pi * p / scale), np.cos(np.pi * p / scale)) for p in position
+        )
+        columns += [sx, sy, cx, cy, sx * sy, sx * cy, cx * sy, cx * cy]
+    x, y = (np.pi * p / rng.uniform(2, 10) for p in position)
+    target = 8.0 * np.sin(x) * np.cos(y) + noise * rng.normal(size=samples)
+    return np.stack(columns, axis=1), target
+
+
+def degenerate(seed: int) -> tuple[Array, Array]:
+    """Ties, duplicates, dead and dependent columns, too few samples, perfect fits."""
+    rng = np.random.default_rng(seed)
+    samples, columns = (int(n) for n in rng.integers(3, 60, 2))
+    kind = seed % 6
+    if kind == 0:
+        return rng.integers(-1, 2, (samples, columns)) * 1.0, rng.integers(-2, 3, samples) * 1.0
+    if kind == 1:
+        design = rng.normal(size=(samples, columns))
+        design[:, rng.integers(0, columns, columns // 2)] = design[:, :1]
+        design[:, rng.integers(0, columns)] = 0.0
+        return design, rng.normal(size=samples)
+    if kind == 2:
+        factor = rng.normal(size=(samples, 4)) @ rng.normal(size=(4, columns))
+        return factor, rng.normal(size=samples)
+    if kind == 3:
+        design = rng.choice([-1.0, 1.0], size=(samples, columns))
+        return design, design[:, 0].copy()
+    if kind == 4:
+        design = rng.integers(0, 2, (samples, columns)) * 1.0
+        return design, design @ rng.integers(-1, 2, columns)
+    pairs = np.kron(np.eye(samples), np.ones((2, 1)))
+    design = np.hstack([np.eye(2 * samples), pairs, -pairs, np.ones((2 * samples, 1))])
+    return design, rng.integers(-3, 4, 2 * samples) * 1.0
+
+
+@pytest.mark.parametrize(("samples", "noise"), [(500, 0.0), (500, 2.0), (2000, 0.0), (2000, 2.0)])
+def test_flight_libraries_are_solved_at_every_penalty(samples: int, noise: float) -> None:
+    gram, cross = gram_of(*cellular(samples + int(noise), samples, noise))
+    alphas = fractions(cross)
+    path = lasso_path(gram, cross, alphas)
+    assert path.complete.all()
+    assert violation(gram, cross, path, alphas) < 1e-10
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.integers(0, 10**6))
+def test_what_is_called_complete_is_optimal_on_degenerate_problems(seed: int) -> None:
+    gram, cross = gram_of(*degenerate(seed))
+    alphas = fractions(cross)
+    path = lasso_path(gram, cross, alphas)
+    assert path.complete.all()
+    if np.abs(cross).max() > 1e-12:
+        assert violation(gram, cross, path, alphas) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_objective_is_that_of_scikit_learn_lars(seed: int) -> None:
+    linear_model = pytest.importorskip("sklearn.linear_model")
+    rng = np.random.default_rng(seed)
+    design = rng.normal(size=(60, 5)) @ rng.normal(size=(5, 25)) + 0.3 * rng.normal(size=(60, 25))
+    target = rng.normal(size=60)
+    gram, cross = design.T @ design / 60, design.T @ target / 60
+    alphas = fractions(cross, points=8)
+    path = lasso_path(gram, cross, alphas)
+    for alpha, weights in zip(alphas, path.weights, strict=True):
+        peer = linear_model.LassoLars(alpha=alpha, fit_intercept=False).fit(design, target)
+        np.testing.assert_allclose(weights, peer.coef_, atol=1e-9 * np.abs(weights).max() + 1e-12)
+
+
+def test_objective_is_that_of_coordinate_descent() -> None:
+    linear_model = pytest.importorskip("sklearn.linear_model")
+    design, target = degenerate(7)
+    gram, cross = design.T @ design / len(target), design.T @ target / len(target)
+    alphas = fractions(cross, last=0.05, points=6)
+    path = lasso_path(gram, cross, alphas)
+    _, peer, _ = linear_model.lasso_path(design, target, alphas=alphas, tol=1e-13, max_iter=10**6)
+    for weights, other, alpha in zip(path.weights, peer.T, alphas, strict=True):
+        ours, theirs = (
+            0.5 * w @ gram @ w - cross @ w + alpha * np.abs(w).sum() for w in (weights, other)
+        )
+        assert ours <= theirs + 1e-12
+        assert ours == pytest.approx(theirs, rel=1e-7)
+
+
+def test_two_columns_by_hand() -> None:
+    """rho = 1/2, c = (2, 3/2): the second enters where 3/2 - (2 - alpha)/2 = alpha, at alpha = 1.
+
+    Below, G w = c - alpha gives w1 + w2/2 = 2 - alpha, w1/2 + w2 = 3/2 - alpha.
+    """
+    gram, cross = np.array([[1.0, 0.5], [0.5, 1.0]]), np.array([2.0, 1.5])
+    path = lasso_path(gram, cross, np.array([3.0, 2.0, 1.5, 1.0, 0.4, 0.0]))
+    expected = [[0, 0], [0, 0], [0.5, 0], [1, 0], [1.4, 0.4], [5 / 3, 2 / 3]]
+    np.testing.assert_allclose(path.weights, expected, atol=1e-15)
+    assert path.complete.all()
+
+
+def test_orthonormal_columns_give_soft_thresholding() -> None:
+    cross = np.array([3.0, -2.0, 0.5, 0.0, -2.0])
+    alphas = np.array([3.0, 2.0, 1.0, 0.1])
+    path = lasso_path(np.eye(5), cross, alphas)
+    expected = np.sign(cross) * np.maximum(np.abs(cross) - alphas[:, None], 0.0)
+    np.testing.assert_allclose(path.weights, expected, atol=1e-15)
+
+
+def test_permuted_and_flipped_columns_permute_and_flip_the_weights() -> None:
+    rng = np.random.default_rng(3)
+    design, target = rng.normal(size=(40, 30)), rng.normal(size=40)
+    gram, cross = gram_of(design, target)
+    order, flip = rng.permutation(30), rng.choice([-1.0, 1.0], 30)
+    alphas = fractions(cross)
+    direct = lasso_path(gram, cross, alphas).weights
+    turned = lasso_path(
+        (gram * np.outer(flip, flip))[np.ix_(order, order)], (flip * cross)[order], alphas
+    )
+    np.testing.assert_allclose(turned.weights, (direct * flip)[:, order], atol=1e-10)
+
+
+@pytest.mark.parametrize("units", [1e-150, 1e-9, 1e9, 1e150])
+def test_units_of_the_target_do_not_matter(units: float) -> None:
+    gram, cross = gram_of(*cellular(1, 300, 1.0))
+    gram, cross = gram[:60, :60], cross[:60]
+    plain = lasso_path(gram, cross, fractions(cross)).weights
+    scaled = lasso_path(gram, units * cross, fractions(units * cross))
+    assert scaled.complete.all()
+    np.testing.assert_allclose(scaled.weights / units, plain, atol=1e-9 * np.abs(plain).max())
+
+
+def test_units_of_the_columns_only_scale_the_weights() -> None:
+    gram, cross = gram_of(*degenerate(6))
+    alphas = fractions(cross)
+    plain = lasso_path(gram, cross, alphas).weights
+    np.testing.assert_allclose(lasso_path(2.0**40 * gram, cross, alphas).weights * 2.0**40, plain)
+
+
+def test_nothing_to_explain_is_zero_and_complete() -> None:
+    path = lasso_path(np.eye(3), np.zeros(3), np.array([1.0, 0.5, 0.0]))
+    assert path.complete.all() and path.steps == 0 and not path.weights.any()
+
+
+def test_no_columns_and_no_penalties() -> None:
+    assert lasso_path(np.empty((0, 0)), np.empty(0), np.array([1.0])).weights.shape == (1, 0)
+    assert lasso_path(np.eye(2), np.ones(2), np.empty(0)).weights.shape == (0, 2)
+
+
+def test_penalties_may_repeat_or_start_low() -> None:
+    gram, cross = gram_of(*degenerate(6))
+    alphas = 0.1 * np.abs(cross).max() * np.ones(3)
+    path = lasso_path(gram, cross, alphas)
+    assert path.complete.all()
+    np.testing.assert_allclose(path.weights[2], path.weights[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("alphas", [[0.1, 0.2], [1.0, -0.5]])
+def test_ascending_or_negative_penalties_are_refused(alphas: list[float]) -> None:
+    with pytest.raises(ValueError, match="descend"):
+        lasso_path(np.eye(2), np.ones(2), np.array(alphas))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_never_complete(bad: float) -> None:
+    gram, cross = np.eye(3), np.ones(3)
+    assert not lasso_path(gram, np.array([1.0, bad, 0.0]), np.array([0.5])).complete.any()
+    gram[0, 1] = bad
+    assert not lasso_path(gram, cross, np.array([0.5])).complete.any()
+
+
+def test_an_impossible_problem_is_incomplete() -> None:
+    """G_22 = 0 with c_2 != 0 is unbounded below: no design has it, and none is invented."""
+    path = lasso_path(np.diag([1.0, 0.0]), np.array([1.0, 2.0]), np.array([1.5, 0.5]))
+    assert not path.complete.any()
+
+
+def test_active_set_inverse_survives_many_changes() -> None:
+    rng = np.random.default_rng(5)
+    design = rng.normal(size=(50, 6)) @ rng.normal(size=(6, 20)) + 0.05 * rng.normal(size=(50, 20))
+    gram, _ = gram_of(design, design[:, 0])
+    active = ActiveSet.empty(gram)
+    for _ in range(400):
+        outside = np.setdiff1d(np.arange(20), active.columns)
+        if active.size and (not len(outside) or rng.random() < 0.5):
+            position = int(rng.integers(active.size))
+            active.leave(position, active.leaving(position))
+        else:
+            column, sign = int(rng.choice(outside)), float(rng.choice([-1.0, 1.0]))
+            active.enter(column, sign, active.entering(column, sign))
+    n, columns, signs = active.size, active.columns, active.signs
+    block = gram[np.ix_(columns, columns)] * np.outer(signs, signs)
+    np.testing.assert_allclose(block @ active.inverse[:n, :n], np.eye(n), atol=1e-8)
+
+
+def test_active_set_sees_dependence_and_reports_singular_blocks() -> None:
+    gram = np.ones((2, 2))
+    active = ActiveSet.empty(gram)
+    active.enter(0, 1.0, active.entering(0, 1.0))
+    twin = active.entering(1, -1.0)
+    assert twin.dependent()
+    active.enter(1, -1.0, replace(twin, pivot=1.0))
+    with pytest.raises(Breakdown):
+        active.rebuilt()
