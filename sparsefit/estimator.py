@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit import backends
-from sparsefit.backends.base import Backend, settings_of
+from sparsefit.backends.base import Backend, checked_number, settings_of
 from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import InputError, unknown
 from sparsefit.fit import TOLERANCE, Fit, fit
@@ -90,6 +90,7 @@ class Estimator:
                 raise InputError(
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
                 )
+        checked_number("estimator", "tolerance", self.tolerance, low=0.0)
 
     def estimate(self, flight: Flight) -> Estimate:
         """Estimate the flow's parameters from a flight.

@@ -129,6 +129,8 @@ def path(
     if not isinstance(backend, PenalisedBackend):
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
     asked = np.atleast_1d(np.asarray(alpha_fractions, dtype=float))
+    if asked.ndim != 1 or not asked.size:
+        raise InputError(f"path needs a list of at least one alpha_fraction, not {asked.tolist()}")
     for value in asked.tolist():
         checked_alpha_fraction(backend.name, value)
     order = np.argsort(-asked, kind="stable")
@@ -182,7 +184,9 @@ def _gaps(
         alphas = alpha_max(problem.statistics.cross, penalty) * np.array(fractions)[found]
         weights = np.stack([np.asarray(solutions[i].weights) for i in found])
         rms = problem.statistics.rms
-        certified = duality_gaps(problem.theta, problem.target, rms, weights, alphas, penalty)
+        certified = duality_gaps(
+            problem.theta, problem.target, rms, weights, alphas, penalty, samples=problem.samples
+        )
         for i, certificate in zip(found, certified, strict=True):
             gaps[i] = certificate
     return gaps
@@ -205,7 +209,12 @@ def _certify(problem: RegressionProblem, backend: Any, solution: Solution) -> Ce
 
 
 def _usable(solution: Solution) -> bool:
-    return solution.weights is not None and bool(np.isfinite(solution.weights).all())
+    # The weights of a solver that failed are not an answer, whatever they look like.
+    return (
+        solution.status != "error"
+        and solution.weights is not None
+        and bool(np.isfinite(solution.weights).all())
+    )
 
 
 def _judged(
@@ -220,7 +229,7 @@ def _judged(
     reason, weights = solution.reason, solution.weights
     if weights is None or not _usable(solution):
         weights = np.full((problem.columns, problem.targets), np.nan)
-        status = status if solution.weights is None and status != "ok" else "error"
+        status = "unidentifiable" if status == "unidentifiable" else "error"
         reason = reason or "the back-end returned no finite weights"
     elif certificate is not None and status in ("ok", "inaccurate"):
         # The certificate decides: a solver's own word is kept beside it, not trusted.
@@ -252,5 +261,8 @@ def _repaired(found: Fit, tolerance: float) -> Fit:
     )
     best = found if worse else other
     return dataclasses.replace(
-        best, backend=found.backend, seconds=found.seconds + other.seconds, repaired=True
+        best,
+        backend=found.backend,
+        seconds=found.seconds + other.seconds,
+        repaired=best is other and other.certificate is not None,
     )

@@ -4,8 +4,8 @@ Paper Eqs. 17-19: for every length scale L the 8 products and singles of sin and
 pi x / L and pi y / L. Column groups: the 8 columns of one length scale.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, cast, get_args
 
@@ -38,6 +38,7 @@ TARGET_NAMES: dict[str, tuple[str, ...]] = {
 }
 BUILD_ROWS = 64
 MAX_SCALES = 100_000
+STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
 MAX_THETA_BYTES = 8 * 2**30
 
 
@@ -72,8 +73,9 @@ class LengthScaleGrid:
             raise InputError("grid: spacing 'wavenumber' needs count (the number of scales)")
         if self.step is not None and not (np.isfinite(self.step) and self.step > 0):
             raise InputError(f"grid: step must be a positive length in m, not {self.step!r}")
-        if self.count is not None and (isinstance(self.count, bool) or self.count < 1):
-            raise InputError(f"grid: count must be at least 1, not {self.count!r}")
+        whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
+        if self.count is not None and not (whole and self.count >= 1):
+            raise InputError(f"grid: count must be an integer, at least 1, not {self.count!r}")
         if self.size > MAX_SCALES:
             raise InputError(
                 f"grid: {self.size} length scales are more than the {MAX_SCALES} that can be "
@@ -127,6 +129,8 @@ class RegressionProblem:
 
     theta and target are finite and no column of theta is zero. ``groups`` (k,) numbers the
     group of each column from 0; ``group_scales`` (g,) gives its length scale [m] where it has one.
+    ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
+    the m original ones (`from_blocks`).
     """
 
     theta: Array
@@ -135,6 +139,7 @@ class RegressionProblem:
     names: tuple[str, ...]
     target_names: tuple[str, ...]
     group_scales: Array | None = None
+    sample_count: int | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)
@@ -191,10 +196,27 @@ class RegressionProblem:
         targets = tuple(map(str, range(values.shape[1])))
         return cls(design, values, numbers, columns, targets)
 
+    @classmethod
+    def from_blocks(
+        cls,
+        blocks: Iterable[tuple[Array, Array]],
+        groups: ArrayLike | None = None,
+        names: Sequence[str] | None = None,
+    ) -> "RegressionProblem":
+        """A problem from blocks of rows (theta, target), in memory of order k^2 + a block.
+
+        Each block is folded into the triangle of a QR decomposition of [theta, target]. QR, and
+        not Z'Z, because the certificate takes residuals of these rows: orthogonal
+        transformations keep them to rounding, where Z'Z would lose half the digits.
+        """
+        triangle, count, columns = compressed(blocks)
+        plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
+        return replace(plain, sample_count=count)
+
     @property
     def samples(self) -> int:
-        """Number of rows m."""
-        return int(self.theta.shape[0])
+        """Number of samples m."""
+        return self.sample_count or int(self.theta.shape[0])
 
     @property
     def columns(self) -> int:
@@ -209,13 +231,13 @@ class RegressionProblem:
     @cached_property
     def statistics(self) -> Statistics:
         """Sufficient statistics in scaled columns, formed once and shared by all back-ends."""
-        return accumulate(row_blocks(self.theta, self.target))
+        return accumulate(row_blocks(self.theta, self.target), count=self.samples)
 
     @cached_property
     def spectrum(self) -> Spectrum:
         """Singular values of theta, by QR first: the tall matrix is read once."""
         k = self.columns
-        if self.samples > k + self.targets:
+        if len(self.theta) > k + self.targets:
             triangle = cast(Array, np.linalg.qr(np.hstack([self.theta, self.target]), mode="r"))
             rows, target = triangle[:, :k], triangle[:, k:]
         else:
@@ -240,22 +262,51 @@ class Library:
             raise unknown("target", str(self.target), TARGET_NAMES)
 
     def build(self, samples: Samples, vehicle: PointMassVehicle) -> RegressionProblem:
-        """The regression problem of a flight: theta (m, 8 g), group-major, and the target."""
+        """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
+
+        Flights whose theta would exceed 1 GiB are compressed block by block
+        (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
+        """
         scales = self.grid.scales
+        held = len(samples.time) * len(scales) * len(CANDIDATES) * 8
         if self.target == "flow-velocity":
             target = samples.flow_velocity(vehicle)
         elif self.target == "acceleration":
             target = samples.acceleration
         else:
             target = np.hstack([samples.position_rate, samples.acceleration])
+        columns = len(scales) * len(CANDIDATES)
+        if held > STREAM_BYTES and len(samples.time) > columns + target.shape[1]:
+            pieces = row_blocks(samples.position, target)
+            triangle, count, _ = compressed(
+                (candidate_columns(position, scales), values) for position, values in pieces
+            )
+            theta, target = triangle[:, :columns].copy(), triangle[:, columns:].copy()
+        else:
+            theta, count = candidate_columns(samples.position, scales), len(target)
         return RegressionProblem(
-            candidate_columns(samples.position, scales),
+            theta,
             target,
             np.repeat(np.arange(len(scales)), len(CANDIDATES)),
             tuple(f"{name} (L = {scale:g} m)" for scale in scales for name in CANDIDATES),
             TARGET_NAMES[self.target],
             scales,
+            count,
         )
+
+
+def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
+    """(triangle, m, k): R (at most k + n rows) of a QR of the rows [theta, target], in blocks."""
+    triangle: Array | None = None
+    count = columns = 0
+    for theta, target in blocks:
+        rows = np.hstack([theta, target])
+        count, columns = count + len(rows), theta.shape[1]
+        stacked = rows if triangle is None else np.vstack([triangle, rows])
+        triangle = cast(Array, np.linalg.qr(stacked, mode="r"))
+    if triangle is None:
+        raise InputError("no blocks: a regression problem needs at least one")
+    return triangle, count, columns
 
 
 def candidate_columns(position: Array, scales: Array) -> Array:
@@ -285,6 +336,8 @@ def candidate_columns(position: Array, scales: Array) -> Array:
 
 def _floats(values: ArrayLike, name: str) -> Array:
     try:
+        if np.iscomplexobj(values):
+            raise TypeError("it is complex")
         return np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be an array of real numbers: {error}") from None

@@ -26,7 +26,8 @@ class Certificate:
     """What the caller verified about a fit.
 
     ``duality_gap``: (primal - dual) / (|Y|^2 / 2m), an upper bound of the relative suboptimality.
-    ``normal_equations``: largest |z_j'R| / (|z_j| |Y|) over the retained subspace.
+    ``normal_equations``: largest |v'theta'R| / (s_max |Y|) over the retained right singular
+    vectors v of theta.
     ``fixed_point``: share of the coefficients whose membership of the support one more iteration
     would change; it claims no optimum.
     """
@@ -71,8 +72,13 @@ def row_blocks(*arrays: Array, size: int = ROW_BLOCK) -> Iterator[tuple[Array, .
         yield tuple(array[start : start + size] for array in arrays)
 
 
-def accumulate(blocks: Iterator[tuple[Array, ...]]) -> Statistics:
-    """Statistics from blocks of rows (theta, target), in memory of order k^2."""
+def accumulate(
+    blocks: Iterator[tuple[Array, ...]], *, count: int | None = None
+) -> Statistics:
+    """Statistics from blocks of rows (theta, target), in memory of order k^2.
+
+    ``count``: the number of samples m, where the rows are the compressed ones of more samples.
+    """
     gram: Array | None = None
     for theta, target in blocks:
         if gram is None:
@@ -85,6 +91,7 @@ def accumulate(blocks: Iterator[tuple[Array, ...]]) -> Statistics:
             samples += len(theta)
     if gram is None:
         raise ValueError("no rows: a regression problem needs at least one block of samples")
+    samples = count or samples
     rms = np.sqrt(np.diagonal(gram) / samples)
     scale = np.where(rms > 0, rms, 1.0)
     gram /= scale[:, None] * samples
@@ -155,13 +162,21 @@ def alpha_max(cross: Array, penalty: Penalty) -> float:
 
 
 def duality_gaps(
-    theta: Array, target: Array, rms: Array, weights: Array, alphas: Array, penalty: Penalty
+    theta: Array,
+    target: Array,
+    rms: Array,
+    weights: Array,
+    alphas: Array,
+    penalty: Penalty,
+    *,
+    samples: int | None = None,
 ) -> tuple[Certificate, ...]:
     """Certificates of the weights (p, k, n), in original units, at the penalties alphas (p,).
 
     With R = Y - theta W on the original rows, the dual point is s R/m with
     s = clip(<R, Y>/|R|^2, +-alpha / max_g(|Z_g'R/m| / omega_g)), feasible by construction, and
     D = (s <R, Y> - s^2 |R|^2 / 2) / m. Targets that the penalty does not couple have an s each.
+    ``samples``: m, where the rows are the compressed ones of more samples.
     A difference rounded below zero is reported as 0.
     """
     points, columns, targets = weights.shape
@@ -177,7 +192,7 @@ def duality_gaps(
         residual_square += np.einsum("ipt,ipt->pt", residual, residual)
         residual_target += np.einsum("ipt,it->pt", residual, values)
         correlation += rows.T @ residual.reshape(len(rows), points * targets)
-    m = len(theta)
+    m = samples or len(theta)
     correlation = (correlation / (rms[:, None] * m)).reshape(columns, points, targets)
     peaks = penalty.dual_norms(correlation.transpose(1, 0, 2))
     primal = residual_square.sum(axis=1) / (2 * m) + alphas * penalty.norm(weights * rms[:, None])
@@ -195,11 +210,3 @@ def duality_gaps(
         Certificate("duality_gap", float(g), float(p), float(d))
         for g, p, d in zip(gaps, primal, dual, strict=True)
     )
-
-
-def gradient_norm(theta: Array, target: Array, weights: Array) -> float:
-    """Largest |theta_j'R| / (|theta_j| |Y|): zero exactly at a least-squares solution."""
-    residual = target - theta @ weights
-    lengths = np.sqrt(np.einsum("ij,ij->j", theta, theta))
-    scale = np.linalg.norm(target)
-    return float(np.max(np.abs(theta.T @ residual) / lengths[:, None]) / (scale or 1.0))

@@ -75,8 +75,7 @@ class Readout:
 
 
 def _refit(columns: Array, target: Array) -> Array:
-    weights: Array = np.linalg.lstsq(columns, target, rcond=None)[0]
-    return weights
+    return np.linalg.lstsq(columns, target, rcond=None)[0].astype(float, copy=False)
 
 
 def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:

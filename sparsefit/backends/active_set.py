@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Vector: TypeAlias = NDArray[np.float64]
+Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
 
 REFINE_ABOVE = 1e-13  # error of a direction on the active rows that is worth one refinement
@@ -25,7 +25,7 @@ WRONG_ABOVE = 1e-3  # error at which M is rebuilt at once
 DEPENDENT_BELOW = 1e-13  # pivot, per unit of x'x: what rounding in G alone can produce
 
 
-class Breakdown(ArithmeticError):
+class SingularBlockError(ArithmeticError):
     """The active block is singular to working precision; start again from fewer columns."""
 
 
@@ -33,8 +33,8 @@ class Breakdown(ArithmeticError):
 class Direction:
     """x (n,) in signed active weights, its product G x (k,), and the pivot of the update."""
 
-    step: Vector
-    product: Vector
+    step: Array
+    product: Array
     pivot: float
 
     def dependent(self, below: float = DEPENDENT_BELOW) -> bool:
@@ -46,15 +46,15 @@ class Direction:
 class ActiveSet:
     """Active columns of a (k, k) Gram matrix whose largest diagonal entry is about one."""
 
-    gram: Vector
-    rows: Vector = field(repr=False)  # (k, k), the first n in use: sign * gram[column]
-    inverse: Vector = field(repr=False)  # (k, k), leading n x n block in use: M
+    gram: Array
+    rows: Array = field(repr=False)  # (k, k), the first n in use: sign * gram[column]
+    inverse: Array = field(repr=False)  # (k, k), leading n x n block in use: M
     index: Indices = field(repr=False)  # (k,) columns, in no particular order
-    sign: Vector = field(repr=False)  # (k,)
+    sign: Array = field(repr=False)  # (k,)
     tally: list[int] = field(repr=False)  # [n, updates since the last rebuild]
 
     @classmethod
-    def empty(cls, gram: Vector) -> "ActiveSet":
+    def empty(cls, gram: Array) -> "ActiveSet":
         """No active column yet, room for all."""
         k = len(gram)
         square = np.empty((2, k, k))
@@ -62,38 +62,43 @@ class ActiveSet:
 
     @property
     def size(self) -> int:
+        """Number n of active columns."""
         return self.tally[0]
 
     @property
     def columns(self) -> Indices:
+        """Active columns (n,), in no particular order."""
         return self.index[: self.tally[0]]
 
     @property
-    def signs(self) -> Vector:
+    def signs(self) -> Array:
+        """Their signs (n,), +1 or -1."""
         return self.sign[: self.tally[0]]
 
-    def product(self, step: Vector) -> Vector:
+    def product(self, step: Array) -> Array:
         """G x (k,) of signed active weights x (n,)."""
-        return np.dot(step, self.rows[: self.tally[0]])
+        product: Array = np.dot(step, self.rows[: self.tally[0]])
+        return product
 
-    def gather(self, full: Vector) -> Vector:
+    def gather(self, full: Array) -> Array:
         """Signed active entries (n,) of a vector (k,)."""
         n = self.tally[0]
         return full[self.index[:n]] * self.sign[:n]
 
-    def solve(self, right: Vector) -> Vector:
+    def solve(self, right: Array) -> Array:
         """M right (n,): a correction, as exact as M is."""
         n = self.tally[0]
-        return np.dot(self.inverse[:n, :n], right)
+        solution: Array = np.dot(self.inverse[:n, :n], right)
+        return solution
 
     def entering(self, column: int, sign: float) -> Direction:
         """One unit of a new column, the others reacting so that their correlations stay.
 
-        Raises Breakdown if M no longer describes the active block.
+        Raises SingularBlockError if M no longer describes the active block.
         """
         n = self.tally[0]
         if n == len(self.gram):
-            raise Breakdown
+            raise SingularBlockError
         np.multiply(self.gram[column], sign, out=self.rows[n])
         step = np.empty(n + 1)
         step[n] = 1.0
@@ -111,7 +116,7 @@ class ActiveSet:
                 product -= np.dot(correction, self.rows[:n])
         pivot = sign * float(product[column])
         if not pivot <= 2.0 * self.gram[column, column] + DEPENDENT_BELOW:
-            raise Breakdown
+            raise SingularBlockError
         return Direction(step, product, pivot)
 
     def enter(self, column: int, sign: float, direction: Direction) -> None:
@@ -128,7 +133,7 @@ class ActiveSet:
     def leaving(self, position: int) -> Direction:
         """Change of one active correlation by one, the others held: a column of M.
 
-        Raises Breakdown if M no longer describes the active block.
+        Raises SingularBlockError if M no longer describes the active block.
         """
         n = self.tally[0]
         step = self.inverse[:n, position].copy()
@@ -144,7 +149,7 @@ class ActiveSet:
             product -= np.dot(correction, self.rows[:n])
         pivot = float(step[position])
         if not pivot > 0.1:
-            raise Breakdown
+            raise SingularBlockError
         return Direction(step, product, pivot)
 
     def leave(self, position: int, direction: Direction) -> None:
@@ -162,7 +167,7 @@ class ActiveSet:
     def rebuilt(self, error: float = np.inf) -> bool:
         """Replace M by a fresh inverse, unless at this error it is too early to gain anything.
 
-        Raises Breakdown if the active block is singular.
+        Raises SingularBlockError if the active block is singular.
         """
         n = self.tally[0]
         if self.tally[1] < (STALE_AGE if error < WRONG_ABOVE else 1):
@@ -171,6 +176,6 @@ class ActiveSet:
         try:
             self.inverse[:n, :n] = np.linalg.inv(block)
         except np.linalg.LinAlgError as singular:
-            raise Breakdown from singular
+            raise SingularBlockError from singular
         self.tally[1] = 0
         return True

@@ -89,7 +89,8 @@ def checked_number(
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(
         value, bool
     )
-    if number and (low < value if open_low else low <= value) and value <= high:
+    within = number and np.isfinite(value) and (low < value if open_low else low <= value)
+    if within and value <= high:
         return
     bracket = "(" if open_low else "["
     upper = f"{high:g}]" if np.isfinite(high) else "inf)"
@@ -111,4 +112,5 @@ def checked_alpha_fraction(owner: str, value: Any) -> None:
 
 def settings_of(backend: Any) -> dict[str, Any]:
     """The settings of a back-end, JSON-ready, in the order of its fields."""
-    return {item.name: getattr(backend, item.name) for item in fields(backend)}
+    values = {item.name: getattr(backend, item.name) for item in fields(backend)}
+    return {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}

@@ -1,4 +1,4 @@
-"""LASSO and group-LASSO through cvxpy: the referees, by any conic or QP solver it finds.
+"""The referees: LASSO and group-LASSO through cvxpy by any conic or QP solver it finds.
 
 cvxpy sees the compressed k x k problem in the form that is fast there,
     1/2 sum_t v_t'G v_t - <C, V> + alpha * Omega(V),  G = Z'Z/m, C = Z'Y/m,
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.backends.base import Solution, SolutionStatus
+from sparsefit.backends.clarabel_direct import solve_clarabel
 from sparsefit.errors import InputError, unknown
 from sparsefit.objective import Penalty, Statistics, alpha_max
 
@@ -34,12 +35,13 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 50_000, "polishing": True},
     "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 50_000},
 }
+DIRECT = ("clarabel-direct", "clarabel-working-set")
 QUADRATIC_ONLY = ("osqp", "highs", "piqp", "daqp", "proxqp")
 
 
 def check_solver(owner: str, solver: Any, exact: str) -> None:
     """Raise InputError unless the solver is ``exact`` or a conic one that cvxpy finds here."""
-    if solver == exact or solver == "clarabel" or (solver == "osqp" and owner == "lasso"):
+    if solver in (exact, "clarabel", *DIRECT) or (solver == "osqp" and owner == "lasso"):
         return
     if not isinstance(solver, str):
         raise InputError(f"{owner}: solver must be a name, not {solver!r}")
@@ -47,7 +49,8 @@ def check_solver(owner: str, solver: Any, exact: str) -> None:
 
     installed = [name.lower() for name in cvxpy.installed_solvers()]
     if solver.lower() not in installed:
-        raise unknown(f"solver of {owner} (or it is not installed)", solver, [exact, *installed])
+        names = [exact, *DIRECT, *installed]
+        raise unknown(f"solver of {owner} (or it is not installed)", solver, names)
     if owner != "lasso" and solver.lower() in QUADRATIC_ONLY:
         raise InputError(
             f"{owner}: {solver} solves quadratic programs only, and group norms are cones; use "
@@ -59,6 +62,10 @@ def solve_conic(
     statistics: Statistics, penalty: Penalty, alpha_fractions: tuple[float, ...], solver: str
 ) -> tuple[Solution, ...]:
     """Solutions at each penalty fraction; the problem is compiled once."""
+    if solver in DIRECT:
+        return solve_clarabel(
+            statistics, penalty, alpha_fractions, working=solver == "clarabel-working-set"
+        )
     import cvxpy
 
     unit = alpha_max(statistics.cross, penalty)

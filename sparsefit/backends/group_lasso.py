@@ -26,8 +26,9 @@ class GroupLasso:
 
     A group spans the velocity components (joint), or each component has groups of its own
     (``separate``, the paper's n problems). group_weights: omega_g = 1 (``unit``) or the root of
-    the number of columns (``sqrt-size``). solver: ``variational`` (exact path), ``clarabel``, or
-    any conic solver that cvxpy finds installed.
+    the number of columns (``sqrt-size``). solver: ``variational`` (exact path),
+    ``clarabel-working-set``, ``clarabel-direct``, or through cvxpy ``clarabel`` or any other
+    conic solver it finds installed.
     """
 
     name: ClassVar[str] = "group-lasso"
@@ -97,4 +98,4 @@ class GroupLasso:
 
     def referee(self) -> "GroupLasso | None":
         """Clarabel, for points that the certificate rejects."""
-        return dataclasses.replace(self, solver="clarabel") if self.solver == EXACT else None
+        return dataclasses.replace(self, solver="clarabel-working-set") if self.solver == EXACT else None

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .active_set import DEPENDENT_BELOW, ActiveSet, Breakdown, Vector
+from sparsefit.backends.active_set import DEPENDENT_BELOW, ActiveSet, Array, SingularBlockError
 
 OPTIMAL_WITHIN = 1e-9  # excess of a correlation over alpha, relative to alpha
 ROUNDING = 1e-13  # the same, absolute, in units of the largest |c|
@@ -37,7 +37,7 @@ class HomotopyPath:
     Where `complete` (p,) is false the weights are the best ones known, not a solution.
     """
 
-    weights: Vector
+    weights: Array
     steps: int
     complete: NDArray[np.bool_]
 
@@ -52,24 +52,24 @@ class _Walk:
     """
 
     active: ActiveSet
-    cross: Vector
-    weights: Vector
-    slope: Vector
-    correlation: Vector
-    descent: Vector
-    open: Vector
+    cross: Array
+    weights: Array
+    slope: Array
+    correlation: Array
+    descent: Array
+    open: Array
     dependent_below: float = DEPENDENT_BELOW
     waiting: list[int] = field(default_factory=list)
 
     @classmethod
-    def start(cls, gram: Vector, cross: Vector, caution: float = 1.0) -> "_Walk":
+    def start(cls, gram: Array, cross: Array, caution: float = 1.0) -> "_Walk":
         """At w = 0; `caution` makes more columns count as dependent."""
         zero, ones = np.zeros((3, len(cross))), np.ones((2, len(cross)))
         active, below = ActiveSet.empty(gram), caution * DEPENDENT_BELOW
         return cls(active, cross, zero[0], zero[1], cross.copy(), zero[2], ones, below)
 
     @classmethod
-    def at(cls, gram: Vector, cross: Vector, weights: Vector, caution: float) -> "_Walk":
+    def at(cls, gram: Array, cross: Array, weights: Array, caution: float) -> "_Walk":
         """At `weights` (k,), entered largest first and without those that depend on others."""
         walk = cls.start(gram, cross, caution)
         for column in np.argsort(-np.abs(weights))[: np.count_nonzero(weights)].tolist():
@@ -77,14 +77,14 @@ class _Walk:
                 walk.weights[walk.active.size - 1] = abs(weights[column])
         return walk
 
-    def full(self) -> Vector:
+    def full(self) -> Array:
         """Weights (k,) in the order of the columns."""
         weights = np.zeros(len(self.cross))
         weights[self.active.columns] = self.weights[: self.active.size] * self.active.signs
         return weights
 
 
-def lasso_path(gram: Vector, cross: Vector, alphas: Vector) -> HomotopyPath:
+def lasso_path(gram: Array, cross: Array, alphas: Array) -> HomotopyPath:
     """Solve for G = `gram` (k, k), c = `cross` (k,) at every one of `alphas` (p,), descending.
 
     Columns may be zero, repeated or dependent.  `alphas` are >= 0, in the units of `cross`.
@@ -100,7 +100,7 @@ def lasso_path(gram: Vector, cross: Vector, alphas: Vector) -> HomotopyPath:
     return HomotopyPath(weights * (height / unit), steps, complete)
 
 
-def _binary_unit(values: Vector) -> float:
+def _binary_unit(values: Array) -> float:
     """Power of two next to max |values|: dividing by it rounds nothing."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < np.inf:
@@ -108,7 +108,7 @@ def _binary_unit(values: Vector) -> float:
     return float(2.0 ** (np.frexp(largest)[1] - 1)) if not 0.99 < largest < 1.01 else 1.0
 
 
-def _visit(gram: Vector, cross: Vector, alphas: Vector) -> tuple[Vector, int, NDArray[np.bool_]]:
+def _visit(gram: Array, cross: Array, alphas: Array) -> tuple[Array, int, NDArray[np.bool_]]:
     """The path on scaled data: weights (p, k), steps, complete (p,)."""
     walk = _Walk.start(gram, cross)
     weights = np.zeros((len(alphas), len(cross)))
@@ -127,7 +127,7 @@ def _visit(gram: Vector, cross: Vector, alphas: Vector) -> tuple[Vector, int, ND
     return weights, steps, complete
 
 
-def _reach(walk: _Walk, alpha: float, goal: float, known: Vector) -> tuple[_Walk, int, bool]:
+def _reach(walk: _Walk, alpha: float, goal: float, known: Array) -> tuple[_Walk, int, bool]:
     """Follow the path to `goal`; where it breaks, settle there from the last `known` weights.
 
     Returns the walk to go on with, the steps taken and whether it stands at an optimum.
@@ -138,7 +138,7 @@ def _reach(walk: _Walk, alpha: float, goal: float, known: Vector) -> tuple[_Walk
         steps = _follow(walk, alpha, goal, limit)
         if steps < limit and _polish(walk, goal):
             return walk, steps, True
-    except Breakdown:
+    except SingularBlockError:
         pass
     for caution in CAUTION:
         try:
@@ -146,7 +146,7 @@ def _reach(walk: _Walk, alpha: float, goal: float, known: Vector) -> tuple[_Walk
             steps += _settle(walk, goal, limit)
             if _polish(walk, goal):
                 return walk, steps, True
-        except Breakdown:
+        except SingularBlockError:
             pass
     return walk, steps, False
 

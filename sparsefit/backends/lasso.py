@@ -19,7 +19,8 @@ EXACT = "homotopy"
 class Lasso:
     """1/(2m) |Y - ZV|^2 + alpha sum |V_jt|, alpha = alpha_fraction * alpha_max.
 
-    solver: ``homotopy`` (exact path), ``clarabel``, ``osqp``, or any that cvxpy finds installed.
+    solver: ``homotopy`` (exact path), ``clarabel-working-set``, ``clarabel-direct``, or through
+    cvxpy ``clarabel``, ``osqp`` or any other it finds installed.
     """
 
     name: ClassVar[str] = "lasso"
@@ -67,4 +68,4 @@ class Lasso:
 
     def referee(self) -> "Lasso | None":
         """Clarabel, for points that the certificate rejects."""
-        return dataclasses.replace(self, solver="clarabel") if self.solver == EXACT else None
+        return dataclasses.replace(self, solver="clarabel-working-set") if self.solver == EXACT else None

@@ -51,6 +51,10 @@ class STLSQ:
         checked_number(self.name, "threshold", self.threshold, low=0.0)
         checked_number(self.name, "ridge", self.ridge, low=0.0)
         checked_number(self.name, "max_iterations", self.max_iterations, low=1.0)
+        if not isinstance(self.max_iterations, int | np.integer):
+            raise InputError(
+                f"stlsq: max_iterations must be an integer, not {self.max_iterations!r}"
+            )
         for flag in ("unbias", "normalize_columns"):
             if not isinstance(getattr(self, flag), bool):
                 raise InputError(f"stlsq: {flag} must be true or false")
@@ -145,8 +149,7 @@ def _ridge_solve(
     if system.ridge > 0:
         raise LinAlgError(f"stlsq: ridge {system.ridge:g} is too small for this library")
     columns = problem.theta[:, on] / system.scale[on]
-    least: Array = np.linalg.lstsq(columns, problem.target[:, t], rcond=None)[0]
-    return least
+    return np.linalg.lstsq(columns, problem.target[:, t], rcond=None)[0]
 
 
 def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_MARKDOWN = {"&": "&amp;", "<": "&lt;", ">": "&gt;"} | {sign: "\\" + sign for sign in "\\|`*[]~$"}
+_MARKDOWN = {"&": "&amp;", "<": "&lt;", ">": "&gt;"} | {sign: "\\" + sign for sign in "\\|`*~$"}
 _TEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -38,6 +38,7 @@ _TEX |= {letter: f"$\\{name}$" for letter, name in ((one[0], one[1:]) for one in
 def escape_markdown(text: str) -> str:
     """`text` so that a Markdown table cell shows it letter for letter."""
     escaped = "".join(_MARKDOWN.get(one, one) for one in text)
+    escaped = re.sub(r"\](?=[(\[])", r"\\]", escaped)
     return re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", escaped)
 
 

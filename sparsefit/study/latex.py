@@ -8,12 +8,14 @@ from collections.abc import Iterator, Sequence
 from sparsefit.study.escape import escape_tex
 from sparsefit.study.table import Cell, Column, Table, column_groups
 
+WIDE = 10
+
 
 def to_latex(table: Table, *, label: str = "") -> str:
     """A `table` environment that needs only booktabs; numbers right, minus signs as such."""
     lines = [
         r"\begin{table}[htbp]",
-        r"  \centering\footnotesize\setlength{\tabcolsep}{4pt}",
+        rf"  \centering{_size(table.columns)}",
         rf"  \caption{{{escape_tex(table.title)}}}",
         *([rf"  \label{{{re.sub(r'[^A-Za-z0-9:-]', '-', label)}}}"] if label else []),
         rf"  \begin{{tabular}}{{{''.join(column.align[0] for column in table.columns)}}}",
@@ -28,6 +30,11 @@ def to_latex(table: Table, *, label: str = "") -> str:
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _size(columns: Sequence[Column]) -> str:
+    wide = len(columns) > WIDE
+    return r"\scriptsize\setlength{\tabcolsep}{2.5pt}" if wide else r"\footnotesize"
 
 
 def _tex_heading(column: Column) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MEMORY = 20  # outcomes of a cell over which its mean forgets, so that it follows a trend
+ENOUGH = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +33,13 @@ class Pace:
 
     @property
     def eta(self) -> float | None:
-        """Seconds left; None before the first case has ended.
+        """Seconds left; None while fewer than `ENOUGH` cells were seen.
 
-        A cell never seen counts as the mean of those seen.
+        A cell never seen counts as the median of those seen: the first case of a flight carries
+        the simulation and the library, and must not stand for all.
         """
         known = self.seen > 0
-        if not known.any():
+        if np.count_nonzero(known) < min(ENOUGH, len(known)):
             return None
-        typical = np.where(known, self.mean, self.mean[known].mean())
+        typical = np.where(known, self.mean, np.median(self.mean[known]))
         return float(self.left @ typical) / self.processes

@@ -32,7 +32,7 @@ Statistic: TypeAlias = Callable[[pd.DataFrame], list[float]]
 Contexts: TypeAlias = list[list[pd.DataFrame]]
 CLOSEST_SHOWN = 15
 DISTANCE_NOTE = (
-    "Distance: root mean square, over U0, L and τ_w, of the difference between the signed mean "
+    "Distance: root mean square, over U0, L_w and τ_w, of the difference between the signed mean "
     "percentage error and the printed one (-18.80, -5.91, 33.30), in percentage points (pp). "
     "A small distance is agreement of three numbers, not proof that the paper computed this."
 )

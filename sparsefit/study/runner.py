@@ -25,6 +25,7 @@ from sparsefit.study.spec import Study
 from sparsefit.study.worker import Job
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
+Publish: TypeAlias = Callable[[Study, Path], None]
 Outcomes: TypeAlias = dict[tuple[int, int], Outcome]
 
 PROGRESS_SECONDS = 0.2
@@ -64,6 +65,7 @@ def run(
     processes: int | None = None,
     progress: Progress | None = None,
     fresh: bool = False,
+    publish: Publish | None = None,
 ) -> RunSummary:
     """Run `study` into `results_dir/<name>`; interrupted, it goes on from there the next time.
 
@@ -71,35 +73,46 @@ def run(
         processes: worker processes; as many as there are processors when None.
         progress: called with (cases done, cases planned, seconds left or None).
         fresh: start over, whatever the folder holds.
+        publish: called with the study and its folder once all rows are there, be it from now or
+            from before: what draws tables and figures from them.
 
     Raises:
         InputError: if the folder cannot be written, is in use, or is another study's.
     """
     workers = _checked_processes(processes)
-    begun = time.monotonic()
     folder = _folder(study, results_dir)
     with locked(folder):
         if fresh:
             _clear(folder)
         _refuse_foreign(study, folder)
-        if _finished(study, folder):
+        if _finished(folder):
             statuses = Counter(store.read_cases(folder)["status"])
-            return RunSummary(folder, study.planned, study.planned, statuses, 0.0)
-        every = cells(study)
-        known = _resume(study, folder, every)
-        done = _work(study, folder, every, dict(known), workers, progress)
-        seconds = time.monotonic() - begun
-        statuses = Counter(outcome.status for outcome in done.values())
-        store.write_cases(study, done.values(), folder)
-        write_manifest(
-            study,
-            folder,
-            statuses=statuses,
-            wall_seconds=seconds,
-            processes=workers,
-            resumed=len(known),
-        )
-        partial.discard(folder)
+            summary = RunSummary(folder, study.planned, study.planned, statuses, 0.0)
+        else:
+            summary = _finish(study, folder, workers, progress)
+        if publish:
+            publish(study, folder)
+    return summary
+
+
+def _finish(study: Study, folder: Path, processes: int, progress: Progress | None) -> RunSummary:
+    """Do what is missing; only when all of it is written are the unfinished rows let go."""
+    begun = time.monotonic()
+    every = cells(study)
+    known = _resume(study, folder, every)
+    done = _work(study, folder, every, dict(known), processes, progress)
+    seconds = time.monotonic() - begun
+    statuses = Counter(outcome.status for outcome in done.values())
+    store.write_cases(study, done.values(), folder)
+    write_manifest(
+        study,
+        folder,
+        statuses=statuses,
+        wall_seconds=seconds,
+        processes=processes,
+        resumed=len(known),
+    )
+    partial.discard(folder)
     return RunSummary(folder, study.planned, len(known), statuses, seconds)
 
 
@@ -107,7 +120,7 @@ def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
     """How far `study` is in `results_dir/<name>`; changes nothing, also while it runs."""
     folder = Path(results_dir) / study.name
     _refuse_foreign(study, folder)
-    if _finished(study, folder):
+    if _finished(folder):
         statuses = Counter(store.read_cases(folder)["status"])
         return RunStatus(folder, study.planned, study.planned, True, statuses)
     rows = partial.read_rows(folder)
@@ -222,7 +235,7 @@ def _refuse_foreign(study: Study, folder: Path) -> None:
         )
 
 
-def _finished(study: Study, folder: Path) -> bool:
+def _finished(folder: Path) -> bool:
     done = partial.read_header(folder) is None and read_manifest(folder) is not None
     return done and (folder / store.CASES).exists()
 

@@ -21,7 +21,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
-SYMBOLS = {"mean_velocity": "U0", "length_scale": "L", "timescale": "τ_w"}
+SYMBOLS = {"mean_velocity": "U0", "length_scale": "L_w", "timescale": "τ_w"}
 TEX_SYMBOLS = {"mean_velocity": "$U_0$", "length_scale": "$L_w$", "timescale": r"$\tau_w$"}
 UNITS = {"mean_velocity": "m/s", "length_scale": "m", "timescale": "s"}
 STATUSES = ("ok", "inaccurate", "unidentifiable", "error", "timeout", "crashed", "skipped")
@@ -166,7 +166,8 @@ def estimated(cases: pd.DataFrame) -> BoolArray:
     """(rows,) whether a case has an estimate: status `ok` or `inaccurate`, all three finite."""
     known = cases["status"].isin(ESTIMATED).to_numpy(dtype=bool)
     finite = np.asarray(np.isfinite(_columns(cases, "est")).all(axis=1), dtype=bool)
-    return known & finite
+    both: BoolArray = known & finite
+    return both
 
 
 def failures(cases: pd.DataFrame) -> int:
@@ -181,7 +182,7 @@ def hits(cases: pd.DataFrame) -> BoolArray:
 
 
 def signed_errors(cases: pd.DataFrame) -> FloatArray:
-    """(rows, 3) estimate - truth of U0 [m/s], L [m], tau_w [s]; NaN where there is no estimate."""
+    """(rows, 3) estimate - truth of U0 [m/s], L_w [m], tau_w [s]; NaN without an estimate."""
     errors = _columns(cases, "est") - _columns(cases, "true")
     errors[~estimated(cases)] = np.nan
     return errors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 from sparsefit.study.table import (
@@ -14,14 +15,15 @@ from sparsefit.study.table import (
     padded,
 )
 
-_NARROWEST_NAME = 10
+_NAMES_SHARE = 0.6
+_NARROWEST_NAME = 8
 
 
 def to_text(table: Table, *, width: int = 100) -> str:
-    """The table for a terminal `width` columns wide.
+    """Return the table for a terminal `width` columns wide.
 
-    Names are shortened with `…` first; numbers never are: columns that still do not fit follow
-    in a further block, behind the same names.
+    Numbers are never cut: columns that do not fit follow in a further block, behind the same
+    names. Names that take more than their share lose letters in their middle.
     """
     cells = table.texts
     heads = [column.heading for column in table.columns]
@@ -30,14 +32,17 @@ def to_text(table: Table, *, width: int = 100) -> str:
         _block(table.columns, [heads, *cells], widths, chosen)
         for chosen in _blocks(table.columns, widths, width)
     ]
-    return "\n\n".join([table.title, *blocks, *table.remarks]) + "\n"
+    notes = [textwrap.fill(note, width) for note in table.remarks]
+    return "\n\n".join([table.title, *blocks, *notes]) + "\n"
 
 
 def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> list[int]:
-    """Shrink the widest name column, one letter at a time, while the table is too wide."""
+    """Shrink the widest name column, one letter at a time, while the names take too much."""
     widths = list(natural)
     names = [place for place, column in enumerate(columns) if column.align == "left"]
-    while names and sum(widths) + 2 * (len(widths) - 1) > width:
+    if sum(widths) + 2 * (len(widths) - 1) <= width:
+        return widths
+    while sum(widths[place] + 2 for place in names) > _NAMES_SHARE * width:
         widest = max(names, key=lambda place: widths[place])
         if widths[widest] <= _NARROWEST_NAME:
             break
@@ -46,15 +51,26 @@ def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> li
 
 
 def _blocks(columns: Sequence[Column], widths: Sequence[int], width: int) -> list[list[int]]:
-    """Column numbers of each block: the names, then as many numbers as fit, at least one."""
+    """Column numbers of each block: the names, then as many groups of numbers as fit."""
     names = [place for place, column in enumerate(columns) if column.align == "left"]
+    room = width - sum(widths[place] + 2 for place in names) + 2
     blocks: list[list[int]] = [[]]
-    for place in (place for place in range(len(columns)) if place not in names):
-        taken = [*names, *blocks[-1], place]
-        if blocks[-1] and sum(widths[one] + 2 for one in taken) - 2 > width:
+    for run in _runs(columns, widths, room):
+        if blocks[-1] and sum(widths[place] + 2 for place in [*blocks[-1], *run]) > room:
             blocks.append([])
-        blocks[-1].append(place)
+        blocks[-1] += run
     return [sorted([*names, *block]) for block in blocks]
+
+
+def _runs(columns: Sequence[Column], widths: Sequence[int], room: int) -> list[list[int]]:
+    """Column numbers that stay together: a group where it fits a line, else each alone."""
+    runs, start = [], 0
+    for name, span in column_groups(columns):
+        run = [place for place in range(start, start + span) if columns[place].align == "right"]
+        together = name and sum(widths[place] + 2 for place in run) <= room
+        runs += [run] if together else [[place] for place in run]
+        start += span
+    return runs
 
 
 def _block(
@@ -86,8 +102,13 @@ def _group_line(columns: Sequence[Column], widths: Sequence[int]) -> list[str]:
 
 
 def _cut(text: str, width: int) -> str:
+    """Leave out the middle: names of one family differ at their ends."""
     if display_width(text) <= width:
         return text
-    while text and display_width(text) > width - 1:
-        text = text[:-1]
-    return text + "…"
+    head = tail = len(text) // 2
+    while head + len(text) - tail and display_width(text[:head] + text[tail:]) > width - 1:
+        if head > len(text) - tail:
+            head -= 1
+        else:
+            tail += 1
+    return text[:head] + "…" + text[tail:]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sparsefit.backends.active_set import ActiveSet, Breakdown
+from sparsefit.backends.active_set import ActiveSet, SingularBlockError
 from sparsefit.backends.homotopy import HomotopyPath, lasso_path
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ def gram_of(design: Array, target: Array) -> tuple[Array, Array]:
 
 
 def fractions(cross: Array, last: float = 1e-3, points: int = 30) -> Array:
-    return np.abs(cross).max() * np.geomspace(1.0, last, points)
+    return np.geomspace(1.0, last, points) * float(np.abs(cross).max())
 
 
 def violation(gram: Array, cross: Array, path: HomotopyPath, alphas: Array) -> float:
@@ -40,12 +40,11 @@ def cellular(seed: int, samples: int, noise: float) -> tuple[Array, Array]:
     position = [3.0 * time + rng.uniform(0, 5) + 2 * np.sin(f * time) for f in rng.uniform(1, 3, 2)]
     columns = []
     for scale in np.arange(1.0, 12.0 + 1e-9, 0.2):
-        (sx, cx), (sy, cy) = (
-            (np.sin(np.pi * p / scale), np.cos(np.pi * p / scale)) for p in position
-        )
+        x, y = (np.pi * p / scale for p in position)
+        sx, sy, cx, cy = np.sin(x), np.sin(y), np.cos(x), np.cos(y)
         columns += [sx, sy, cx, cy, sx * sy, sx * cy, cx * sy, cx * cy]
-    x, y = (np.pi * p / rng.uniform(2, 10) for p in position)
-    target = 8.0 * np.sin(x) * np.cos(y) + noise * rng.normal(size=samples)
+    x, y = np.pi * np.array(position) / rng.uniform(2, 10)
+    target: Array = 8.0 * np.sin(x) * np.cos(y) + noise * rng.normal(size=samples)
     return np.stack(columns, axis=1), target
 
 
@@ -55,7 +54,8 @@ def degenerate(seed: int) -> tuple[Array, Array]:
     samples, columns = (int(n) for n in rng.integers(3, 60, 2))
     kind = seed % 6
     if kind == 0:
-        return rng.integers(-1, 2, (samples, columns)) * 1.0, rng.integers(-2, 3, samples) * 1.0
+        whole = rng.integers(-1, 2, (samples, columns))
+        return whole.astype(float), rng.integers(-2, 3, samples).astype(float)
     if kind == 1:
         design = rng.normal(size=(samples, columns))
         design[:, rng.integers(0, columns, columns // 2)] = design[:, :1]
@@ -68,11 +68,11 @@ def degenerate(seed: int) -> tuple[Array, Array]:
         design = rng.choice([-1.0, 1.0], size=(samples, columns))
         return design, design[:, 0].copy()
     if kind == 4:
-        design = rng.integers(0, 2, (samples, columns)) * 1.0
+        design = rng.integers(0, 2, (samples, columns)).astype(float)
         return design, design @ rng.integers(-1, 2, columns)
     pairs = np.kron(np.eye(samples), np.ones((2, 1)))
     design = np.hstack([np.eye(2 * samples), pairs, -pairs, np.ones((2 * samples, 1))])
-    return design, rng.integers(-3, 4, 2 * samples) * 1.0
+    return design, rng.integers(-3, 4, 2 * samples).astype(float)
 
 
 @pytest.mark.parametrize(("samples", "noise"), [(500, 0.0), (500, 2.0), (2000, 0.0), (2000, 2.0)])
@@ -131,7 +131,7 @@ def test_two_columns_by_hand() -> None:
     """
     gram, cross = np.array([[1.0, 0.5], [0.5, 1.0]]), np.array([2.0, 1.5])
     path = lasso_path(gram, cross, np.array([3.0, 2.0, 1.5, 1.0, 0.4, 0.0]))
-    expected = [[0, 0], [0, 0], [0.5, 0], [1, 0], [1.4, 0.4], [5 / 3, 2 / 3]]
+    expected = np.array([[0, 0], [0, 0], [0.5, 0], [1, 0], [1.4, 0.4], [5 / 3, 2 / 3]])
     np.testing.assert_allclose(path.weights, expected, atol=1e-15)
     assert path.complete.all()
 
@@ -151,9 +151,8 @@ def test_permuted_and_flipped_columns_permute_and_flip_the_weights() -> None:
     order, flip = rng.permutation(30), rng.choice([-1.0, 1.0], 30)
     alphas = fractions(cross)
     direct = lasso_path(gram, cross, alphas).weights
-    turned = lasso_path(
-        (gram * np.outer(flip, flip))[np.ix_(order, order)], (flip * cross)[order], alphas
-    )
+    gram, cross = (gram * np.outer(flip, flip))[np.ix_(order, order)], (flip * cross)[order]
+    turned = lasso_path(gram, cross, alphas)
     np.testing.assert_allclose(turned.weights, (direct * flip)[:, order], atol=1e-10)
 
 
@@ -176,7 +175,9 @@ def test_units_of_the_columns_only_scale_the_weights() -> None:
 
 def test_nothing_to_explain_is_zero_and_complete() -> None:
     path = lasso_path(np.eye(3), np.zeros(3), np.array([1.0, 0.5, 0.0]))
-    assert path.complete.all() and path.steps == 0 and not path.weights.any()
+    assert path.complete.all()
+    assert path.steps == 0
+    assert not path.weights.any()
 
 
 def test_no_columns_and_no_penalties() -> None:
@@ -237,5 +238,5 @@ def test_active_set_sees_dependence_and_reports_singular_blocks() -> None:
     twin = active.entering(1, -1.0)
     assert twin.dependent()
     active.enter(1, -1.0, replace(twin, pivot=1.0))
-    with pytest.raises(Breakdown):
+    with pytest.raises(SingularBlockError):
         active.rebuilt()

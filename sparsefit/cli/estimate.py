@@ -1,0 +1,215 @@
+"""`sparsefit estimate`: the flow's parameters from the log of one flight."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sparsefit.cli.output import duration, print_json
+from sparsefit.cli.parser import Verbs, collected, key_value, number, shown, verb, whole
+
+if TYPE_CHECKING:
+    from sparsefit.estimator import Estimate, Estimator
+    from sparsefit.flight import Flight
+
+EXAMPLE = """\
+  sparsefit estimate flight.csv
+  sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
+  sparsefit estimate flight.csv --estimator estimator.json
+  sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
+
+exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
+2 for bad input. `sparsefit backends` lists back-ends and their settings.
+"""
+OF_ESTIMATOR = (
+    "backend",
+    "setting",
+    "derivative",
+    "window",
+    "order",
+    "grid_lower",
+    "grid_upper",
+    "grid_step",
+    "target",
+    "length_scale_readout",
+    "mean_velocity_readout",
+)
+MEANINGS = {
+    "duality_gap": "at most this far from the optimum, relative",
+    "normal_equations": "relative gradient of the least-squares fit",
+    "fixed_point": "share of the support one more step would change",
+}
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the verb."""
+    parser = verb(
+        verbs,
+        "estimate",
+        run,
+        summary="estimate mean velocity, length scale and timescale from a flight",
+        example=EXAMPLE,
+    )
+    parser.add_argument("flight", metavar="FLIGHT", help="flight log, .csv or .parquet")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    _add_estimator(parser)
+    vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
+    vehicle.add_argument("--response-time", type=number("s"), metavar="S")
+    vehicle.add_argument("--thrust-ax", type=number("m/s^2"), metavar="AX", help="in m/s^2")
+    vehicle.add_argument("--thrust-ay", type=number("m/s^2"), metavar="AY", help="in m/s^2")
+
+
+def _add_estimator(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("estimator")
+    group.add_argument(
+        "--estimator", metavar="FILE", help="estimator.json, as written by sparsefit select"
+    )
+    group.add_argument("--backend", metavar="NAME", help="default: group-lasso")
+    group.add_argument(
+        "--setting",
+        type=key_value,
+        action="append",
+        metavar="KEY=VALUE",
+        help="setting of the back-end; repeat it for more than one",
+    )
+    group.add_argument(
+        "--derivative", metavar="METHOD", help="forward, central, midpoint or savgol (default)"
+    )
+    group.add_argument("--window", type=whole, metavar="N", help="of savgol; default: 5 samples")
+    group.add_argument("--order", type=whole, metavar="N", help="of savgol; default: 4")
+    group.add_argument("--grid-lower", type=number("m"), metavar="M", help="default: 1 m")
+    group.add_argument("--grid-upper", type=number("m"), metavar="M", help="default: 12 m")
+    group.add_argument("--grid-step", type=number("m"), metavar="M", help="default: 0.2 m")
+    group.add_argument(
+        "--target",
+        metavar="NAME",
+        help="flow-velocity (default), acceleration or state-derivative",
+    )
+    group.add_argument(
+        "--length-scale-readout",
+        metavar="NAME",
+        help="group-norm (default), absolute-sum or signed-sum",
+    )
+    group.add_argument(
+        "--mean-velocity-readout", metavar="NAME", help="rms (default), peak or paper"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Estimate, print, and tell by the exit code whether the status is ok."""
+    estimator = _estimator(args)
+    flight = _flight(args)
+    estimate = estimator.estimate(flight)
+    if args.json:
+        print_json(estimate.to_dict())
+    else:
+        print("\n".join(_lines(args.flight, flight, estimate)))
+    if estimate.status != "ok":
+        print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
+    return 0 if estimate.status == "ok" else 1
+
+
+def _estimator(args: argparse.Namespace) -> Estimator:
+    from sparsefit.errors import InputError
+
+    given = [name for name in OF_ESTIMATOR if getattr(args, name) is not None]
+    if args.estimator is None:
+        return _built(args)
+    if given:
+        option = "--" + given[0].replace("_", "-")
+        raise InputError(f"{option} and --estimator cannot both be given; {args.estimator} has it")
+    return _read_estimator(args.estimator)
+
+
+def _built(args: argparse.Namespace) -> Estimator:
+    from sparsefit import backends
+    from sparsefit.derivative import Derivative
+    from sparsefit.estimator import Estimator
+    from sparsefit.library import Library, LengthScaleGrid
+    from sparsefit.readout import Readout
+
+    grid = LengthScaleGrid(
+        **_given(lower=args.grid_lower, upper=args.grid_upper, step=args.grid_step)
+    )
+    return Estimator(
+        Derivative(**_given(method=args.derivative, window=args.window, order=args.order)),
+        Library(**_given(grid=grid, target=args.target)),
+        backends.get(args.backend or "group-lasso", **collected(args.setting or ())),
+        Readout(
+            **_given(length_scale=args.length_scale_readout, mean_velocity=args.mean_velocity_readout)
+        ),
+    )
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Options that were given; for the others the defaults of the records hold."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _read_estimator(path: str) -> Estimator:
+    from sparsefit.errors import InputError
+    from sparsefit.estimator import Estimator
+
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not UTF-8 text; give a file of sparsefit select") from None
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; check the path") from None
+    try:
+        return Estimator.from_json(text)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _flight(args: argparse.Namespace) -> Flight:
+    """The flight, its vehicle as in the file unless the command line says otherwise."""
+    from sparsefit.errors import InputError
+    from sparsefit.flight import read_flight
+    from sparsefit.flight.files import FORMATS
+    from sparsefit.vehicle import PointMassVehicle
+
+    given = _given(
+        response_time=args.response_time, thrust_ax=args.thrust_ax, thrust_ay=args.thrust_ay
+    )
+    if not given:
+        try:
+            return read_flight(args.flight)
+        except InputError as error:
+            remedy = "give --response-time"
+            raise InputError(str(error).replace("pass vehicle=", remedy)) from None
+    read_flight(args.flight, vehicle=PointMassVehicle(1.0))  # refuses all but a missing vehicle
+    path = Path(args.flight)
+    vehicle = {**FORMATS[path.suffix.lower()].decode(path.read_bytes()).settings, **given}
+    if "response_time" not in vehicle:
+        raise InputError(f"{path}: no vehicle: the file has none; give --response-time too")
+    thrust = (vehicle.get("thrust_ax", 0.0), vehicle.get("thrust_ay", 0.0))
+    return read_flight(path, vehicle=PointMassVehicle(vehicle["response_time"], thrust))
+
+
+def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
+    ax, ay = flight.vehicle.thrust_acceleration
+    certificate = estimate.certificate
+    proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
+    meaning = f"  ({MEANINGS[certificate.kind]})" if certificate else ""
+    rows = [
+        ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
+        ("vehicle", f"response time {flight.vehicle.response_time:g} s, thrust ({ax:g}, {ay:g}) m/s^2"),
+        ("", ""),
+        ("mean velocity  U0", _quantity(estimate.mean_velocity, "m/s")),
+        ("length scale   L_w", _quantity(estimate.length_scale, "m")),
+        ("timescale      tau_w", _quantity(estimate.timescale, "s")),
+        ("", ""),
+        ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
+        ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
+        ("certificate", proof + meaning),
+        ("problem", f"{estimate.samples} samples x {estimate.columns} columns"),
+        ("time", duration(estimate.seconds)),
+    ]
+    return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:>9.4f} {unit}" if value == value else f"{'–':>9} {unit}"

@@ -1,0 +1,47 @@
+"""What verbs write: JSON and duration on stdout, and files that are never overwritten unasked."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+
+def print_json(record: object) -> None:
+    """One JSON document; what is not finite must be None by now."""
+    print(json.dumps(record, indent=2, allow_nan=False, ensure_ascii=False))
+
+
+def refuse_existing(path: str, *, force: bool) -> None:
+    """Raise InputError where a file would be overwritten."""
+    from sparsefit.errors import InputError
+
+    if Path(path).exists() and not force:
+        raise InputError(f"{path} exists; add --force or choose another name")
+
+
+def write_text(path: str, text: str, *, force: bool) -> None:
+    """Write the file whole or not at all."""
+    from sparsefit.errors import InputError
+
+    refuse_existing(path, force=force)
+    beside = Path(path).with_name(f".{Path(path).name}.{os.getpid()}.partial")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}; check the folder") from None
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def duration(seconds: float) -> str:
+    """`0.42 s`, `35 s`, `4 min 05 s`, `2 h 10 min`."""
+    if seconds < 9.95:
+        return f"{seconds:.2g} s"
+    if seconds < 59.5:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,97 @@
+"""`sparsefit simulate`: fly a simulated vehicle and write what it logs."""
+
+from __future__ import annotations
+
+import argparse
+
+from sparsefit.cli.output import refuse_existing
+from sparsefit.cli.parser import Verbs, number, verb, whole
+
+EXAMPLE = """\
+  sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --response-time 0.5 \\
+      --thrust 5 3 --duration 10 --sample-rate 100 --seed 7 -o flight.csv
+"""
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the verb."""
+    parser = verb(
+        verbs,
+        "simulate",
+        run,
+        summary="simulate a flight through a cellular flow and write it to a file",
+        example=EXAMPLE,
+    )
+    flow = parser.add_argument_group("flow")
+    flow.add_argument("--mean-velocity", type=number("m/s"), required=True, metavar="U0")
+    flow.add_argument("--length-scale", type=number("m"), required=True, metavar="L")
+    craft = parser.add_argument_group("vehicle")
+    craft.add_argument(
+        "--response-time", type=number("s"), default=0.5, metavar="S", help="default: 0.5 s"
+    )
+    craft.add_argument(
+        "--thrust",
+        type=number("m/s^2"),
+        nargs=2,
+        default=(5.0, 3.0),
+        metavar=("AX", "AY"),
+        help="thrust acceleration; default: 5 3 m/s^2",
+    )
+    _add_log(parser)
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help="flight to write, .csv or .parquet"
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite FILE")
+
+
+def _add_log(parser: argparse.ArgumentParser) -> None:
+    log = parser.add_argument_group("flight")
+    for option, unit, default, text in (
+        ("--duration", "s", 10.0, "length of the flight"),
+        ("--sample-rate", "Hz", 100.0, "samples per second"),
+        ("--position-noise", "m", 0.0, "standard deviation of the measured position"),
+        ("--velocity-noise", "m/s", 0.0, "standard deviation of the measured velocity"),
+        ("--process-noise", "m/s^2", 0.0, "standard deviation of the noise on the acceleration"),
+    ):
+        log.add_argument(
+            option,
+            type=number(unit),
+            default=default,
+            metavar=unit.upper() if unit in ("s", "m") else unit,
+            help=f"{text}; default: {default:g} {unit}",
+        )
+    log.add_argument(
+        "--initial-position",
+        type=number("m"),
+        nargs=2,
+        metavar=("X", "Y"),
+        help="in m; default: drawn from one period of the flow",
+    )
+    log.add_argument("--seed", type=whole, default=0, help="of all that is random; default: 0")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, write, and say what was written."""
+    refuse_existing(args.output, force=args.force)
+    from sparsefit.flight import simulate_flight, write_flight
+    from sparsefit.flow import CellularFlow
+    from sparsefit.vehicle import PointMassVehicle
+
+    flight = simulate_flight(
+        CellularFlow(args.mean_velocity, args.length_scale),
+        PointMassVehicle(args.response_time, tuple(args.thrust)),
+        duration=args.duration,
+        sample_rate=args.sample_rate,
+        seed=args.seed,
+        initial_position=args.initial_position,
+        process_noise=args.process_noise,
+        position_noise=args.position_noise,
+        velocity_noise=args.velocity_noise,
+    )
+    write_flight(flight, args.output, overwrite=args.force)
+    print(
+        f"{args.output}: {flight.samples} samples over {flight.duration:g} s, "
+        f"{flight.extent:.3g} m across, in a flow of {args.mean_velocity:g} m/s and "
+        f"{args.length_scale:g} m ({args.length_scale / args.mean_velocity:.3g} s)"
+    )
+    return 0

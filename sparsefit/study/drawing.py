@@ -1,0 +1,93 @@
+"""How every picture looks, and how it becomes the same bytes each time it is drawn."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+WIDTH = 7.0  # inches: a page between its margins
+DPI = 150
+# Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "D", "v", "P", "X", "*")
+GREY = "#666666"
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 7.0,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "axes.grid": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    # Names come from files: a "$" in one is a letter.
+    "text.parse_math": False,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "sparsefit",
+    "path.simplify": False,
+}
+
+
+def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure of page width with a grid of axes, laid out so that nothing overlaps."""
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    return figure, [list(row) for row in grid]
+
+
+def logarithmic(axis: Axis, low: float, high: float) -> None:
+    """Number a logarithmic axis from `low` to `high` in plain digits, `0.01  0.1  1`."""
+    decades = math.log10(high / low) if 0.0 < low < high else 1.0
+    axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def shortened(text: str, length: int) -> str:
+    """Return `text`, its middle left out where it is longer than `length` letters."""
+    half = (length - 1) // 2
+    return text if len(text) <= length else f"{text[:half]}…{text[-half:]}"
+
+
+def to_svg(figure: Figure) -> bytes:
+    """Return the figure as SVG: without date or version, ids from a fixed salt."""
+    return _saved(figure, "svg", {"Date": None, "Creator": None})
+
+
+def to_png(figure: Figure) -> bytes:
+    """Return the figure as PNG of 150 dots per inch, without metadata."""
+    return _saved(figure, "png", {"Software": None})
+
+
+def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
+    stream = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        figure.savefig(stream, format=kind, dpi=DPI, metadata=metadata, facecolor="white")
+    return stream.getvalue()
+
+
+def colours(names: list[str]) -> dict[str, str]:
+    """Return a colour per name, in order; more names than colours begin anew."""
+    return {name: COLOURS[place % len(COLOURS)] for place, name in enumerate(names)}
+
+
+def markers(names: list[str]) -> dict[str, str]:
+    """Return a marker per name, so that no meaning hangs on colour alone."""
+    return {name: MARKERS[place % len(MARKERS)] for place, name in enumerate(names)}

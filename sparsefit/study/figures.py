@@ -1,0 +1,65 @@
+"""The figures of a study, by name: each is a pure function of the study and its cases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import matplotlib as mpl
+import pandas as pd
+from matplotlib.figure import Figure
+
+from sparsefit.study.drawing import STYLE
+from sparsefit.study.error_figures import errors, numeric_factors, sweep
+from sparsefit.study.scatter_figure import scatter
+from sparsefit.study.summary import StudyRecord
+from sparsefit.study.weights_figure import weights_figure
+
+FigureFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame, pd.DataFrame | None], Figure]
+
+
+def _styled(draw: FigureFunction) -> FigureFunction:
+    """Draw in this package's style, whatever the user's own settings are."""
+
+    def styled(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+        with mpl.rc_context():
+            mpl.rcdefaults()
+            mpl.rcParams.update(STYLE)
+            figure = draw(study, cases, weights)
+            # Laid out once: saving twice must not move anything.
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+            return figure
+
+    return styled
+
+
+FIGURES: dict[str, FigureFunction] = {
+    "weights": _styled(weights_figure),
+    "scatter": _styled(scatter),
+    "errors": _styled(errors),
+    "sweep": _styled(sweep),
+}
+CAPTIONS = {
+    "weights": "Weight of every candidate length scale, first flight, first listed setting of "
+    "each back-end.",
+    "scatter": "Estimated against true parameters, first listed setting of each back-end and "
+    "first level of every swept factor. Triangles: outside the frame; crosses: failures.",
+    "errors": "Sizes of the percentage errors: every case a point, box the quartiles, line the "
+    "5th to 95th percentile, thick line the median; all levels of swept factors together.",
+    "sweep": "Median size of the percentage error and its quartiles against each swept number, "
+    "first listed setting of each back-end. A failure counts as an infinite error: where half "
+    "the cases fail, the line stops.",
+}
+
+
+def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:
+    """Return the names of the figures that have something to show of these cases."""
+    single = cases["flight"].nunique() == 1
+    shows = {
+        "weights": weights is not None and not weights.empty,
+        "scatter": not single,
+        "errors": not single,
+        "sweep": not single and bool(numeric_factors(cases)),
+    }
+    return [name for name in FIGURES if shows[name]]

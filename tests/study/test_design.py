@@ -1,0 +1,143 @@
+"""Every planned case once, with an identity and draws that do not depend on the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparsefit.study import Study, cells, counts, plan
+from sparsefit.study.design import grouped
+from sparsefit.study.flights import SIMULATION, Draw, stream
+
+HEAD = """
+name = "d"
+question = "?"
+seed = 5
+[flights]
+count = 5
+timescale = { linspace = [0.1, 0.5] }
+length_scale = { uniform = [2.0, 10.0] }
+response_time = { choice = [0.1, 0.5] }
+process_noise = { loguniform = [0.01, 1.0] }
+duration = 1.0
+sample_rate = 50.0
+"""
+LASSO = """
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.1, 0.01]
+"""
+REST = """
+[[backends]]
+name = "least-squares"
+[[protocols]]
+name = "one"
+[[protocols]]
+name = "two"
+"readout.mean_velocity" = "peak"
+[sweep]
+"flights.velocity_noise" = [0.0, 0.5]
+"library.target" = ["flow-velocity", "acceleration"]
+"""
+
+
+def load(tmp_path: Path, text: str) -> Study:
+    path = tmp_path / "d.toml"
+    path.write_text(text, encoding="utf-8")
+    return Study.load(path)
+
+
+def draws(study: Study) -> list[Draw]:
+    rules = cells(study)[0].setup.flights
+    return [rules.draw(flight, study.count, study.seed) for flight in range(study.count)]
+
+
+def test_every_combination_once(tmp_path: Path) -> None:
+    study = load(tmp_path, HEAD + LASSO + REST)
+    cases = plan(study)
+    assert len(cases) == study.planned == 5 * 2 * 2 * 2 * 3
+    assert len({case.case_id for case in cases}) == len(cases)
+    seen = {
+        (c.flight, c.cell.protocol, str(c.cell.levels), c.cell.backend, str(c.cell.settings))
+        for c in cases
+    }
+    assert len(seen) == len(cases)
+
+
+def test_counts_share_what_can_be_shared(tmp_path: Path) -> None:
+    found = counts(load(tmp_path, HEAD + LASSO + REST))
+    assert (found.flights, found.cases) == (5, 120)
+    assert found.simulations == 5 * 2
+    assert found.problems == 5 * 2 * 2
+    assert found.fits == 5 * 2 * 2 * 3
+
+
+def test_a_new_backend_or_level_changes_no_case_id(tmp_path: Path) -> None:
+    small = {case.case_id for case in plan(load(tmp_path, HEAD + LASSO))}
+    more = HEAD + LASSO + '[[backends]]\nname = "stlsq"\n[[protocols]]\nname = "default"\n'
+    more += '[[protocols]]\nname = "b"\n"derivative.method" = "forward"\n'
+    assert small < {case.case_id for case in plan(load(tmp_path, more))}
+
+
+def test_order_in_the_file_does_not_matter_for_a_sweep(tmp_path: Path) -> None:
+    lines = REST.strip().splitlines()
+    turned = "\n".join([*lines[:-2], lines[-1], lines[-2]])
+    one, other = load(tmp_path, HEAD + LASSO + REST), load(tmp_path, HEAD + LASSO + turned)
+    assert one.hash == other.hash
+    assert [case.case_id for case in plan(one)] == [case.case_id for case in plan(other)]
+
+
+def test_draws_follow_their_rules(tmp_path: Path) -> None:
+    found = draws(load(tmp_path, HEAD + LASSO))
+    assert np.allclose([one.flow.timescale for one in found], np.linspace(0.1, 0.5, 5))
+    assert all(2.0 <= one.flow.length_scale <= 10.0 for one in found)
+    assert all(0.01 <= one.process_noise <= 1.0 for one in found)
+    assert {one.vehicle.response_time for one in found} <= {0.1, 0.5}
+    assert len({one.flow.length_scale for one in found}) == 5
+
+
+@pytest.mark.parametrize(
+    "two", ["mean_velocity = 8.0\nlength_scale = 4.0", "mean_velocity = 8.0\ntimescale = 0.5"]
+)
+def test_the_third_flow_parameter_follows(tmp_path: Path, two: str) -> None:
+    text = "\n".join(
+        line for line in HEAD.splitlines() if not line.startswith(("timescale", "length_scale"))
+    )
+    flow = draws(load(tmp_path, text + "\n" + two + LASSO))[0].flow
+    assert (flow.mean_velocity, flow.length_scale, flow.timescale) == (8.0, 4.0, 0.5)
+
+
+def test_backends_and_levels_share_their_flights(tmp_path: Path) -> None:
+    """Common random numbers: only what is swept differs between levels."""
+    plain = draws(load(tmp_path, HEAD + LASSO))
+    study = load(tmp_path, HEAD + LASSO + REST)
+    quiet, noisy = (group[0].setup.flights for group in grouped(cells(study), "flight"))
+    for flight, alone in enumerate(plain):
+        low, high = (rules.draw(flight, 5, 5) for rules in (quiet, noisy))
+        assert low == alone
+        assert (low.flow, low.process_noise) == (high.flow, high.process_noise)
+        assert (low.velocity_noise, high.velocity_noise) == (0.0, 0.5)
+    flown = [rules.draw(2, 5, 5).fly(stream(5, 2, SIMULATION)) for rules in (quiet, noisy)]
+    assert np.array_equal(flown[0].position, flown[1].position)
+    noise = flown[1].velocity - flown[0].velocity
+    assert 0.3 < noise.std() < 0.7
+
+
+def test_fixing_one_quantity_moves_no_other(tmp_path: Path) -> None:
+    fixed = HEAD.replace("{ choice = [0.1, 0.5] }", "0.3")
+    one, other = draws(load(tmp_path, HEAD + LASSO)), draws(load(tmp_path, fixed + LASSO))
+    assert [d.flow for d in one] == [d.flow for d in other]
+    assert [d.process_noise for d in one] == [d.process_noise for d in other]
+
+
+def test_initial_state_can_be_given(tmp_path: Path) -> None:
+    text = HEAD + "initial_position = [1.0, { uniform = [2.0, 3.0] }]\ninitial_velocity = [1, 2]\n"
+    draw = draws(load(tmp_path, text + LASSO))[0]
+    assert draw.initial_position is not None
+    assert draw.initial_position[0] == 1.0
+    assert 2.0 <= draw.initial_position[1] < 3.0
+    flight = draw.fly(stream(5, 0, SIMULATION))
+    assert np.allclose(flight.position[0], draw.initial_position)
+    assert np.allclose(flight.velocity[0], (1.0, 2.0))

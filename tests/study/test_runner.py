@@ -1,0 +1,396 @@
+"""Runs that are killed, that hang, that crash: every planned case still ends as a row."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.study import Study, read_cases, run, status
+from sparsefit.study.worker import Worker
+
+ROOT = Path(__file__).parents[2]
+PLUGIN = '''
+"""A back-end that behaves as it is told."""
+import os, time
+from dataclasses import dataclass
+from typing import ClassVar
+import numpy as np
+from sparsefit.backends.base import Solution
+
+
+@dataclass(frozen=True)
+class Hostile:
+    name: ClassVar[str] = "hostile"
+    certificate_kind: ClassVar[str] = "fixed_point"
+    deed: str = "work"
+    seconds: float = 0.0
+
+    def solve(self, problem):
+        time.sleep(self.seconds)
+        if self.deed == "hang":
+            time.sleep(600.0)
+        if self.deed == "die":
+            os.kill(os.getpid(), 9)
+        if self.deed == "exit":
+            os._exit(3)
+        if self.deed == "raise":
+            raise ZeroDivisionError("one\\ntwo")
+        if self.deed == "nothing":
+            return Solution(None, "error", "no answer")
+        weights = np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0]
+        return Solution(weights)
+
+    def next_support(self, problem, weights):
+        return weights != 0
+'''
+HEAD = """
+name = "r"
+question = "?"
+seed = 3
+[flights]
+count = {count}
+timescale = 0.5
+length_scale = {{ uniform = [3.0, 6.0] }}
+response_time = 0.5
+thrust_acceleration = [5.0, 3.0]
+duration = 1.0
+sample_rate = 50.0
+[library]
+lower = 3.0
+upper = 6.0
+step = 1.0
+[run]
+case_timeout = {timeout}
+"""
+REAL = """
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.3, 0.1, 0.03]
+[[backends]]
+name = "group-lasso"
+[[backends]]
+name = "hostile"
+seconds = {seconds}
+[[protocols]]
+name = "a"
+[[protocols]]
+name = "b"
+"readout.mean_velocity" = "peak"
+[sweep]
+"flights.velocity_noise" = [0.0, 0.2]
+"""
+DRIVER = """
+import sys
+from sparsefit.study import Study, run
+if __name__ == "__main__":
+    run(Study.load(sys.argv[1]), sys.argv[2], processes=int(sys.argv[3]))
+"""
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture(autouse=True)
+def plugin(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("plugin")
+    (folder / "hostile.py").write_text(PLUGIN)
+    info = folder / "hostile-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[sparsefit.backends]\nhostile = hostile:Hostile\n")
+    monkeypatch.syspath_prepend(str(folder))
+    backends._plugins.cache_clear()
+    yield folder
+    backends._plugins.cache_clear()
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def _write(body: str, *, count: int = 3, timeout: float = 30.0, name: str = "r.toml") -> Path:
+        path = tmp_path / name
+        path.write_text(HEAD.format(count=count, timeout=timeout) + body)
+        return path
+
+    return _write
+
+
+def deeds(*names: str) -> str:
+    return f'[[backends]]\nname = "hostile"\ndeed = {json.dumps(names)}\n'
+
+
+def stable(folder: Path) -> pd.DataFrame:
+    return read_cases(folder).drop(columns="seconds")
+
+
+def start(study: Path, results: Path, plugin: Path, processes: int = 2) -> subprocess.Popen[bytes]:
+    driver = study.with_name("driver.py")
+    driver.write_text(DRIVER)
+    path = os.pathsep.join([str(ROOT), str(plugin)])
+    return subprocess.Popen(
+        [sys.executable, str(driver), str(study), str(results), str(processes)],
+        env={**os.environ, "PYTHONPATH": path},
+        start_new_session=True,
+    )
+
+
+def rows(folder: Path) -> list[bytes]:
+    path = folder / ".partial" / "rows.jsonl"
+    return path.read_bytes().splitlines() if path.exists() else []
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < limit, "waited too long"
+        time.sleep(0.02)
+
+
+def group_is_gone(group: int) -> bool:
+    """Whether no live process of the group is left; zombies do not count."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError, IndexError):
+                fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+                if fields[2] == str(group) and fields[0] != "Z":
+                    return False
+    return True
+
+
+def test_same_rows_with_one_process_and_with_two(tmp_path: Path, write: Write) -> None:
+    study = Study.load(write(REAL.format(seconds=0.0)))
+    one = run(study, tmp_path / "one", processes=1)
+    two = run(study, tmp_path / "two", processes=2)
+    assert one.statuses == two.statuses
+    assert len(read_cases(one.folder)) == study.planned == 3 * 2 * 2 * 5
+    pd.testing.assert_frame_equal(stable(one.folder), stable(two.folder))
+
+
+def test_killed_and_resumed_is_as_if_never_killed(
+    tmp_path: Path, write: Write, plugin: Path
+) -> None:
+    path = write(REAL.format(seconds=0.1), count=4)
+    process = start(path, tmp_path / "killed", plugin)
+    folder = tmp_path / "killed" / "r"
+    until(lambda: len(rows(folder)) >= 5)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    until(lambda: group_is_gone(process.pid), 10.0)  # the workers ended on their own
+    before = rows(folder)
+    assert not (folder / "cases.parquet").exists()
+    with (folder / ".partial" / "rows.jsonl").open("ab") as file:
+        file.write(b'{"flight":1,"cel')  # torn by the kill
+    study = Study.load(path)
+    so_far = status(study, tmp_path / "killed")
+    assert (so_far.finished, so_far.done) == (False, len(before))
+
+    seen: list[int] = []
+    resumed = run(study, tmp_path / "killed", progress=lambda done, _p, _e: seen.append(done))
+    assert resumed.resumed == seen[0] == len(before)
+    whole = run(study, tmp_path / "whole", processes=1)
+    pd.testing.assert_frame_equal(stable(resumed.folder), stable(whole.folder))
+    assert sorted(p.name for p in folder.iterdir()) == ["cases.parquet", "manifest.json"]
+
+
+def test_interrupt_leaves_a_state_to_resume_and_no_process(
+    tmp_path: Path, write: Write, plugin: Path
+) -> None:
+    path = write(REAL.format(seconds=0.1), count=4)
+    process = start(path, tmp_path / "out", plugin)
+    folder = tmp_path / "out" / "r"
+    until(lambda: len(rows(folder)) >= 3)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    assert process.wait(timeout=20) != 0
+    until(lambda: group_is_gone(process.pid), 10.0)
+    assert not (folder / ".lock").exists()
+    kept = len(rows(folder))
+    assert run(Study.load(path), tmp_path / "out").resumed == kept
+
+
+def test_a_case_that_hangs_is_killed_and_the_others_go_on(tmp_path: Path, write: Write) -> None:
+    study = Study.load(write(deeds("work", "hang", "nothing"), count=2, timeout=1.0))
+    begun = time.monotonic()
+    cases = read_cases(run(study, tmp_path, processes=2).folder)
+    assert time.monotonic() - begun < 30.0
+    by_deed = {json.loads(s)["deed"]: g for s, g in cases.groupby("settings")}
+    assert (by_deed["hang"]["status"] == "timeout").all()
+    assert (by_deed["hang"]["reason"] == "fitting took longer than 1 s").all()
+    assert by_deed["work"]["status"].isin(["ok", "unidentifiable"]).all()
+    assert (by_deed["nothing"]["status"] == "error").all()
+    assert len(cases) == 6
+
+
+def test_a_worker_that_dies_takes_one_case_along(tmp_path: Path, write: Write) -> None:
+    study = Study.load(write(deeds("die", "exit", "raise", "work"), count=2))
+    cases = read_cases(run(study, tmp_path, processes=2).folder)
+    by_deed = {json.loads(s)["deed"]: g for s, g in cases.groupby("settings")}
+    assert (by_deed["die"]["status"] == "crashed").all()
+    assert by_deed["die"]["reason"].str.contains("SIGKILL").all()
+    assert (by_deed["exit"]["status"] == "crashed").all()
+    assert by_deed["exit"]["reason"].str.contains("exit code 3").all()
+    assert (by_deed["raise"]["status"] == "error").all()
+    assert (by_deed["raise"]["reason"] == "ZeroDivisionError: one two").all()
+    assert by_deed["work"]["est_length_scale"].notna().all()
+    assert cases["true_length_scale"].between(3.0, 6.0).all()
+
+
+def test_a_fit_that_hangs_takes_all_its_readouts_along_at_once(
+    tmp_path: Path, write: Write
+) -> None:
+    sweep = '[sweep]\n"readout.mean_velocity" = ["rms", "peak", "paper"]\n'
+    study = Study.load(write(deeds("hang") + sweep, count=1, timeout=1.0))
+    summary = run(study, tmp_path, processes=1)
+    assert summary.statuses == {"timeout": 3}
+    assert summary.seconds < 10.0
+
+
+def test_a_flight_that_cannot_be_read_is_an_error_with_its_reason(
+    tmp_path: Path, write: Write
+) -> None:
+    sweep = '[sweep]\n"derivative.window" = [5, 201]\n'
+    study = Study.load(write('[[backends]]\nname = "lasso"\n' + sweep, count=2))
+    cases = read_cases(run(study, tmp_path, processes=1).folder)
+    long = cases[cases["derivative.window"] == 201.0]
+    assert (long["status"] == "error").all()
+    assert long["reason"].str.contains("window").all()
+    assert (long["samples"] == 0).all()
+    assert (cases[cases["derivative.window"] == 5.0]["status"] != "error").all()
+
+
+def test_finished_means_nothing_to_do_and_fresh_starts_over(tmp_path: Path, write: Write) -> None:
+    study = Study.load(write(deeds("work"), count=2))
+    published: list[Path] = []
+
+    def publish(_: Study, folder: Path) -> None:
+        published.append(folder)
+
+    first = run(study, tmp_path, processes=1, publish=publish)
+    written = (first.folder / "cases.parquet").stat().st_mtime_ns
+    again = run(study, tmp_path, processes=1, publish=publish)
+    assert published == [tmp_path / "r"] * 2
+    assert again.nothing_to_do
+    assert again.statuses == first.statuses
+    assert (first.folder / "cases.parquet").stat().st_mtime_ns == written
+    assert status(study, tmp_path).finished
+    assert not run(study, tmp_path, processes=1, fresh=True).nothing_to_do
+    assert (first.folder / "cases.parquet").stat().st_mtime_ns != written
+
+
+def test_results_of_another_study_are_refused(tmp_path: Path, write: Write) -> None:
+    mine = Study.load(write(deeds("work"), count=2))
+    other = Study.load(write(deeds("nothing"), count=2, name="other.toml"))
+    run(mine, tmp_path, processes=1)
+    with pytest.raises(InputError, match=r"made by a different study \(hash .*--fresh"):
+        run(other, tmp_path, processes=1)
+    assert run(other, tmp_path, processes=1, fresh=True).statuses == {"error": 2}
+
+
+def test_unfinished_rows_of_another_study_or_version_are_refused(
+    tmp_path: Path, write: Write
+) -> None:
+    study = Study.load(write(deeds("work"), count=2))
+    partial = tmp_path / "r" / ".partial"
+    partial.mkdir(parents=True)
+    (partial / "header.json").write_text('{"study_hash": "0123"}')
+    with pytest.raises(InputError, match="different study"):
+        run(study, tmp_path, processes=1)
+    (partial / "header.json").write_text(json.dumps({"study_hash": study.hash, "sparsefit": "0"}))
+    with pytest.raises(InputError, match="begun by sparsefit 0"):
+        run(study, tmp_path, processes=1)
+    (partial / "header.json").unlink()
+    (tmp_path / "r" / "cases.parquet").write_bytes(b"")
+    with pytest.raises(InputError, match="unknown study"):
+        run(study, tmp_path, processes=1)
+
+
+def test_two_runs_at_once_are_refused(tmp_path: Path, write: Write, plugin: Path) -> None:
+    path = write(deeds("hang"), count=1, timeout=60.0)
+    process = start(path, tmp_path, plugin)
+    try:
+        until(lambda: (tmp_path / "r" / ".partial" / "header.json").exists())
+        with pytest.raises(InputError, match=f"another run is under way .process {process.pid}"):
+            run(Study.load(path), tmp_path)
+    finally:
+        process.kill()
+        process.wait()
+    until(lambda: group_is_gone(process.pid), 10.0)
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, write: Write) -> None:
+    study = Study.load(write(deeds("work"), count=1))
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    lock = tmp_path / "r" / ".lock"
+    lock.parent.mkdir()
+    owner = {"pid": ended.pid, "host": os.uname().nodename, "started": "1"}
+    lock.write_text(json.dumps(owner))
+    run(study, tmp_path, processes=1)
+    assert not lock.exists()
+    lock.write_text(json.dumps({**owner, "pid": os.getpid()}))  # the id is in use again
+    run(study, tmp_path, processes=1)
+    lock.write_text(json.dumps({**owner, "host": "elsewhere"}))
+    with pytest.raises(InputError, match="on elsewhere"):
+        run(study, tmp_path, processes=1)
+    lock.write_text("")  # just being written
+    with pytest.raises(InputError, match="just starting"):
+        run(study, tmp_path, processes=1)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_work(
+    tmp_path: Path, write: Write
+) -> None:
+    study = Study.load(write(deeds("hang"), count=1))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="choose another results folder"):
+        run(study, tmp_path / "file")
+
+
+@pytest.mark.parametrize("processes", [0, -1, True, 1.5])
+def test_processes_are_counted_in_whole_numbers(
+    tmp_path: Path, write: Write, processes: int
+) -> None:
+    with pytest.raises(InputError, match="processes"):
+        run(Study.load(write(deeds("work"))), tmp_path, processes=processes)
+
+
+def test_progress_counts_to_the_end_and_the_time_left_is_true(tmp_path: Path, write: Write) -> None:
+    body = '[[backends]]\nname = "hostile"\nseconds = 0.3\n'
+    study = Study.load(write(body, count=12))
+    seen: list[tuple[float, int, float | None]] = []
+    run(
+        study,
+        tmp_path,
+        processes=2,
+        progress=lambda done, planned, eta: seen.append((time.monotonic(), done, eta)),
+    )
+    assert [seen[0][1], seen[-1][1]] == [0, 12]
+    assert seen[0][2] is None
+    assert seen[-1][2] == 0.0
+    when, _, eta = next(one for one in seen if one[1] >= 6)
+    assert eta is not None
+    assert 0.5 < eta / (seen[-1][0] - when) < 2.0
+
+
+def test_workers_compute_in_one_thread(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    worker = Worker.start(Study.load(write(deeds("work"))), patience=60.0)
+    try:
+        worker.take(worker.pipe.recv())
+        environment = Path(f"/proc/{worker.process.pid}/environ").read_bytes().split(b"\0")
+        assert b"OPENBLAS_NUM_THREADS=1" in environment
+        assert b"OMP_NUM_THREADS=1" in environment
+        assert "OMP_NUM_THREADS" not in os.environ
+    finally:
+        worker.kill()

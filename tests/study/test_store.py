@@ -1,0 +1,164 @@
+"""What is written reads back the same, and half a file is never read as a whole one."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study import Study, cells, partial, plan, read_cases, read_weights, run
+from sparsefit.study.execution import Outcome, Stage, run_flight
+from sparsefit.study.manifest import git_commit, read_manifest
+from sparsefit.study.pace import Pace
+from sparsefit.study.store import COLUMNS, write_cases
+
+TEXT = """
+name = "s"
+question = "?"
+seed = 3
+[flights]
+count = 2
+timescale = 0.5
+length_scale = { uniform = [3.0, 6.0] }
+response_time = 0.5
+thrust_acceleration = [5.0, 3.0]
+duration = 1.0
+sample_rate = 50.0
+[library]
+lower = 3.0
+upper = 6.0
+step = 1.0
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.1, 0.3]
+[sweep]
+"flights.thrust_acceleration" = [[5.0, 3.0], [2, 1]]
+"flights.velocity_noise" = [0, 0.5]
+"library.target" = ["flow-velocity", "acceleration"]
+[outputs]
+figures = ["weights"]
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Study:
+    (tmp_path / "s.toml").write_text(TEXT)
+    return Study.load(tmp_path / "s.toml")
+
+
+def outcomes(study: Study) -> list[Outcome]:
+    return [Outcome(case.flight, case.cell.index, "skipped", "why") for case in plan(study)]
+
+
+def test_columns_and_types(study: Study, tmp_path: Path) -> None:
+    write_cases(study, reversed(outcomes(study)), tmp_path)
+    cases = read_cases(tmp_path)
+    swept = [factor.key for factor in study.sweep]
+    assert list(cases.columns) == [*COLUMNS, *swept]
+    assert list(cases["case_id"]) == [case.case_id for case in plan(study)]
+    schema = pq.read_schema(tmp_path / "cases.parquet")
+    assert {name: schema.field(name).type for name in COLUMNS} == COLUMNS
+    assert str(schema.field("flights.velocity_noise").type) == "double"
+    assert set(cases["flights.thrust_acceleration"]) == {"[5,3]", "[2,1]"}
+    assert set(cases["library.target"]) == {"flow-velocity", "acceleration"}
+    assert [json.loads(text)["alpha_fraction"] for text in cases["settings"][:2]] == [0.1, 0.3]
+
+
+def test_types_do_not_depend_on_the_values(study: Study, tmp_path: Path) -> None:
+    """A study in which nothing succeeded has the same columns of the same types."""
+    write_cases(study, outcomes(study), tmp_path)
+    failed = read_cases(tmp_path).dtypes
+    good = [replace(one, est_mean_velocity=1.0, reason="") for one in outcomes(study)]
+    write_cases(study, good, tmp_path)
+    pd.testing.assert_series_equal(failed, read_cases(tmp_path).dtypes)
+
+
+def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="run the study first"):
+        read_cases(tmp_path)
+    (tmp_path / "cases.parquet").write_bytes(b"PAR1 half")
+    with pytest.raises(InputError, match="not readable"):
+        read_cases(tmp_path)
+
+
+def test_a_whole_run_with_weights_and_manifest(study: Study, tmp_path: Path) -> None:
+    summary = run(study, tmp_path / "results", processes=2)
+    cases, weights = read_cases(summary.folder), read_weights(summary.folder)
+    estimated = cases[cases["grid_length_scale"].notna()]
+    assert len(estimated) > 20
+    for case in estimated.itertuples():
+        mine = weights[weights["case_id"] == case.case_id]
+        assert len(mine) == 4
+        assert mine.loc[mine["weight"].idxmax(), "length_scale"] == case.grid_length_scale
+    assert (cases["columns"] == 32).all()
+    manifest = read_manifest(summary.folder)
+    assert manifest is not None
+    assert manifest["study_hash"] == study.hash
+    assert manifest["statuses"] == dict(sorted(summary.statuses.items()))
+    assert sum(summary.statuses.values()) == manifest["cases"] == study.planned
+    assert {"python", "numpy", "scipy", "clarabel"} <= set(manifest["versions"])  # type: ignore[call-overload]
+
+
+def test_partial_rows_read_back_exactly(tmp_path: Path) -> None:
+    partial.begin(tmp_path, {"study_hash": "x"})
+    rows = [
+        Outcome(0, 1, "ok", "", 0.1 + 0.2, 1 / 3, math.pi, 4.2, True, "duality_gap", 1e-300),
+        Outcome(0, 2, "error", 'quote " and\nline', weights=((1.0, -2.0), (1.2, 0.0))),
+    ]
+    with partial.appending(tmp_path) as writer:
+        for row in rows:
+            writer.append(row)
+    found = list(partial.read_rows(tmp_path).values())
+    assert [repr(row) for row in found] == [repr(row) for row in rows]
+
+
+@pytest.mark.parametrize("torn", [b'{"flight":', b"\x00\x00\n", b"{}\n", b'{"flight":1}\nmore'])
+def test_a_torn_end_is_cut_off(tmp_path: Path, torn: bytes) -> None:
+    partial.begin(tmp_path, {})
+    with partial.appending(tmp_path) as writer:
+        writer.append(Outcome(0, 0, "ok"))
+    path = tmp_path / ".partial" / "rows.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole + torn)
+    with partial.appending(tmp_path) as writer:
+        writer.append(Outcome(0, 1, "ok"))
+    assert list(partial.read_rows(tmp_path)) == [(0, 0), (0, 1)]
+    assert path.read_bytes().startswith(whole)
+
+
+def test_what_is_left_to_do_does_not_change_what_comes_out(study: Study) -> None:
+    """A resumed run repeats the whole path of which one point is missing."""
+    every = cells(study)
+    whole = {row.cell: row for row in run_flight(study, 0, every) if isinstance(row, Outcome)}
+    assert sorted(whole) == [cell.index for cell in every]
+    for cell in every[:4]:
+        (row,) = (row for row in run_flight(study, 0, [cell]) if isinstance(row, Outcome))
+        assert repr(replace(row, seconds=0.0)) == repr(replace(whole[cell.index], seconds=0.0))
+
+
+def test_a_path_is_one_stage_and_alone_it_is_not(study: Study) -> None:
+    every = cells(study)[:2]
+    for alone, fits in ((False, [2]), (True, [1, 1])):
+        events = run_flight(study, 0, every, alone=alone)
+        stages = [event for event in events if isinstance(event, Stage)]
+        assert [stage.fits for stage in stages if stage.name == "fitting"] == fits
+
+
+def test_time_left_weighs_each_cell_by_what_it_took() -> None:
+    pace = Pace.start(pd.Series([3, 3, 2, 4]).to_numpy(), processes=2)
+    pace.note(0, 1.0)
+    pace.note(1, 50.0)
+    assert pace.eta is None
+    pace.note(2, 3.0)
+    assert pace.eta == (2 * 1.0 + 2 * 50.0 + 1 * 3.0 + 4 * 3.0) / 2
+
+
+def test_a_commit_or_nothing() -> None:
+    commit = git_commit()
+    assert commit is None or len(commit.removesuffix("+changes")) == 40
