@@ -118,7 +118,7 @@ class Estimator:
     def read(self, prepared: Prepared, found: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25)."""
         start = perf_counter()
-        problem, scales = prepared.problem, prepared.problem.group_scales
+        problem, scales = found.problem, found.problem.group_scales
         assert scales is not None
         length_scale = mean_velocity = math.nan
         by_scale: dict[float, float] = {}

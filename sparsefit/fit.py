@@ -246,7 +246,7 @@ def _judged(
         backend,
         solution.solver_status,
         solution.iterations,
-        problem=problem,
+        problem=solution.problem or problem,
     )
 
 

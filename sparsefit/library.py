@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sparsefit.derivative import Samples
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, positive, unknown
 from sparsefit.objective import Statistics, accumulate, row_blocks
 from sparsefit.vehicle import PointMassVehicle
 
@@ -60,9 +60,7 @@ class LengthScaleGrid:
         if self.spacing not in get_args(Spacing):
             raise unknown("spacing", str(self.spacing), get_args(Spacing))
         for name in ("lower", "upper"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"grid: {name} must be a positive length in m, not {value!r}")
+            positive(f"grid: {name}", getattr(self, name), "m")
         if self.upper < self.lower:
             raise InputError(
                 f"grid: upper ({self.upper:g} m) is below lower ({self.lower:g} m); swap them"
@@ -71,8 +69,8 @@ class LengthScaleGrid:
             raise InputError("grid: give step or count, not both")
         if self.spacing == "wavenumber" and self.count is None:
             raise InputError("grid: spacing 'wavenumber' needs count (the number of scales)")
-        if self.step is not None and not (np.isfinite(self.step) and self.step > 0):
-            raise InputError(f"grid: step must be a positive length in m, not {self.step!r}")
+        if self.step is not None:
+            positive("grid: step", self.step, "m")
         whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
         if self.count is not None and not (whole and self.count >= 1):
             raise InputError(f"grid: count must be an integer, at least 1, not {self.count!r}")
@@ -130,7 +128,8 @@ class RegressionProblem:
     theta and target are finite and no column of theta is zero. ``groups`` (k,) numbers the
     group of each column from 0; ``group_scales`` (g,) gives its length scale [m] where it has one.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
-    the m original ones (`from_blocks`).
+    the m original ones (`from_blocks`). ``position`` (m, 2) [m]: where theta's rows were taken, for
+    back-ends that make columns of their own; None where it is not known row by row.
     """
 
     theta: Array
@@ -140,6 +139,7 @@ class RegressionProblem:
     target_names: tuple[str, ...]
     group_scales: Array | None = None
     sample_count: int | None = None
+    position: Array | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)
@@ -282,8 +282,10 @@ class Library:
                 (candidate_columns(position, scales), values) for position, values in pieces
             )
             theta, target = triangle[:, :columns].copy(), triangle[:, columns:].copy()
+            position = None
         else:
             theta, count = candidate_columns(samples.position, scales), len(target)
+            position = samples.position
         return RegressionProblem(
             theta,
             target,
@@ -292,6 +294,7 @@ class Library:
             TARGET_NAMES[self.target],
             scales,
             count,
+            position,
         )
 
 

@@ -72,9 +72,7 @@ def row_blocks(*arrays: Array, size: int = ROW_BLOCK) -> Iterator[tuple[Array, .
         yield tuple(array[start : start + size] for array in arrays)
 
 
-def accumulate(
-    blocks: Iterator[tuple[Array, ...]], *, count: int | None = None
-) -> Statistics:
+def accumulate(blocks: Iterator[tuple[Array, ...]], *, count: int | None = None) -> Statistics:
     """Statistics from blocks of rows (theta, target), in memory of order k^2.
 
     ``count``: the number of samples m, where the rows are the compressed ones of more samples.

@@ -135,14 +135,14 @@ def scan(position: Array, flow_velocity: Array, step: float, first: int, last: i
     Fourier transforms; C'Phi is 8 more. The normal equations take a ridge of RIDGE m.
     """
     centred = _centred(position)
-    pairs = np.concatenate([DIRECTIONS[:, None] - DIRECTIONS, DIRECTIONS[:, None] + DIRECTIONS])
-    modes, where = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
-    where = where.reshape(2, 4, 4)
+    modes = np.argwhere(np.ones((5, 5))) - 2  # (p, q), lexicographic: symmetric about (0, 0)
+    one, other = DIRECTIONS[:, None], DIRECTIONS
+    differ, add = ((pair + 2) @ (5, 1) for pair in (one - other, one + other))
     ones = np.ones((1, len(centred)))
     sums = np.empty((len(modes), last - first + 1), complex)
     cross = np.empty((4, 2, last - first + 1), complex)
     for i, mode in enumerate(modes):
-        mirror = len(modes) - 1 - i  # sorted modes are symmetric about (0, 0)
+        mirror = len(modes) - 1 - i
         if mirror < i:
             sums[i] = sums[mirror].conj()
             continue
@@ -153,7 +153,7 @@ def scan(position: Array, flow_velocity: Array, step: float, first: int, last: i
         if len(waves):
             cross[waves[0]] = found[1:].conj()
     null = float(np.sum(flow_velocity**2))
-    minus, plus = sums[where[0]], sums[where[1]]
+    minus, plus = sums[differ], sums[add]
     curve = np.empty(last - first + 1)
     for begin in range(0, len(curve), CHUNK):
         part = slice(begin, begin + CHUNK)

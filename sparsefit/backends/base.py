@@ -19,7 +19,8 @@ class Solution:
     """What a back-end answers: weights (k, n) in original units, or the reason why not.
 
     ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
-    verbatim. Weights are None where there is no solution, never zeros.
+    verbatim. Weights are None where there is no solution, never zeros. ``problem``: the columns
+    that the weights belong to, where the back-end found its own (scales off the grid).
     """
 
     weights: Array | None
@@ -27,6 +28,7 @@ class Solution:
     reason: str = ""
     solver_status: str = ""
     iterations: int | None = None
+    problem: RegressionProblem | None = None
 
 
 @runtime_checkable

@@ -98,4 +98,8 @@ class GroupLasso:
 
     def referee(self) -> "GroupLasso | None":
         """Clarabel, for points that the certificate rejects."""
-        return dataclasses.replace(self, solver="clarabel-working-set") if self.solver == EXACT else None
+        return (
+            dataclasses.replace(self, solver="clarabel-working-set")
+            if self.solver == EXACT
+            else None
+        )

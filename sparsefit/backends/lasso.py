@@ -68,4 +68,8 @@ class Lasso:
 
     def referee(self) -> "Lasso | None":
         """Clarabel, for points that the certificate rejects."""
-        return dataclasses.replace(self, solver="clarabel-working-set") if self.solver == EXACT else None
+        return (
+            dataclasses.replace(self, solver="clarabel-working-set")
+            if self.solver == EXACT
+            else None
+        )

@@ -10,7 +10,6 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from sparsefit.backends.base import Solution, checked_number
@@ -21,6 +20,7 @@ from sparsefit.objective import CertificateKind
 Array = NDArray[np.float64]
 Support = NDArray[np.bool_]
 Mode = Literal["scaled", "pysindy"]
+DEFAULT_THRESHOLD = {"scaled": 0.03, "pysindy": 0.1}
 SAFE_RCOND = (
     1e-10  # of the Gram matrix: below it, refined normal equations lose digits that QR keeps
 )
@@ -34,12 +34,14 @@ class STLSQ:
     relative to the rms of the target, so neither depends on units or the number of samples.
     ``pysindy`` is PySINDy's STLSQ: threshold and ridge (its alpha) act on the plain sum of
     squares; ``normalize_columns`` divides columns by their 2-norm first, as its option does.
+    threshold: None is 0.03 in mode ``scaled`` and PySINDy's 0.1 in mode ``pysindy``. Neighbouring
+    length scales share a ridge's weight, so the largest scaled weight is well below 1.
     """
 
     name: ClassVar[str] = "stlsq"
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
     mode: Mode = "scaled"
-    threshold: float = 0.1
+    threshold: float | None = None
     ridge: float = 0.05
     unbias: bool = True
     max_iterations: int = 20
@@ -48,6 +50,8 @@ class STLSQ:
     def __post_init__(self) -> None:
         if self.mode not in get_args(Mode):
             raise unknown("mode of stlsq", str(self.mode), get_args(Mode))
+        if self.threshold is None:
+            object.__setattr__(self, "threshold", DEFAULT_THRESHOLD[self.mode])
         checked_number(self.name, "threshold", self.threshold, low=0.0)
         checked_number(self.name, "ridge", self.ridge, low=0.0)
         checked_number(self.name, "max_iterations", self.max_iterations, low=1.0)
@@ -81,7 +85,7 @@ class STLSQ:
                 return Solution(
                     None,
                     "unidentifiable",
-                    f"empty support: threshold {self.threshold:g} removed every column; lower it",
+                    f"empty support: threshold {_threshold(self):g} removed every column; lower it",
                     iterations=iteration,
                 )
             if support.all() or (iteration > 1 and np.array_equal(support, previous)):
@@ -120,20 +124,25 @@ class _System:
     scale: Array
     ridge: float
     threshold: Array
+    rows: int  # what the normal equations were divided by
 
     @classmethod
     def of(cls, problem: RegressionProblem, settings: STLSQ) -> "_System":
         s = problem.statistics
         if settings.mode == "scaled":
-            threshold = settings.threshold * np.sqrt(s.target_square)
-            return cls(s.gram, s.cross, s.rms, settings.ridge, threshold)
+            threshold = _threshold(settings) * np.sqrt(s.target_square)
+            return cls(s.gram, s.cross, s.rms, settings.ridge, threshold, s.samples)
         scale = s.rms * np.sqrt(s.samples) if settings.normalize_columns else np.ones_like(s.rms)
         lift = s.rms / scale
         gram = s.gram * (lift[:, None] * lift * s.samples)
         cross = s.cross * (lift[:, None] * s.samples)
-        return cls(
-            gram, cross, scale, settings.ridge, np.full(len(s.target_square), settings.threshold)
-        )
+        threshold = np.full(len(s.target_square), _threshold(settings))
+        return cls(gram, cross, scale, settings.ridge, threshold, 1)
+
+
+def _threshold(settings: STLSQ) -> float:
+    assert settings.threshold is not None  # resolved when the settings were made
+    return settings.threshold
 
 
 def _ridge_solve(
@@ -146,10 +155,11 @@ def _ridge_solve(
     if failed == 0:
         solution: Array = dpotrs(factor, system.cross[on, t], lower=1)[0]
         return solution
-    if system.ridge > 0:
-        raise LinAlgError(f"stlsq: ridge {system.ridge:g} is too small for this library")
-    columns = problem.theta[:, on] / system.scale[on]
-    return np.linalg.lstsq(columns, problem.target[:, t], rcond=None)[0]
+    # A ridge that rounds away in Z'Z still counts beside Z: the same problem by its rows.
+    damping = np.sqrt(system.ridge * system.rows) * np.eye(len(on))
+    columns = np.vstack([problem.theta[:, on] / system.scale[on], damping])
+    target = np.concatenate([problem.target[:, t], np.zeros(len(on))])
+    return np.linalg.lstsq(columns, target, rcond=None)[0]
 
 
 def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import sys
 from pathlib import Path
 
 
@@ -45,3 +47,8 @@ def duration(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest:02d} s"
     return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def terminal_width() -> int:
+    """Columns of the terminal; a pipe or a file takes wide tables as they are."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else 160

@@ -7,11 +7,9 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, NoReturn, TypeAlias
+from typing import NoReturn, TypeAlias
 
-if TYPE_CHECKING:
-    Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
-
+Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Value: TypeAlias = bool | int | float | str
 Run: TypeAlias = Callable[[argparse.Namespace], int]
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import duration, print_json
+from sparsefit.cli.output import duration, print_json, terminal_width
 from sparsefit.cli.parser import Parser, whole
+from sparsefit.cli.progress import Bar, Lines
 
-PLAIN_SECONDS = 5.0
+if TYPE_CHECKING:
+    from sparsefit.study.runner import RunSummary
+    from sparsefit.study.spec import Study
+
 STOPPED = "stopped; run the same command again to continue"
 STOPPED_FRESH = "stopped; run the same command without --fresh to continue"
+STOPPED_WRITING = "stopped while writing the report; run the same command again to continue"
 
 
 def add_options(parser: Parser) -> None:
@@ -24,11 +27,7 @@ def add_options(parser: Parser) -> None:
         "--processes", type=whole, metavar="N", help="default: one per processor of this machine"
     )
     parser.add_argument(
-        "--fresh",
-        action="store_const",
-        const=True,
-        default=False,
-        help="start over, and drop the cases that are there",
+        "--fresh", action="store_true", help="start over, and drop the cases that are there"
     )
 
 
@@ -43,13 +42,58 @@ def run(args: argparse.Namespace) -> int:
     progress = Bar() if sys.stderr.isatty() else Lines()
     try:
         summary = runner.run(
-            study,
-            args.results,
-            processes=args.processes,
-            progress=progress,
-            fresh=args.fresh,
+            study, args.results, processes=args.processes, progress=progress, fresh=args.fresh
         )
     finally:
         progress.close()
-    args.stopped = "stopped while writing; sparsefit study report writes it again"
-    return _tell(args, study, summary)
+    args.stopped = STOPPED_WRITING
+    return _finish(args, study, summary)
+
+
+def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
+    from sparsefit.study.report import write_report
+
+    written = write_report(study, summary.folder)
+    if args.json:
+        print_json(
+            {
+                "study": study.name,
+                "folder": str(summary.folder),
+                "cases": summary.planned,
+                "resumed": summary.resumed,
+                "statuses": dict(summary.statuses),
+                "seconds": summary.seconds,
+                "written": [str(path) for path in written],
+            }
+        )
+        return 0
+    print(_main_table(study, summary))
+    print(_what_was_done(summary))
+    print(f"cases, manifest, tables, figures and report: {summary.folder}")
+    return 0
+
+
+def _main_table(study: Study, summary: RunSummary) -> str:
+    from sparsefit.study.render import to_text
+    from sparsefit.study.store import read_cases
+    from sparsefit.study.tables import TABLES, tables_for
+
+    cases = read_cases(summary.folder)
+    first = (*study.tables, *tables_for(cases))[0]
+    return to_text(TABLES[first](study, cases), width=terminal_width())
+
+
+def _what_was_done(summary: RunSummary) -> str:
+    counted = by_status(summary.statuses)
+    if summary.nothing_to_do:
+        return f"nothing to run: all {summary.planned} cases were there ({counted})"
+    before = f", {summary.resumed} of them from before" if summary.resumed else ""
+    return f"{summary.planned} cases{before} ({counted}) in {duration(summary.seconds)}"
+
+
+def by_status(statuses: Mapping[str, int]) -> str:
+    """`93 ok, 2 unidentifiable`, in the order of the vocabulary."""
+    from sparsefit.study.summary import STATUSES
+
+    order = [name for name in STATUSES if name in statuses]
+    return ", ".join(f"{statuses[name]} {name}" for name in order) or "none"

@@ -49,7 +49,7 @@ CAPTIONS = {
     "5th to 95th percentile, thick line the median; all levels of swept factors together.",
     "sweep": "Median size of the percentage error and its quartiles against each swept number, "
     "first listed setting of each back-end. A failure counts as an infinite error: where half "
-    "the cases fail, the line stops.",
+    "the cases fail, the line stops. Other swept factors are pooled.",
 }
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-MEMORY = 20  # outcomes of a cell over which its mean forgets, so that it follows a trend
+MEMORY = 10  # outcomes of a cell over which its mean forgets, so that it follows a trend
 ENOUGH = 3
 
 
@@ -26,8 +26,10 @@ class Pace:
         return cls(left.copy(), np.zeros(len(left)), np.zeros(len(left), np.int64), processes)
 
     def note(self, cell: int, seconds: float) -> None:
-        """One case of `cell` ended after `seconds` of a worker's time."""
+        """One case of `cell` ended after `seconds` of a worker's time; NaN: not representative."""
         self.left[cell] -= 1
+        if np.isnan(seconds):
+            return
         self.seen[cell] += 1
         self.mean[cell] += (seconds - self.mean[cell]) / min(self.seen[cell], MEMORY)
 
@@ -38,6 +40,8 @@ class Pace:
         A cell never seen counts as the median of those seen: the first case of a flight carries
         the simulation and the library, and must not stand for all.
         """
+        if not self.left.any():
+            return 0.0
         known = self.seen > 0
         if np.count_nonzero(known) < min(ENOUGH, len(known)):
             return None

@@ -65,7 +65,7 @@ def readings(study: StudyRecord, cases: pd.DataFrame) -> Table:
     columns = (
         *(Column(name, align="left") for name in ("protocol", "backend", "setting", *swept)),
         *(Column(name, format="d") for name in ("n", "failures", "hits")),
-        *_three("signed mean percentage error", "%", "+.2f"),
+        *_three("mean signed % error", "%", "+.2f"),
         Column("distance", "pp", SIGNIFICANT),
     )
     title = f"Readings of the paper, closest to its Table 2 first ({study.name})"
@@ -89,9 +89,9 @@ def sensitivity(study: StudyRecord, cases: pd.DataFrame) -> Table:
         Column("factor", align="left"),
         Column("levels", format="d"),
         Column("comparisons", format="d"),
-        *_three("typical range of the median |error|", "pp", SIGNIFICANT),
-        *_three("largest", "pp", SIGNIFICANT),
-        *_three("typical range of the signed mean error", "pp", SIGNIFICANT),
+        *_three("range of median |error|", "pp", SIGNIFICANT),
+        *_three("the largest such range", "pp", SIGNIFICANT),
+        *_three("range of mean signed %", "pp", SIGNIFICANT),
         Column("failures", format="d"),
     )
     title = f"How far the errors depend on each factor ({study.name})"

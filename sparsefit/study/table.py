@@ -77,7 +77,7 @@ class Table:
         hidden = len(self.rows) - len(self.visible_rows)
         if not hidden:
             return self.notes
-        return (*self.notes, f"{hidden} more rows are in the CSV file of this table.")
+        return (*self.notes, f"Rows that only the CSV file of this table has: {hidden}.")
 
 
 def cell_text(cell: Cell, column: Column) -> str:

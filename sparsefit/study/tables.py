@@ -111,8 +111,8 @@ def errors(study: StudyRecord, cases: pd.DataFrame) -> Table:
     ]
     columns = (
         *_key_columns(swept),
-        *_three("signed mean error", "+.2f"),
-        *_three("signed mean percentage error", "+.2f", unit="%"),
+        *_three("mean signed error", "+.2f"),
+        *_three("mean signed % error", "+.2f", unit="%"),
         Column("hits", "%", ".0f"),
     )
     notes = (FAILURES_NOTE, SIGNED_NOTE)

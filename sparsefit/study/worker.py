@@ -93,6 +93,7 @@ class Worker:
     timeout: float
     deadline: float
     ready: bool = False
+    warm: bool = False
     job: Job | None = None
     stage: Stage | None = None
     todo: dict[int, None] = field(default_factory=dict)
@@ -126,7 +127,7 @@ class Worker:
             self.pipe.send(job)
 
     def take(self, message: Message) -> tuple[Outcome, float] | None:
-        """Note what happened; an outcome comes back with the seconds it took."""
+        """Note what happened; an outcome comes back with the seconds it took, or NaN."""
         now = time.monotonic()
         self.deadline = now + self.timeout
         if isinstance(message, Ready):
@@ -135,7 +136,9 @@ class Worker:
             self.stage, self.deadline = message, now + self.timeout * message.fits
         else:
             self.todo.pop(message.cell, None)
-            seconds, self.since = now - self.since, now
+            # The first case of a process pays for what is loaded on first use.
+            seconds = now - self.since if self.warm else float("nan")
+            self.warm, self.since = True, now
             return message, seconds
         return None
 

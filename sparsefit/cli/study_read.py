@@ -1,0 +1,163 @@
+"""`sparsefit study status, errors, show, report`: read what a study answered."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sparsefit.cli.output import print_json, terminal_width
+from sparsefit.cli.parser import Parser, Run
+from sparsefit.cli.study_run import by_status
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from sparsefit.study.runner import RunStatus
+    from sparsefit.study.spec import Study
+
+NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A study and the cases that are there, finished or not."""
+
+    study: Study
+    status: RunStatus
+    cases: pd.DataFrame
+
+
+def add_options(show: Parser) -> None:
+    """Declare what only `show` has."""
+    show.add_argument(
+        "--table",
+        action="append",
+        metavar="NAME",
+        help="one table, or more if repeated; default: those of the study",
+    )
+
+
+def status(args: argparse.Namespace) -> int:
+    """Planned, done, and by status."""
+    from sparsefit.study import runner
+    from sparsefit.study.spec import Study
+
+    study = Study.load(args.study)
+    found = runner.status(study, args.results)
+    if args.json:
+        record = {"folder": str(found.folder), "planned": found.planned, "done": found.done}
+        counted = {"finished": found.finished, "statuses": dict(found.statuses)}
+        print_json({"study": study.name, **record, **counted})
+        return 0
+    state = "finished" if found.finished else "not finished" if found.done else "not begun"
+    print(
+        f"{study.name}: {state}, {found.done} of {found.planned} cases "
+        f"({by_status(found.statuses)}) in {found.folder}"
+    )
+    return 0
+
+
+def errors(args: argparse.Namespace) -> int:
+    """Cases that are not ok, by back-end, status and reason; numbers in a reason may differ."""
+    stored = _stored(args)
+    groups = _grouped(stored.cases[stored.cases["status"] != "ok"])
+    if args.json:
+        print_json({"study": stored.study.name, "done": stored.status.done, "groups": groups})
+        return 0
+    total = sum(group["cases"] for group in groups)
+    print(f"{stored.study.name}: {total} of {stored.status.done} cases are not ok" + _note(stored))
+    for group in groups:
+        print(
+            f"\n{group['cases']} x {group['status']}, {group['label']}\n"
+            f"  {group['reason'] or 'no reason given'}\n  first case: {group['first_case']}"
+        )
+    return 0
+
+
+def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
+    groups: dict[tuple[str, str, str], dict[str, Any]] = {}
+    columns = (cases[name].tolist() for name in ("case_id", "label", "status", "reason"))
+    for case_id, label, status, reason in zip(*columns, strict=True):
+        key = (label, status, NUMBER.sub("#", reason))
+        first = {"cases": 0, "status": status, "label": label, "reason": reason}
+        groups.setdefault(key, {**first, "first_case": case_id})["cases"] += 1
+    return sorted(groups.values(), key=lambda group: -group["cases"])
+
+
+def show(args: argparse.Namespace) -> int:
+    """The tables of the study, or those asked for."""
+    from sparsefit.errors import unknown
+    from sparsefit.study.render import to_text
+    from sparsefit.study.tables import TABLES, tables_for
+
+    for name in args.table or ():
+        if name not in TABLES:
+            raise unknown("table", name, TABLES)
+    stored = _stored(args)
+    names = args.table or stored.study.tables or tables_for(stored.cases)
+    tables = {name: TABLES[name](stored.study, stored.cases) for name in names}
+    if args.json:
+        print_json({name: _record(table) for name, table in tables.items()})
+        return 0
+    print("\n".join(to_text(table, width=terminal_width()) for table in tables.values()), end="")
+    if not stored.status.finished:
+        print(f"\n{stored.study.name}{_note(stored)}")
+    return 0
+
+
+def _record(table: Any) -> dict[str, Any]:
+    rows = [[None if cell != cell else cell for cell in row] for row in table.rows]
+    columns = [column.full_heading for column in table.columns]
+    return {"title": table.title, "columns": columns, "rows": rows, "notes": list(table.remarks)}
+
+
+def report(args: argparse.Namespace) -> int:
+    """Tables, figures and report anew; the cases stay as they are."""
+    from sparsefit.errors import InputError
+    from sparsefit.study import runner
+    from sparsefit.study.report import write_report
+    from sparsefit.study.spec import Study
+
+    study = Study.load(args.study)
+    found = runner.status(study, args.results)
+    if not found.finished:
+        raise InputError(_unfinished(args, found))
+    for path in write_report(study, found.folder):
+        print(path)
+    return 0
+
+
+RUNS: dict[str, Run] = {"status": status, "errors": errors, "show": show, "report": report}
+
+
+def _stored(args: argparse.Namespace) -> Stored:
+    """The cases of a finished study, or those that a run has left or is making."""
+    from sparsefit.errors import InputError
+    from sparsefit.study import partial, runner, store
+    from sparsefit.study.design import cells
+    from sparsefit.study.spec import Study
+
+    study = Study.load(args.study)
+    found = runner.status(study, args.results)
+    if found.finished:
+        return Stored(study, found, store.read_cases(found.folder))
+    rows = partial.read_rows(found.folder)
+    if not rows:
+        raise InputError(_unfinished(args, found))
+    table = store.cases_table(study, [rows[key] for key in sorted(rows)], cells(study))
+    return Stored(study, found, table.to_pandas())
+
+
+def _unfinished(args: argparse.Namespace, found: RunStatus) -> str:
+    return (
+        f"{found.folder}: {found.done} of {found.planned} cases are there; "
+        f"run them first: sparsefit study run {args.study}"
+    )
+
+
+def _note(stored: Stored) -> str:
+    if stored.status.finished:
+        return ""
+    return f" (not finished: {stored.status.done} of {stored.status.planned} cases so far)"
