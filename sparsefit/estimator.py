@@ -27,6 +27,7 @@ class Prepared:
 
     samples: Samples
     flow_velocity: np.ndarray
+    target: np.ndarray  # a row per sample: the problem's own may be compressed
     problem: RegressionProblem
     seconds: float
 
@@ -108,7 +109,8 @@ class Estimator:
         samples = self.derivative(flight)
         problem = self.library.build(samples, flight.vehicle)
         phi = samples.flow_velocity(flight.vehicle)
-        return Prepared(samples, phi, problem, perf_counter() - start)
+        target = self.library.response(samples, flight.vehicle)
+        return Prepared(samples, phi, target, problem, perf_counter() - start)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""
@@ -131,7 +133,7 @@ class Estimator:
             else:
                 length_scale = float(scales[int(np.argmax(weights))])
                 mean_velocity = self.readout.velocity(
-                    prepared.samples.position, prepared.flow_velocity, problem.target, length_scale
+                    prepared.samples.position, prepared.flow_velocity, prepared.target, length_scale
                 )
         timescale = length_scale / mean_velocity if mean_velocity else math.nan
         if status in ("ok", "inaccurate") and not (

@@ -261,6 +261,14 @@ class Library:
         if self.target not in TARGET_NAMES:
             raise unknown("target", str(self.target), TARGET_NAMES)
 
+    def response(self, samples: Samples, vehicle: PointMassVehicle) -> Array:
+        """What the candidates are regressed on, (m, n), one row per sample."""
+        if self.target == "flow-velocity":
+            return samples.flow_velocity(vehicle)
+        if self.target == "acceleration":
+            return samples.acceleration
+        return np.hstack([samples.position_rate, samples.acceleration])
+
     def build(self, samples: Samples, vehicle: PointMassVehicle) -> RegressionProblem:
         """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
 
@@ -269,12 +277,7 @@ class Library:
         """
         scales = self.grid.scales
         held = len(samples.time) * len(scales) * len(CANDIDATES) * 8
-        if self.target == "flow-velocity":
-            target = samples.flow_velocity(vehicle)
-        elif self.target == "acceleration":
-            target = samples.acceleration
-        else:
-            target = np.hstack([samples.position_rate, samples.acceleration])
+        target = self.response(samples, vehicle)
         columns = len(scales) * len(CANDIDATES)
         if held > STREAM_BYTES and len(samples.time) > columns + target.shape[1]:
             pieces = row_blocks(samples.position, target)

@@ -20,27 +20,31 @@ from sparsefit.errors import InputError
 Array = NDArray[np.float64]
 
 DIRECTIONS = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # s = p x + q y of the four plane waves
+DX = np.array([2, 0, 0, 0, 6, 7, 4, 5]), np.array([1.0, 0, -1, 0, 1, 1, -1, -1])
+DY = (
+    np.array([0, 3, 0, 1, 5, 4, 7, 6]),
+    np.array([0, 1.0, 0, -1, 1, -1, 1, -1]),
+)  # dC_j/dy: C_i, sign
 STEP = 0.15  # of the scan, in 1/extent; 0.6 steps over lobes
-LOBES = 6  # refined on all rows; the rest are too shallow to be best or rival
+LOBES = 5  # refined on all rows; the rest are too shallow to be best or rival
 RIDGE = 1e-6  # of the scan: above the error of its sums, and 2e-6 of |Phi|^2 at most at the truth
 RANK = 1e-12  # eigenvalues of the scaled 8 x 8 Gram below this, relative, are dropped
 CHUNK = 4096  # wavenumbers solved at once: bounds the memory
 SPREAD = 8  # cells of the spreading kernel: sums to 1e-7
+BETA = 2.3 * SPREAD
 ITERATIONS = 40
+ROUGH = 1e-3  # in scan steps, 1e-9 of a lobe's depth: where a rival's descent may stop
 SIGNIFICANCE = 0.05
+CORRELATION = 10  # samples: errors of smoothed derivatives and of positions are not white
 
 
 @dataclass(frozen=True)
 class Refinement:
     """The best length scale of an interval and its rival, the best other lobe.
 
-    Args:
-        length_scale: L [m] at the least residual; wavenumber: k = pi/L [1/m].
-        residual, null_residual: RSS(k) and |Phi|^2 [m^2/s^2].
-        rival_length_scale, rival_residual: of the best other lobe; NaN and inf without one.
-        at_bound: the least residual lies on the edge of the interval: L is outside it.
-        samples: m, of 2 components each.
-        lobes: how many separate lobes the interval holds: so many chances for a false one.
+    length_scale L [m] and wavenumber k = pi/L [1/m] of the least residual RSS(k); null_residual
+    |Phi|^2 [m^2/s^2]; the rival's, NaN and inf without one; at_bound: the least residual is on the
+    edge of the interval; samples m, of 2 components; lobes: separate minima in the interval.
     """
 
     length_scale: float
@@ -62,34 +66,30 @@ class Refinement:
 
     @property
     def identifiable(self) -> bool:
-        """Whether the data exclude the rival, inside the interval.
+        """Whether the data exclude the rival, and L is inside the interval.
 
-        A false lobe is ahead of the true one by a likelihood ratio c with probability <= 1/c;
-        over all lobes the risk is 5 % at evidence = 2 ln(lobes / 0.05).
+        A false lobe leads by a likelihood ratio c with probability <= 1/c; over all lobes the
+        risk is 5 % at evidence = 2 ln(lobes / 0.05), times the length CORRELATION of the errors.
         """
-        return not self.at_bound and self.evidence > 2 * math.log(self.lobes / SIGNIFICANCE)
+        needed = 2 * CORRELATION * math.log(self.lobes / SIGNIFICANCE)
+        return not self.at_bound and self.evidence > needed
 
 
 def columns(position: Array, wavenumber: float) -> tuple[Array, Array]:
     """C (m, 8) in the order of CANDIDATES, and its derivative dC/dk (m, 8) [m]."""
-    x, y = position[:, 0], position[:, 1]
-    sin_x, cos_x = np.sin(wavenumber * x), np.cos(wavenumber * x)
-    sin_y, cos_y = np.sin(wavenumber * y), np.cos(wavenumber * y)
-    dsin_x, dcos_x, dsin_y, dcos_y = x * cos_x, -x * sin_x, y * cos_y, -y * sin_y
-    value, slope = np.empty((8, len(x))), np.empty((8, len(x)))
-    value[0], value[1], value[2], value[3] = sin_x, sin_y, cos_x, cos_y
-    slope[0], slope[1], slope[2], slope[3] = dsin_x, dsin_y, dcos_x, dcos_y
-    products = ((sin_x, dsin_x), (cos_x, dcos_x)), ((sin_y, dsin_y), (cos_y, dcos_y))
-    for i, (a, da) in enumerate(products[0]):
-        for j, (b, db) in enumerate(products[1]):
-            value[4 + 2 * i + j] = a * b
-            slope[4 + 2 * i + j] = da * b + a * db
+    (sin_x, sin_y), (cos_x, cos_y) = (
+        np.sin(wavenumber * position.T),
+        np.cos(wavenumber * position.T),
+    )
+    singles, (x, y) = [sin_x, sin_y, cos_x, cos_y], position.T
+    value = np.stack([*singles, sin_x * sin_y, sin_x * cos_y, cos_x * sin_y, cos_x * cos_y])
+    slope = x * (DX[1][:, None] * value[DX[0]]) + y * (DY[1][:, None] * value[DY[0]])
     return value.T, slope.T
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """The 8-column fit at one k: RSS, W (8, 2), half gradient -(R, dC W), curvature |P dC W|^2."""
+    """The 8-column fit at one k: RSS, W (8, 2), gradient of RSS/2 and its curvature."""
 
     wavenumber: float
     residual: float
@@ -131,31 +131,26 @@ def residual_curve(position: Array, flow_velocity: Array, wavenumbers: Array) ->
 def scan(position: Array, flow_velocity: Array, step: float, first: int, last: int) -> Array:
     """RSS(k) at k = j step, j = first..last, from Fourier sums: all rows, few operations.
 
-    The Gram entries are sums of cos and sin of k (p x + q y), |p|, |q| <= 2: 13 non-uniform
-    Fourier transforms; C'Phi is 8 more. The normal equations take a ridge of RIDGE m.
+    The Gram entries are sums of cos and sin of k (p x + q y), |p|, |q| <= 2: 12 non-uniform
+    Fourier transforms and their conjugates; C'Phi is 8 more. A ridge of RIDGE m is added.
     """
-    centred = _centred(position)
-    modes = np.argwhere(np.ones((5, 5))) - 2  # (p, q), lexicographic: symmetric about (0, 0)
+    centred, count = _centred(position), last - first + 1
+    gain, size = _kernel_gain(first, last)
+    sums, cross = np.empty((25, count), complex), np.empty((4, 2, count), complex)
+    sums[12] = len(centred)
+    for i in range(12):  # (p, q) = divmod(i, 5) - 2: symmetric about i = 12, (0, 0)
+        mode = np.array(divmod(i, 5)) - 2
+        wave = np.flatnonzero((-mode == DIRECTIONS).all(axis=1))
+        loads = flow_velocity.T if len(wave) else flow_velocity.T[:0]
+        found = _fourier_sums(centred @ mode, loads, step, size)[:, first : last + 1] / gain
+        sums[i], sums[24 - i] = found[0].conj(), found[0]
+        if len(wave):
+            cross[wave[0]] = found[1:]
     one, other = DIRECTIONS[:, None], DIRECTIONS
-    differ, add = ((pair + 2) @ (5, 1) for pair in (one - other, one + other))
-    ones = np.ones((1, len(centred)))
-    sums = np.empty((len(modes), last - first + 1), complex)
-    cross = np.empty((4, 2, last - first + 1), complex)
-    for i, mode in enumerate(modes):
-        mirror = len(modes) - 1 - i
-        if mirror < i:
-            sums[i] = sums[mirror].conj()
-            continue
-        waves = np.flatnonzero((-mode == DIRECTIONS).all(axis=1))
-        loads = np.vstack([ones, flow_velocity.T]) if len(waves) else ones
-        found = _fourier_sums(centred @ mode, loads, step, first, last)
-        sums[i] = found[0]
-        if len(waves):
-            cross[waves[0]] = found[1:].conj()
+    minus, plus = (sums[(pair + 2) @ (5, 1)] for pair in (one - other, one + other))
     null = float(np.sum(flow_velocity**2))
-    minus, plus = sums[differ], sums[add]
-    curve = np.empty(last - first + 1)
-    for begin in range(0, len(curve), CHUNK):
+    curve = np.empty(count)
+    for begin in range(0, count, CHUNK):
         part = slice(begin, begin + CHUNK)
         gram = _real_gram(minus[..., part], plus[..., part])
         load = np.concatenate([cross[..., part].real, cross[..., part].imag]).transpose(2, 0, 1)
@@ -172,27 +167,30 @@ def _real_gram(minus: NDArray[np.complex128], plus: NDArray[np.complex128]) -> A
     return np.ascontiguousarray(0.5 * np.concatenate(rows, 0).transpose(2, 0, 1))
 
 
-def _fourier_sums(
-    points: Array, loads: Array, step: float, first: int, last: int
-) -> NDArray[np.complex128]:
-    """Sum_i loads[:, i] exp(1j j step points[i]), j = first..last: NUFFT of type 1.
+def _fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArray[np.complex128]:
+    """Sum_i w_i exp(-1j j step points[i]), j = 0..size/2, times the kernel's gain: NUFFT, type 1.
 
-    Kernel exp(beta sqrt(1 - z^2)) over SPREAD cells, twofold oversampling (Barnett et al., 2019).
+    For w = 1 and each row of loads. Kernel exp(beta sqrt(1 - z^2)) over SPREAD cells, twofold
+    oversampling (Barnett, Magland and af Klinteberg, 2019).
     """
-    size = 1 << math.ceil(math.log2(max(4 * (last + 1), 4 * SPREAD)))
-    beta = 2.3 * SPREAD
     place = points * (step * size / (2 * math.pi))
     low = np.ceil(place - SPREAD / 2)
-    offset = (low - place)[:, None] + np.arange(SPREAD)
-    kernel = np.exp(beta * (np.sqrt(np.maximum(1 - (2 * offset / SPREAD) ** 2, 0.0)) - 1))
-    cells = ((low.astype(np.intp)[:, None] + np.arange(SPREAD)) % size).ravel()
-    spread = np.array([np.bincount(cells, (kernel * w[:, None]).ravel(), size) for w in loads])
+    offset = (low - place) * (2 / SPREAD) + np.arange(SPREAD)[:, None] * (2 / SPREAD)
+    kernel = np.exp(BETA * np.sqrt(np.maximum(1 - offset * offset, 0.0)) - BETA)
+    cells = ((low.astype(np.intp) + np.arange(SPREAD)[:, None]) % size).ravel()
+    weighted = [kernel, *(kernel * row for row in loads)]
+    return np.fft.rfft([np.bincount(cells, values.ravel(), size) for values in weighted])
+
+
+def _kernel_gain(first: int, last: int) -> tuple[Array, int]:
+    """The kernel's Fourier transform at j = first..last, and the grid's size."""
+    size = 1 << math.ceil(math.log2(4 * (last + 1) + 4 * SPREAD))
     nodes, mass = np.polynomial.legendre.leggauss(4 * SPREAD)
-    mass = 0.5 * SPREAD * mass * np.exp(beta * (np.sqrt(1 - nodes**2) - 1))
-    angles = np.outer(np.arange(first, last + 1), math.pi * SPREAD / size * nodes)
-    found: NDArray[np.complex128] = np.fft.rfft(spread)[:, first : last + 1].conj()
-    found /= np.cos(angles) @ mass
-    return found
+    mass = 0.5 * SPREAD * mass * np.exp(BETA * (np.sqrt(1 - nodes * nodes) - 1))
+    gain: Array = (
+        np.cos(np.outer(np.arange(first, last + 1), math.pi * SPREAD / size * nodes)) @ mass
+    )
+    return gain, size
 
 
 def refine(
@@ -205,12 +203,9 @@ def refine(
 ) -> Refinement:
     """Find L in [lower, upper] [m] with the least residual, and its rival.
 
-    Args:
-        position: (m, 2) [m]; flow_velocity: Phi (m, 2) [m/s].
-        start_length_scale: a back-end's answer [m]: its lobe is refined whatever its depth.
-
-    Raises:
-        InputError: if the interval is empty or the flight stands still.
+    position (m, 2) [m]; flow_velocity Phi (m, 2) [m/s]; start_length_scale: a back-end's answer
+    [m], whose lobe is refined whatever its depth. Raises InputError if the interval is empty or
+    the flight stands still.
     """
     extent = float(np.ptp(position, axis=0).max())
     if not (0 < lower < upper < math.inf and extent > 0):
@@ -218,30 +213,27 @@ def refine(
             f"refine needs 0 < lower < upper and a flight that moves; got {lower:g} to {upper:g} m "
             f"and an extent of {extent:g} m"
         )
-    bounds, step = (math.pi / upper, math.pi / lower), STEP / extent
-    step = min(step, (bounds[1] - bounds[0]) / 8)
-    first, last = math.floor(bounds[0] / step), math.ceil(bounds[1] / step)
-    curve = scan(position, flow_velocity, step, first, last)
-    minima = _minima(curve)
+    low, high = math.pi / upper, math.pi / lower
+    step = min(STEP / extent, (high - low) / 8)
+    limits, first, last = (low, high, step), math.floor(low / step), math.ceil(high / step)
+    minima = _minima(scan(position, flow_velocity, step, first, last))
     chosen = minima[:LOBES].tolist()
     if start_length_scale is not None:
         chosen.append(minima[np.abs(minima + first - math.pi / start_length_scale / step).argmin()])
-    centred = _centred(position)
-    found = [
-        _descend(centred, flow_velocity, step * (first + j), step, bounds) for j in set(chosen)
-    ]
+    centred, phi, rough = _centred(position), flow_velocity, ROUGH * step
+    found = [_descend(centred, phi, step * (first + j), limits, rough) for j in set(chosen)]
     found.sort(key=lambda fit: fit.residual)
-    best = found[0]
+    best = _descend(centred, phi, found[0].wavenumber, limits, 0.0)
     others = [fit for fit in found if abs(fit.wavenumber - best.wavenumber) > 2 * step]
     rival = others[0] if others else None
     return Refinement(
         length_scale=math.pi / best.wavenumber,
         wavenumber=best.wavenumber,
         residual=best.residual,
-        null_residual=float(np.sum(flow_velocity**2)),
+        null_residual=float(np.sum(phi**2)),
         rival_length_scale=math.pi / rival.wavenumber if rival else math.nan,
         rival_residual=rival.residual if rival else math.inf,
-        at_bound=best.wavenumber in bounds,
+        at_bound=best.wavenumber in (low, high),
         samples=len(position),
         lobes=len(minima),
     )
@@ -258,26 +250,33 @@ def _minima(curve: Array) -> NDArray[np.intp]:
     found = np.flatnonzero((curve <= padded[:-2]) & (curve <= padded[2:]))
     inner = np.clip(found, 1, len(curve) - 2)
     before, here, after = curve[inner - 1], curve[inner], curve[inner + 1]
-    bend = np.maximum(before - 2 * here + after, np.finfo(float).tiny)
-    depth = np.where(found == inner, here - (after - before) ** 2 / (8 * bend), curve[found])
+    bend = before - 2 * here + after
+    drop = (after - before) ** 2 / np.where(bend > 0, 8 * bend, np.inf)
+    depth = np.where(found == inner, here - drop, curve[found])
     return found[np.argsort(depth, kind="stable")]
 
 
 def _descend(
-    position: Array, flow_velocity: Array, start: float, step: float, bounds: tuple[float, float]
+    position: Array, phi: Array, start: float, limits: tuple[float, float, float], tolerance: float
 ) -> Projection:
-    """Gauss-Newton from the scan's minimum: steps within one scan step, halved until RSS falls."""
-    here = project(position, flow_velocity, min(max(start, bounds[0]), bounds[1]))
+    """Gauss-Newton from k = start: moves within one scan step, shortened until RSS falls.
+
+    limits: the least and the largest k, and the scan step; tolerance on a move [1/m].
+    """
+    lowest, highest, step = limits
+    here = project(position, phi, min(max(start, lowest), highest))
+    move = _newton(here)
     for _ in range(ITERATIONS):
-        move = -here.gradient / here.curvature if here.curvature > 0 else 0.0
-        move = min(max(move, -step), step)
-        while True:
-            k = min(max(here.wavenumber + move, bounds[0]), bounds[1])
-            if abs(k - here.wavenumber) <= 1e-15 * k:
-                return here
-            there = project(position, flow_velocity, k)
-            if there.residual < here.residual:
-                break
-            move /= 2 if abs(move) > 1e-9 * k else 1e9  # rounding hides the rest
-        here = there
+        k = min(max(here.wavenumber + min(max(move, -step), step), lowest), highest)
+        if abs(k - here.wavenumber) <= max(tolerance, 1e-15 * k):
+            break
+        there = project(position, phi, k)
+        if there.residual < here.residual:
+            here, move = there, _newton(there)
+        else:
+            move /= 4 if abs(move) > 1e-9 * k else 1e9  # below it, rounding decides
     return here
+
+
+def _newton(fit: Projection) -> float:
+    return -fit.gradient / fit.curvature if fit.curvature > 0 else 0.0

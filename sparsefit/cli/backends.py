@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from sparsefit.cli.output import duration, print_json
@@ -78,7 +79,9 @@ def _record(name: str) -> dict[str, Any]:
         settings = backends.settings_of(backends.get(name))
     except (InputError, TypeError) as error:  # a plug-in whose settings have no defaults
         return {"name": name, "error": " ".join(str(error).split())}
-    summary = (loaded.__doc__ or "").strip().split("\n\n")[0]
+    # Each of our own is a module of its own, whose first line says more than its class's.
+    described = sys.modules[loaded.__module__] if name in backends.BACKENDS else loaded
+    summary = (described.__doc__ or "").strip().split("\n\n")[0]
     return {
         "name": name,
         "summary": " ".join(summary.split()),
@@ -110,7 +113,7 @@ def run_check(args: argparse.Namespace) -> int:
     from sparsefit.estimator import Estimator
     from sparsefit.flight import simulate_flight
     from sparsefit.flow import CellularFlow
-    from sparsefit.library import Library, LengthScaleGrid
+    from sparsefit.library import LengthScaleGrid, Library
     from sparsefit.vehicle import PointMassVehicle
 
     backend = backends.get(args.name, **collected(args.setting))
@@ -118,7 +121,7 @@ def run_check(args: argparse.Namespace) -> int:
     flight = simulate_flight(
         truth, PointMassVehicle(0.5, (5.0, 3.0)), duration=10.0, sample_rate=50.0, seed=7
     )
-    library = Library(LengthScaleGrid(2.0, 8.0, 1.0))
+    library = Library(LengthScaleGrid(3.0, 5.0, 1.0))
     estimate = Estimator(Derivative(), library, backend).estimate(flight)
     certificate = estimate.certificate
     if args.json:

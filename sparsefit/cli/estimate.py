@@ -127,7 +127,7 @@ def _built(args: argparse.Namespace) -> Estimator:
     from sparsefit import backends
     from sparsefit.derivative import Derivative
     from sparsefit.estimator import Estimator
-    from sparsefit.library import Library, LengthScaleGrid
+    from sparsefit.library import LengthScaleGrid, Library
     from sparsefit.readout import Readout
 
     grid = LengthScaleGrid(
@@ -138,7 +138,9 @@ def _built(args: argparse.Namespace) -> Estimator:
         Library(**_given(grid=grid, target=args.target)),
         backends.get(args.backend or "group-lasso", **collected(args.setting or ())),
         Readout(
-            **_given(length_scale=args.length_scale_readout, mean_velocity=args.mean_velocity_readout)
+            **_given(
+                length_scale=args.length_scale_readout, mean_velocity=args.mean_velocity_readout
+            )
         ),
     )
 
@@ -196,7 +198,10 @@ def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
     meaning = f"  ({MEANINGS[certificate.kind]})" if certificate else ""
     rows = [
         ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
-        ("vehicle", f"response time {flight.vehicle.response_time:g} s, thrust ({ax:g}, {ay:g}) m/s^2"),
+        (
+            "vehicle",
+            f"response time {flight.vehicle.response_time:g} s, thrust ({ax:g}, {ay:g}) m/s^2",
+        ),
         ("", ""),
         ("mean velocity  U0", _quantity(estimate.mean_velocity, "m/s")),
         ("length scale   L_w", _quantity(estimate.length_scale, "m")),

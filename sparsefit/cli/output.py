@@ -1,12 +1,17 @@
-"""What verbs write: JSON and duration on stdout, and files that are never overwritten unasked."""
+"""What verbs write: JSON and durations on stdout, and files that are never overwritten unasked."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sparsefit.study.table import Table
 
 
 def print_json(record: object) -> None:
@@ -52,3 +57,18 @@ def duration(seconds: float) -> str:
 def terminal_width() -> int:
     """Columns of the terminal; a pipe or a file takes wide tables as they are."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else 160
+
+
+def table_record(table: Table) -> dict[str, Any]:
+    """Every row of a table, JSON-ready; what is not finite is None."""
+    return {
+        "title": table.title,
+        "columns": [column.full_heading for column in table.columns],
+        "rows": [[finite_or_none(cell) for cell in row] for row in table.rows],
+        "notes": list(table.notes),
+    }
+
+
+def finite_or_none(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -23,7 +23,7 @@ class Parser(argparse.ArgumentParser):
         *,
         description: str = "",
         epilog: str = "",
-        help: str = "",  # noqa: A002 - add_parser passes it by this name
+        help: str = "",
     ) -> None:
         super().__init__(
             prog=prog,
@@ -33,7 +33,9 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
         )
         # Before Python 3.14 argparse takes -1e-3 for an option.
-        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)
+        self._negative_number_matcher = re.compile(
+            r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE
+        )
 
     def error(self, message: str) -> NoReturn:
         """Exit 2 with the cause and where the remedy stands."""

@@ -3,8 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import json
+from typing import TYPE_CHECKING
 
+from sparsefit.cli.output import (
+    finite_or_none,
+    print_json,
+    refuse_existing,
+    table_record,
+    terminal_width,
+    write_text,
+)
 from sparsefit.cli.parser import Verbs, number, verb
+
+if TYPE_CHECKING:
+    from sparsefit.estimator import Estimator
+    from sparsefit.selection import Selection
+    from sparsefit.study.design import Cell
+    from sparsefit.study.spec import Study
 
 EXAMPLE = """\
   sparsefit select studies/NAME.toml
@@ -22,9 +38,119 @@ def add(verbs: Verbs) -> None:
         summary="choose one estimator from the cases of a finished study, and write it",
         example=EXAMPLE,
     )
-    parser.add_argument("study", metavar="STUDY", help="study file, .toml")
+    parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
+    parser.add_argument(
+        "--results",
+        default="results",
+        metavar="FOLDER",
+        help="folder of the results of all studies; default: results",
+    )
+    parser.add_argument(
+        "--criterion",
+        metavar="NAME",
+        help="mean- or median-absolute-percentage-error- followed by timescale, length_scale or "
+        "mean_velocity; default: mean-absolute-percentage-error-timescale",
+    )
+    parser.add_argument(
+        "--max-failure-rate",
+        type=number(),
+        metavar="SHARE",
+        help="largest share of cases without an estimate, 0 to 1",
+    )
+    parser.add_argument(
+        "--max-seconds", type=number("s"), metavar="S", help="largest median time of a case"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        default="estimator.json",
+        metavar="FILE",
+        help="estimator to write; default: estimator.json",
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite FILE")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Choose, write, and show the evidence."""
-    raise NotImplementedError
+    refuse_existing(args.output, force=args.force)
+    from sparsefit.selection import CRITERIA, select
+    from sparsefit.study import runner
+    from sparsefit.study.spec import Study
+    from sparsefit.study.store import read_cases
+
+    study = Study.load(args.study)
+    folder = runner.status(study, args.results).folder  # refuses the results of another study
+    chosen = select(
+        study,
+        read_cases(folder),
+        criterion=args.criterion or CRITERIA[0],
+        max_failure_rate=args.max_failure_rate,
+        max_seconds=args.max_seconds,
+    )
+    write_text(args.output, estimator_of(study, chosen).to_json(), force=args.force)
+    if args.json:
+        print_json(_record(chosen, args.output))
+    else:
+        print("\n".join(_lines(chosen, args.output)))
+    return 0
+
+
+def estimator_of(study: Study, chosen: Selection) -> Estimator:
+    """The estimator that the chosen cases used."""
+    from sparsefit.estimator import Estimator
+    from sparsefit.study.choices import make_backend
+    from sparsefit.study.design import cells
+
+    cell = next(one for one in cells(study) if _is(one, chosen))
+    return Estimator(
+        cell.setup.derivative,
+        cell.setup.library,
+        make_backend(cell.backend, cell.settings),
+        cell.setup.readout,
+        study.tolerance,
+    )
+
+
+def _is(cell: Cell, chosen: Selection) -> bool:
+    from sparsefit.study.document import canonical_json
+
+    fixed = (cell.protocol, cell.backend, cell.label, cell.canonical_settings)
+    if fixed != (chosen.protocol, chosen.backend, chosen.label, chosen.settings):
+        return False
+    # A column of levels that are not all numbers holds them as text.
+    return all(
+        value in (cell.levels[key], canonical_json(cell.levels[key]))
+        for key, value in chosen.factors.items()
+    )
+
+
+def _record(chosen: Selection, output: str) -> dict[str, object]:
+    scores = {
+        name: finite_or_none(getattr(chosen, name))
+        for name in ("validate", "evaluate", "failure_rate", "seconds")
+    }
+    return {
+        "study": chosen.study,
+        "criterion": chosen.criterion,
+        "protocol": chosen.protocol,
+        "backend": chosen.backend,
+        "settings": json.loads(chosen.settings),
+        "factors": dict(chosen.factors),
+        **scores,
+        "candidates": chosen.candidates,
+        "eligible": chosen.eligible,
+        "output": output,
+        "table": table_record(chosen.table),
+    }
+
+
+def _lines(chosen: Selection, output: str) -> list[str]:
+    from sparsefit.study.render import to_text
+
+    return [
+        to_text(chosen.table, width=terminal_width()),
+        f"{output}: {chosen.backend}, {chosen.criterion} {chosen.evaluate:.3g} % on flights that "
+        "had no part in the choice",
+        f"use it: sparsefit estimate FLIGHT --estimator {output}",
+    ]

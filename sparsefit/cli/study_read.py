@@ -7,9 +7,9 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.output import print_json, terminal_width
+from sparsefit.cli.output import print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser, Run
-from sparsefit.cli.study_run import by_status
+from sparsefit.cli.study_run import by_status, write_pages
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,41 +90,38 @@ def show(args: argparse.Namespace) -> int:
     """The tables of the study, or those asked for."""
     from sparsefit.errors import unknown
     from sparsefit.study.render import to_text
+    from sparsefit.study.report import render_show
     from sparsefit.study.tables import TABLES, tables_for
 
     for name in args.table or ():
         if name not in TABLES:
             raise unknown("table", name, TABLES)
     stored = _stored(args)
-    names = args.table or stored.study.tables or tables_for(stored.cases)
-    tables = {name: TABLES[name](stored.study, stored.cases) for name in names}
-    if args.json:
-        print_json({name: _record(table) for name, table in tables.items()})
+    study, cases, width = stored.study, stored.cases, terminal_width()
+    if not args.table and not args.json:
+        print(render_show(study, cases, width=width), end="")
         return 0
-    print("\n".join(to_text(table, width=terminal_width()) for table in tables.values()), end="")
-    if not stored.status.finished:
-        print(f"\n{stored.study.name}{_note(stored)}")
+    names = args.table or study.tables or tables_for(cases)
+    tables = {name: TABLES[name](study, cases) for name in names}
+    if args.json:
+        print_json({name: table_record(table) for name, table in tables.items()})
+    else:
+        print("\n".join(to_text(table, width=width) for table in tables.values()), end="")
     return 0
-
-
-def _record(table: Any) -> dict[str, Any]:
-    rows = [[None if cell != cell else cell for cell in row] for row in table.rows]
-    columns = [column.full_heading for column in table.columns]
-    return {"title": table.title, "columns": columns, "rows": rows, "notes": list(table.remarks)}
 
 
 def report(args: argparse.Namespace) -> int:
     """Tables, figures and report anew; the cases stay as they are."""
     from sparsefit.errors import InputError
     from sparsefit.study import runner
-    from sparsefit.study.report import write_report
     from sparsefit.study.spec import Study
+    from sparsefit.study.store import read_cases
 
     study = Study.load(args.study)
     found = runner.status(study, args.results)
     if not found.finished:
         raise InputError(_unfinished(args, found))
-    for path in write_report(study, found.folder):
+    for path in write_pages(study, args.results, read_cases(found.folder)):
         print(path)
     return 0
 

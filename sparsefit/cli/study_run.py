@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.output import duration, print_json, terminal_width
@@ -12,6 +13,8 @@ from sparsefit.cli.parser import Parser, whole
 from sparsefit.cli.progress import Bar, Lines
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from sparsefit.study.runner import RunSummary
     from sparsefit.study.spec import Study
 
@@ -51,34 +54,36 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
-    from sparsefit.study.report import write_report
+    from sparsefit.study.store import read_cases
 
-    written = write_report(study, summary.folder)
+    cases = read_cases(summary.folder)
+    written = write_pages(study, args.results, cases)
     if args.json:
-        print_json(
-            {
-                "study": study.name,
-                "folder": str(summary.folder),
-                "cases": summary.planned,
-                "resumed": summary.resumed,
-                "statuses": dict(summary.statuses),
-                "seconds": summary.seconds,
-                "written": [str(path) for path in written],
-            }
-        )
+        record = {"study": study.name, "folder": str(summary.folder), "cases": summary.planned}
+        counted = {"resumed": summary.resumed, "statuses": dict(summary.statuses)}
+        files = {"seconds": summary.seconds, "written": [str(path) for path in written]}
+        print_json({**record, **counted, **files})
         return 0
-    print(_main_table(study, summary))
+    print(_main_table(study, cases))
     print(_what_was_done(summary))
-    print(f"cases, manifest, tables, figures and report: {summary.folder}")
+    print(f"written to {summary.folder}; start with {written[-1]}")
     return 0
 
 
-def _main_table(study: Study, summary: RunSummary) -> str:
+def write_pages(study: Study, results: str, cases: pd.DataFrame) -> list[Path]:
+    """Tables, figures and README of the stored cases; the files written, README last."""
+    from sparsefit.study.report import write_report
+    from sparsefit.study.store import WEIGHTS, read_weights
+
+    folder = Path(results) / study.name
+    weights = read_weights(folder) if (folder / WEIGHTS).exists() else None
+    return write_report(study, results, cases, weights)
+
+
+def _main_table(study: Study, cases: pd.DataFrame) -> str:
     from sparsefit.study.render import to_text
-    from sparsefit.study.store import read_cases
     from sparsefit.study.tables import TABLES, tables_for
 
-    cases = read_cases(summary.folder)
     first = (*study.tables, *tables_for(cases))[0]
     return to_text(TABLES[first](study, cases), width=terminal_width())
 

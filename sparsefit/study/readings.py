@@ -37,10 +37,10 @@ DISTANCE_NOTE = (
     "A small distance is agreement of three numbers, not proof that the paper computed this."
 )
 RANGE_NOTE = (
-    "Range: largest minus smallest value of the statistic over the levels of the one factor, "
-    "everything else held fixed. Typical is the median over the comparisons, largest their "
-    "maximum; pp are percentage points. Errors are over the cases with an estimate; failures "
-    "is the largest change of their number."
+    "Range: largest minus smallest value of the statistic of |percentage error| or percentage "
+    "error over the levels of the one factor, everything else held fixed, in percentage points "
+    "(pp); the median over all such comparisons, and the largest of them. Errors are over the "
+    "cases with an estimate; failures is the largest change of their number."
 )
 
 

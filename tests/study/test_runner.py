@@ -220,13 +220,13 @@ def test_interrupt_leaves_a_state_to_resume_and_no_process(
 
 
 def test_a_case_that_hangs_is_killed_and_the_others_go_on(tmp_path: Path, write: Write) -> None:
-    study = Study.load(write(deeds("work", "hang", "nothing"), count=2, timeout=1.0))
+    study = Study.load(write(deeds("work", "hang", "nothing"), count=2, timeout=4.0))
     begun = time.monotonic()
     cases = read_cases(run(study, tmp_path, processes=2).folder)
     assert time.monotonic() - begun < 30.0
     by_deed = {json.loads(s)["deed"]: g for s, g in cases.groupby("settings")}
     assert (by_deed["hang"]["status"] == "timeout").all()
-    assert (by_deed["hang"]["reason"] == "fitting took longer than 1 s").all()
+    assert (by_deed["hang"]["reason"] == "fitting took longer than 4 s").all()
     assert by_deed["work"]["status"].isin(["ok", "unidentifiable"]).all()
     assert (by_deed["nothing"]["status"] == "error").all()
     assert len(cases) == 6
@@ -250,10 +250,10 @@ def test_a_fit_that_hangs_takes_all_its_readouts_along_at_once(
     tmp_path: Path, write: Write
 ) -> None:
     sweep = '[sweep]\n"readout.mean_velocity" = ["rms", "peak", "paper"]\n'
-    study = Study.load(write(deeds("hang") + sweep, count=1, timeout=1.0))
+    study = Study.load(write(deeds("hang") + sweep, count=1, timeout=4.0))
     summary = run(study, tmp_path, processes=1)
     assert summary.statuses == {"timeout": 3}
-    assert summary.seconds < 10.0
+    assert summary.seconds < 8.0
 
 
 def test_a_flight_that_cannot_be_read_is_an_error_with_its_reason(

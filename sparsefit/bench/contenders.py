@@ -1,0 +1,35 @@
+"""Everyone who takes part, and who does not and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+from sparsefit.bench import conic_peers, descent_peers, lars_peers, ours
+from sparsefit.bench.contender import Contender
+from sparsefit.errors import unknown
+
+ALL: tuple[Contender, ...] = (
+    *ours.CONTENDERS,
+    *lars_peers.CONTENDERS,
+    *descent_peers.CONTENDERS,
+    *conic_peers.CONTENDERS,
+)
+LEFT_OUT = MappingProxyType({"adelie": "left out: it pins numpy<2, sparsefit needs numpy>=2"})
+NOT_INSTALLED = "not installed (extra peers)"
+
+
+def chosen(names: Sequence[str] | None) -> tuple[Contender, ...]:
+    """The contenders of these names, ours always among them. Raises InputError if unknown."""
+    valid = [contender.name for contender in ALL]
+    for name in names or ():
+        if name not in valid:
+            raise unknown("contender", name, valid)
+    always = (ours.OURS, ours.CERTIFIED)
+    return tuple(c for c in ALL if names is None or c.name in names or c.name in always)
+
+
+def absent(contenders: Sequence[Contender]) -> dict[str, str]:
+    """Who is missing from the comparison, with the reason."""
+    missing = {c.name: NOT_INSTALLED for c in contenders if not c.installed}
+    return {**missing, **LEFT_OUT}

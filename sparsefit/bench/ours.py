@@ -1,0 +1,62 @@
+"""Our own solvers as contenders: the exact paths, and the conic referees of the same back-ends."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.bench.contender import Contender
+from sparsefit.bench.problems import Task
+from sparsefit.fit import path
+
+Array: TypeAlias = NDArray[np.float64]
+OURS = "sparsefit"
+CERTIFIED = "sparsefit, with certificates"
+
+
+def _solve(task: Task, fractions: Array, _: float, *, solver: str = "") -> Array:
+    """The solve alone, Gram matrix included: what the peers do, who certify nothing."""
+    backend: Any = task.backend
+    if solver:
+        backend = dataclasses.replace(backend, solver=solver)
+    problem = task.fresh()
+    solutions = backend.solve_path(problem, tuple(fractions.tolist()))
+    missing = np.full((problem.columns, problem.targets), np.nan)
+    return np.stack([missing if s.weights is None else s.weights for s in solutions])
+
+
+def _certified(task: Task, fractions: Array, _: float) -> Array:
+    """The front door: solved, certified, repaired where the certificate says so."""
+    return path(task.fresh(), task.backend, fractions).weights
+
+
+def _working_set(task: Task, fractions: Array, setting: float) -> Array:
+    return _solve(task, fractions, setting, solver="clarabel-working-set")
+
+
+def _cvxpy_gram(task: Task, fractions: Array, setting: float) -> Array:
+    return _solve(task, fractions, setting, solver="clarabel")
+
+
+CONTENDERS = (
+    Contender(OURS, _solve, "sparsefit", "exact path on the Gram matrix", peer=False),
+    Contender(CERTIFIED, _certified, "sparsefit", "sparsefit.path: certified", peer=False),
+    Contender(
+        "Clarabel on working sets",
+        _working_set,
+        "clarabel",
+        "sparsefit's referee, solver='clarabel-working-set'",
+        timed=4,
+        peer=False,
+    ),
+    Contender(
+        "cvxpy on Gram, Clarabel",
+        _cvxpy_gram,
+        "cvxpy",
+        "psd_wrap(G), alpha a parameter: solver='clarabel'",
+        timed=3,
+    ),
+)

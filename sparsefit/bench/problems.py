@@ -1,0 +1,123 @@
+"""The six named flight problems, and the three penalties each is solved with."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit import backends
+from sparsefit.backends.base import PathBackend
+from sparsefit.derivative import Derivative
+from sparsefit.errors import unknown
+from sparsefit.flight import simulate_flight
+from sparsefit.flow import CellularFlow
+from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
+from sparsefit.objective import Penalty, alpha_max
+from sparsefit.vehicle import PointMassVehicle
+
+Array: TypeAlias = NDArray[np.float64]
+Kind = Literal["lasso", "group-lasso", "joint-group-lasso"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+LOWEST = 1e-3  # of alpha_max: where a path ends
+VEHICLE = PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
+SAMPLE_RATE = 100.0  # Hz
+
+
+@dataclass(frozen=True)
+class NamedFlight:
+    """A flight problem: m samples in a flow of one length scale, measured with noise or without.
+
+    noise: standard deviation of the measured velocity [m/s]; a tenth of it, in m, of the position.
+    """
+
+    name: str
+    samples: int
+    mean_velocity: float
+    length_scale: float
+    noise: float
+    seed: int
+
+    def problem(self, grid: LengthScaleGrid = LengthScaleGrid()) -> RegressionProblem:
+        """Theta (m, 8 g) and the flow velocity along the flight (m, 2)."""
+        derivative = Derivative()
+        flight = simulate_flight(
+            CellularFlow(self.mean_velocity, self.length_scale),
+            VEHICLE,
+            # The derivative drops half a window at either end.
+            duration=(self.samples + derivative.window - 2) / SAMPLE_RATE,
+            sample_rate=SAMPLE_RATE,
+            seed=self.seed,
+            velocity_noise=self.noise,
+            position_noise=0.1 * self.noise,
+        )
+        return Library(grid).build(derivative(flight), VEHICLE)
+
+
+NAMED = (
+    NamedFlight("short clean", 500, 15.43, 4.2, 0.0, 1),
+    NamedFlight("short noisy", 500, 8.0, 3.37, 0.02, 2),
+    NamedFlight("medium clean", 2000, 11.0, 2.57, 0.0, 3),
+    NamedFlight("medium noisy", 2000, 10.0, 6.0, 0.02, 4),
+    NamedFlight("long clean", 10000, 15.43, 4.21, 0.0, 5),
+    NamedFlight("long noisy", 10000, 12.0, 9.4, 0.02, 6),
+)
+QUICK_GRID = LengthScaleGrid(upper=6.0, step=0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One path: a problem, a penalty and the penalties alpha = fraction * alpha_max."""
+
+    kind: Kind
+    name: str
+    problem: RegressionProblem
+    backend: PathBackend
+    penalty: Penalty
+    fractions: Array
+    unit: float
+
+    @property
+    def alphas(self) -> Array:
+        """The penalties of the path (p,), descending."""
+        return self.unit * self.fractions
+
+    def fresh(self) -> RegressionProblem:
+        """The problem without its cached statistics, so that they are paid for again."""
+        return dataclasses.replace(self.problem)
+
+
+def chosen(names: tuple[str, ...] | None) -> tuple[NamedFlight, ...]:
+    """The named flights, all of them by default. Raises InputError on an unknown name."""
+    valid = tuple(flight.name for flight in NAMED)
+    for name in names or ():
+        if name not in valid:
+            raise unknown("problem", name, valid)
+    return tuple(flight for flight in NAMED if names is None or flight.name in names)
+
+
+def tasks(flight: NamedFlight, *, points: int, grid: LengthScaleGrid) -> tuple[Task, ...]:
+    """The three paths of a flight: LASSO and group-LASSO on one target, joint on two."""
+    both = flight.problem(grid)
+    one = dataclasses.replace(
+        both, target=both.target[:, :1].copy(), target_names=both.target_names[:1]
+    )
+    return tuple(task(kind, flight.name, one if n == 1 else both, points) for kind, n in TARGETS)
+
+
+TARGETS: tuple[tuple[Kind, int], ...] = (("lasso", 1), ("group-lasso", 1), ("joint-group-lasso", 2))
+
+
+def task(
+    kind: Kind, name: str, problem: RegressionProblem, points: int, *, lowest: float = LOWEST
+) -> Task:
+    """The path of a penalty on a problem, from alpha_max down to ``lowest`` times it."""
+    backend = backends.get("lasso" if kind == "lasso" else "group-lasso")
+    assert isinstance(backend, PathBackend)
+    penalty = backend.penalty(problem)
+    unit = alpha_max(problem.statistics.cross, penalty)
+    fractions = np.geomspace(1.0, lowest, points)
+    return Task(kind, name, problem, backend, penalty, fractions, unit)

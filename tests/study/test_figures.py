@@ -1,0 +1,275 @@
+import io
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study.drawing import to_png, to_svg
+from sparsefit.study.error_figures import quartiles
+from sparsefit.study.figures import CAPTIONS, FIGURES, figures_for
+from sparsefit.study.report import render_show, write_report
+from sparsefit.study.scatter_figure import Frame, first_listed
+
+BACKENDS = {"least-squares": 0.5, "lasso": 0.05, "a $name_{x}$ & 100 %": 0.02}
+
+
+def study(**changes):
+    return SimpleNamespace(
+        **{
+            "name": "demo",
+            "question": "Which <back-end> reads it best?",
+            "seed": 7,
+            "hash": "ab" * 32,
+            "planned": 0,
+            "sections": {"flights": {"response_time": 0.5, "length_scale": {"uniform": [2, 10]}}},
+            "tables": (),
+            "figures": (),
+        }
+        | changes
+    )
+
+
+def synthetic(flights=24, levels=({},), protocols=("paper", "matched")):
+    """Cases with heavy-tailed errors, and one failure in twelve."""
+    rng = np.random.default_rng(3)
+    scales = rng.uniform(2, 10, flights)
+    rows = []
+    for flight in range(flights):
+        tau, scale = 0.05 + 0.95 * flight / max(flights - 1, 1), scales[flight]
+        for protocol in protocols:
+            for level in levels:
+                for backend, size in BACKENDS.items():
+                    for alpha in (0.1, 0.2):
+                        failed = len(rows) % 12 == 5
+                        error = size * rng.standard_t(2, 2)
+                        speed, found = scale / tau * (1 + error[0]), scale * (1 + error[1])
+                        estimate = (math.nan,) * 3 if failed else (speed, found, found / speed)
+                        rows.append(
+                            {
+                                "case_id": f"{len(rows):05d}",
+                                "flight": flight,
+                                "split": "all",
+                                "protocol": protocol,
+                                "backend": backend,
+                                "label": backend,
+                                "settings": json.dumps({"alpha": alpha}),
+                                "status": "error" if failed else "ok",
+                                "true_mean_velocity": scale / tau,
+                                "true_length_scale": scale,
+                                "true_timescale": tau,
+                                "est_mean_velocity": estimate[0],
+                                "est_length_scale": estimate[1],
+                                "est_timescale": estimate[2],
+                                "grid_length_scale": math.nan if failed else round(found * 5) / 5,
+                                "hit": None if failed else abs(error[1]) < 0.02,
+                                "certificate_kind": "duality_gap",
+                                "certificate": 1e-10,
+                                "seconds": 0.01,
+                                **level,
+                            }
+                        )
+    return pd.DataFrame(rows)
+
+
+def weights_of(cases):
+    scales = np.arange(1.0, 12.01, 0.2)
+    rows = [(name, scale, math.exp(-scale)) for name in cases["case_id"] for scale in scales]
+    return pd.DataFrame(rows, columns=["case_id", "length_scale", "weight"])
+
+
+LEVELS = tuple(
+    {"flights.velocity_noise": noise, "library.target": target}
+    for noise in (0.0, 0.1, 1.0)
+    for target in ("a", "b")
+)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    one, many, swept = synthetic(1), synthetic(), synthetic(8, LEVELS)
+    given = {
+        "weights": (one, weights_of(one)),
+        "scatter": (many, None),
+        "errors": (many, None),
+        "sweep": (swept, None),
+    }
+    assert set(given) == set(FIGURES) == set(CAPTIONS)
+    return {name: (FIGURES[name], *data) for name, data in given.items()}
+
+
+@pytest.mark.parametrize("name", list(FIGURES))
+def test_equal_cases_give_equal_bytes(drawn, name):
+    draw, cases, weights = drawn[name]
+    first, second = draw(study(), cases, weights), draw(study(), cases, weights)
+    png, svg = to_png(first), to_svg(first)
+    assert to_svg(second) == svg
+    assert to_png(second) == png
+    assert b"<dc:date>" not in svg
+    assert b"Matplotlib v" not in svg
+    assert b"tEXt" not in png
+
+
+@pytest.mark.parametrize("name", list(FIGURES))
+def test_no_text_is_cut_by_the_edge_of_the_page(drawn, name):
+    draw, cases, weights = drawn[name]
+    figure = draw(study(), cases, weights)
+    page = figure.bbox
+    box = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
+    assert box.x0 >= page.x0 - 2
+    assert box.x1 <= page.x1 + 2
+    assert box.y0 >= page.y0 - 2
+    assert box.y1 <= page.y1 + 2
+
+
+@pytest.mark.parametrize("name", list(FIGURES))
+def test_panels_and_their_labels_do_not_overlap(drawn, name):
+    draw, cases, weights = drawn[name]
+    figure = draw(study(), cases, weights)
+    boxes = [axes.get_tightbbox() for axes in figure.axes if axes.get_visible()]
+    for place, one in enumerate(boxes):
+        for other in boxes[place + 1 :]:
+            wide = min(one.x1, other.x1) - max(one.x0, other.x0)
+            high = min(one.y1, other.y1) - max(one.y0, other.y0)
+            assert min(wide, high) < 3.0
+
+
+def test_the_users_own_style_changes_nothing_and_is_left_alone(drawn):
+    draw, cases, weights = drawn["errors"]
+    plain = to_png(draw(study(), cases, weights))
+    with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "lines.linewidth": 9}):
+        assert to_png(draw(study(), cases, weights)) == plain
+        assert mpl.rcParams["font.size"] == 20.0
+
+
+class TestScatter:
+    def test_the_frame_is_that_of_the_truth(self):
+        assert Frame.around(np.array([0.05, 1.0])) == Frame(0.025, 2.0, True)
+        assert Frame.around(np.array([2.0, 10.0])) == Frame(0.0, pytest.approx(12.4), False)
+        assert Frame.around(np.array([4.0, 4.0])) == Frame(2.0, 6.0, False)
+
+    def test_the_first_listed_setting_is_shown_not_the_best(self):
+        cases = synthetic(4, LEVELS)
+        groups = first_listed(cases)
+        assert len(groups) == 2 * len(BACKENDS)
+        assert {group.key["settings"] for group in groups} == {'{"alpha": 0.1}'}
+        assert {group.key["flights.velocity_noise"] for group in groups} == {0.0}
+
+    def test_every_case_is_a_point_a_triangle_or_a_cross(self, drawn):
+        draw, cases, _ = drawn["scatter"]
+        figure = draw(study(), cases, None)
+        shown = {group.key["backend"]: 0 for group in first_listed(cases)}
+        for group in first_listed(cases):
+            shown[group.key["backend"]] += len(group.cases)
+        rows = [figure.axes[place : place + 3] for place in range(0, 9, 3)]
+        for row, expected in zip(rows, shown.values(), strict=True):
+            for axes in row:
+                assert sum(len(one.get_offsets()) for one in axes.collections) == expected
+
+    def test_outliers_and_failures_are_counted(self):
+        cases = synthetic(3, protocols=("paper",)).query("backend == 'lasso'").copy()
+        cases = cases[cases["settings"] == '{"alpha": 0.1}']
+        cases["status"] = ["ok", "ok", "timeout"]
+        cases["est_timescale"] = [1e6, 0.1, math.nan]
+        cases["est_length_scale"] = cases["est_mean_velocity"] = 1.0
+        axes = FIGURES["scatter"](study(), cases, None).axes[0]
+        assert axes.get_title(loc="right") == "▲ 1 above  × 1 failed"
+
+
+class TestErrorsAndSweep:
+    def test_a_failure_is_an_infinite_error(self):
+        cases = synthetic(4, protocols=("paper",)).iloc[:4].copy()
+        cases["status"] = ["ok", "ok", "error", "crashed"]
+        cases[["est_mean_velocity", "est_timescale"]] = 1.0
+        cases["est_length_scale"] = cases["true_length_scale"] * [1.1, 1.2, 1.0, 1.0]
+        found = quartiles(cases, "length_scale")
+        assert found.tolist() == [pytest.approx(10.0), pytest.approx(20.0), math.inf]
+
+    def test_a_median_that_failed_leaves_a_gap(self):
+        cases = synthetic(4, LEVELS)
+        cases.loc[cases["flights.velocity_noise"] == 1.0, "status"] = "timeout"
+        figure = FIGURES["sweep"](study(), cases, None)
+        line = figure.axes[0].get_lines()[0]
+        assert np.isnan(line.get_ydata()).tolist() == [False, False, True]
+
+    def test_nothing_to_sweep_is_refused(self):
+        with pytest.raises(InputError, match='sweeps no number: drop the figure "sweep"'):
+            FIGURES["sweep"](study(), synthetic(2), None)
+
+    def test_a_setting_without_any_answer_keeps_its_row(self):
+        cases = synthetic(4)
+        cases.loc[cases["backend"] == "lasso", "status"] = "crashed"
+        labels = [one.get_text() for one in FIGURES["errors"](study(), cases, None).axes[0].texts]
+        ticks = FIGURES["errors"](study(), cases, None).axes[0].get_yticklabels()
+        assert labels == []
+        assert "lasso alpha=0.1" in [tick.get_text() for tick in ticks]
+
+
+def test_weights_are_needed_for_the_weights():
+    with pytest.raises(InputError, match="kept no weights"):
+        FIGURES["weights"](study(), synthetic(1), None)
+
+
+def test_the_true_and_the_chosen_scale_are_marked():
+    cases = synthetic(1, protocols=("paper",))
+    axes = FIGURES["weights"](study(), cases, weights_of(cases)).axes[0]
+    marks = {line.get_label(): line.get_xdata()[0] for line in axes.get_lines()}
+    assert marks["true length scale"] == cases["true_length_scale"].iloc[0]
+    assert abs(marks["chosen scale"] - cases["grid_length_scale"].iloc[0]) <= 0.1001
+
+
+def test_figures_that_apply():
+    assert figures_for(synthetic(1), None) == []
+    assert figures_for(synthetic(1), weights_of(synthetic(1))) == ["weights"]
+    assert figures_for(synthetic(2, LEVELS), None) == ["scatter", "errors", "sweep"]
+
+
+class TestReport:
+    def test_every_file_is_there_and_linked(self, tmp_path: Path):
+        cases = synthetic(6)
+        chosen = study(planned=len(cases), tables=("errors", "times"), figures=("errors",))
+        written = write_report(chosen, tmp_path, cases)
+        folder = tmp_path / "demo"
+        assert sorted(path.name for path in written) == sorted(p.name for p in folder.iterdir())
+        text = (folder / "README.md").read_text("utf-8")
+        assert text.startswith("# demo\n\n**Which &lt;back-end&gt; reads it best?**\n")
+        for name in ("errors.svg", "errors.csv", "errors.tex", "times.csv"):
+            assert f"({name})" in text
+            assert (folder / name).is_file()
+        assert "- inertial response time tau [s]: `0.5`" in text
+        assert '- range of the random length scale [m]: `{"uniform":[2,10]}`' in text
+        assert "144 of 144 planned cases: 132 ok, 12 error" not in text or len(cases) == 144
+        first = {path.name: path.read_bytes() for path in written}
+        write_report(chosen, tmp_path, cases)
+        assert first == {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def test_csv_of_the_report_reads_back(self, tmp_path: Path):
+        write_report(
+            study(tables=("errors-absolute",), figures=("errors",)), tmp_path, synthetic(6)
+        )
+        text = (tmp_path / "demo" / "errors-absolute.csv").read_text("utf-8")
+        back = pd.read_csv(io.StringIO(text))
+        assert len(back) == 2 * 2 * len(BACKENDS)
+        assert (back["n"] == 6).all()
+
+    def test_no_cases_are_refused(self, tmp_path: Path):
+        empty = synthetic(1).iloc[:0]
+        with pytest.raises(InputError, match="no cases yet: run it first"):
+            write_report(study(), tmp_path, empty)
+        with pytest.raises(InputError, match="no cases yet"):
+            render_show(study(), empty)
+
+    def test_a_folder_that_cannot_be_made_is_an_input_error(self, tmp_path: Path):
+        (tmp_path / "demo").write_text("a file")
+        with pytest.raises(InputError, match="cannot be written"):
+            write_report(study(), tmp_path, synthetic(2))
+
+    def test_show_asks_before_it_answers(self):
+        shown = render_show(study(planned=99), synthetic(2), width=90)
+        assert shown.startswith("demo: Which <back-end> reads it best?\n24 of 99 planned cases:")
+        assert max(map(len, shown.split("\n\n", 1)[1].splitlines())) <= 90
