@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, positive
 
 Array = NDArray[np.float64]
 
@@ -33,9 +33,10 @@ CHUNK = 4096  # wavenumbers solved at once: bounds the memory
 SPREAD = 8  # cells of the spreading kernel: sums to 1e-7
 BETA = 2.3 * SPREAD
 ITERATIONS = 40
+MAX_STEPS = 500_000  # 0.4 GB
 ROUGH = 1e-3  # in scan steps, 1e-9 of a lobe's depth: where a rival's descent may stop
 SIGNIFICANCE = 0.05
-CORRELATION = 10  # samples: errors of smoothed derivatives and of positions are not white
+CORRELATION = 5  # samples: errors of smoothed derivatives and of positions are not white
 
 
 @dataclass(frozen=True)
@@ -89,20 +90,19 @@ def columns(position: Array, wavenumber: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """The 8-column fit at one k: RSS, W (8, 2), gradient of RSS/2 and its curvature."""
+    """The 8-column fit at one k: RSS, W (8, 2), and the Gauss-Newton move in k [1/m]."""
 
     wavenumber: float
     residual: float
     weights: Array
-    gradient: float
-    curvature: float
+    move: float
 
 
 def project(position: Array, flow_velocity: Array, wavenumber: float) -> Projection:
-    """Fit Phi (m, 2) at k, by the Gram matrix with its null directions dropped.
+    """Fit centred positions and Phi, (m, 2), at k by the Gram matrix, less its null directions.
 
-    position (m, 2) should be centred. The gradient of RSS/2 is -(R, dC/dk W), as R is normal to
-    C; P projects off C (Kaufman's Gauss-Newton curvature).
+    The gradient of RSS/2 is -(R, dC/dk W), as R is normal to C; the curvature is |P dC/dk W|^2,
+    P projecting off C (Kaufman, 1975).
     """
     value, slope = columns(position, wavenumber)
     scale = np.sqrt(np.einsum("ij,ij->j", value, value))
@@ -114,18 +114,14 @@ def project(position: Array, flow_velocity: Array, wavenumber: float) -> Project
     rest, bend = flow_velocity - value @ weights, slope @ weights
     shared = basis.T @ (value.T @ bend)
     curvature = float(np.sum(bend * bend) - np.sum(shared * shared))
-    residual, gradient = float(np.sum(rest * rest)), -float(np.sum(rest * bend))
-    return Projection(wavenumber, residual, weights, gradient, max(curvature, 0.0))
+    move = float(np.sum(rest * bend)) / curvature if curvature > 0 else 0.0
+    return Projection(wavenumber, float(np.sum(rest * rest)), weights, move)
 
 
 def residual_curve(position: Array, flow_velocity: Array, wavenumbers: Array) -> Array:
-    """RSS(k) (q,) of the joint 8-column fit at each wavenumber (q,) [1/m], on all rows.
-
-    0.5 ms each for 3000 rows; `scan` is 50 times faster on a uniform grid, to 1e-6 |Phi|^2.
-    """
-    centred = _centred(position)
-    found = [project(centred, flow_velocity, float(k)).residual for k in np.ravel(wavenumbers)]
-    return np.array(found)
+    """RSS(k) (q,) at any wavenumbers (q,) [1/m]; `scan` is 50 times faster on a uniform grid."""
+    points, ks = centred(position), wavenumbers.tolist()
+    return np.array([project(points, flow_velocity, k).residual for k in ks])
 
 
 def scan(position: Array, flow_velocity: Array, step: float, first: int, last: int) -> Array:
@@ -134,28 +130,26 @@ def scan(position: Array, flow_velocity: Array, step: float, first: int, last: i
     The Gram entries are sums of cos and sin of k (p x + q y), |p|, |q| <= 2: 12 non-uniform
     Fourier transforms and their conjugates; C'Phi is 8 more. A ridge of RIDGE m is added.
     """
-    centred, count = _centred(position), last - first + 1
+    points, count = centred(position), last - first + 1
     gain, size = _kernel_gain(first, last)
     sums, cross = np.empty((25, count), complex), np.empty((4, 2, count), complex)
-    sums[12] = len(centred)
+    sums[12] = len(points)
     for i in range(12):  # (p, q) = divmod(i, 5) - 2: symmetric about i = 12, (0, 0)
         mode = np.array(divmod(i, 5)) - 2
         wave = np.flatnonzero((-mode == DIRECTIONS).all(axis=1))
         loads = flow_velocity.T if len(wave) else flow_velocity.T[:0]
-        found = _fourier_sums(centred @ mode, loads, step, size)[:, first : last + 1] / gain
+        found = _fourier_sums(points @ mode, loads, step, size)[:, first : last + 1] / gain
         sums[i], sums[24 - i] = found[0].conj(), found[0]
         if len(wave):
             cross[wave[0]] = found[1:]
     one, other = DIRECTIONS[:, None], DIRECTIONS
     minus, plus = (sums[(pair + 2) @ (5, 1)] for pair in (one - other, one + other))
-    null = float(np.sum(flow_velocity**2))
-    curve = np.empty(count)
-    for begin in range(0, count, CHUNK):
-        part = slice(begin, begin + CHUNK)
+    curve = np.full(count, np.sum(flow_velocity**2))
+    for part in (slice(begin, begin + CHUNK) for begin in range(0, count, CHUNK)):
         gram = _real_gram(minus[..., part], plus[..., part])
+        gram[:, range(8), range(8)] += RIDGE * len(points)
         load = np.concatenate([cross[..., part].real, cross[..., part].imag]).transpose(2, 0, 1)
-        gram[:, range(8), range(8)] += RIDGE * len(centred)
-        curve[part] = null - np.sum(load * np.linalg.solve(gram, load), axis=(1, 2))
+        curve[part] -= np.sum(load * np.linalg.solve(gram, load), axis=(1, 2))
     return curve
 
 
@@ -168,10 +162,9 @@ def _real_gram(minus: NDArray[np.complex128], plus: NDArray[np.complex128]) -> A
 
 
 def _fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArray[np.complex128]:
-    """Sum_i w_i exp(-1j j step points[i]), j = 0..size/2, times the kernel's gain: NUFFT, type 1.
+    """Sum_i w_i exp(-1j j step points[i]), j = 0..size/2, times the gain; w = 1 and each of loads.
 
-    For w = 1 and each row of loads. Kernel exp(beta sqrt(1 - z^2)) over SPREAD cells, twofold
-    oversampling (Barnett, Magland and af Klinteberg, 2019).
+    NUFFT of type 1 with the kernel exp(beta sqrt(1 - z^2)) (Barnett et al., 2019).
     """
     place = points * (step * size / (2 * math.pi))
     low = np.ceil(place - SPREAD / 2)
@@ -183,13 +176,12 @@ def _fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArra
 
 
 def _kernel_gain(first: int, last: int) -> tuple[Array, int]:
-    """The kernel's Fourier transform at j = first..last, and the grid's size."""
+    """The kernel's Fourier transform at j = first..last; the size that oversamples twice."""
     size = 1 << math.ceil(math.log2(4 * (last + 1) + 4 * SPREAD))
     nodes, mass = np.polynomial.legendre.leggauss(4 * SPREAD)
     mass = 0.5 * SPREAD * mass * np.exp(BETA * (np.sqrt(1 - nodes * nodes) - 1))
-    gain: Array = (
-        np.cos(np.outer(np.arange(first, last + 1), math.pi * SPREAD / size * nodes)) @ mass
-    )
+    waves = np.outer(np.arange(first, last + 1), math.pi * SPREAD / size * nodes)
+    gain: Array = np.cos(waves) @ mass
     return gain, size
 
 
@@ -215,31 +207,26 @@ def refine(
         )
     low, high = math.pi / upper, math.pi / lower
     step = min(STEP / extent, (high - low) / 8)
+    if high > MAX_STEPS * step:
+        raise InputError(f"refine: lower {lower:g} m is too small for {extent:g} m; raise it")
     limits, first, last = (low, high, step), math.floor(low / step), math.ceil(high / step)
     minima = _minima(scan(position, flow_velocity, step, first, last))
     chosen = minima[:LOBES].tolist()
     if start_length_scale is not None:
-        chosen.append(minima[np.abs(minima + first - math.pi / start_length_scale / step).argmin()])
-    centred, phi, rough = _centred(position), flow_velocity, ROUGH * step
-    found = [_descend(centred, phi, step * (first + j), limits, rough) for j in set(chosen)]
+        start = math.pi / positive("start_length_scale", start_length_scale, "m") / step - first
+        chosen.append(int(minima[np.abs(minima - start).argmin()]))
+    points, phi, rough = centred(position), flow_velocity, ROUGH * step
+    found = [_descend(points, phi, step * (first + j), limits, rough) for j in set(chosen)]
     found.sort(key=lambda fit: fit.residual)
-    best = _descend(centred, phi, found[0].wavenumber, limits, 0.0)
+    best = _descend(points, phi, found[0].wavenumber, limits, 0.0)
     others = [fit for fit in found if abs(fit.wavenumber - best.wavenumber) > 2 * step]
-    rival = others[0] if others else None
-    return Refinement(
-        length_scale=math.pi / best.wavenumber,
-        wavenumber=best.wavenumber,
-        residual=best.residual,
-        null_residual=float(np.sum(phi**2)),
-        rival_length_scale=math.pi / rival.wavenumber if rival else math.nan,
-        rival_residual=rival.residual if rival else math.inf,
-        at_bound=best.wavenumber in (low, high),
-        samples=len(position),
-        lobes=len(minima),
-    )
+    rival = (math.pi / others[0].wavenumber, others[0].residual) if others else (math.nan, math.inf)
+    k, null, edge = best.wavenumber, float(np.sum(phi**2)), best.wavenumber in (low, high)
+    return Refinement(math.pi / k, k, best.residual, null, *rival, edge, len(position), len(minima))
 
 
-def _centred(position: Array) -> Array:
+def centred(position: Array) -> Array:
+    """Positions (m, 2) from the middle of their bounding box."""
     centre: Array = 0.5 * (position.max(axis=0) + position.min(axis=0))
     return position - centre
 
@@ -265,18 +252,14 @@ def _descend(
     """
     lowest, highest, step = limits
     here = project(position, phi, min(max(start, lowest), highest))
-    move = _newton(here)
+    move = here.move
     for _ in range(ITERATIONS):
         k = min(max(here.wavenumber + min(max(move, -step), step), lowest), highest)
         if abs(k - here.wavenumber) <= max(tolerance, 1e-15 * k):
             break
         there = project(position, phi, k)
         if there.residual < here.residual:
-            here, move = there, _newton(there)
+            here, move = there, there.move
         else:
             move /= 4 if abs(move) > 1e-9 * k else 1e9  # below it, rounding decides
     return here
-
-
-def _newton(fit: Projection) -> float:
-    return -fit.gradient / fit.curvature if fit.curvature > 0 else 0.0

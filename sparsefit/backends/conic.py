@@ -39,15 +39,20 @@ DIRECT = ("clarabel-direct", "clarabel-working-set")
 QUADRATIC_ONLY = ("osqp", "highs", "piqp", "daqp", "proxqp")
 
 
+def installed_solvers() -> list[str]:
+    """Names of the solvers that cvxpy finds here, in lower case."""
+    import cvxpy
+
+    return sorted(name.lower() for name in cvxpy.installed_solvers())
+
+
 def check_solver(owner: str, solver: Any, exact: str) -> None:
     """Raise InputError unless the solver is ``exact`` or a conic one that cvxpy finds here."""
     if solver in (exact, "clarabel", *DIRECT) or (solver == "osqp" and owner == "lasso"):
         return
     if not isinstance(solver, str):
         raise InputError(f"{owner}: solver must be a name, not {solver!r}")
-    import cvxpy
-
-    installed = [name.lower() for name in cvxpy.installed_solvers()]
+    installed = installed_solvers()
     if solver.lower() not in installed:
         names = [exact, *DIRECT, *installed]
         raise unknown(f"solver of {owner} (or it is not installed)", solver, names)

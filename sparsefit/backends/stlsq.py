@@ -159,7 +159,8 @@ def _ridge_solve(
     damping = np.sqrt(system.ridge * system.rows) * np.eye(len(on))
     columns = np.vstack([problem.theta[:, on] / system.scale[on], damping])
     target = np.concatenate([problem.target[:, t], np.zeros(len(on))])
-    return np.linalg.lstsq(columns, target, rcond=None)[0]
+    least = np.linalg.lstsq(columns, target, rcond=None)[0]
+    return least.astype(float, copy=False)
 
 
 def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:

@@ -48,7 +48,7 @@ def _celer(task: Task, fractions: Array, tolerance: float) -> Array:
             rows.design,
             rows.target,
             "lasso" if lasso else "grouplasso",
-            alphas=_row_alphas(task, fractions, rows.targets),
+            alphas=task.unit * fractions,
             groups=groups,
             tol=tolerance,
         )
@@ -59,7 +59,7 @@ def _skglm(task: Task, fractions: Array, tolerance: float) -> Array:
     """AndersonCD.path, or GroupBCD warm-started by hand (it has no path of its own)."""
     rows = rows_form(task)
     peak = float(np.abs(rows.target).max()) or 1.0  # its tolerance is absolute
-    alphas = _row_alphas(task, fractions, rows.targets) / peak
+    alphas = task.unit * fractions / peak
     target = rows.target / peak
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -89,11 +89,11 @@ def _group_descent(
     datafit = _jitted(datafits.QuadraticGroup(starts, indices))
     penalty = _jitted(penalties.WeightedGroupL2(1.0, np.ones(len(blocks)), starts, indices))
     solver = solvers.GroupBCD(tol=tolerance, warm_start=True)
-    weights, fitted = np.zeros(design.shape[1]), np.zeros(len(target))
+    weights, fitted = np.zeros(design.shape[1]), np.zeros(len(target))  # both worked on in place
     found = []
     for alpha in alphas:
         penalty.alpha = alpha
-        weights = solver.solve(design, target, datafit, penalty, weights, fitted)[0].copy()
+        weights = solver.solve(design, target, datafit, penalty, weights.copy(), fitted)[0]
         fitted = design @ weights
         found.append(weights)
     return np.stack(found, axis=1)
@@ -113,11 +113,6 @@ def _blocks(task: Task) -> list[Any]:
     """The coefficients (k n, target by target) of each group."""
     groups = np.tile(task.penalty.groups, task.problem.targets)
     return [np.flatnonzero(groups == g) for g in range(len(task.penalty.weights))]
-
-
-def _row_alphas(task: Task, fractions: Array, targets: int) -> Array:
-    """alpha for rows_form, whose mean square is the whole objective whatever the targets."""
-    return np.asarray(task.unit * fractions)
 
 
 CONTENDERS = (

@@ -31,7 +31,8 @@ SAMPLE_RATE = 100.0  # Hz
 class NamedFlight:
     """A flight problem: m samples in a flow of one length scale, measured with noise or without.
 
-    noise: standard deviation of the measured velocity [m/s]; a tenth of it, in m, of the position.
+    noise: standard deviation of the measured velocity [m/s]; a tenth of it, in m, of the position,
+    and ten times it, in m/s^2, of the acceleration (gusts that the flow model does not have).
     """
 
     name: str
@@ -53,17 +54,18 @@ class NamedFlight:
             seed=self.seed,
             velocity_noise=self.noise,
             position_noise=0.1 * self.noise,
+            process_noise=10.0 * self.noise,
         )
         return Library(grid).build(derivative(flight), VEHICLE)
 
 
 NAMED = (
     NamedFlight("short clean", 500, 15.43, 4.2, 0.0, 1),
-    NamedFlight("short noisy", 500, 8.0, 3.37, 0.02, 2),
+    NamedFlight("short noisy", 500, 8.0, 3.37, 0.1, 2),
     NamedFlight("medium clean", 2000, 11.0, 2.57, 0.0, 3),
-    NamedFlight("medium noisy", 2000, 10.0, 6.0, 0.02, 4),
+    NamedFlight("medium noisy", 2000, 10.0, 6.0, 0.1, 4),
     NamedFlight("long clean", 10000, 15.43, 4.21, 0.0, 5),
-    NamedFlight("long noisy", 10000, 12.0, 9.4, 0.02, 6),
+    NamedFlight("long noisy", 10000, 12.0, 9.4, 0.1, 6),
 )
 QUICK_GRID = LengthScaleGrid(upper=6.0, step=0.5)
 

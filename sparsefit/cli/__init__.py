@@ -45,7 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return its exit code; bad input is one line on stderr, no traceback."""
     _print_what_can_be_printed()
     try:
-        args = parser().parse_args(argv)
+        args, extra = parser().parse_known_args(argv)
+        if extra:
+            args.parser.error(f"unrecognized arguments: {' '.join(extra)}")
         try:
             code: int = args.run(args)
         except KeyboardInterrupt:

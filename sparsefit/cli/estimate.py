@@ -119,7 +119,7 @@ def _estimator(args: argparse.Namespace) -> Estimator:
         return _built(args)
     if given:
         option = "--" + given[0].replace("_", "-")
-        raise InputError(f"{option} and --estimator cannot both be given; {args.estimator} has it")
+        raise InputError(f"{option} and --estimator cannot both be given; drop one")
     return _read_estimator(args.estimator)
 
 

@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,8 @@ def write_text(path: str, text: str, *, force: bool) -> None:
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}; check the folder") from None
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):  # the cause is already told
+            beside.unlink()
 
 
 def duration(seconds: float) -> str:

@@ -49,7 +49,7 @@ def verb(verbs: Verbs, name: str, run: Run, *, summary: str, example: str) -> Pa
     parser = verbs.add_parser(
         name, help=summary, description=_sentence(summary), epilog=f"example:\n{example}"
     )
-    parser.set_defaults(run=run, stopped="stopped")
+    parser.set_defaults(run=run, parser=parser, stopped="stopped")
     return parser
 
 

@@ -23,7 +23,9 @@ class Bar:
         if self._bar is None:
             from tqdm import tqdm
 
-            self._bar = tqdm(total=planned, bar_format=BAR, file=sys.stderr, dynamic_ncols=True)
+            self._bar = tqdm(
+                total=planned, initial=done, bar_format=BAR, file=sys.stderr, dynamic_ncols=True
+            )
         self._bar.n = done
         self._bar.set_postfix_str(_left(done, planned, left), refresh=False)
         self._bar.refresh()

@@ -89,7 +89,11 @@ class Group:
     def title(self) -> str:
         """Back-end and setting, for a legend."""
         backend = str(self.key["backend"])
-        return backend if self.setting == DEFAULT else f"{backend} {self.setting}"
+        if self.setting == DEFAULT:
+            return backend
+        # A label of its own, "least squares, truncated", already names the back-end.
+        own = not str(self.key["label"]).startswith(backend)
+        return self.setting if own else f"{backend} {self.setting}"
 
 
 def grouped(cases: pd.DataFrame, by: Sequence[str]) -> list[Group]:

@@ -15,7 +15,7 @@ from sparsefit.study.table import (
     padded,
 )
 
-_NAMES_SHARE = 0.6
+_NAMES_SHARE = 0.7
 _NARROWEST_NAME = 8
 
 

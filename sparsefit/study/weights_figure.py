@@ -30,16 +30,24 @@ def weights_figure(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFram
     flat = [axes for row in grid for axes in row]
     many = len({str(group.key["protocol"]) for group in groups}) > 1
     for axes, group in zip(flat, groups, strict=False):
-        _panel(axes, group, weights, many)
+        _panel(axes, group, weights)
+        title = f"{group.title} ({group.key['protocol']})" if many else group.title
+        axes.set_title(shortened(title, 72 if columns == 1 else 32), loc="left")
     for axes in flat[len(groups) :]:
         axes.set_visible(False)
     _share(flat[: len(groups)], columns)
-    handles, labels = flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    figure.align_ylabels()
+    # From all panels: one whose fit failed has no chosen scale to explain.
+    handles = {
+        label: handle
+        for axes in flat[: len(groups)]
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=3)
     return figure
 
 
-def _panel(axes: Axes, group: Group, weights: pd.DataFrame, many: bool) -> None:
+def _panel(axes: Axes, group: Group, weights: pd.DataFrame) -> None:
     case = group.cases.iloc[0]
     own = weights[weights["case_id"] == case["case_id"]].sort_values("length_scale")
     scales, values = numbers(own, "length_scale"), numbers(own, "weight")
@@ -50,11 +58,10 @@ def _panel(axes: Axes, group: Group, weights: pd.DataFrame, many: bool) -> None:
     )  # fmt: skip
     axes.vlines(scales, 0.0, values, color=COLOURS[0], lw=1.1, label="weight", zorder=3)
     _chosen(axes, plain(case["grid_length_scale"]), scales, values)
-    title = f"{group.title} ({group.key['protocol']})" if many else group.title
     chosen, status = plain(case["grid_length_scale"]), str(case["status"])
     words = f"chosen {chosen:.3g} m" if isinstance(chosen, float) else "no scale chosen"
-    axes.set_title(shortened(title, 50 if many else 60), loc="left")
-    axes.set_title(words if status == "ok" else f"{words}, {status}", loc="right", color=GREY)
+    verdict = words if status == "ok" else f"{words}, {status}"
+    axes.set_title(verdict, loc="right", color=GREY, fontsize=6.5)
     axes.set_ylabel("weight")
     axes.grid(False, axis="x")
 

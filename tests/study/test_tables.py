@@ -348,3 +348,8 @@ def test_tables_that_apply():
 def test_formats_render_everything_they_are_given():
     for spec in (SIGNIFICANT, ".2f", "+.2f", "d", ".1e", ""):
         assert cell_text(7, Column("x", format=spec))
+
+
+def test_a_label_of_its_own_is_not_doubled_in_a_legend():
+    cases = frame(case(0), case(0, label="truncated", settings='{"rcond": 0.01}', backend="lasso"))
+    assert [group.title for group in by_setting(cases)] == ["lasso", "truncated"]

@@ -1,0 +1,189 @@
+"""The laws of the house, read from the source: who may import whom, and what nobody may do."""
+
+import ast
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from sparsefit.backends import BACKENDS
+
+PACKAGE = Path(__file__).parents[1] / "sparsefit"
+ROOMS = (
+    *("errors", "flow", "vehicle", "flight", "derivative", "objective", "library", "backends"),
+    *("fit", "readout", "refine", "estimator", "score", "bound", "study", "selection", "bench"),
+    "cli",
+)
+BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no other back-end
+BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
+SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
+PEERS = {"sklearn", "celer", "skglm", "pysindy"}
+SOLVER_ROOMS = {"backends", "bench"}  # bench runs the peers that the back-ends are compared with
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def name_of(path):
+    return ".".join(("sparsefit", *path.relative_to(PACKAGE).with_suffix("").parts))
+
+
+@cache
+def tree_of(path):
+    return ast.parse(path.read_text())
+
+
+def imports_of(path):
+    """(module, line) of every import, wherever it stands, but for those for type checkers only."""
+    package = name_of(path).removesuffix(".__init__").split(".")
+    package = package if path.stem == "__init__" else package[:-1]
+    skipped = {
+        child
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for child in ast.walk(node)
+    }
+    for node in ast.walk(tree_of(path)):
+        if node in skipped:
+            continue
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            stem = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*stem, *([node.module] if node.module else [])])
+            yield module, node.lineno
+            yield from ((f"{module}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def room_of(module):
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 and parts[0] == "sparsefit" else None
+
+
+def sources(room):
+    return [path for path in FILES if room_of(name_of(path)) == room]
+
+
+def test_every_room_has_its_place_in_the_order():
+    found = {room_of(name_of(path)) for path in FILES} - {"__init__", "__main__"}
+    assert found <= set(ROOMS)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_rooms_above_it(room):
+    allowed = set(ROOMS[: ROOMS.index(room) + 1])
+    for path in sources(room):
+        for module, line in imports_of(path):
+            found = room_of(module)
+            if found in ROOMS:
+                assert found in allowed, f"{name_of(path)}:{line} imports {module}"
+
+
+def test_the_objective_is_numpy_only():
+    for module, line in imports_of(PACKAGE / "objective.py"):
+        top = module.split(".")[0]
+        assert top == "numpy" or top in sys.stdlib_module_names, f"line {line} imports {module}"
+
+
+def test_back_ends_never_import_each_other():
+    rooms = {path.stem: path for path in sources("backends")}
+    assert set(rooms) >= BACKEND_ROOMS
+    for stem, path in rooms.items():
+        if stem == "__init__":
+            continue
+        for module, line in imports_of(path):
+            parts = module.split(".")
+            if parts[:2] == ["sparsefit", "backends"] and len(parts) > 2:
+                assert parts[2] not in BACKEND_ROOMS, f"{stem}:{line} imports {module}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_solvers_are_imported_by_back_ends_only_and_peers_by_none(path):
+    if room_of(name_of(path)) == "bench":
+        return
+    for module, line in imports_of(path):
+        top = module.split(".")[0]
+        if top in SOLVERS:
+            assert room_of(name_of(path)) in SOLVER_ROOMS, f"line {line} imports {module}"
+        assert top not in PEERS, f"line {line} imports {module}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_nothing_runs_text_or_pickles_or_opens_a_shell(path):
+    for module, line in imports_of(path):
+        top = module.split(".")[0]
+        assert top not in {"pickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}, line
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            assert called not in {"eval", "exec", "os.system", "os.popen"}, node.lineno
+            assert not called.endswith((".read_pickle", ".to_pickle")), node.lineno
+            for keyword in node.keywords:
+                forbidden = (keyword.arg, ast.unparse(keyword.value)) in {
+                    ("shell", "True"),
+                    ("allow_pickle", "True"),
+                }
+                assert not forbidden, node.lineno
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_modules_and_what_is_public_in_them_have_docstrings(path):
+    tree = tree_of(path)
+    assert ast.get_docstring(tree), "the module"
+    if path.name == "__init__.py" and len(tree.body) == 1:
+        return
+    places = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
+    for place in places:
+        if isinstance(place, ast.ClassDef) and place.name.startswith("_"):
+            continue
+        for node in place.body:
+            named = isinstance(node, ast.FunctionDef | ast.ClassDef)
+            if named and not node.name.startswith("_"):
+                assert ast.get_docstring(node), f"{node.name} in line {node.lineno}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_files_stay_readable_and_records_frozen(path):
+    assert len(path.read_text().splitlines()) <= 400
+    if room_of(name_of(path)) in {"study", "cli"}:
+        return  # a pool of workers or a progress bar is no record
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.ClassDef):
+            for decorator in node.decorator_list:
+                text = ast.unparse(decorator)
+                if text.startswith("dataclass"):
+                    assert "frozen=True" in text, f"{node.name} in line {node.lineno}"
+
+
+def test_no_room_is_a_drawer_for_odds_and_ends():
+    assert not {p.stem for p in FILES} & {"utils", "helpers", "common", "misc", "tools"}
+
+
+def test_random_numbers_come_from_seeds():
+    for path in FILES:
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("default_rng"):
+                assert node.args or node.keywords, f"{name_of(path)}:{node.lineno}"
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "np.random":
+                seeded = {"default_rng", "SeedSequence", "Generator"}
+                assert node.attr in seeded, f"{name_of(path)}:{node.lineno}"
+
+
+def test_an_estimator_needs_none_of_the_rooms_below_it():
+    code = (
+        "import sys, sparsefit, sparsefit.estimator; "
+        "sparsefit.estimator.Estimator().to_json(); print('\\n'.join(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=PACKAGE.parent,
+    )
+    loaded = set(done.stdout.split())
+    below = ROOMS[ROOMS.index("estimator") + 1 :]
+    assert not loaded & {f"sparsefit.{room}" for room in below}
+    assert not {name.split(".")[0] for name in loaded} & (
+        {"cvxpy", "osqp", "matplotlib", "pandas"} | PEERS
+    )
