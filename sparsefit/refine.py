@@ -20,20 +20,15 @@ from sparsefit.errors import InputError, positive
 Array = NDArray[np.float64]
 
 DIRECTIONS = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # s = p x + q y of the four plane waves
-DX = np.array([2, 0, 0, 0, 6, 7, 4, 5]), np.array([1.0, 0, -1, 0, 1, 1, -1, -1])
-DY = (
-    np.array([0, 3, 0, 1, 5, 4, 7, 6]),
-    np.array([0, 1.0, 0, -1, 1, -1, 1, -1]),
-)  # dC_j/dy: C_i, sign
+DX, DX_SIGN = [2, 0, 0, 0, 6, 7, 4, 5], np.array([[1.0, 0, -1, 0, 1, 1, -1, -1]]).T  # dC/dx
+DY, DY_SIGN = [0, 3, 0, 1, 5, 4, 7, 6], np.array([[0, 1.0, 0, -1, 1, -1, 1, -1]]).T  # over k
 STEP = 0.15  # of the scan, in 1/extent; 0.6 steps over lobes
 LOBES = 5  # refined on all rows; the rest are too shallow to be best or rival
 RIDGE = 1e-6  # of the scan: above the error of its sums, and 2e-6 of |Phi|^2 at most at the truth
 RANK = 1e-12  # eigenvalues of the scaled 8 x 8 Gram below this, relative, are dropped
 CHUNK = 4096  # wavenumbers solved at once: bounds the memory
-SPREAD = 8  # cells of the spreading kernel: sums to 1e-7
-BETA = 2.3 * SPREAD
-ITERATIONS = 40
-MAX_STEPS = 500_000  # 0.4 GB
+SPREAD, BETA = 8, 18.4  # cells of the spreading kernel, and its steepness: sums to 1e-7
+ITERATIONS, MAX_STEPS = 40, 500_000  # of a descent; of a scan, 0.4 GB
 ROUGH = 1e-3  # in scan steps, 1e-9 of a lobe's depth: where a rival's descent may stop
 SIGNIFICANCE = 0.05
 CORRELATION = 5  # samples: errors of smoothed derivatives and of positions are not white
@@ -60,10 +55,10 @@ class Refinement:
 
     @property
     def evidence(self) -> float:
-        """2 ln(likelihood ratio) of best to rival, white residuals: 2m ln(RSS_rival / RSS)."""
-        floor = 1e-15 * self.null_residual  # rounding
-        best, rival = max(self.residual, floor), max(self.rival_residual, floor)
-        return 2 * self.samples * math.log(rival / best) if best > 0 else 0.0
+        """2m ln(RSS_other / RSS), 2 ln(likelihood ratio) to the rival or to no flow at all."""
+        floor = 1e-15 * self.null_residual or 1.0  # rounding
+        other = min(self.rival_residual, self.null_residual)
+        return 2 * self.samples * math.log(max(other, floor) / max(self.residual, floor))
 
     @property
     def identifiable(self) -> bool:
@@ -84,7 +79,7 @@ def columns(position: Array, wavenumber: float) -> tuple[Array, Array]:
     )
     singles, (x, y) = [sin_x, sin_y, cos_x, cos_y], position.T
     value = np.stack([*singles, sin_x * sin_y, sin_x * cos_y, cos_x * sin_y, cos_x * cos_y])
-    slope = x * (DX[1][:, None] * value[DX[0]]) + y * (DY[1][:, None] * value[DY[0]])
+    slope = x * (DX_SIGN * value[DX]) + y * (DY_SIGN * value[DY])
     return value.T, slope.T
 
 
@@ -101,8 +96,7 @@ class Projection:
 def project(position: Array, flow_velocity: Array, wavenumber: float) -> Projection:
     """Fit centred positions and Phi, (m, 2), at k by the Gram matrix, less its null directions.
 
-    The gradient of RSS/2 is -(R, dC/dk W), as R is normal to C; the curvature is |P dC/dk W|^2,
-    P projecting off C (Kaufman, 1975).
+    The gradient of RSS/2 is -(R, dC/dk W); the curvature |P dC/dk W|^2, P projecting off C.
     """
     value, slope = columns(position, wavenumber)
     scale = np.sqrt(np.einsum("ij,ij->j", value, value))
@@ -120,8 +114,8 @@ def project(position: Array, flow_velocity: Array, wavenumber: float) -> Project
 
 def residual_curve(position: Array, flow_velocity: Array, wavenumbers: Array) -> Array:
     """RSS(k) (q,) at any wavenumbers (q,) [1/m]; `scan` is 50 times faster on a uniform grid."""
-    points, ks = centred(position), wavenumbers.tolist()
-    return np.array([project(points, flow_velocity, k).residual for k in ks])
+    points = centred(position)
+    return np.array([project(points, flow_velocity, k).residual for k in wavenumbers.tolist()])
 
 
 def scan(position: Array, flow_velocity: Array, step: float, first: int, last: int) -> Array:
@@ -137,13 +131,13 @@ def scan(position: Array, flow_velocity: Array, step: float, first: int, last: i
     for i in range(12):  # (p, q) = divmod(i, 5) - 2: symmetric about i = 12, (0, 0)
         mode = np.array(divmod(i, 5)) - 2
         wave = np.flatnonzero((-mode == DIRECTIONS).all(axis=1))
-        loads = flow_velocity.T if len(wave) else flow_velocity.T[:0]
+        loads = flow_velocity.T[: 2 * len(wave)]
         found = _fourier_sums(points @ mode, loads, step, size)[:, first : last + 1] / gain
         sums[i], sums[24 - i] = found[0].conj(), found[0]
         if len(wave):
             cross[wave[0]] = found[1:]
-    one, other = DIRECTIONS[:, None], DIRECTIONS
-    minus, plus = (sums[(pair + 2) @ (5, 1)] for pair in (one - other, one + other))
+    pairs = (DIRECTIONS[:, None] + sign * DIRECTIONS for sign in (-1, 1))
+    minus, plus = (sums[(pair + 2) @ (5, 1)] for pair in pairs)
     curve = np.full(count, np.sum(flow_velocity**2))
     for part in (slice(begin, begin + CHUNK) for begin in range(0, count, CHUNK)):
         gram = _real_gram(minus[..., part], plus[..., part])
@@ -179,10 +173,9 @@ def _kernel_gain(first: int, last: int) -> tuple[Array, int]:
     """The kernel's Fourier transform at j = first..last; the size that oversamples twice."""
     size = 1 << math.ceil(math.log2(4 * (last + 1) + 4 * SPREAD))
     nodes, mass = np.polynomial.legendre.leggauss(4 * SPREAD)
-    mass = 0.5 * SPREAD * mass * np.exp(BETA * (np.sqrt(1 - nodes * nodes) - 1))
+    mass = 0.5 * SPREAD * mass * np.exp(BETA * np.sqrt(1 - nodes * nodes) - BETA)
     waves = np.outer(np.arange(first, last + 1), math.pi * SPREAD / size * nodes)
-    gain: Array = np.cos(waves) @ mass
-    return gain, size
+    return np.cos(waves) @ mass, size
 
 
 def refine(
@@ -196,15 +189,12 @@ def refine(
     """Find L in [lower, upper] [m] with the least residual, and its rival.
 
     position (m, 2) [m]; flow_velocity Phi (m, 2) [m/s]; start_length_scale: a back-end's answer
-    [m], whose lobe is refined whatever its depth. Raises InputError if the interval is empty or
-    the flight stands still.
+    [m], whose lobe is refined whatever its depth. InputError: empty interval, flight at rest.
     """
     extent = float(np.ptp(position, axis=0).max())
     if not (0 < lower < upper < math.inf and extent > 0):
-        raise InputError(
-            f"refine needs 0 < lower < upper and a flight that moves; got {lower:g} to {upper:g} m "
-            f"and an extent of {extent:g} m"
-        )
+        what = f"{lower:g} to {upper:g} m and an extent of {extent:g} m"
+        raise InputError(f"refine needs 0 < lower < upper and a flight that moves; got {what}")
     low, high = math.pi / upper, math.pi / lower
     step = min(STEP / extent, (high - low) / 8)
     if high > MAX_STEPS * step:
@@ -232,15 +222,10 @@ def centred(position: Array) -> Array:
 
 
 def _minima(curve: Array) -> NDArray[np.intp]:
-    """Indices of the local minima, edges included, deepest first by the parabola through three."""
+    """Indices of the local minima, edges included, deepest first."""
     padded = np.concatenate([[np.inf], curve, [np.inf]])
     found = np.flatnonzero((curve <= padded[:-2]) & (curve <= padded[2:]))
-    inner = np.clip(found, 1, len(curve) - 2)
-    before, here, after = curve[inner - 1], curve[inner], curve[inner + 1]
-    bend = before - 2 * here + after
-    drop = (after - before) ** 2 / np.where(bend > 0, 8 * bend, np.inf)
-    depth = np.where(found == inner, here - drop, curve[found])
-    return found[np.argsort(depth, kind="stable")]
+    return found[np.argsort(curve[found], kind="stable")]
 
 
 def _descend(

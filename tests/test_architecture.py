@@ -12,8 +12,8 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
-    *("errors", "flow", "vehicle", "flight", "derivative", "objective", "library", "backends"),
-    *("fit", "readout", "refine", "estimator", "score", "bound", "study", "selection", "bench"),
+    *("errors", "flow", "vehicle", "flight", "derivative", "objective", "library", "refine"),
+    *("backends", "fit", "readout", "estimator", "score", "bound", "study", "selection", "bench"),
     "cli",
 )
 BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no other back-end

@@ -151,8 +151,9 @@ def _ridge_solve(
     full = len(on) == len(system.gram)
     block = system.gram.copy() if full else system.gram[np.ix_(on, on)]
     block[np.diag_indices_from(block)] += system.ridge
+    size, floor = float(np.trace(block)), len(on) * np.finfo(float).eps
     factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
-    if failed == 0:
+    if failed == 0 and dpocon(factor, size, uplo="L")[0] > floor:
         solution: Array = dpotrs(factor, system.cross[on, t], lower=1)[0]
         return solution
     # A ridge that rounds away in Z'Z still counts beside Z: the same problem by its rows.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
@@ -21,6 +22,7 @@ from sparsefit.vehicle import PointMassVehicle
 
 Array: TypeAlias = NDArray[np.float64]
 Kind = Literal["lasso", "group-lasso", "joint-group-lasso"]
+Progress: TypeAlias = Callable[[str], None]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 LOWEST = 1e-3  # of alpha_max: where a path ends
 VEHICLE = PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))

@@ -59,9 +59,10 @@ def add(verbs: Verbs) -> None:
 def run_list(args: argparse.Namespace) -> int:
     """Every back-end; one that is broken with its error."""
     from sparsefit import backends
+    from sparsefit.backends.conic import installed_solvers
 
     records = [_record(name) for name in backends.known()]
-    solvers = _solvers()
+    solvers = installed_solvers()
     if args.json:
         print_json({"backends": records, "cvxpy_solvers": solvers})
         return 0
@@ -100,15 +101,10 @@ def _entry(record: dict[str, Any]) -> str:
     )
 
 
-def _solvers() -> list[str]:
-    import cvxpy
-
-    return sorted(name.lower() for name in cvxpy.installed_solvers())
-
-
 def run_check(args: argparse.Namespace) -> int:
     """Exit 0 only if the back-end's answer is certified."""
     from sparsefit import backends
+    from sparsefit.backends.conic import installed_solvers
     from sparsefit.derivative import Derivative
     from sparsefit.estimator import Estimator
     from sparsefit.flight import simulate_flight
@@ -125,7 +121,7 @@ def run_check(args: argparse.Namespace) -> int:
     estimate = Estimator(Derivative(), library, backend).estimate(flight)
     certificate = estimate.certificate
     if args.json:
-        print_json({**estimate.to_dict(), "cvxpy_solvers": _solvers()})
+        print_json({**estimate.to_dict(), "cvxpy_solvers": installed_solvers()})
     else:
         proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
         reason = f" ({estimate.reason})" if estimate.reason else ""
@@ -135,6 +131,6 @@ def run_check(args: argparse.Namespace) -> int:
             f"  settings: {shown(estimate.settings) or 'none'}\n"
             f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
             f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)\n"
-            f"  solvers that cvxpy finds here: {', '.join(_solvers())}"
+            f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}"
         )
     return 0 if estimate.status == "ok" else 1

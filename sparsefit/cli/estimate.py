@@ -195,7 +195,9 @@ def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
     ax, ay = flight.vehicle.thrust_acceleration
     certificate = estimate.certificate
     proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
-    meaning = f"  ({MEANINGS[certificate.kind]})" if certificate else ""
+    meaning = (
+        f"  ({MEANINGS[certificate.kind]})" if certificate and certificate.kind in MEANINGS else ""
+    )
     rows = [
         ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
         (

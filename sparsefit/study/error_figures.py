@@ -60,7 +60,7 @@ def _strip(axes: Axes, name: str, group: Group, place: int, colour: str) -> None
         return
     # A fixed pattern instead of random jitter: the same cases give the same picture.
     height = place + 0.28 * np.resize([-1.0, 0.2, 0.8, -0.4, 0.5, -0.7, 1.0, 0.0], sizes.size)
-    axes.scatter(sizes, height, s=3, color=colour, alpha=0.45, linewidth=0, rasterized=False)
+    axes.scatter(sizes, height, s=3, color=colour, alpha=0.45, linewidth=0, rasterized=True)
     low, first, median, third, high = np.quantile(sizes, [0.05, 0.25, 0.5, 0.75, 0.95])
     axes.plot([low, high], [place, place], color="black", lw=0.6, zorder=3)
     axes.barh(

@@ -12,9 +12,15 @@ WIDE = 10
 
 
 def to_latex(table: Table, *, label: str = "") -> str:
-    """A `table` environment that needs only booktabs; numbers right, minus signs as such."""
+    """A float of booktabs rules, numbers right, minus signs as such.
+
+    A wide table lies on its side (package rotating): shrunk to a column it could not be read.
+    """
+    wide = len(table.columns) > WIDE
+    environment, package = ("sidewaystable", ",rotating") if wide else ("table", "")
     lines = [
-        r"\begin{table}[htbp]",
+        rf"% needs \usepackage{{booktabs{package}}}",
+        rf"\begin{{{environment}}}[htbp]",
         rf"  \centering{_size(table.columns)}",
         rf"  \caption{{{escape_tex(table.title)}}}",
         *([rf"  \label{{{re.sub(r'[^A-Za-z0-9:-]', '-', label)}}}"] if label else []),
@@ -27,7 +33,7 @@ def to_latex(table: Table, *, label: str = "") -> str:
         r"    \bottomrule",
         r"  \end{tabular}",
         *(rf"  \par\smallskip {escape_tex(note)}" for note in table.remarks),
-        r"\end{table}",
+        rf"\end{{{environment}}}",
     ]
     return "\n".join(lines) + "\n"
 

@@ -7,7 +7,7 @@ import json
 import cvxpy
 import numpy as np
 import pytest
-from problems import orthonormal, regular
+from problems import GENERAL, flight_problem, orthonormal, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -47,7 +47,8 @@ SETTINGS = [
     ("group-lasso", {"separate": True}),
     ("group-lasso", {"group_weights": "sqrt-size"}),
 ]
-CASES = [(name, {}) for name in backends.known()] + SETTINGS + BY_SOLVER
+OFF_GRID = [name for name in backends.BACKENDS if name not in GENERAL]
+CASES = [(name, {}) for name in backends.known() if name not in OFF_GRID] + SETTINGS + BY_SOLVER
 FIRST_ORDER = ("osqp", "scs")  # their weights are good to 1e-4, the others' to 1e-6
 PROBLEM = regular(3)
 
@@ -163,7 +164,9 @@ def test_units_of_a_column_are_units_of_its_weight(case):
     backend = backends.get(case[0], **case[1])
     if getattr(backend, "rcond", None) or depends_on_samples(backend):
         pytest.skip("works in the units that it is given")
-    units = np.geomspace(1e-6, 1e6, PROBLEM.columns)
+    # Least squares as the paper prints it does not scale: it is backward stable, |theta| |W| eps.
+    span = 1e3 if case[0] == "least-squares" else 1e6
+    units = np.geomspace(1 / span, span, PROBLEM.columns)
     changed = rebuilt(PROBLEM, theta=PROBLEM.theta * units)
     expected = solved(PROBLEM, backend).weights
     assert solved(changed, backend).weights * units[:, None] == close(backend, expected)
@@ -310,3 +313,27 @@ def test_fewer_samples_than_columns(case):
     assert np.isnan(found.weights).all() == refused
     if refused:
         assert "7 samples are fewer than 12 columns" in found.reason
+
+
+@pytest.mark.parametrize("name", OFF_GRID)
+def test_back_ends_off_the_grid_refuse_what_has_no_positions(name):
+    found = sf.fit(PROBLEM, backends.get(name))
+    assert found.status == "error"
+    assert found.reason
+    assert np.isnan(found.weights).all()
+
+
+@pytest.mark.parametrize("name", OFF_GRID)
+def test_back_ends_off_the_grid_are_pure_frozen_and_certified_on_flights(name):
+    problem, backend = flight_problem(velocity_noise=0.1), backends.get(name)
+    before = copy.deepcopy((problem.theta, problem.target))
+    first, second = backend.solve(problem).weights, backend.solve(problem).weights
+    assert np.array_equal(first, second)
+    assert np.array_equal(before[0], problem.theta)
+    assert np.array_equal(before[1], problem.target)
+    assert backends.get(name, **json.loads(json.dumps(backends.settings_of(backend)))) == backend
+    for key in backends.settings_of(backend):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(backend, key, None)
+    found = solved(problem, backend)
+    assert found.certificate.kind == backend.certificate_kind

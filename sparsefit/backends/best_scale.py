@@ -1,0 +1,56 @@
+"""Each length scale alone: the baseline that sparse back-ends have to justify themselves against.
+
+    min over groups g of min over W_g of |Y - theta_g W_g|^2
+
+All targets choose together. On one cellular flow nothing sparse is needed; on several superposed
+ones the best single scale is not the answer.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.backends.base import Solution, checked_number
+from sparsefit.backends.group_fit import DOUBT, explained, fit_on, residual_square
+from sparsefit.library import RegressionProblem
+from sparsefit.objective import CertificateKind
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BestScale:
+    """The least squares of the one group of columns that leaves the smallest residual.
+
+    rcond: singular values of a group's columns, in unit rms, below rcond times the largest count
+    as zero; None is the rounding level.
+    """
+
+    name: ClassVar[str] = "best-scale"
+    certificate_kind: ClassVar[CertificateKind] = "fixed_point"
+    rcond: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.rcond is not None:
+            checked_number(self.name, "rcond", self.rcond, low=0.0, high=1.0)
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """Weights on the chosen group alone."""
+        if not problem.target.any():
+            return Solution(None, "unidentifiable", f"{self.name}: the target is zero throughout")
+        return Solution(self._best(problem))
+
+    def next_support(self, problem: RegressionProblem, weights: Array) -> NDArray[np.bool_]:
+        """The support of the choice made again, for the fixed-point certificate."""
+        support: NDArray[np.bool_] = self._best(problem) != 0
+        return support
+
+    def _best(self, problem: RegressionProblem) -> Array:
+        statistics = problem.statistics
+        gains = explained(statistics.gram, statistics.cross, problem.groups, self.rcond)
+        # Z'Z loses what nearly exact fits differ by: those in doubt are compared on the rows.
+        doubtful = np.flatnonzero(gains >= gains.max() - DOUBT * statistics.target_square.sum())
+        fits = [fit_on(problem, np.flatnonzero(problem.groups == g), self.rcond) for g in doubtful]
+        return min(fits, key=lambda weights: residual_square(problem, weights))

@@ -1,0 +1,175 @@
+"""Gridless group-LASSO: finitely many continuous length scales, by sliding Frank-Wolfe.
+
+The limit of ever finer grids (see `continuous_dual` for the problem and its certificate). Each
+round: the wavenumber of largest eta(k) joins; a group-LASSO on the scales at hand sets the weights
+and drops what is not needed; scales and weights slide downhill together. It ends when the duality
+gap over the whole interval does.
+
+Source: Denoyelle, Duval, Peyre and Soubies, "The sliding Frank-Wolfe algorithm and its application
+to super-resolution microscopy" (2019).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.backends.base import Solution, checked_alpha_fraction
+from sparsefit.backends.continuous_dual import (
+    POINTS,
+    Interval,
+    Jet,
+    Scanner,
+    continuous_alpha_max,
+    continuous_gap,
+    gap_of,
+    scan_points,
+)
+from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
+from sparsefit.backends.sliding import Atoms, slide
+from sparsefit.backends.variational import group_path
+from sparsefit.library import RegressionProblem
+from sparsefit.objective import Certificate, CertificateKind
+
+Array = NDArray[np.float64]
+
+ROUNDS = 60
+STOP = 1e-10  # relative duality gap, below any tolerance the certificate is asked to meet
+CORRECTION = 1e-7  # of the weights before the slide, which makes them exact
+EAGER = 0.7  # peaks of eta - 1 this close to the highest join in the same round
+APART = 0.3  # in 1/extent: nearer scales than this are one lobe, and are tried as one
+
+
+@dataclass(frozen=True)
+class GridlessGroupLasso:
+    """min 1/(2m) |Y - sum_j Z(k_j) V_j|^2 + alpha sum_j |V_j| over any k_j in [pi/upper, pi/lower].
+
+    alpha = alpha_fraction * alpha_max, alpha_max = max over k of |Z(k)'Y|/m. lower, upper: bounds
+    of the length scale [m]; None takes those of the problem's grid, of which nothing else is used.
+    """
+
+    name: ClassVar[str] = "gridless-group-lasso"
+    certificate_kind: ClassVar[CertificateKind] = "duality_gap"
+    alpha_fraction: float = 0.1
+    lower: float | None = None
+    upper: float | None = None
+
+    def __post_init__(self) -> None:
+        checked_alpha_fraction(self.name, self.alpha_fraction)
+        checked_bounds(self.name, self.lower, self.upper)
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """Weights over the scales found, which the solution's own problem holds."""
+        refused = refusal(self.name, problem)
+        if refused is not None:
+            return refused
+        assert problem.position is not None
+        bounds = interval(problem, self.lower, self.upper)
+        if scan_points(problem.position, bounds) > POINTS:
+            return Solution(
+                None,
+                "error",
+                f"{self.name}: the extent of the flight holds more than {POINTS} scan points "
+                "between the bounds; raise lower, or use fewer cells of the flight",
+            )
+        atoms, rounds, done = _sliding_frank_wolfe(problem, self.alpha_fraction, bounds)
+        order = np.argsort(-atoms.wavenumbers)
+        found = columns_at(problem, math.pi / atoms.wavenumbers[order])
+        scaled = atoms.weights[order] / atoms.jet.rms[order][:, :, None]
+        return Solution(
+            scaled.reshape(-1, problem.targets),
+            "ok" if done else "inaccurate",
+            "" if done else "the sliding Frank-Wolfe rounds stalled",
+            "converged" if done else "stalled",
+            rounds,
+            found,
+        )
+
+    def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
+        """The duality gap of a solution over the whole interval, from rows and scales alone."""
+        scales, weights = found_by(solution)
+        assert problem.position is not None
+        bounds = interval(problem, self.lower, self.upper)
+        top = continuous_alpha_max(problem.position, problem.target, bounds)
+        own = columns_at(problem, scales)
+        return continuous_gap(own, weights, self.alpha_fraction * top, bounds)
+
+
+def _sliding_frank_wolfe(
+    problem: RegressionProblem, alpha_fraction: float, bounds: Interval
+) -> tuple[Atoms, int, bool]:
+    """(atoms, rounds, whether the gap reached STOP)."""
+    position, target = problem.position, problem.target
+    assert position is not None
+    scanner = Scanner.of(position, bounds)
+    start = scanner.peaks(target)[0]
+    alpha = alpha_fraction * start.height
+    nothing = np.zeros((1, 8, target.shape[1]))
+    atoms = Atoms.at(position, target, np.array([start.wavenumber]), nothing, alpha)
+    best, least = atoms, math.inf
+    for rounds in range(ROUNDS):
+        peaks = scanner.peaks(atoms.residual)
+        norm = float(np.sqrt(np.sum(atoms.weights**2, axis=(1, 2))).sum())
+        gap = gap_of(atoms.residual, target, alpha, norm, peaks[0].height, len(target)).value
+        if gap < least:
+            best, least = atoms, gap
+        if least <= STOP:
+            return best, rounds, True
+        wanted = 1 + EAGER * (peaks[0].height / alpha - 1)
+        new = [p.wavenumber for p in peaks if p.height >= wanted * alpha]
+        atoms = _joined(position, target, atoms, new, alpha, bounds)
+    return best, rounds + 1, False
+
+
+def _joined(
+    position: Array, target: Array, atoms: Atoms, new: list[float], alpha: float, bounds: Interval
+) -> Atoms:
+    """Fully corrective weights on the old scales and the new, pruned, slid and merged."""
+    k = np.unique(np.concatenate([atoms.wavenumbers, new]))
+    k, weights = _corrected(position, target, k, alpha)
+    here = slide(position, target, k, weights, alpha, bounds)
+    extent = float(np.ptp(position, axis=0).max())
+    while True:
+        merged = _merged(position, target, here, alpha, extent, bounds)
+        if merged is None:
+            return here
+        here = merged
+
+
+def _corrected(position: Array, target: Array, k: Array, alpha: float) -> tuple[Array, Array]:
+    """The group-LASSO on scales k: those it keeps, and their weights (s, 8, n)."""
+    m, n = target.shape
+    z = Jet.at(position, k).value.reshape(-1, m)
+    path = group_path(
+        z @ z.T / m,
+        z @ target / m,
+        np.repeat(np.arange(len(k)), 8),
+        np.ones(len(k)),
+        [alpha],
+        np.sum(target**2, axis=0) / m,
+        tolerance=CORRECTION,
+    )
+    weights = path.weights[0].reshape(-1, 8, n)
+    kept = np.any(weights != 0, axis=(1, 2))
+    kept = kept if kept.any() else np.arange(len(k)) == 0
+    return k[kept], weights[kept]
+
+
+def _merged(
+    position: Array, target: Array, atoms: Atoms, alpha: float, extent: float, bounds: Interval
+) -> Atoms | None:
+    """The two nearest scales as one, where that is no worse; None where they stay two."""
+    order = np.argsort(atoms.wavenumbers)
+    k, v = atoms.wavenumbers[order], atoms.weights[order]
+    if len(k) < 2 or np.diff(k).min() * extent > APART:
+        return None
+    i = int(np.argmin(np.diff(k)))
+    share = np.sqrt(np.sum(v[i : i + 2] ** 2, axis=(1, 2)))
+    total = float(share.sum())
+    k[i] = float(k[i : i + 2] @ share) / total if total > 0 else k[i]
+    v[i] += v[i + 1]
+    kept = np.arange(len(k)) != i + 1
+    one = slide(position, target, k[kept], v[kept], alpha, bounds)
+    return one if one.value <= atoms.value * (1 + 1e-12) else None

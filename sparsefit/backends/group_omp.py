@@ -1,0 +1,94 @@
+"""Group orthogonal matching pursuit: one length scale at a time, all weights fitted again.
+
+    g* = argmax over g of |P_g R|^2,    W = least squares on all groups so far,    R = Y - theta W
+
+P_g projects on the span of a group's columns, so neither their scale nor their correlation counts.
+Source: Lozano, Swirszcz and Abe, "Group orthogonal matching pursuit for variable selection and
+prediction" (NeurIPS 2009).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.backends.base import Solution, checked_number
+from sparsefit.backends.group_fit import explained, fit_on, residual_square
+from sparsefit.errors import InputError, unknown
+from sparsefit.library import RegressionProblem
+from sparsefit.objective import CertificateKind
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Stop = Literal["decrease", "bic"]
+MOST = 64  # groups, whatever the rule says
+
+
+@dataclass(frozen=True)
+class GroupOMP:
+    """Greedy groups until one more is not worth it.
+
+    stop: ``decrease``: a group must lower the residual sum of squares by ``tolerance`` * |Y|^2;
+    ``bic``: it must lower m n ln(RSS) + parameters ln(m n). ``scales``: stop at so many groups at
+    the latest; None has no such limit but 64 groups. The first group is always taken.
+    """
+
+    name: ClassVar[str] = "group-omp"
+    certificate_kind: ClassVar[CertificateKind] = "fixed_point"
+    scales: int | None = None
+    tolerance: float = 0.01
+    stop: Stop = "decrease"
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.scales, int) and not isinstance(self.scales, bool)
+        if self.scales is not None and not (whole and self.scales >= 1):
+            raise InputError(
+                f"{self.name}: scales must be an integer, at least 1, not {self.scales!r}"
+            )
+        checked_number(self.name, "tolerance", self.tolerance, low=0.0, high=1.0)
+        if self.stop not in get_args(Stop):
+            raise unknown(f"stop of {self.name}", str(self.stop), get_args(Stop))
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """Weights on the groups that the greedy choice takes."""
+        if not problem.target.any():
+            return Solution(None, "unidentifiable", f"{self.name}: the target is zero throughout")
+        weights = np.zeros((problem.columns, problem.targets))
+        steps = 0
+        while (larger := self._step(problem, weights)) is not None:
+            weights, steps = larger, steps + 1
+        return Solution(weights, iterations=steps)
+
+    def next_support(self, problem: RegressionProblem, weights: Array) -> NDArray[np.bool_]:
+        """The support after one more step, for the fixed-point certificate."""
+        following = self._step(problem, weights)
+        support: NDArray[np.bool_] = (weights if following is None else following) != 0
+        return support
+
+    def _step(self, problem: RegressionProblem, weights: Array) -> Array | None:
+        """Weights with one more group, or None where the rule says stop."""
+        used = np.unique(problem.groups[np.any(weights != 0, axis=1)])
+        if len(used) >= min(self.scales or MOST, int(problem.groups.max()) + 1):
+            return None
+        statistics, scaled = problem.statistics, weights * problem.statistics.rms[:, None]
+        cross = statistics.cross - statistics.gram @ scaled
+        gains = explained(statistics.gram, cross, problem.groups)
+        gains[used] = -1.0
+        taken = np.flatnonzero(np.isin(problem.groups, [*used, int(np.argmax(gains))]))
+        if len(used) and len(taken) >= problem.samples:
+            return None  # no freedom is left: the next fit would be exact
+        larger = fit_on(problem, taken)
+        return larger if not len(used) or self._worth(problem, weights, larger) else None
+
+    def _worth(self, problem: RegressionProblem, weights: Array, larger: Array) -> bool:
+        before, after = residual_square(problem, weights), residual_square(problem, larger)
+        total = float(problem.statistics.target_square.sum())
+        if self.stop == "decrease":
+            return before - after > self.tolerance * total
+        if before <= 1e-28 * total:
+            return False  # rounding
+        added = int(np.sum(larger != 0) - np.sum(weights != 0))
+        count = problem.samples * problem.targets
+        return count * math.log(before / max(after, 1e-300)) > added * math.log(count)

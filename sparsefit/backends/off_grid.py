@@ -1,0 +1,68 @@
+"""Regression problems over length scales off the grid, for back-ends that find their own."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.backends.base import Solution
+from sparsefit.errors import InputError
+from sparsefit.library import CANDIDATES, RegressionProblem, candidate_columns
+
+Array = NDArray[np.float64]
+
+
+def columns_at(problem: RegressionProblem, scales: Array) -> RegressionProblem:
+    """The problem's rows and target with the 8 candidates of each of the scales (s,) [m]."""
+    assert problem.position is not None  # `refusal` answers first
+    return RegressionProblem(
+        candidate_columns(problem.position, scales),
+        problem.target,
+        np.repeat(np.arange(len(scales)), len(CANDIDATES)),
+        tuple(f"{name} (L = {scale:.6g} m)" for scale in scales for name in CANDIDATES),
+        problem.target_names,
+        scales,
+        position=problem.position,
+    )
+
+
+def found_by(solution: Solution) -> tuple[Array, Array]:
+    """The scales (s,) [m] and weights (8 s, n) of a solution with a problem of its own."""
+    assert solution.problem is not None
+    assert solution.problem.group_scales is not None
+    assert solution.weights is not None
+    return solution.problem.group_scales, solution.weights
+
+
+def refusal(name: str, problem: RegressionProblem) -> Solution | None:
+    """The error of a back-end that makes its own columns, where rows have no position."""
+    if problem.position is None or problem.group_scales is None:
+        return Solution(
+            None,
+            "error",
+            f"{name} makes its own columns and needs the position of every row; build the problem "
+            "with Library from a flight whose columns fit in memory (a coarser grid or fewer "
+            "samples where they do not), or use group-lasso",
+        )
+    if not np.ptp(problem.position, axis=0).max() > 0:
+        return Solution(None, "unidentifiable", f"{name}: the flight stands still: no extent")
+    return None
+
+
+def checked_bounds(name: str, lower: float | None, upper: float | None) -> None:
+    """Raise InputError unless the bounds [m] are positive and in order; None is open."""
+    for key, value in (("lower", lower), ("upper", upper)):
+        if value is not None and not (0 < value < math.inf):
+            raise InputError(f"{name}: {key} must be a length above 0 m, not {value!r}")
+    if lower is not None and upper is not None and lower > upper:
+        raise InputError(f"{name}: lower ({lower:g} m) is above upper ({upper:g} m); swap them")
+
+
+def interval(
+    problem: RegressionProblem, lower: float | None, upper: float | None
+) -> tuple[float, float]:
+    """[pi/upper, pi/lower] [1/m]; where a bound is None, that of the problem's scales."""
+    assert problem.group_scales is not None
+    low = float(problem.group_scales.min()) if lower is None else lower
+    high = float(problem.group_scales.max()) if upper is None else upper
+    return math.pi / max(low, high), math.pi / min(low, high)

@@ -1,0 +1,218 @@
+"""STLSQ against PySINDy's, value by value, and its own scaled mode."""
+
+import warnings
+
+import numpy as np
+import pysindy
+import pytest
+from problems import flight_problem, regular
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.library import RegressionProblem
+
+
+def fixture():
+    """The problem of the measured constants: 40 samples, 4 columns, 2 targets."""
+    rng = np.random.default_rng(7)
+    theta = rng.normal(size=(40, 4))
+    weights = np.array([[1.5, 0.0, -0.08, 0.0], [0.0, 0.05, 0.0, 2.0]])
+    target = theta @ weights.T + 0.01 * rng.normal(size=(40, 2))
+    return RegressionProblem.from_arrays(theta, target)
+
+
+def ours(problem, **settings):
+    settings = {"mode": "pysindy", "threshold": 0.1, **settings}
+    return backends.get("stlsq", **settings).solve(problem)
+
+
+def theirs(problem, *, max_iterations=20, ridge=0.05, **settings):
+    """PySINDy's coefficients (k, n) and whether it warned of no convergence."""
+    optimizer = pysindy.STLSQ(alpha=ridge, max_iter=max_iterations, **settings)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        optimizer.fit(problem.theta.copy(), problem.target.copy())
+    return optimizer.coef_.T, any("did not converge" in str(w.message) for w in caught)
+
+
+@pytest.mark.parametrize(
+    ("settings", "first", "second"),
+    [
+        ({}, 1.4889852191527009, 1.9978501732457075),
+        ({"unbias": False}, 1.486104590762076, 1.9953228277518413),
+        ({"unbias": False, "max_iterations": 1}, 1.498719743401451, 1.999214032571171),
+    ],
+)
+def test_the_measured_constants(settings, first, second):
+    expected = np.zeros((4, 2))
+    expected[0, 0], expected[3, 1] = first, second
+    assert ours(fixture(), **settings).weights == pytest.approx(expected, rel=1e-10, abs=0)
+    assert theirs(fixture(), threshold=0.1, **settings)[0] == pytest.approx(expected, rel=1e-10)
+
+
+def random_problem(seed):
+    rng = np.random.default_rng(seed)
+    m, k, n = int(rng.integers(20, 60)), int(rng.integers(2, 10)), int(rng.integers(1, 4))
+    theta = rng.normal(size=(m, k)) * rng.uniform(0.3, 3.0, k)
+    weights = rng.normal(size=(k, n)) * (rng.random((k, n)) < 0.6)
+    return RegressionProblem.from_arrays(theta, theta @ weights + 0.2 * rng.normal(size=(m, n)))
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("unbias", [False, True])
+@pytest.mark.parametrize("max_iterations", [1, 2, 3, 20])
+@pytest.mark.parametrize("ridge", [0.0, 0.05, 5.0])
+@pytest.mark.parametrize("threshold", [0.0, 0.05, 0.5, 1.5])
+def test_pysindy_agrees(threshold, ridge, max_iterations, unbias, normalize):
+    for seed in range(4):
+        problem = random_problem(seed)
+        expected, warned = theirs(
+            problem,
+            threshold=threshold,
+            ridge=ridge,
+            max_iterations=max_iterations,
+            unbias=unbias,
+            normalize_columns=normalize,
+        )
+        found = ours(
+            problem,
+            threshold=threshold,
+            ridge=ridge,
+            max_iterations=max_iterations,
+            unbias=unbias,
+            normalize_columns=normalize,
+        )
+        if found.weights is None:
+            assert not expected.any()
+            assert "empty support" in found.reason
+            continue
+        assert np.array_equal(found.weights != 0, expected != 0)
+        assert np.abs(found.weights - expected).max() <= 1e-10 * max(np.abs(expected).max(), 1.0)
+        if warned:
+            assert found.iterations == max_iterations
+
+
+def test_ties_are_kept():
+    # ridge 0, orthogonal columns: the first coefficient is the threshold itself.
+    problem = RegressionProblem.from_arrays(np.eye(2), [0.5, 0.25])
+    found = ours(problem, threshold=0.5, ridge=0.0)
+    assert found.weights[:, 0] == pytest.approx([0.5, 0.0])
+
+
+def test_an_empty_support_has_no_weights_and_says_why():
+    found = sf.fit(fixture(), backends.get("stlsq", mode="pysindy", threshold=1e3))
+    assert found.status == "unidentifiable"
+    assert "empty support" in found.reason
+    assert "lower it" in found.reason
+    assert np.isnan(found.weights).all()
+
+
+def test_the_empty_support_of_one_target_is_named():
+    theta = np.random.default_rng(0).normal(size=(30, 3))
+    target = np.column_stack([theta[:, 0], 1e-3 * theta[:, 1]])
+    found = sf.fit(
+        RegressionProblem.from_arrays(theta, target),
+        backends.get("stlsq", mode="pysindy", threshold=0.1),
+    )
+    assert found.status == "ok"
+    assert found.reason == "support of 1 is empty"
+    assert not found.weights[:, 1].any()
+
+
+def test_too_few_iterations_are_no_fixed_point():
+    statuses = set()
+    for seed in range(30):
+        problem = random_problem(seed)
+        settings = {"mode": "pysindy", "threshold": 0.7, "ridge": 5.0}
+        settled = sf.fit(problem, backends.get("stlsq", **settings))
+        if settled.status == "unidentifiable":  # an empty support
+            continue
+        assert (settled.status, settled.certificate.value) == ("ok", 0.0)
+        found = sf.fit(problem, backends.get("stlsq", **settings, max_iterations=1))
+        moves = not np.array_equal(found.weights != 0, settled.weights != 0)
+        assert found.certificate.kind == "fixed_point"
+        assert (found.certificate.value > 0) == moves
+        assert found.status == ("inaccurate" if moves else "ok")
+        statuses.add(found.status)
+    assert statuses == {"ok", "inaccurate"}
+
+
+@pytest.mark.parametrize("unbias", [True, False])
+def test_scaled_mode_is_the_slow_obvious_loop(unbias):
+    problem = flight_problem(velocity_noise=0.2)
+    rms = np.sqrt(np.mean(problem.theta**2, axis=0))
+    z, y, m = problem.theta / rms, problem.target, problem.samples
+    support, values = np.ones((problem.columns, 2), bool), np.zeros((problem.columns, 2))
+    for _ in range(20):
+        before = support.copy()
+        for t in range(2):
+            on = np.flatnonzero(support[:, t])
+            gram = z[:, on].T @ z[:, on] / m + 0.05 * np.eye(len(on))
+            w = np.linalg.solve(gram, z[:, on].T @ y[:, t] / m)
+            keep = np.abs(w) >= 0.1 * np.sqrt(np.mean(y[:, t] ** 2))
+            values[:, t] = 0.0
+            values[on[keep], t] = w[keep]
+            support[:, t] = values[:, t] != 0
+        if np.array_equal(before, support):
+            break
+    if unbias:
+        for t in range(2):
+            on = np.flatnonzero(support[:, t])
+            values[on, t] = np.linalg.lstsq(z[:, on], y[:, t], rcond=None)[0]
+    backend = backends.get("stlsq", threshold=0.1, unbias=unbias)
+    found = sf.fit(problem, backend)
+    assert found.status == "ok"
+    assert np.array_equal(found.weights != 0, support)
+    expected = values / rms[:, None]
+    assert found.weights == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def test_repeated_columns_with_a_ridge_that_rounds_away_share_the_weight():
+    theta = np.random.default_rng(2).normal(size=(30, 3))
+    theta[:, 2] = theta[:, 1]
+    problem = RegressionProblem.from_arrays(theta, theta @ [1.0, 1.0, 1.0])
+    for ridge in (0.0, 1e-300, 1e-20):
+        backend = backends.get("stlsq", ridge=ridge, threshold=0.0, unbias=False)
+        found = sf.fit(problem, backend)
+        assert found.status == "ok"
+        assert found.weights[:, 0] == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+
+
+def test_unbiased_weights_on_an_ill_conditioned_support_are_those_of_lstsq():
+    theta = np.random.default_rng(2).normal(size=(30, 3))
+    theta[:, 2] = theta[:, 1] + 1e-6 * theta[:, 2]
+    target = theta @ [1.0, 1.0, 1.0]
+    problem = RegressionProblem.from_arrays(theta, target)
+    found = backends.get("stlsq", threshold=0.0).solve(problem).weights[:, 0]
+    assert found == pytest.approx(np.linalg.lstsq(theta, target, rcond=None)[0], abs=1e-8)
+
+
+def test_fewer_samples_than_columns_need_a_ridge():
+    problem = RegressionProblem.from_arrays(regular().theta[:5], regular().target[:5])
+    refused = sf.fit(problem, backends.get("stlsq", ridge=0.0))
+    assert refused.status == "error"
+    assert "set ridge above 0 or use lasso" in refused.reason
+    assert sf.fit(problem, backends.get("stlsq")).status == "ok"
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"mode": "sindy"},
+        {"threshold": -0.1},
+        {"threshold": np.nan},
+        {"threshold": np.inf},
+        {"ridge": -1.0},
+        {"ridge": "0.1"},
+        {"max_iterations": 0},
+        {"max_iterations": 2.5},
+        {"max_iterations": True},
+        {"unbias": 1},
+        {"normalize_columns": "yes"},
+        {"normalize_columns": True},  # belongs to mode pysindy
+    ],
+)
+def test_bad_settings_are_refused(settings):
+    with pytest.raises(InputError, match="stlsq"):
+        backends.get("stlsq", **settings)
