@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from sparsefit.backends.base import (
     Backend,
+    ChoosingBackend,
     PathBackend,
     PenalisedBackend,
     Solution,
     checked_alpha_fraction,
     checked_number,
+    numeric_fraction,
 )
 from sparsefit.errors import InputError
 from sparsefit.library import RegressionProblem
 from sparsefit.objective import Certificate, alpha_max, duality_gaps
+from sparsefit.penalty_choice import FRACTIONS, PenaltyChoice, choose_penalty
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-8
@@ -34,7 +37,8 @@ class Fit:
     weights (k, n) in the original units of theta, NaN throughout where there is no solution;
     status ``ok``, ``inaccurate`` (certificate above tolerance), ``unidentifiable`` or ``error``,
     with its reason; seconds of the solve; ``repaired``: the certificate rejected the fast path's
-    answer and this one is the referee's.
+    answer and this one is the referee's. ``penalty_choice``: how the back-end's alpha_fraction,
+    here the chosen number, was found where "auto" was asked for.
     """
 
     weights: Array
@@ -46,6 +50,7 @@ class Fit:
     solver_status: str = ""
     iterations: int | None = None
     repaired: bool = False
+    penalty_choice: PenaltyChoice | None = field(default=None, repr=False, kw_only=True)
     problem: RegressionProblem = field(repr=False, kw_only=True)
 
     @property
@@ -98,19 +103,31 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
     """Solve one problem and certify the answer.
 
     A certificate above ``tolerance`` gives status ``inaccurate``, with the best solution found.
+    An alpha_fraction of "auto" is chosen first: the fit is the chosen point of the path.
     """
     _check(problem, backend, tolerance)
+    if isinstance(backend, ChoosingBackend) and backend.alpha_fraction == "auto":
+        return _chosen(problem, backend, tolerance)
     if isinstance(backend, PathBackend):
-        return path(problem, backend, (backend.alpha_fraction,), tolerance=tolerance).fits[0]
+        fraction = numeric_fraction(backend.name, backend.alpha_fraction)
+        return path(problem, backend, (fraction,), tolerance=tolerance).fits[0]
     start = perf_counter()
     solution = backend.solve(problem)
     seconds = perf_counter() - start
     if isinstance(backend, PenalisedBackend) and backend.certificate_kind == "duality_gap":
-        fractions = (backend.alpha_fraction,)
+        fractions = (numeric_fraction(backend.name, backend.alpha_fraction),)
         certificate = _gaps(problem, backend, (solution,), fractions)[0]
     else:
         certificate = _certify(problem, backend, solution)
     return _judged(problem, backend, solution, certificate, seconds, tolerance)
+
+
+def _chosen(problem: RegressionProblem, backend: ChoosingBackend, tolerance: float) -> Fit:
+    start = perf_counter()
+    along = path(problem, backend, FRACTIONS, tolerance=tolerance)
+    choice = choose_penalty(problem, backend, along.weights)
+    found = along.fits[choice.index]
+    return dataclasses.replace(found, seconds=perf_counter() - start, penalty_choice=choice)
 
 
 def path(

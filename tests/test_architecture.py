@@ -13,7 +13,8 @@ from sparsefit.backends import BACKENDS
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
     *("errors", "flow", "vehicle", "flight", "derivative", "objective", "library", "refine"),
-    *("backends", "fit", "readout", "estimator", "score", "bound", "study", "selection", "bench"),
+    *("backends", "penalty_choice", "fit", "readout", "estimator", "score", "bound"),
+    *("study", "selection", "bench"),
     "cli",
 )
 BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no other back-end

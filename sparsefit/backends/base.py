@@ -1,17 +1,20 @@
 """What a back-end is: frozen settings and a pure ``solve``."""
 
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, unknown
 from sparsefit.library import RegressionProblem
 from sparsefit.objective import CertificateKind, Penalty
 
 Array = NDArray[np.float64]
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
+AlphaFraction = float | Literal["auto"]
+Selection = Literal["ebic", "bic", "cross-validation", "stability"]
+"""The rules by which `fit` chooses an alpha_fraction of "auto"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +56,8 @@ class PenalisedBackend(Backend, Protocol):
     """A convex back-end: 1/(2m)|Y - ZV|^2 + alpha * penalty, alpha = fraction * alpha_max."""
 
     @property
-    def alpha_fraction(self) -> float:
-        """alpha / alpha_max, in (0, 1]."""
+    def alpha_fraction(self) -> AlphaFraction:
+        """alpha / alpha_max, in (0, 1], or "auto" where the back-end is a ChoosingBackend."""
         ...
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
@@ -74,6 +77,16 @@ class PathBackend(PenalisedBackend, Protocol):
 
     def referee(self) -> "PathBackend | None":
         """The slower, independent solver of the same problem; None where this is it."""
+        ...
+
+
+@runtime_checkable
+class ChoosingBackend(PathBackend, Protocol):
+    """A path back-end whose penalty `fit` can choose: ``alpha_fraction = "auto"``."""
+
+    @property
+    def selection(self) -> Selection:
+        """The rule that chooses it."""
         ...
 
 
@@ -105,11 +118,29 @@ def checked_number(
 ALPHA_MEANING = "it is the penalty as a fraction of the smallest one whose solution is zero"
 
 
-def checked_alpha_fraction(owner: str, value: Any) -> None:
-    """Raise InputError unless value is a penalty fraction in (0, 1]."""
+def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> None:
+    """Raise InputError unless value is a penalty fraction in (0, 1], or "auto" where it may be."""
+    if auto and isinstance(value, str) and value == "auto":
+        return
+    meaning = ALPHA_MEANING + (', or "auto", to be chosen from the flight' if auto else "")
     checked_number(
-        owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=ALPHA_MEANING
+        owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=meaning
     )
+
+
+def numeric_fraction(owner: str, value: AlphaFraction) -> float:
+    """The penalty fraction where one is needed. Raises InputError on "auto"."""
+    if isinstance(value, str):
+        raise InputError(
+            f'{owner}: alpha_fraction "{value}" is chosen by sparsefit.fit; solve needs a number'
+        )
+    return value
+
+
+def checked_selection(owner: str, value: Any) -> None:
+    """Raise InputError unless value is a rule that chooses a penalty."""
+    if value not in get_args(Selection):
+        raise unknown(f"selection of {owner}", str(value), get_args(Selection))
 
 
 def settings_of(backend: Any) -> dict[str, Any]:

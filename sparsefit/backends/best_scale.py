@@ -48,9 +48,10 @@ class BestScale:
         return support
 
     def _best(self, problem: RegressionProblem) -> Array:
-        statistics = problem.statistics
-        gains = explained(statistics.gram, statistics.cross, problem.groups, self.rcond)
+        gains = explained(problem, rcond=self.rcond)
         # Z'Z loses what nearly exact fits differ by: those in doubt are compared on the rows.
-        doubtful = np.flatnonzero(gains >= gains.max() - DOUBT * statistics.target_square.sum())
+        doubtful = np.flatnonzero(
+            gains >= gains.max() - DOUBT * problem.statistics.target_square.sum()
+        )
         fits = [fit_on(problem, np.flatnonzero(problem.groups == g), self.rcond) for g in doubtful]
         return min(fits, key=lambda weights: residual_square(problem, weights))

@@ -7,32 +7,50 @@ from sparsefit.library import RegressionProblem
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
-GRAM_RCOND = 1e-11  # of Z'Z: eigenvalues below it, relative, are rounding and dropped
+UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
 DOUBT = 1e-6  # of |Y|^2: residuals this close in Gram space are settled on the rows
 
 
-def explained(gram: Array, cross: Array, groups: Ints, rcond: float | None = None) -> Array:
-    """|P_g Y|^2 / m (g,): what each group alone explains, from Z'Z/m (k, k) and Z'Y/m (k, n).
+def explained(
+    problem: RegressionProblem, weights: Array | None = None, rcond: float | None = None
+) -> Array:
+    """|P_g R|^2 / m (g,): what each group alone explains of R = Y - theta W (W = 0 without).
 
-    Groups of one size go through one batched eigendecomposition. rcond: relative to the largest
-    singular value of the group's scaled columns.
+    From Z'Z/m and Z'R/m, groups of one size in one batch; from the rows where Z'Z has lost a
+    group's rank. rcond: relative to the largest singular value of the group's scaled columns.
     """
-    floor = GRAM_RCOND if rcond is None else max(rcond * rcond, GRAM_RCOND)
-    order = np.argsort(groups, kind="stable")
-    sizes = np.bincount(groups)
+    statistics = problem.statistics
+    cross = statistics.cross
+    if weights is not None:
+        cross = cross - statistics.gram @ (weights * statistics.rms[:, None])
+    order = np.argsort(problem.groups, kind="stable")
+    sizes = np.bincount(problem.groups)
     starts = np.cumsum(sizes) - sizes
     gains = np.zeros(len(sizes))
-    for size in np.unique(sizes):
-        if size == 0:
-            continue
+    floor = max(rcond or 0.0, 0.0) ** 2
+    for size in np.unique(sizes[sizes > 0]):
         chosen = np.flatnonzero(sizes == size)
         index = order[starts[chosen][:, None] + np.arange(size)]
-        roots, vectors = np.linalg.eigh(gram[index[:, :, None], index[:, None, :]])
-        kept = roots > floor * roots[:, -1:]
-        load = vectors.transpose(0, 2, 1) @ cross[index]
-        inverse = np.where(kept, 1.0 / np.where(kept, roots, 1.0), 0.0)
-        gains[chosen] = np.sum(np.sum(load * load, axis=2) * inverse, axis=1)
+        roots, vectors = np.linalg.eigh(statistics.gram[index[:, :, None], index[:, None, :]])
+        load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
+        kept = roots > max(floor, UNSAFE) * roots[:, -1:]
+        gains[chosen] = np.sum(np.where(kept, load / np.where(kept, roots, 1.0), 0.0), axis=1)
+        if floor < UNSAFE:  # a coarser rcond drops what rounding could have touched
+            for i in np.flatnonzero(~kept.all(axis=1)):
+                gains[chosen[i]] = _explained_by_rows(problem, index[i], weights, rcond)
     return gains
+
+
+def _explained_by_rows(
+    problem: RegressionProblem, columns: Ints, weights: Array | None, rcond: float | None
+) -> float:
+    """|P_g R|^2 / m by the singular value decomposition of the group's scaled columns."""
+    residual = problem.target if weights is None else residual_of(problem, weights)
+    z = problem.theta[:, columns] / problem.statistics.rms[columns]
+    left, values, _ = np.linalg.svd(z, full_matrices=False)
+    rounding = float(np.finfo(float).eps) * max(z.shape)
+    left = left[:, values > (rounding if rcond is None else rcond) * values[0]]
+    return float(np.sum((left.T @ residual) ** 2)) / problem.samples
 
 
 def fit_on(problem: RegressionProblem, columns: Ints, rcond: float | None = None) -> Array:
@@ -44,8 +62,14 @@ def fit_on(problem: RegressionProblem, columns: Ints, rcond: float | None = None
     return weights
 
 
-def residual_square(problem: RegressionProblem, weights: Array) -> float:
-    """|Y - theta W|^2 / m, from the columns in use."""
+def residual_of(problem: RegressionProblem, weights: Array) -> Array:
+    """R = Y - theta W (rows, n), from the columns in use."""
     used = np.flatnonzero(np.any(weights != 0, axis=1))
-    residual = problem.target - problem.theta[:, used] @ weights[used]
+    residual: Array = problem.target - problem.theta[:, used] @ weights[used]
+    return residual
+
+
+def residual_square(problem: RegressionProblem, weights: Array) -> float:
+    """|R|^2 / m."""
+    residual = residual_of(problem, weights)
     return float(np.sum(residual * residual)) / problem.samples

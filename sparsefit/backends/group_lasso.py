@@ -7,7 +7,14 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution, checked_alpha_fraction
+from sparsefit.backends.base import (
+    AlphaFraction,
+    Selection,
+    Solution,
+    checked_alpha_fraction,
+    checked_selection,
+    numeric_fraction,
+)
 from sparsefit.backends.conic import check_solver, solve_conic
 from sparsefit.backends.variational import GroupPath, group_path
 from sparsefit.errors import InputError, unknown
@@ -28,18 +35,21 @@ class GroupLasso:
     (``separate``, the paper's n problems). group_weights: omega_g = 1 (``unit``) or the root of
     the number of columns (``sqrt-size``). solver: ``variational`` (exact path),
     ``clarabel-working-set``, ``clarabel-direct``, or through cvxpy ``clarabel`` or any other
-    conic solver it finds installed.
+    conic solver it finds installed. alpha_fraction ``auto``: chosen by `fit` from the data, by
+    the rule ``selection``.
     """
 
     name: ClassVar[str] = "group-lasso"
     certificate_kind: ClassVar[CertificateKind] = "duality_gap"
-    alpha_fraction: float = 0.1
+    alpha_fraction: AlphaFraction = 0.1
     separate: bool = False
     group_weights: GroupWeights = "unit"
     solver: str = EXACT
+    selection: Selection = "cross-validation"
 
     def __post_init__(self) -> None:
-        checked_alpha_fraction(self.name, self.alpha_fraction)
+        checked_alpha_fraction(self.name, self.alpha_fraction, auto=True)
+        checked_selection(self.name, self.selection)
         if not isinstance(self.separate, bool):
             raise InputError(f"group-lasso: separate must be true or false, not {self.separate!r}")
         if self.group_weights not in get_args(GroupWeights):
@@ -55,8 +65,8 @@ class GroupLasso:
         return Penalty(problem.groups, omega, joint=not self.separate)
 
     def solve(self, problem: RegressionProblem) -> Solution:
-        """The solution at ``alpha_fraction``."""
-        return self.solve_path(problem, (self.alpha_fraction,))[0]
+        """The solution at ``alpha_fraction``, a number."""
+        return self.solve_path(problem, (numeric_fraction(self.name, self.alpha_fraction),))[0]
 
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]

@@ -72,9 +72,7 @@ class GroupOMP:
         used = np.unique(problem.groups[np.any(weights != 0, axis=1)])
         if len(used) >= min(self.scales or MOST, int(problem.groups.max()) + 1):
             return None
-        statistics, scaled = problem.statistics, weights * problem.statistics.rms[:, None]
-        cross = statistics.cross - statistics.gram @ scaled
-        gains = explained(statistics.gram, cross, problem.groups)
+        gains = explained(problem, weights)
         gains[used] = -1.0
         taken = np.flatnonzero(np.isin(problem.groups, [*used, int(np.argmax(gains))]))
         if len(used) and len(taken) >= problem.samples:

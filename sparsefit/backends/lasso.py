@@ -6,7 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from sparsefit.backends.base import Solution, checked_alpha_fraction
+from sparsefit.backends.base import (
+    AlphaFraction,
+    Selection,
+    Solution,
+    checked_alpha_fraction,
+    checked_selection,
+    numeric_fraction,
+)
 from sparsefit.backends.conic import check_solver, solve_conic
 from sparsefit.backends.homotopy import lasso_path
 from sparsefit.library import RegressionProblem
@@ -20,16 +27,19 @@ class Lasso:
     """1/(2m) |Y - ZV|^2 + alpha sum |V_jt|, alpha = alpha_fraction * alpha_max.
 
     solver: ``homotopy`` (exact path), ``clarabel-working-set``, ``clarabel-direct``, or through
-    cvxpy ``clarabel``, ``osqp`` or any other it finds installed.
+    cvxpy ``clarabel``, ``osqp`` or any other it finds installed. alpha_fraction ``auto``: chosen
+    by `fit` from the data, by the rule ``selection``.
     """
 
     name: ClassVar[str] = "lasso"
     certificate_kind: ClassVar[CertificateKind] = "duality_gap"
-    alpha_fraction: float = 0.1
+    alpha_fraction: AlphaFraction = 0.1
     solver: str = EXACT
+    selection: Selection = "cross-validation"
 
     def __post_init__(self) -> None:
-        checked_alpha_fraction(self.name, self.alpha_fraction)
+        checked_alpha_fraction(self.name, self.alpha_fraction, auto=True)
+        checked_selection(self.name, self.selection)
         check_solver(self.name, self.solver, EXACT)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
@@ -37,8 +47,8 @@ class Lasso:
         return lasso_penalty(problem.columns)
 
     def solve(self, problem: RegressionProblem) -> Solution:
-        """The solution at ``alpha_fraction``."""
-        return self.solve_path(problem, (self.alpha_fraction,))[0]
+        """The solution at ``alpha_fraction``, a number."""
+        return self.solve_path(problem, (numeric_fraction(self.name, self.alpha_fraction),))[0]
 
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]

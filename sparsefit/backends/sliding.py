@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from sparsefit.backends.continuous_dual import Interval, Jet
 
@@ -118,7 +119,7 @@ def refit(
             kept.append(float(np.average(wavenumbers[near], weights=norms[near])))
     start = np.sort(kept)
     z = Jet.at(position, start).value.reshape(-1, len(target))
-    fitted: Array = np.linalg.lstsq(z.T, target, rcond=None)[0]
+    fitted = np.linalg.lstsq(z.T, target, rcond=None)[0].astype(float, copy=False)
     return slide(position, target, start, fitted.reshape(len(start), 8, -1), 0.0, bounds)
 
 
@@ -157,9 +158,14 @@ def _free(atoms: Atoms, gradient: Array, bounds: Interval) -> NDArray[np.intp]:
 
 
 def _descent(gradient: Array, hessian: Array) -> Array:
-    """Newton's step with the curvatures' absolute values: downhill at a saddle too."""
+    """Newton's step, with the curvatures' absolute values where they are not all positive."""
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1e-300))
-    roots, vectors = np.linalg.eigh(hessian * scale[:, None] * scale)
+    scaled = hessian * scale[:, None] * scale
+    factor, failed = dpotrf(scaled, lower=1)
+    if failed == 0 and dpocon(factor, float(np.abs(scaled).sum(axis=0).max()), uplo="L")[0] > FLAT:
+        newton: Array = -scale * dpotrs(factor, scale * gradient, lower=1)[0]
+        return newton
+    roots, vectors = np.linalg.eigh(scaled)
     size = np.maximum(np.abs(roots), FLAT * np.abs(roots).max())
     step: Array = -scale * (vectors @ ((vectors.T @ (scale * gradient)) / size))
     return step

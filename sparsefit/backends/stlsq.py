@@ -160,8 +160,8 @@ def _ridge_solve(
     damping = np.sqrt(system.ridge * system.rows) * np.eye(len(on))
     columns = np.vstack([problem.theta[:, on] / system.scale[on], damping])
     target = np.concatenate([problem.target[:, t], np.zeros(len(on))])
-    least = np.linalg.lstsq(columns, target, rcond=None)[0]
-    return least.astype(float, copy=False)
+    least: Array = np.linalg.lstsq(columns, target, rcond=None)[0]
+    return least
 
 
 def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:

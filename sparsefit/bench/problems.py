@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sparsefit import backends
 from sparsefit.backends.base import PathBackend
-from sparsefit.derivative import Derivative
+from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import unknown
 from sparsefit.flight import simulate_flight
 from sparsefit.flow import CellularFlow
@@ -46,6 +46,10 @@ class NamedFlight:
 
     def problem(self, grid: LengthScaleGrid = LengthScaleGrid()) -> RegressionProblem:
         """Theta (m, 8 g) and the flow velocity along the flight (m, 2)."""
+        return Library(grid).build(self.samples_flown(), VEHICLE)
+
+    def samples_flown(self) -> Samples:
+        """The flight and its derivatives."""
         derivative = Derivative()
         flight = simulate_flight(
             CellularFlow(self.mean_velocity, self.length_scale),
@@ -58,7 +62,7 @@ class NamedFlight:
             position_noise=0.1 * self.noise,
             process_noise=10.0 * self.noise,
         )
-        return Library(grid).build(derivative(flight), VEHICLE)
+        return derivative(flight)
 
 
 NAMED = (

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-import tracemalloc
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.backends.homotopy import lasso_path
-from sparsefit.bench.problems import LOWEST, NAMED, Kind, NamedFlight, Progress, task
+from sparsefit.bench.problems import LOWEST, NAMED, VEHICLE, Kind, NamedFlight, Progress, task
 from sparsefit.flow import CellularFlow
-from sparsefit.library import LengthScaleGrid, candidate_columns
-from sparsefit.objective import Statistics, accumulate
+from sparsefit.library import LengthScaleGrid, Library, candidate_columns
+from sparsefit.objective import Statistics, accumulate, duality_gaps
 
 Array: TypeAlias = NDArray[np.float64]
 BASE = NAMED[3]
@@ -26,7 +26,7 @@ SAMPLES = (1_000, 10_000, 100_000, 1_000_000)
 
 @dataclass(frozen=True)
 class Scaling:
-    """One size: CPU seconds to build, to compress and to solve a path; peak memory [MB]."""
+    """One size: CPU seconds to build, to compress and to solve a path; peak memory beyond the start [MB]."""
 
     sweep: str
     samples: int
@@ -52,9 +52,7 @@ def with_grid(
     kind: Kind, counts: Sequence[int], *, samples: int, points: int, progress: Progress
 ) -> list[Scaling]:
     """Paths on finer and finer grids over the same flight, uniform in length scale."""
-    flight = NamedFlight(
-        BASE.name, samples, BASE.mean_velocity, BASE.length_scale, BASE.noise, BASE.seed
-    )
+    flight = replace(BASE, samples=samples)
     found = []
     for count in counts:
         progress(f"scaling: {kind}, {count} scales")
@@ -63,20 +61,46 @@ def with_grid(
 
 
 def _grid(kind: Kind, flight: NamedFlight, grid: LengthScaleGrid, points: int) -> Scaling:
-    from sparsefit.fit import path
-
-    tracemalloc.start()
+    samples = flight.samples_flown()
+    before = _restart_peak()
     clock = [time.process_time()]
-    problem = flight.problem(grid)
+    problem = Library(grid).build(samples, VEHICLE)
     clock.append(time.process_time())
     asked = task(kind, flight.name, problem, points)
     clock.append(time.process_time())
-    gap = float(np.nanmax(path(problem, asked.backend, asked.fractions).gaps))
+    found = asked.backend.solve_path(problem, tuple(asked.fractions.tolist()))
     clock.append(time.process_time())
-    memory = tracemalloc.get_traced_memory()[1] / 1e6
-    tracemalloc.stop()
+    memory = _peak() - before
+    weights = np.stack([np.asarray(solution.weights) for solution in found])
+    certified = duality_gaps(
+        problem.theta,
+        problem.target,
+        problem.statistics.rms,
+        weights,
+        asked.alphas,
+        asked.penalty,
+    )
+    gap = max(certificate.value for certificate in certified)
     spent = np.diff(clock).tolist()
     return Scaling(f"grid, {kind}", problem.samples, problem.columns, *spent, memory, gap)
+
+
+def _restart_peak() -> float:
+    """Resident memory [MB] now, from where its peak is watched; NaN where /proc is missing."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        return float("nan")
+    return _peak()
+
+
+def _peak() -> float:
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return float("nan")
+    peaks = [line.split()[1] for line in lines if line.startswith("VmHWM")]
+    return float(peaks[0]) / 1e3 if peaks else float("nan")
 
 
 def with_samples(
@@ -91,15 +115,13 @@ def with_samples(
 
 
 def _streamed(samples: int, scales: Array, points: int) -> Scaling:
-    tracemalloc.start()
+    before = _restart_peak()
     spent = [0.0]
     statistics = accumulate(_blocks(samples, scales, spent))
     compressed = time.process_time()
-    solve = _solve(statistics, points)
+    _solve(statistics, points)
     done = time.process_time()
-    memory = tracemalloc.get_traced_memory()[1] / 1e6
-    tracemalloc.stop()
-    del solve
+    memory = _peak() - before
     size = (samples, len(statistics.gram))
     reduce = max(compressed - spent[-1] - spent[0], 0.0)
     return Scaling("samples, lasso", *size, spent[0], reduce, done - compressed, memory)

@@ -131,7 +131,10 @@ def _batches(study: Study, cells: tuple[Cell, ...], alone: bool) -> list[_Batch]
 
 def _path_fractions(study: Study, cell: Cell) -> tuple[float, ...]:
     """The whole grid of penalties, whatever is left to do of it: a resumed run repeats the path."""
-    grid = study.backends[cell.choice].grid.get(ALPHA, ())
+    if cell.settings.get(ALPHA) == "auto":  # it walks a path of its own
+        return ()
+    asked = study.backends[cell.choice].grid.get(ALPHA, ())
+    grid = [value for value in asked if value != "auto"]
     paths = isinstance(make_backend(cell.backend, cell.settings), PathBackend)
     return tuple(float(value) for value in grid) if paths and len(grid) > 1 else ()
 

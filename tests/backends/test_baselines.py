@@ -38,9 +38,8 @@ def chosen(problem, weights):
 
 def test_explained_agrees_with_least_squares():
     problem = flight_problem(3.3, velocity_noise=0.5)
-    statistics = problem.statistics
     left = np.sum(problem.target**2) - residuals_one_by_one(problem)
-    gains = explained(statistics.gram, statistics.cross, problem.groups) * problem.samples
+    gains = explained(problem) * problem.samples
     np.testing.assert_allclose(gains, left, rtol=1e-7)
 
 
@@ -48,9 +47,8 @@ def test_explained_on_groups_of_different_size_in_any_order():
     problem = regular(seed=1, groups=4, size=3)
     groups = np.array([2, 0, 1, 1, 3, 2, 2, 0, 3, 3, 3, 2])
     problem = dataclasses.replace(problem, groups=groups)
-    statistics = problem.statistics
     left = np.sum(problem.target**2) - residuals_one_by_one(problem)
-    gains = explained(statistics.gram, statistics.cross, groups) * problem.samples
+    gains = explained(problem) * problem.samples
     np.testing.assert_allclose(gains, left, rtol=1e-9)
 
 

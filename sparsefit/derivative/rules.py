@@ -1,20 +1,22 @@
-"""State derivatives from samples: the forward difference (Eq. 15) and better ones."""
+"""The ways to take a derivative: the forward difference (Eq. 15) and better ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from sparsefit.derivative.smoothing import SHARE, SHORTEST, Channels, Smoothing, smooth
 from sparsefit.errors import InputError, unknown
 from sparsefit.flight import Flight
 from sparsefit.vehicle import PointMassVehicle
 
 Array: TypeAlias = npt.NDArray[np.float64]
-Rates: TypeAlias = tuple[Array, Array, Array]  # time (m,), state (m, 4), its rate (m, 4)
+# time (m,), state (m, 4), its rate (m, 4), how they were smoothed
+Rates: TypeAlias = tuple[Array, Array, Array, Smoothing]
 
 UNIFORM_TOLERANCE = 1e-6  # relative; steps that differ by more are not one step
 
@@ -30,6 +32,7 @@ class Samples:
         position_rate: the derivative of the position [m/s], (m, 2); the measured velocity is
             ``velocity``.
         acceleration: the derivative of the velocity [m/s^2], (m, 2).
+        smoothing: the filter that was used, and with ``auto`` the noise it found.
     """
 
     time: Array
@@ -37,6 +40,7 @@ class Samples:
     velocity: Array
     position_rate: Array
     acceleration: Array
+    smoothing: Smoothing | None = None
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
@@ -52,6 +56,9 @@ class Derivative:
     - ``midpoint``: difference quotient and mean state of two neighbours, second order.
     - ``savgol``: a polynomial of ``order`` fitted to ``window`` samples (Savitzky and Golay,
       1964), states smoothed too; uniform steps only; half a window is dropped at either end.
+    - ``auto``: one polynomial through position and velocity, its window chosen from the flight
+      by an unbiased risk (`sparsefit.derivative.smoothing`); ``window`` and ``order`` are not
+      used. Uneven steps and short flights fall back to ``midpoint``: ``smoothing`` says so.
 
     Args:
         method: one of `METHODS`.
@@ -86,13 +93,14 @@ class Derivative:
                 steps are not uniform.
         """
         state = np.hstack([flight.position, flight.velocity])
-        time, smooth, rate = _RULES[self.method](self, flight.time, state)
+        time, state, rate, smoothing = _RULES[self.method](self, flight.time, state)
         return Samples(
             time=time,
-            position=smooth[:, :2],
-            velocity=smooth[:, 2:],
+            position=state[:, :2],
+            velocity=state[:, 2:],
             position_rate=rate[:, :2],
             acceleration=rate[:, 2:],
+            smoothing=smoothing,
         )
 
 
@@ -101,7 +109,7 @@ def _is_integer(value: object) -> bool:
 
 
 def _forward(_: Derivative, time: Array, state: Array) -> Rates:
-    return time[:-1], state[:-1], _quotients(time, state)
+    return time[:-1], state[:-1], _quotients(time, state), Smoothing("forward", rate_window=2)
 
 
 def _central(_: Derivative, time: Array, state: Array) -> Rates:
@@ -109,12 +117,13 @@ def _central(_: Derivative, time: Array, state: Array) -> Rates:
     quotient, step = _quotients(time, state), np.diff(time)[:, None]
     before, after = step[:-1], step[1:]
     rate = (after * quotient[:-1] + before * quotient[1:]) / (before + after)
-    return time[1:-1], state[1:-1], rate
+    return time[1:-1], state[1:-1], rate, Smoothing("central", rate_window=3)
 
 
 def _midpoint(_: Derivative, time: Array, state: Array) -> Rates:
     middle = time[:-1] + np.diff(time) / 2.0
-    return middle, (state[:-1] + state[1:]) / 2.0, _quotients(time, state)
+    mean, used = (state[:-1] + state[1:]) / 2.0, Smoothing("midpoint", window=2, rate_window=2)
+    return middle, mean, _quotients(time, state), used
 
 
 def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
@@ -130,7 +139,29 @@ def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
     whole = slice(rule.window // 2, len(time) - rule.window // 2)
     smooth = savgol_filter(state, rule.window, rule.order, axis=0)
     rate = savgol_filter(state, rule.window, rule.order, deriv=1, delta=step, axis=0)
-    return time[whole], smooth[whole], rate[whole]
+    used = Smoothing("savgol", window=rule.window, rate_window=rule.window, order=rule.order)
+    return time[whole], smooth[whole], rate[whole], used
+
+
+def _auto(rule: Derivative, time: Array, state: Array) -> Rates:
+    """Only full windows are kept, as in savgol; positions are centred to keep their digits."""
+    if len(time) < SHARE * SHORTEST:
+        reason = f"{len(time)} samples are fewer than {SHARE * SHORTEST}"
+        return _fallen_back(rule, time, state, reason)
+    try:
+        step = _uniform_step(time)
+    except InputError:
+        return _fallen_back(rule, time, state, "time steps are not uniform")
+    origin = state[:, :2].mean(axis=0)
+    channels = Channels.measured(state[:, :2] - origin, state[:, 2:], step)
+    kept, smoothed, rate, used = smooth(channels)
+    smoothed[:, :2] += origin
+    return time[kept], smoothed, rate, used
+
+
+def _fallen_back(rule: Derivative, time: Array, state: Array, reason: str) -> Rates:
+    *rates, used = _midpoint(rule, time, state)
+    return rates[0], rates[1], rates[2], replace(used, reason=reason)
 
 
 def _quotients(time: Array, state: Array) -> Array:
@@ -156,5 +187,6 @@ _RULES: dict[str, Callable[[Derivative, Array, Array], Rates]] = {
     "central": _central,
     "midpoint": _midpoint,
     "savgol": _savgol,
+    "auto": _auto,
 }
 METHODS: tuple[str, ...] = tuple(_RULES)

@@ -1,0 +1,6 @@
+"""State derivatives from samples: differences (Eq. 15), fixed filters and one that tunes itself."""
+
+from sparsefit.derivative.rules import METHODS, Derivative, Samples
+from sparsefit.derivative.smoothing import Smoothing
+
+__all__ = ["METHODS", "Derivative", "Samples", "Smoothing"]

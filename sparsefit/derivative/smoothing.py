@@ -1,0 +1,231 @@
+"""The smoother that tunes itself: one polynomial through position and velocity together.
+
+Over a window of n samples the path is a polynomial p of degree d + 1, fitted to both channels,
+
+    min_p  sum_j |x_j - p(t_j)|^2 / sigma_x^2 + |v_j - p'(t_j)|^2 / sigma_v^2,
+
+and read in the middle: x = p, v = p', v' = p''. It is the filter of Savitzky and Golay (1964) with
+derivative data: velocity carries the position over the window, so position noise averages over all
+n samples where position alone must bend. Errors of position matter most: they enter the candidate
+functions and attenuate U0 by exp(-k^2 s^2).
+
+The window is the one of least estimated risk (Mallows, 1973; Stein, 1981): with h the weights of
+the middle sample in its own estimates, unbiased whatever the path,
+
+    risk(n) = mean((x - x_n)^2 / sigma_x^2 + (v - v_n)^2 / sigma_v^2) + 2 (h_x + h_v).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+ORDER = 10  # of the velocity; 4 doubles the error of tau_w at 0.5 m/s of noise, 8 and 10 agree
+SHORTEST = ORDER + 1  # either channel alone determines the polynomial
+LONGEST = 1001
+GROWTH = 1.2  # from window to window
+SHARE = 5  # of the flight's samples: longer windows lose more at the ends than they gain
+PATIENCE = 3  # windows of rising risk before the search ends
+# v' may be noisy, as regression averages it, but what a window takes from it is missing from U0:
+# its window is shorter. 1 costs twice the mean error of tau_w at 0.5 m/s, 0.35 to 0.6 agree.
+RATE_SHARE = 0.6
+DIFFERENCES = (2, 4, 6, 8, 10, 12)
+ROUNDING = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """How states and derivatives were smoothed, and how noisy the flight was found.
+
+    Args:
+        method: the method that was used; where ``auto`` cannot be, the one it fell back to.
+        reason: of a fall-back; otherwise empty.
+        window: samples in the window of position and velocity; 1 where nothing is smoothed.
+        rate_window: the same of the derivatives.
+        order: degree of the velocity's polynomial; 0 where there is none.
+        coupled: whether position and velocity share one polynomial.
+        sigma_position: standard deviation of the measured position's noise [m], NaN if not sought.
+        sigma_velocity: of the measured velocity's [m/s].
+        position_error: of the smoothed position [m], from that noise alone.
+        velocity_error: of the smoothed velocity [m/s].
+        acceleration_error: of the acceleration [m/s^2].
+    """
+
+    method: str
+    reason: str = ""
+    window: int = 1
+    rate_window: int = 1
+    order: int = 0
+    coupled: bool = False
+    sigma_position: float = math.nan
+    sigma_velocity: float = math.nan
+    position_error: float = math.nan
+    velocity_error: float = math.nan
+    acceleration_error: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Position [m] and velocity [m/s], (m, 2) each, every ``step`` [s], and their noise levels."""
+
+    position: Array
+    velocity: Array
+    step: float
+    sigma_position: float
+    sigma_velocity: float
+
+    @classmethod
+    def measured(cls, position: Array, velocity: Array, step: float) -> Channels:
+        """Channels with the noise levels that their own differences show."""
+        return cls(position, velocity, step, noise_level(position), noise_level(velocity))
+
+    @property
+    def ratio(self) -> float:
+        """sigma_v / sigma_x [1/s], within what a window of `LONGEST` can tell from 0 and inf."""
+        ratio = self.sigma_velocity / self.sigma_position * self.step
+        return min(max(ratio, 1.0 / LONGEST), float(LONGEST)) / self.step
+
+    def kernels(self, window: int, coupled: bool) -> Array:
+        """Weights (4, 2n) of n positions, then n velocities, in x, x', v, v' at the middle."""
+        if coupled:
+            position, velocity, acceleration = coupled_kernels(window, ORDER, self.step, self.ratio)
+            return np.stack([position, velocity, velocity, acceleration])
+        value, slope = polynomial_kernels(window, ORDER, self.step)
+        none = np.zeros(window)
+        rows = [(value, none), (slope, none), (none, value), (none, slope)]
+        return np.stack([np.concatenate(row) for row in rows])
+
+    def filtered(self, kernel: Array) -> Array:
+        """The weighted sums (m - n + 1, 2) of a kernel (2n,)."""
+        one, other = np.split(kernel, 2)
+        return _convolved(one, self.position) + _convolved(other, self.velocity)
+
+    def spread(self, kernel: Array) -> float:
+        """Standard deviation of what a kernel (2n,) gives, from the noise alone."""
+        one, other = np.split(kernel, 2)
+        parts = (
+            self.sigma_position * np.linalg.norm(one),
+            self.sigma_velocity * np.linalg.norm(other),
+        )
+        return float(np.hypot(*parts))
+
+
+def noise_level(values: Array) -> float:
+    """Standard deviation of white noise on smooth columns (m, c), at least their rounding.
+
+    The q-th difference of white noise has the variance C(2q, q) sigma^2; what is left of the
+    signal only adds to it, so the least over several q is taken (Rice, 1984; Gasser, Sroka and
+    Jennen-Steinmetz, 1986).
+    """
+    found = (
+        float(np.mean(np.diff(values, order, axis=0) ** 2)) / math.comb(2 * order, order)
+        for order in DIFFERENCES
+        if order < len(values)
+    )
+    floor = max(ROUNDING * float(np.abs(values).max()), float(np.finfo(np.float64).tiny) ** 0.25)
+    return max(math.sqrt(min(found)), floor)
+
+
+def coupled_kernels(
+    window: int, order: int, step: float, ratio: float
+) -> tuple[Array, Array, Array]:
+    """Weights (2n,) of n positions and n velocities in p, p' and p'' at the middle.
+
+    ratio: sigma_v / sigma_x [1/s]; step [s]; order: degree of p'.
+    """
+    reach = window // 2 * step
+    powers = np.vander(np.linspace(-1.0, 1.0, window), order + 2, increasing=True)
+    slopes = np.zeros_like(powers)
+    slopes[:, 1:] = powers[:, :-1] * np.arange(1, order + 2) / reach
+    solved = np.linalg.pinv(np.vstack([ratio * powers, slopes]))[:3]
+    solved[:, :window] *= ratio
+    return solved[0], solved[1] / reach, 2.0 * solved[2] / reach**2
+
+
+def polynomial_kernels(window: int, order: int, step: float) -> tuple[Array, Array]:
+    """Weights (n,) of one channel in its value and slope at the middle (Savitzky and Golay)."""
+    powers = np.vander(np.linspace(-1.0, 1.0, window), order + 1, increasing=True)
+    solved = np.linalg.pinv(powers)
+    return solved[0], solved[1] / (window // 2 * step)
+
+
+def windows(samples: int) -> Iterator[int]:
+    """Odd windows from `SHORTEST`, each `GROWTH` times the last, up to 1/`SHARE` of the samples."""
+    window = SHORTEST
+    while window <= min(samples // SHARE, LONGEST):
+        yield window
+        window = max(window + 2, 2 * round(window * GROWTH / 2) + 1)
+
+
+def choose(channels: Channels) -> tuple[int, bool]:
+    """The window of least risk, and whether position and velocity are coupled.
+
+    Uncoupled filters win where the logged velocity is not the derivative of the logged position.
+    """
+    reference = _residuals(channels, SHORTEST, False)
+    best = (0.0, SHORTEST, False)
+    for coupled in (True, False):
+        rising = 0
+        for window in windows(len(channels.position)):
+            risk = _risk(channels, window, coupled, reference)
+            rising = 0 if risk < best[0] else rising + 1
+            best = min(best, (risk, window, coupled), key=lambda found: found[0])
+            if rising == PATIENCE:
+                break
+    return best[1], best[2]
+
+
+def _residuals(channels: Channels, window: int, coupled: bool) -> tuple[Array, float]:
+    """Squared residuals (m - n + 1,) in units of the noise, and the sum of the own weights."""
+    kernels, half = channels.kernels(window, coupled), window // 2
+    inner = slice(half, len(channels.position) - half)
+    position = channels.position[inner] - channels.filtered(kernels[0])
+    velocity = channels.velocity[inner] - channels.filtered(kernels[2])
+    square = (position / channels.sigma_position) ** 2 + (velocity / channels.sigma_velocity) ** 2
+    return square.mean(axis=1), float(kernels[0, half] + kernels[2, window + half])
+
+
+def _risk(channels: Channels, window: int, coupled: bool, reference: tuple[Array, float]) -> float:
+    """The risk less that of the reference on the same rows: the noise of both mostly cancels."""
+    square, weight = _residuals(channels, window, coupled)
+    trim = (len(reference[0]) - len(square)) // 2
+    common = reference[0][trim : len(reference[0]) - trim]
+    return float(np.mean(square - common)) + 2.0 * (weight - reference[1])
+
+
+def smooth(channels: Channels) -> tuple[slice, Array, Array, Smoothing]:
+    """The kept rows, the states (m', 4), their rates (m', 4), and what was chosen."""
+    window, coupled = choose(channels)
+    shorter = max(SHORTEST, 2 * int(RATE_SHARE * window / 2) + 1)
+    state, rate = channels.kernels(window, coupled), channels.kernels(shorter, coupled)
+    used = (state[0], state[2], rate[1], rate[3])
+    half = window // 2
+    kept = slice(half, len(channels.position) - half)
+    trim = half - shorter // 2
+    position, velocity, *rates = (channels.filtered(kernel) for kernel in used)
+    rates = [values[trim : len(values) - trim] for values in rates]
+    chosen = Smoothing(
+        "auto",
+        "",
+        window,
+        shorter,
+        ORDER,
+        coupled,
+        channels.sigma_position,
+        channels.sigma_velocity,
+        channels.spread(state[0]),
+        channels.spread(state[2]),
+        channels.spread(rate[3]),
+    )
+    return kept, np.hstack([position, velocity]), np.hstack(rates), chosen
+
+
+def _convolved(kernel: Array, values: Array) -> Array:
+    return np.column_stack([np.correlate(column, kernel, "valid") for column in values.T])
