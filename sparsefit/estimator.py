@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -17,6 +17,7 @@ from sparsefit.flight import Flight
 from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
+from sparsefit.refine import Refinement, refine
 
 FORMAT = "sparsefit-estimator/1"
 
@@ -30,6 +31,22 @@ class Prepared:
     target: np.ndarray  # a row per sample: the problem's own may be compressed
     problem: RegressionProblem
     seconds: float
+    _refined: dict[tuple[float, float, float], Refinement] = field(
+        default_factory=dict, repr=False
+    )
+
+    def refined(self, candidate: float, grid: LengthScaleGrid) -> Refinement:
+        """The refinement from a candidate [m], done once for all back-ends that choose it."""
+        key = (candidate, grid.lower, grid.upper)
+        if key not in self._refined:
+            self._refined[key] = refine(
+                self.samples.position,
+                self.flow_velocity,
+                candidate,
+                lower=grid.lower,
+                upper=grid.upper,
+            )
+        return self._refined[key]
 
 
 @dataclass(frozen=True)
@@ -38,7 +55,8 @@ class Estimate:
 
     status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
-    length scale [m]; seconds: preparation, fit and readout together.
+    length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
+    refinement found the best other lobe of the residual [m].
     """
 
     mean_velocity: float
@@ -54,6 +72,7 @@ class Estimate:
     seconds: float = math.nan
     samples: int = 0
     columns: int = 0
+    rival_length_scale: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""
@@ -120,44 +139,57 @@ class Estimator:
     def read(self, prepared: Prepared, found: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25)."""
         start = perf_counter()
-        problem, scales = found.problem, found.problem.group_scales
+        scales = found.problem.group_scales
         assert scales is not None
-        length_scale = mean_velocity = math.nan
-        by_scale: dict[float, float] = {}
-        status, reason = found.status, found.reason
-        if np.isfinite(found.weights).all():
-            weights = self.readout.scale_weights(problem, found.weights)
+        if not np.isfinite(found.weights).all():
+            place, by_scale = _Place(status=found.status, reason=found.reason), {}
+        else:
+            weights = self.readout.scale_weights(found.problem, found.weights)
             by_scale = dict(zip(scales.tolist(), weights.tolist(), strict=True))
-            if not found.weights.any():
-                status, reason = "unidentifiable", "no length scale: all weights are zero"
-            else:
-                length_scale = float(scales[int(np.argmax(weights))])
-                mean_velocity = self.readout.velocity(
-                    prepared.samples.position, prepared.flow_velocity, prepared.target, length_scale
-                )
-        timescale = length_scale / mean_velocity if mean_velocity else math.nan
-        if status in ("ok", "inaccurate") and not (
-            math.isfinite(mean_velocity) and mean_velocity > 0
-        ):
-            status = "unidentifiable"
-            reason = (
-                f"no mean velocity: readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
+            place = self._place(prepared, found, float(scales[int(np.argmax(weights))]))
+        mean_velocity = math.nan
+        if math.isfinite(place.length_scale):
+            mean_velocity = self.readout.velocity(
+                prepared.samples.position,
+                prepared.flow_velocity,
+                prepared.target,
+                place.length_scale,
             )
+            if not (math.isfinite(mean_velocity) and mean_velocity > 0):
+                words = f"readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
+                place = replace(
+                    place, status="unidentifiable", reason=f"no mean velocity: {words}"
+                )
         return Estimate(
             mean_velocity,
-            length_scale,
-            timescale,
-            status,
-            reason,
+            place.length_scale,
+            place.length_scale / mean_velocity if mean_velocity else math.nan,
+            place.status,
+            place.reason,
             found.backend.name,
             settings_of(found.backend),
             found.certificate,
-            length_scale,
+            place.grid_length_scale,
             by_scale,
             prepared.seconds + found.seconds + perf_counter() - start,
-            problem.samples,
-            problem.columns,
+            found.problem.samples,
+            found.problem.columns,
+            place.rival_length_scale,
         )
+
+    def _place(self, prepared: Prepared, found: Fit, candidate: float) -> "_Place":
+        """The length scale from the chosen candidate, refined where the readout says so."""
+        grid = self.library.grid
+        if not found.weights.any():
+            return _Place(status="unidentifiable", reason="no length scale: all weights are zero")
+        if self.readout.refine == "none" or not grid.lower < grid.upper:
+            return _Place(candidate, candidate, status=found.status, reason=found.reason)
+        best = prepared.refined(candidate, grid)
+        status, reason = found.status, found.reason
+        if not best.identifiable:
+            extent = float(np.ptp(prepared.samples.position, axis=0).max())
+            status, reason = "unidentifiable", _why_not(best, extent)
+        return _Place(best.length_scale, candidate, best.rival_length_scale, status, reason)
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""
@@ -200,6 +232,32 @@ class Estimator:
             )
         except TypeError as error:  # an unexpected keyword, or a value of the wrong type
             raise InputError(f"estimator: {error}") from None
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the length scale is, and how sure that is."""
+
+    length_scale: float = math.nan
+    grid_length_scale: float = math.nan
+    rival_length_scale: float = math.nan
+    status: str = "ok"
+    reason: str = ""
+
+
+def _why_not(best: Refinement, extent: float) -> str:
+    """Why the data cannot tell the length scale, as a pilot would say it."""
+    if best.at_bound:
+        return (
+            f"the best length scale is at the edge of the search, {best.length_scale:.3g} m; "
+            "widen the grid's bounds"
+        )
+    if best.rival_residual < best.null_residual:
+        return (
+            f"cannot tell {best.length_scale:.3g} m from {best.rival_length_scale:.3g} m: the "
+            f"flight covers {extent:.3g} m, or too straight a line; fly farther, or turn"
+        )
+    return "no cellular flow detected: no length scale explains more than chance would"
 
 
 def _without_nan(value: Any) -> Any:

@@ -37,7 +37,7 @@ TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "state-derivative": ("dx/dt", "dy/dt", "dv_x/dt", "dv_y/dt"),
 }
 BUILD_ROWS = 64
-MAX_SCALES = 100_000
+MAX_SCALES = 2_048  # k = 16 384 columns: Z'Z alone is 2 GiB
 STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
 MAX_THETA_BYTES = 8 * 2**30
 
@@ -86,7 +86,8 @@ class LengthScaleGrid:
         if self.count is not None:
             return self.count
         # A hair of tolerance: (12 - 1)/0.2 is 54.99999999999999 in binary.
-        return int(np.floor((self.upper - self.lower) / self._step + 1e-9)) + 1
+        steps = min((self.upper - self.lower) / self._step, 1e15)  # beyond any that can be held
+        return int(np.floor(steps + 1e-9)) + 1
 
     @property
     def _step(self) -> float:

@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]
+Refine = Literal["none", "variable-projection"]
 CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 
 
@@ -28,17 +29,21 @@ class Readout:
     step is read as the mean of element-wise ratios, ``mean-ratio``, which has poles, or as the
     least-squares coefficient, ``pseudo-inverse``), ``rms`` over the cell in closed form, or the
     ``peak`` of |w| over the cell.
+    refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
+    the 8-column fit between the grid's bounds; ``none`` reports the candidate itself.
     """
 
     length_scale: LengthScaleReadout = "group-norm"
     mean_velocity: MeanVelocityReadout = "rms"
     eq24: Eq24 = "pseudo-inverse"
+    refine: Refine = "variable-projection"
 
     def __post_init__(self) -> None:
         for key, valid in (
             ("length_scale", get_args(LengthScaleReadout)),
             ("mean_velocity", get_args(MeanVelocityReadout)),
             ("eq24", get_args(Eq24)),
+            ("refine", get_args(Refine)),
         ):
             if getattr(self, key) not in valid:
                 raise unknown(f"readout {key}", str(getattr(self, key)), valid)

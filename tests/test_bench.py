@@ -51,7 +51,8 @@ def test_nobody_vanishes(result, tmp_path):
     text = (bench.write(result, tmp_path) / "README.md").read_text(encoding="utf-8")
     for contender in ALL:
         assert contender.name in text
-    assert "adelie" in text and "numpy<2" in text
+    assert "adelie" in text
+    assert "numpy<2" in text
 
 
 def test_written_files(result, tmp_path):
@@ -88,7 +89,7 @@ def test_reach_is_the_loosest_setting_that_suffices():
     assert reach(runs, 1e-6).seconds == 2.0
     assert reach(runs, 1e-6, "sub").seconds == 2.0
     assert reach(runs, 1e-10) == Reach(None, 1e-9)
-    assert needed(runs) == [runs[1]] + [] or runs[1] in needed(runs)
+    assert needed(runs) == runs
 
 
 def test_reach_of_a_solver_that_was_stopped_is_a_lower_bound():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sparsefit.derivative import METHODS, Derivative
+from sparsefit.derivative import METHODS, Derivative, Smoothing
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flow import CellularFlow
@@ -117,7 +117,7 @@ def test_savgol_smooths_noise():
 @pytest.mark.parametrize("method", METHODS)
 def test_columns_share_their_rows_and_dropped_samples(method):
     samples = Derivative(method)(waves(np.linspace(0.0, 1.0, 11)))
-    kept = {"forward": 10, "central": 9, "midpoint": 10, "savgol": 7}[method]
+    kept = {"forward": 10, "central": 9, "midpoint": 10, "savgol": 7, "auto": 10}[method]
     assert samples.time.shape == (kept,)
     for name in ("position", "velocity", "position_rate", "acceleration"):
         assert getattr(samples, name).shape == (kept, 2)
@@ -181,6 +181,20 @@ def test_unknown_method_names_the_nearest():
         Derivative(None)
 
 
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"method": "forward"}, Smoothing("forward", rate_window=2)),
+        ({"method": "central"}, Smoothing("central", rate_window=3)),
+        ({"method": "midpoint"}, Smoothing("midpoint", window=2, rate_window=2)),
+        ({"window": 7, "order": 2}, Smoothing("savgol", window=7, rate_window=7, order=2)),
+    ],
+)
+def test_samples_tell_how_they_were_smoothed(settings, expected):
+    found = Derivative(**settings)(waves(np.linspace(0.0, 1.0, 11))).smoothing
+    assert repr(found) == repr(expected)  # NaN is not equal to itself
+
+
 def test_settings_compare_equal():
     assert Derivative() == Derivative("savgol", 5, 4)
-    assert METHODS == ("forward", "central", "midpoint", "savgol")
+    assert METHODS == ("forward", "central", "midpoint", "savgol", "auto")

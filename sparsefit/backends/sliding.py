@@ -107,7 +107,8 @@ def refit(
     """The scales that matter without the penalty's bias: one per lobe, all slid with alpha = 0.
 
     Scales nearer than a lobe, 2 pi / extent, to a stronger one are not separate; those weaker
-    than ``share`` of the strongest are left out.
+    than ``share`` of the strongest are left out, before the
+    fit and again after it.
     """
     lobe = 2 * np.pi / float(np.ptp(position, axis=0).max())
     norms = _norms(weights)
@@ -117,10 +118,16 @@ def refit(
         if far and norms[i] >= share * norms.max():
             near = np.abs(wavenumbers - wavenumbers[i]) <= lobe
             kept.append(float(np.average(wavenumbers[near], weights=norms[near])))
-    start = np.sort(kept)
-    z = Jet.at(position, start).value.reshape(-1, len(target))
-    fitted = np.linalg.lstsq(z.T, target, rcond=None)[0].astype(float, copy=False)
-    return slide(position, target, start, fitted.reshape(len(start), 8, -1), 0.0, bounds)
+    while True:
+        z = Jet.at(position, np.array(kept)).value.reshape(-1, len(target))
+        fitted = np.linalg.lstsq(z.T, target, rcond=None)[0].astype(float, copy=False)
+        start = fitted.reshape(len(kept), 8, -1)
+        atoms = slide(position, target, np.array(kept), start, 0.0, bounds)
+        norms = _norms(atoms.weights)
+        strong = norms >= share * norms.max()
+        if strong.all():
+            return atoms
+        kept = atoms.wavenumbers[strong].tolist()
 
 
 def derivatives(atoms: Atoms, alpha: float, extent: float) -> tuple[Array, Array]:

@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 from sparsefit.bench import contenders as registry
 from sparsefit.bench import problems as flights
 from sparsefit.bench import scaling, side
+from sparsefit.bench.contender import Contender
 from sparsefit.bench.files import write
-from sparsefit.bench.measure import Run, compare, warm_up
+from sparsefit.bench.measure import compare, warm_up
 from sparsefit.bench.problems import NAMED, QUICK_GRID, Progress, Task
 from sparsefit.bench.result import BenchResult, ProblemSize
 from sparsefit.bench.robustness import Robustness, robustness
@@ -80,7 +81,7 @@ def _size(task: Task) -> ProblemSize:
     return ProblemSize(task.name, problem.samples, problem.columns, problem.statistics.rank)
 
 
-def _warm(playing: Sequence[registry.Contender], points: int, say: Progress) -> None:
+def _warm(playing: Sequence[Contender], points: int, say: Progress) -> None:
     for task in flights.tasks(NAMED[0], points=points, grid=QUICK_GRID):
         for contender in playing:
             if contender.installed and task.kind in contender.kinds:

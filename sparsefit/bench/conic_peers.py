@@ -1,7 +1,8 @@
-"""Conic solvers as users write them with cvxpy, and Clarabel called directly on the Gram problem."""
+"""Conic solvers as users write them with cvxpy, and Clarabel itself on the Gram problem."""
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from importlib import import_module
 from typing import Any, TypeAlias
@@ -39,10 +40,8 @@ def _as_written(task: Task, fractions: Array, *, solver: str, limit: str) -> Arr
         objective = cvxpy.Minimize(loss + alpha * _norm(cvxpy, weights, task))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": our gap says by how much
-            try:
+            with contextlib.suppress(cvxpy.error.SolverError):
                 cvxpy.Problem(objective).solve(solver=solver, **{limit: TIME_LIMIT})
-            except cvxpy.error.SolverError:
-                pass
         value = np.full(weights.shape, np.nan) if weights.value is None else weights.value
         found.append(value / rms[:, None])
     return np.stack(found)

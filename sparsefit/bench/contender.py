@@ -67,7 +67,8 @@ class Rows:
         """Weights (p, k, n) in original units from coefficients (k n, p), target by target."""
         k = len(self.rms)
         blocks = coefficients.T.reshape(-1, self.targets, k).transpose(0, 2, 1)
-        return cast(Array, blocks / self.rms[:, None])
+        found: Array = blocks / self.rms[:, None]
+        return found
 
 
 def rows_form(task: Task) -> Rows:
@@ -76,7 +77,7 @@ def rows_form(task: Task) -> Rows:
     (m, k), n = theta.shape, target.shape[1]
     rows = np.hstack([theta, target])
     if m > 1.5 * (k + n):
-        rows = np.linalg.qr(rows, mode="r")
+        rows = cast(Array, np.linalg.qr(rows, mode="r"))
     rms = np.sqrt(np.einsum("ij,ij->j", rows[:, :k], rows[:, :k]) / m)
     scaled = rows[:, :k] * (math.sqrt(len(rows) * n / m) / rms)
     values = rows[:, k:] * math.sqrt(len(rows) * n / m)

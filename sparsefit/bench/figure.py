@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,7 +39,7 @@ def time_against_gap(result: BenchResult) -> Figure:
         return figure
 
 
-def _look(result: BenchResult, contender: Contender) -> dict[str, object]:
+def _look(result: BenchResult, contender: Contender) -> dict[str, Any]:
     """Black star for ours; the others differ in marker and colour, seven colours in turn."""
     place = [c.name for c in result.contenders].index(contender.name)
     ours = contender.name == OURS
@@ -49,6 +51,7 @@ def _look(result: BenchResult, contender: Contender) -> dict[str, object]:
 def _panel(axes: Axes, result: BenchResult, kind: Kind) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.set_ylim(0.3 * FLOOR, 3.0)
     axes.set_title(TITLES[kind])
     axes.set_xlabel("CPU time / sparsefit's")
     for level in LEVELS:
@@ -71,15 +74,15 @@ def _draw(axes: Axes, result: BenchResult, kind: Kind, contender: Contender) -> 
     times = [run.median / result.ours(kind, run.problem) for run in runs]
     gaps = [max(run.gap, FLOOR) for run in runs]
     faint = {**look, "markersize": 2.5, "alpha": 0.35, "linestyle": "none"}
-    axes.plot(times, gaps, **faint)  # type: ignore[arg-type]
+    axes.plot(times, gaps, **faint)
     settings = sorted({run.setting for run in runs}, reverse=True)
     if len(settings) > 1:
         reached = [(t, g) for g in LEVELS if np.isfinite(t := _median(result, kind, contender, g))]
-        axes.plot([t for t, _ in reached], [g for _, g in reached], **look)  # type: ignore[arg-type]
+        axes.plot([t for t, _ in reached], [g for _, g in reached], **look)
     else:
         # One setting: a single place.
         middle = float(np.exp(np.median(np.log(gaps))))
-        axes.plot([float(np.median(times))], [middle], **look)  # type: ignore[arg-type]
+        axes.plot([float(np.median(times))], [middle], **look)
 
 
 def _median(result: BenchResult, kind: Kind, contender: Contender, level: float) -> float:

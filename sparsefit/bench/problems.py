@@ -1,4 +1,4 @@
-"""The six named flight problems, and the three penalties each is solved with."""
+"""The six named flight problems, and the three penalties that each is solved with."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class NamedFlight:
     noise: float
     seed: int
 
-    def problem(self, grid: LengthScaleGrid = LengthScaleGrid()) -> RegressionProblem:
+    def problem(self, grid: LengthScaleGrid) -> RegressionProblem:
         """Theta (m, 8 g) and the flow velocity along the flight (m, 2)."""
         return Library(grid).build(self.samples_flown(), VEHICLE)
 

@@ -24,7 +24,10 @@ def ratio_table(result: BenchResult, kind: Kind, level: float, measure: str) -> 
     """Time to a level, as a multiple of ours; our own time in ms above it."""
     columns = (Column("contender", align="left"), *(Column(name) for name in result.problems))
     rows: list[tuple[Cell, ...]] = [
-        (f"{name} [ms]", *(_milliseconds(result, kind, problem, name) for problem in result.problems))
+        (
+            f"{name} [ms]",
+            *(_milliseconds(result, kind, problem, name) for problem in result.problems),
+        )
         for name in (OURS, CERTIFIED)
     ]
     for contender in result.contenders:
@@ -34,7 +37,9 @@ def ratio_table(result: BenchResult, kind: Kind, level: float, measure: str) -> 
         if all(contender.name != name for contender in result.contenders):
             rows.append((name, reason, *("" for _ in result.problems[1:])))
     rows.append(_best_row(result, kind, level, measure))
-    title = f"{TITLES[kind]}: CPU time of a path to {measure} ≤ {level:.0e}, multiples of sparsefit's"
+    title = (
+        f"{TITLES[kind]}: CPU time of a path to {measure} ≤ {level:.0e}, multiples of sparsefit's"
+    )
     return Table(title, columns, tuple(rows), _ratio_notes(result))
 
 
@@ -106,12 +111,11 @@ def target_table(result: BenchResult) -> Table:
 
 def scaling_table(result: BenchResult) -> Table:
     """Cost against the size of the grid and the number of samples, with exponents."""
-    seconds = {"unit": "s", "format": "significant"}
     columns = (
         Column("sweep", align="left"),
         Column("samples"),
         Column("columns"),
-        *(Column(n, **seconds) for n in ("Theta", "statistics", "solve", "total")),
+        *(Column(n, "s", "significant") for n in ("Theta", "statistics", "solve", "total")),
         Column("peak memory", "MB", ".0f"),
         Column("gap", format=".1e"),
     )

@@ -1,4 +1,4 @@
-"""Random and degenerate flights: what share of the points is certified, and what needs a referee."""
+"""Random and degenerate flights: what is certified, and what needs the referee."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def _duplicated(theta: Array, target: Array, draw: np.random.Generator) -> tuple
     return theta, target
 
 
-def _nearly_dependent(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+def _nearly_dependent(
+    theta: Array, target: Array, draw: np.random.Generator
+) -> tuple[Array, Array]:
     """Columns that differ from others in the ninth digit."""
     theta, k = theta.copy(), theta.shape[1]
     to, source = draw.choice(k, k // 4, replace=False), draw.integers(0, k, k // 4)
@@ -106,7 +108,7 @@ def draw_problem(seed: int) -> tuple[str, RegressionProblem]:
     noise = float(draw.choice([0.0, 0.01, 0.1]))
     scales = int(draw.integers(6, 40))
     flight = NamedFlight(
-        "", int(draw.integers(60, 1200)), draw.uniform(2, 20), draw.uniform(1.5, 9), noise, seed
+        "", int(draw.integers(60, 500)), draw.uniform(2, 20), draw.uniform(1.5, 9), noise, seed
     )
     problem = flight.problem(LengthScaleGrid(count=scales))
     names = tuple(ALTERATIONS)

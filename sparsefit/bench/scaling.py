@@ -26,7 +26,9 @@ SAMPLES = (1_000, 10_000, 100_000, 1_000_000)
 
 @dataclass(frozen=True)
 class Scaling:
-    """One size: CPU seconds to build, to compress and to solve a path; peak memory beyond the start [MB]."""
+    """One size: CPU seconds to build, to compress and to solve a path; memory [MB] beyond
+    that at the start, at its peak.
+    """
 
     sweep: str
     samples: int
@@ -81,8 +83,9 @@ def _grid(kind: Kind, flight: NamedFlight, grid: LengthScaleGrid, points: int) -
         asked.penalty,
     )
     gap = max(certificate.value for certificate in certified)
-    spent = np.diff(clock).tolist()
-    return Scaling(f"grid, {kind}", problem.samples, problem.columns, *spent, memory, gap)
+    build, statistics, solve = np.diff(clock).tolist()
+    size = (problem.samples, problem.columns)
+    return Scaling(f"grid, {kind}", *size, build, statistics, solve, memory, gap)
 
 
 def _restart_peak() -> float:

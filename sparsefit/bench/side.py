@@ -105,13 +105,12 @@ def threads(task: Task, repeats: int = 5) -> Ratio:
     fractions = tuple(task.fractions.tolist())
     count = 4  # paths per flight: starting a thread is not what is measured
 
-    def flight(_: object = None) -> None:
-        for _repeat in range(count):
-            task.backend.solve_path(task.fresh(), fractions)
+    def flight(_: int) -> int:
+        return sum(len(task.backend.solve_path(task.fresh(), fractions)) for _path in range(count))
 
     with ThreadPoolExecutor(2) as pool:
         one_by_one, together = alternating(
-            lambda: [flight(), flight()],
+            lambda: [flight(each) for each in range(2)],
             lambda: list(pool.map(flight, range(2))),
             repeats=repeats,
             clock=time.perf_counter,

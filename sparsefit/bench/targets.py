@@ -100,9 +100,7 @@ def _means(what: str, ratios: list[float], mean: float) -> Iterator[Judgement]:
         yield Judgement(what, f"geometric mean ≥ {mean:g}", "no peer reached 1e-8", None)
         return
     found, slowest = geometric_mean(ratios), min(ratios)
-    yield Judgement(
-        f"{what}: geometric mean", f"≥ {mean:g}", f"{found:.1f}", found >= mean
-    )
+    yield Judgement(f"{what}: geometric mean", f"≥ {mean:g}", f"{found:.1f}", found >= mean)
     yield Judgement(f"{what}: worst problem", "≥ 1", f"{slowest:.2f}", slowest >= 1.0)
 
 

@@ -35,6 +35,7 @@ OF_ESTIMATOR = (
     "target",
     "length_scale_readout",
     "mean_velocity_readout",
+    "refine",
 )
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
@@ -95,6 +96,11 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--mean-velocity-readout", metavar="NAME", help="rms (default), peak or paper"
     )
+    group.add_argument(
+        "--refine",
+        metavar="NAME",
+        help="variable-projection (default: L off the grid) or none (the candidate itself)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -139,7 +145,9 @@ def _built(args: argparse.Namespace) -> Estimator:
         backends.get(args.backend or "group-lasso", **collected(args.setting or ())),
         Readout(
             **_given(
-                length_scale=args.length_scale_readout, mean_velocity=args.mean_velocity_readout
+                length_scale=args.length_scale_readout,
+                mean_velocity=args.mean_velocity_readout,
+                refine=args.refine,
             )
         ),
     )

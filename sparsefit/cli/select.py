@@ -98,18 +98,10 @@ def run(args: argparse.Namespace) -> int:
 
 def estimator_of(study: Study, chosen: Selection) -> Estimator:
     """The estimator that the chosen cases used."""
-    from sparsefit.estimator import Estimator
-    from sparsefit.study.choices import make_backend
     from sparsefit.study.design import cells
+    from sparsefit.study.execution import estimator_for
 
-    cell = next(one for one in cells(study) if _is(one, chosen))
-    return Estimator(
-        cell.setup.derivative,
-        cell.setup.library,
-        make_backend(cell.backend, cell.settings),
-        cell.setup.readout,
-        study.tolerance,
-    )
+    return estimator_for(study, next(one for one in cells(study) if _is(one, chosen)))
 
 
 def _is(cell: Cell, chosen: Selection) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from types import ModuleType
@@ -81,4 +82,5 @@ def _replace(file: Path, content: bytes) -> None:
     except OSError as error:
         raise InputError(f"cannot write {file}: {error.strerror}; check the folder") from None
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where it could not be made it need not be removed
+            partial.unlink(missing_ok=True)

@@ -95,7 +95,7 @@ def _run_problem(
     yield Stage("building the library", _indices(cells))
     # The truth enters at the score and nowhere before.
     blind = dataclasses.replace(flown, flow=None)
-    prepared = _attempt(partial(_estimator(context.study, cells[0]).prepare, blind))
+    prepared = _attempt(partial(estimator_for(context.study, cells[0]).prepare, blind))
     if isinstance(prepared, Exception):
         yield from _failed(context.flight, cells, prepared)
         return
@@ -151,7 +151,7 @@ def _fit(
             return
     # What fails together is tried one by one: the reason belongs to one of them.
     for cells in batch.fits:
-        yield cells, _attempt(partial(_estimator(study, cells[0]).fit, prepared))
+        yield cells, _attempt(partial(estimator_for(study, cells[0]).fit, prepared))
 
 
 def _path(
@@ -175,7 +175,8 @@ def _read(
             yield outcome
 
 
-def _estimator(study: Study, cell: Cell) -> Estimator:
+def estimator_for(study: Study, cell: Cell) -> Estimator:
+    """The estimator of a case: the study's setting, the protocol's and the levels' overrides."""
     return Estimator(
         derivative=cell.setup.derivative,
         library=cell.setup.library,
@@ -186,7 +187,7 @@ def _estimator(study: Study, cell: Cell) -> Estimator:
 
 
 def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Outcome:
-    estimate: Estimate = _estimator(context.study, cell).read(prepared, fit)
+    estimate: Estimate = estimator_for(context.study, cell).read(prepared, fit)
     certificate = estimate.certificate
     weights = sorted(estimate.weights_by_scale.items()) if context.study.store_weights else ()
     scales = prepared.problem.group_scales

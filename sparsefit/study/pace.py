@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MEMORY = 10  # outcomes of a cell over which its mean forgets, so that it follows a trend
-ENOUGH = 3
+ENOUGH = 0.5  # share of the cells with cases left that must have been seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,15 +35,15 @@ class Pace:
 
     @property
     def eta(self) -> float | None:
-        """Seconds left; None while fewer than `ENOUGH` cells were seen.
+        """Seconds left; None while less than the share `ENOUGH` of the cells was seen.
 
         A cell never seen counts as the median of those seen: the first case of a flight carries
         the simulation and the library, and must not stand for all.
         """
         if not self.left.any():
             return 0.0
-        known = self.seen > 0
-        if np.count_nonzero(known) < min(ENOUGH, len(known)):
+        known, open_ = self.seen > 0, self.left > 0
+        if not known.any() or np.count_nonzero(known & open_) < ENOUGH * np.count_nonzero(open_):
             return None
         typical = np.where(known, self.mean, np.median(self.mean[known]))
         return float(self.left @ typical) / self.processes
