@@ -17,7 +17,7 @@ from sparsefit.flight import Flight
 from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
-from sparsefit.refine import Refinement, refine
+from sparsefit.refine import CORRELATION, Refinement, refine
 
 FORMAT = "sparsefit-estimator/1"
 
@@ -31,9 +31,15 @@ class Prepared:
     target: np.ndarray  # a row per sample: the problem's own may be compressed
     problem: RegressionProblem
     seconds: float
-    _refined: dict[tuple[float, float, float], Refinement] = field(
-        default_factory=dict, repr=False
-    )
+    _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
+
+    @property
+    def _correlation(self) -> float:
+        """Samples over which the errors of Phi correlate: a polynomial's window per coefficient."""
+        smoothing = self.samples.smoothing
+        if smoothing is None:
+            return CORRELATION
+        return max(CORRELATION, smoothing.rate_window / (smoothing.order + 1))
 
     def refined(self, candidate: float, grid: LengthScaleGrid) -> Refinement:
         """The refinement from a candidate [m], done once for all back-ends that choose it."""
@@ -45,6 +51,7 @@ class Prepared:
                 candidate,
                 lower=grid.lower,
                 upper=grid.upper,
+                correlation=self._correlation,
             )
         return self._refined[key]
 
@@ -89,7 +96,7 @@ class Estimator:
     ``derivative`` and ``backend`` also take a name, with default settings.
     """
 
-    derivative: Derivative | str = Derivative()
+    derivative: Derivative | str = Derivative("auto")
     library: Library = Library()
     backend: Backend | str = "group-lasso"
     readout: Readout = Readout()
@@ -157,9 +164,7 @@ class Estimator:
             )
             if not (math.isfinite(mean_velocity) and mean_velocity > 0):
                 words = f"readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
-                place = replace(
-                    place, status="unidentifiable", reason=f"no mean velocity: {words}"
-                )
+                place = replace(place, status="unidentifiable", reason=f"no mean velocity: {words}")
         return Estimate(
             mean_velocity,
             place.length_scale,

@@ -40,7 +40,8 @@ class Refinement:
 
     length_scale L [m] and wavenumber k = pi/L [1/m] of the least residual RSS(k); null_residual
     |Phi|^2 [m^2/s^2]; the rival's, NaN and inf without one; at_bound: the least residual is on the
-    edge of the interval; samples m, of 2 components; lobes: separate minima in the interval.
+    edge of the interval; samples m, of 2 components; lobes: separate minima in the interval;
+    correlation: samples over which errors correlate.
     """
 
     length_scale: float
@@ -52,6 +53,7 @@ class Refinement:
     at_bound: bool
     samples: int
     lobes: int
+    correlation: float = CORRELATION
 
     @property
     def evidence(self) -> float:
@@ -65,9 +67,9 @@ class Refinement:
         """Whether the data exclude the rival, and L is inside the interval.
 
         A false lobe leads by a likelihood ratio c with probability <= 1/c; over all lobes the
-        risk is 5 % at evidence = 2 ln(lobes / 0.05), times the length CORRELATION of the errors.
+        risk is 5 % at evidence = 2 ln(lobes / 0.05), times the length over which errors correlate.
         """
-        needed = 2 * CORRELATION * math.log(self.lobes / SIGNIFICANCE)
+        needed = 2 * self.correlation * math.log(self.lobes / SIGNIFICANCE)
         return not self.at_bound and self.evidence > needed
 
 
@@ -185,11 +187,13 @@ def refine(
     *,
     lower: float,
     upper: float,
+    correlation: float = CORRELATION,
 ) -> Refinement:
     """Find L in [lower, upper] [m] with the least residual, and its rival.
 
     position (m, 2) [m]; flow_velocity Phi (m, 2) [m/s]; start_length_scale: a back-end's answer
-    [m], whose lobe is refined whatever its depth. InputError: empty interval, flight at rest.
+    [m], whose lobe is refined whatever its depth; correlation: samples over which the errors of
+    Phi correlate. InputError: empty interval, flight at rest.
     """
     extent = float(np.ptp(position, axis=0).max())
     if not (0 < lower < upper < math.inf and extent > 0):
@@ -212,7 +216,9 @@ def refine(
     others = [fit for fit in found if abs(fit.wavenumber - best.wavenumber) > 2 * step]
     rival = (math.pi / others[0].wavenumber, others[0].residual) if others else (math.nan, math.inf)
     k, null, edge = best.wavenumber, float(np.sum(phi**2)), best.wavenumber in (low, high)
-    return Refinement(math.pi / k, k, best.residual, null, *rival, edge, len(position), len(minima))
+    return Refinement(
+        math.pi / k, k, best.residual, null, *rival, edge, len(position), len(minima), correlation
+    )
 
 
 def centred(position: Array) -> Array:

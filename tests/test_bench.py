@@ -26,7 +26,11 @@ def small():
     return tasks(NAMED[1], points=6, grid=QUICK_GRID)
 
 
-@pytest.mark.parametrize("contender", ALL, ids=lambda c: c.name)
+def _marked(contender):
+    return pytest.param(contender, marks=[pytest.mark.slow] if contender.compiles else [])
+
+
+@pytest.mark.parametrize("contender", [_marked(c) for c in ALL], ids=[c.name for c in ALL])
 def test_every_contender_solves_the_objective_that_we_certify(contender, small):
     if not contender.installed:
         pytest.skip(f"{contender.package} is not installed")

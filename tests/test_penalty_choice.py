@@ -223,7 +223,7 @@ def test_effective_samples_of_an_autoregression(correlation):
     for i in range(1, len(residual)):
         residual[i] += correlation * residual[i - 1]
     expected = 20_000 * (1 - correlation) / (1 + correlation)
-    assert effective_samples(residual) == pytest.approx(expected, rel=0.15)
+    assert effective_samples(residual) == pytest.approx(expected, rel=0.25)
 
 
 @pytest.mark.parametrize("residual", [np.zeros((9, 2)), np.ones((3, 1))])
@@ -317,9 +317,7 @@ def test_a_study_may_ask_for_auto_beside_numbers(tmp_path):
     path = tmp_path / "auto.toml"
     path.write_text(STUDY)
     study = Study.load(path)
-    folder = tmp_path / "results"
-    run(study, folder, processes=1)
-    cases = read_cases(folder)
+    cases = read_cases(run(study, tmp_path, processes=1).folder)
     assert len(cases) == 5
     assert set(cases["status"]) == {"ok"}, cases["reason"].tolist()
     asked = [json.loads(text)["alpha_fraction"] for text in cases["settings"]]

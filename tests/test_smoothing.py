@@ -92,7 +92,8 @@ def test_velocity_carries_the_position_over_the_window():
     alone = polynomial_kernels(41, ORDER, 0.01)[0]
     spread = np.hypot(0.1 * np.linalg.norm(coupled[:41]), 0.5 * np.linalg.norm(coupled[41:]))
     assert spread < 0.5 * 0.1 * np.linalg.norm(alone)
-    assert spread == pytest.approx(0.1 / np.sqrt(41), rel=0.1)
+    average = 0.1 / np.sqrt(41)
+    assert average < spread < 1.2 * average
 
 
 @settings(deadline=None)

@@ -37,7 +37,8 @@ Array = NDArray[np.float64]
 
 ROUNDS = 60
 STOP = 1e-10  # relative duality gap, below any tolerance the certificate is asked to meet
-CORRECTION = 1e-7  # of the weights before the slide, which makes them exact
+CORRECTION = 1e-3  # of the gap: weights before the slide, which makes them exact
+PATIENCE = 12  # rounds without a smaller gap
 EAGER = 0.7  # peaks of eta - 1 this close to the highest join in the same round
 APART = 0.3  # in 1/extent: nearer scales than this are one lobe, and are tried as one
 
@@ -108,27 +109,33 @@ def _sliding_frank_wolfe(
     alpha = alpha_fraction * start.height
     nothing = np.zeros((1, 8, target.shape[1]))
     atoms = Atoms.at(position, target, np.array([start.wavenumber]), nothing, alpha)
-    best, least = atoms, math.inf
+    best, least, since = atoms, math.inf, 0
     for rounds in range(ROUNDS):
         peaks = scanner.peaks(atoms.residual)
         norm = float(np.sqrt(np.sum(atoms.weights**2, axis=(1, 2))).sum())
         gap = gap_of(atoms.residual, target, alpha, norm, peaks[0].height, len(target)).value
         if gap < least:
-            best, least = atoms, gap
-        if least <= STOP:
-            return best, rounds, True
+            best, least, since = atoms, gap, rounds
+        if least <= STOP or rounds - since >= PATIENCE:
+            return best, rounds, least <= STOP
         wanted = 1 + EAGER * (peaks[0].height / alpha - 1)
         new = [p.wavenumber for p in peaks if p.height >= wanted * alpha]
-        atoms = _joined(position, target, atoms, new, alpha, bounds)
+        atoms = _joined(position, target, atoms, new, alpha, bounds, gap)
     return best, rounds + 1, False
 
 
 def _joined(
-    position: Array, target: Array, atoms: Atoms, new: list[float], alpha: float, bounds: Interval
+    position: Array,
+    target: Array,
+    atoms: Atoms,
+    new: list[float],
+    alpha: float,
+    bounds: Interval,
+    gap: float,
 ) -> Atoms:
     """Fully corrective weights on the old scales and the new, pruned, slid and merged."""
     k = np.unique(np.concatenate([atoms.wavenumbers, new]))
-    k, weights = _corrected(position, target, k, alpha)
+    k, weights = _corrected(position, target, k, alpha, CORRECTION * gap)
     here = slide(position, target, k, weights, alpha, bounds)
     extent = float(np.ptp(position, axis=0).max())
     while True:
@@ -138,7 +145,9 @@ def _joined(
         here = merged
 
 
-def _corrected(position: Array, target: Array, k: Array, alpha: float) -> tuple[Array, Array]:
+def _corrected(
+    position: Array, target: Array, k: Array, alpha: float, tolerance: float
+) -> tuple[Array, Array]:
     """The group-LASSO on scales k: those it keeps, and their weights (s, 8, n)."""
     m, n = target.shape
     z = Jet.at(position, k).value.reshape(-1, m)
@@ -149,7 +158,7 @@ def _corrected(position: Array, target: Array, k: Array, alpha: float) -> tuple[
         np.ones(len(k)),
         [alpha],
         np.sum(target**2, axis=0) / m,
-        tolerance=CORRECTION,
+        tolerance=tolerance,
     )
     weights = path.weights[0].reshape(-1, 8, n)
     kept = np.any(weights != 0, axis=(1, 2))

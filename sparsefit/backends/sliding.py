@@ -107,8 +107,7 @@ def refit(
     """The scales that matter without the penalty's bias: one per lobe, all slid with alpha = 0.
 
     Scales nearer than a lobe, 2 pi / extent, to a stronger one are not separate; those weaker
-    than ``share`` of the strongest are left out, before the
-    fit and again after it.
+    than ``share`` of the strongest are left out, before the fit and again after it.
     """
     lobe = 2 * np.pi / float(np.ptp(position, axis=0).max())
     norms = _norms(weights)

@@ -47,7 +47,7 @@ def run(
     named = flights.chosen(tuple(problems) if problems is not None else None)
     if quick and problems is None:
         named = named[:1]
-    playing = registry.chosen(contenders)
+    playing = registry.chosen(contenders, quick=quick)
     grid = QUICK_GRID if quick else LengthScaleGrid()
     points = QUICK_POINTS if quick else POINTS
     with threadpool_limits(limits=1):

@@ -28,7 +28,8 @@ class Contender:
 
     package: what must be importable. settings: tolerances to scan, loosest first. timed: points
     of the path that are solved where a whole path takes minutes, the rest being extrapolated;
-    0 for all of them. peer: a public package whose time ours is compared with.
+    0 for all of them. peer: a public package whose time ours is compared with. compiles: its
+    first run takes many seconds.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Contender:
     settings: tuple[float, ...] = EXACT
     timed: int = 0
     peer: bool = True
+    compiles: bool = False
 
     @property
     def installed(self) -> bool:

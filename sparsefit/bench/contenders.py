@@ -19,17 +19,24 @@ LEFT_OUT = MappingProxyType({"adelie": "left out: it pins numpy<2, sparsefit nee
 NOT_INSTALLED = "not installed (extra peers)"
 
 
-def chosen(names: Sequence[str] | None) -> tuple[Contender, ...]:
-    """The contenders of these names, ours always among them. Raises InputError if unknown."""
+def chosen(names: Sequence[str] | None, *, quick: bool = False) -> tuple[Contender, ...]:
+    """The contenders of these names, ours always among them. Raises InputError if unknown.
+
+    A quick run leaves out those that compile for longer than it should take, unless asked for.
+    """
     valid = [contender.name for contender in ALL]
     for name in names or ():
         if name not in valid:
             raise unknown("contender", name, valid)
     always = (ours.OURS, ours.CERTIFIED)
-    return tuple(c for c in ALL if names is None or c.name in names or c.name in always)
+    if names is None:
+        return tuple(c for c in ALL if not (quick and c.compiles))
+    return tuple(c for c in ALL if c.name in names or c.name in always)
 
 
 def absent(contenders: Sequence[Contender]) -> dict[str, str]:
     """Who is missing from the comparison, with the reason."""
-    missing = {c.name: NOT_INSTALLED for c in contenders if not c.installed}
-    return {**missing, **LEFT_OUT}
+    playing = [contender.name for contender in contenders]
+    missing = {c.name: NOT_INSTALLED for c in ALL if not c.installed}
+    unasked = {c.name: "not asked for in this run" for c in ALL if c.name not in playing}
+    return {**unasked, **missing, **LEFT_OUT}

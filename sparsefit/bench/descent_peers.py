@@ -125,5 +125,7 @@ CONTENDERS = (
         settings=LADDER,
     ),
     Contender("celer", _celer, "celer", "celer_path on QR rows", settings=LADDER),
-    Contender("skglm", _skglm, "skglm", "AndersonCD, GroupBCD on QR rows", settings=LADDER),
+    Contender(
+        "skglm", _skglm, "skglm", "AndersonCD, GroupBCD on QR rows", settings=LADDER, compiles=True
+    ),
 )

@@ -76,7 +76,9 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
         help="setting of the back-end; repeat it for more than one",
     )
     group.add_argument(
-        "--derivative", metavar="METHOD", help="forward, central, midpoint or savgol (default)"
+        "--derivative",
+        metavar="METHOD",
+        help="auto (default), forward, central, midpoint or savgol",
     )
     group.add_argument("--window", type=whole, metavar="N", help="of savgol; default: 5 samples")
     group.add_argument("--order", type=whole, metavar="N", help="of savgol; default: 4")
@@ -140,7 +142,9 @@ def _built(args: argparse.Namespace) -> Estimator:
         **_given(lower=args.grid_lower, upper=args.grid_upper, step=args.grid_step)
     )
     return Estimator(
-        Derivative(**_given(method=args.derivative, window=args.window, order=args.order)),
+        Derivative(
+            **_given(method=args.derivative or "auto", window=args.window, order=args.order)
+        ),
         Library(**_given(grid=grid, target=args.target)),
         backends.get(args.backend or "group-lasso", **collected(args.setting or ())),
         Readout(

@@ -110,12 +110,8 @@ class Channels:
 
     def spread(self, kernel: Array) -> float:
         """Standard deviation of what a kernel (2n,) gives, from the noise alone."""
-        one, other = np.split(kernel, 2)
-        parts = (
-            self.sigma_position * np.linalg.norm(one),
-            self.sigma_velocity * np.linalg.norm(other),
-        )
-        return float(np.hypot(*parts))
+        one, other = (float(np.linalg.norm(part)) for part in np.split(kernel, 2))
+        return math.hypot(self.sigma_position * one, self.sigma_velocity * other)
 
 
 def noise_level(values: Array) -> float:

@@ -183,6 +183,16 @@ def test_two_flows_within_one_percent(ratio, seed):
     np.testing.assert_allclose(np.sort(np.pi / atoms.wavenumbers), truth, rtol=1e-4)
 
 
+def test_a_small_penalty_on_a_short_flight():
+    """A new scale whose gain is near rounding must not be dropped round after round."""
+    flow = sf.CellularFlow(15.0, 3.7889785439445482)
+    for seed in (118, 119):
+        flown = sf.simulate_flight(flow, VEHICLE, duration=10.0, sample_rate=100.0, seed=seed)
+        problem = library_problem(flown)
+        backend = GridlessGroupLasso(0.01)
+        assert backend.certify(problem, backend.solve(problem)).value < 1e-9
+
+
 def test_nothing_at_alpha_max():
     solution = GridlessGroupLasso(1.0).solve(flight_problem())
     assert solution.status == "ok"
