@@ -229,7 +229,7 @@ class Estimator:
         backend = dict(parts.get("backend", {"name": "group-lasso"}))
         try:
             return cls(
-                Derivative(**parts.get("derivative", {})),
+                Derivative(**parts.get("derivative", {"method": "auto"})),
                 Library(**{**library, "grid": LengthScaleGrid(**library.get("grid", {}))}),
                 backends.get(str(backend.pop("name", "")), **backend),
                 Readout(**parts.get("readout", {})),

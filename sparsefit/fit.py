@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sparsefit.backends.base import (
     Backend,
     ChoosingBackend,
+    OffGridBackend,
     PathBackend,
     PenalisedBackend,
     Solution,
@@ -114,7 +115,10 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
     start = perf_counter()
     solution = backend.solve(problem)
     seconds = perf_counter() - start
-    if isinstance(backend, PenalisedBackend) and backend.certificate_kind == "duality_gap":
+    certificate: Certificate | None
+    if isinstance(backend, OffGridBackend):
+        certificate = backend.certify(problem, solution) if _usable(solution) else None
+    elif isinstance(backend, PenalisedBackend) and backend.certificate_kind == "duality_gap":
         fractions = (numeric_fraction(backend.name, backend.alpha_fraction),)
         certificate = _gaps(problem, backend, (solution,), fractions)[0]
     else:

@@ -127,14 +127,14 @@ def scan(position: Array, flow_velocity: Array, step: float, first: int, last: i
     Fourier transforms and their conjugates; C'Phi is 8 more. A ridge of RIDGE m is added.
     """
     points, count = centred(position), last - first + 1
-    gain, size = _kernel_gain(first, last)
+    gain, size = kernel_gain(first, last)
     sums, cross = np.empty((25, count), complex), np.empty((4, 2, count), complex)
     sums[12] = len(points)
     for i in range(12):  # (p, q) = divmod(i, 5) - 2: symmetric about i = 12, (0, 0)
         mode = np.array(divmod(i, 5)) - 2
         wave = np.flatnonzero((-mode == DIRECTIONS).all(axis=1))
         loads = flow_velocity.T[: 2 * len(wave)]
-        found = _fourier_sums(points @ mode, loads, step, size)[:, first : last + 1] / gain
+        found = fourier_sums(points @ mode, loads, step, size)[:, first : last + 1] / gain
         sums[i], sums[24 - i] = found[0].conj(), found[0]
         if len(wave):
             cross[wave[0]] = found[1:]
@@ -157,7 +157,7 @@ def _real_gram(minus: NDArray[np.complex128], plus: NDArray[np.complex128]) -> A
     return np.ascontiguousarray(0.5 * np.concatenate(rows, 0).transpose(2, 0, 1))
 
 
-def _fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArray[np.complex128]:
+def fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArray[np.complex128]:
     """Sum_i w_i exp(-1j j step points[i]), j = 0..size/2, times the gain; w = 1 and each of loads.
 
     NUFFT of type 1 with the kernel exp(beta sqrt(1 - z^2)) (Barnett et al., 2019).
@@ -171,7 +171,7 @@ def _fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArra
     return np.fft.rfft([np.bincount(cells, values.ravel(), size) for values in weighted])
 
 
-def _kernel_gain(first: int, last: int) -> tuple[Array, int]:
+def kernel_gain(first: int, last: int) -> tuple[Array, int]:
     """The kernel's Fourier transform at j = first..last; the size that oversamples twice."""
     size = 1 << math.ceil(math.log2(4 * (last + 1) + 4 * SPREAD))
     nodes, mass = np.polynomial.legendre.leggauss(4 * SPREAD)

@@ -23,6 +23,10 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "stlsq": "sparsefit.backends.stlsq:STLSQ",
         "lasso": "sparsefit.backends.lasso:Lasso",
         "group-lasso": "sparsefit.backends.group_lasso:GroupLasso",
+        "gridless-group-lasso": "sparsefit.backends.gridless:GridlessGroupLasso",
+        "group-omp": "sparsefit.backends.group_omp:GroupOMP",
+        "best-scale": "sparsefit.backends.best_scale:BestScale",
+        "parametric-nls": "sparsefit.backends.parametric_nls:ParametricNLS",
     }
 )
 """The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sparsefit.errors import InputError, unknown
 from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind, Penalty
+from sparsefit.objective import Certificate, CertificateKind, Penalty
 
 Array = NDArray[np.float64]
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
@@ -48,6 +48,15 @@ class Backend(Protocol):
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights for the problem; pure, and never zeros for a failure."""
+        ...
+
+
+@runtime_checkable
+class OffGridBackend(Backend, Protocol):
+    """A back-end that finds its own length scales, whose optimality is over a continuum."""
+
+    def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
+        """The certificate of a solution, from the rows and the scales found alone."""
         ...
 
 

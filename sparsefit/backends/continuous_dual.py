@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sparsefit.library import RegressionProblem, candidate_columns
 from sparsefit.objective import Certificate
-from sparsefit.refine import _fourier_sums, _kernel_gain
+from sparsefit.refine import fourier_sums, kernel_gain
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -251,14 +251,14 @@ class FourierSums:
     def of(cls, position: Array, step: float, first: int, last: int) -> "FourierSums":
         """The sums at k = j step, j = first..last, over rows at position (m, 2)."""
         centre = 0.5 * (position.max(axis=0) + position.min(axis=0))
-        gain, size = _kernel_gain(first, last)
+        gain, size = kernel_gain(first, last)
         return cls(
             position - centre, centre, step, np.arange(first, last + 1, dtype=np.intp), gain, size
         )
 
     def __call__(self, mode: Array, loads: Array) -> NDArray[np.complex128]:
         """(1 + n, q): for w = 1 and for each row of loads (n, m)."""
-        sums = _fourier_sums(self.centred @ mode, loads, self.step, self.size)
+        sums = fourier_sums(self.centred @ mode, loads, self.step, self.size)
         phase = np.exp(-1j * float(self.centre @ mode) * self.step * self.numbers)
         turned: NDArray[np.complex128] = sums[:, self.numbers] * (phase / self.gain)
         return turned
