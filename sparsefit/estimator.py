@@ -96,7 +96,7 @@ class Estimator:
     ``derivative`` and ``backend`` also take a name, with default settings.
     """
 
-    derivative: Derivative | str = Derivative("auto")
+    derivative: Derivative | str = Derivative()
     library: Library = Library()
     backend: Backend | str = "group-lasso"
     readout: Readout = Readout()
@@ -229,7 +229,7 @@ class Estimator:
         backend = dict(parts.get("backend", {"name": "group-lasso"}))
         try:
             return cls(
-                Derivative(**parts.get("derivative", {"method": "auto"})),
+                Derivative(**parts.get("derivative", {})),
                 Library(**{**library, "grid": LengthScaleGrid(**library.get("grid", {}))}),
                 backends.get(str(backend.pop("name", "")), **backend),
                 Readout(**parts.get("readout", {})),

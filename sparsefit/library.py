@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sparsefit.derivative import Samples
 from sparsefit.errors import InputError, positive, unknown
+from sparsefit.flight import Flight
 from sparsefit.objective import Statistics, accumulate, row_blocks
 from sparsefit.vehicle import PointMassVehicle
 
@@ -79,6 +80,23 @@ class LengthScaleGrid:
                 f"grid: {self.size} length scales are more than the {MAX_SCALES} that can be "
                 "held; use a larger step or a narrower range"
             )
+
+    @classmethod
+    def for_flight(
+        cls, flight: Flight, lower: float = 1.0, upper: float = 12.0, *, fraction: float = 0.25
+    ) -> "LengthScaleGrid":
+        """The grid that resolves a flight: uniform in wavenumber, at a fraction of the lobe.
+
+        The residual as a function of k has lobes of width 2 pi / extent; steps of a quarter of
+        it, the default, put a candidate in every lobe. Finer at small L than a grid uniform in
+        L, and coarser at large L.
+        """
+        if not 0 < fraction <= 1:
+            raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {fraction!r}")
+        plain = cls(lower, upper)  # refuses bounds that are none
+        span = np.pi / plain.lower - np.pi / plain.upper
+        steps = np.ceil(span * flight.extent / (2 * np.pi * fraction))
+        return cls(lower, upper, count=int(min(steps, 1e15)) + 1, spacing="wavenumber")
 
     @property
     def size(self) -> int:

@@ -36,7 +36,8 @@ def test_every_contender_solves_the_objective_that_we_certify(contender, small):
         pytest.skip(f"{contender.package} is not installed")
     for task in small:
         if task.kind in contender.kinds:
-            weights = contender.solve(task, task.fractions, contender.settings[-1])
+            setting = contender.settings[min(2, len(contender.settings) - 1)]
+            weights = contender.solve(task, task.fractions, setting)
             p = task.problem
             found = duality_gaps(
                 p.theta, p.target, p.statistics.rms, weights, task.alphas, task.penalty
@@ -89,9 +90,9 @@ def _run(setting, seconds, gap, *, last=False):
 
 
 def test_reach_is_the_loosest_setting_that_suffices():
-    runs = [_run(1e-4, 1.0, 1e-3), _run(1e-6, 2.0, 1e-7), _run(1e-8, 3.0, 1e-9)]
-    assert reach(runs, 1e-6).seconds == 2.0
-    assert reach(runs, 1e-6, "sub").seconds == 2.0
+    runs = [_run(1e-4, 0.1, 1e-3), _run(1e-6, 0.2, 1e-7), _run(1e-8, 0.3, 1e-9)]
+    assert reach(runs, 1e-6).seconds == 0.2
+    assert reach(runs, 1e-6, "sub").seconds == 0.2
     assert reach(runs, 1e-10) == Reach(None, 1e-9)
     assert needed(runs) == runs
 

@@ -307,7 +307,7 @@ def test_every_back_end_passes_its_check(capsys, name):
     assert code == 0
     assert out.startswith(f"{name}: ok")
     code, out, _ = run(capsys, "backends", "--json", "check", name)
-    assert json.loads(out)["length_scale"] == 4.0
+    assert json.loads(out)["length_scale"] == pytest.approx(4.0, rel=1e-6)
 
 
 def test_check_refuses_what_it_does_not_know(capsys):

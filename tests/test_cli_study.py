@@ -24,6 +24,8 @@ response_time = 0.5
 thrust_acceleration = [5.0, 3.0]
 duration = 2.0
 sample_rate = 50.0
+[readout]
+refine = "none"
 [library]
 lower = 3.0
 upper = 5.0

@@ -82,7 +82,7 @@ def test_midpoint_by_hand():
 def test_savgol_5_4_weights_are_the_classical_ones():
     time = np.arange(5) / 2.0
     flight = waves(time)
-    samples = Derivative()(flight)
+    samples = Derivative("savgol")(flight)
     weights = np.array([1, -8, 0, 8, -1]) / 12 / 0.5
     np.testing.assert_allclose(samples.acceleration[0], weights @ flight.velocity, atol=1e-13)
     np.testing.assert_allclose(samples.position, flight.position[2:3], atol=1e-14)
@@ -143,35 +143,42 @@ def test_flow_velocity_is_read_off_a_flight(method, rtol):
 
 def test_savgol_refuses_uneven_steps_by_name():
     with pytest.raises(InputError, match=r"savgol needs uniform time steps.*row 5.*use central or"):
-        Derivative()(waves(UNEVEN))
+        Derivative("savgol")(waves(UNEVEN))
 
 
 def test_savgol_takes_rounded_clocks_and_clocks_that_count_from_1970():
     steps = np.arange(100) / 100.0
     rounded = waves(np.round(steps, 2))
-    assert Derivative()(rounded).time.shape == (96,)
-    assert Derivative()(waves(1.7e9 + steps)).time.shape == (96,)
+    assert Derivative("savgol")(rounded).time.shape == (96,)
+    assert Derivative("savgol")(waves(1.7e9 + steps)).time.shape == (96,)
     late = steps.copy()
     late[50] += 1e-6
     with pytest.raises(InputError, match="uniform"):
-        Derivative()(waves(late))
+        Derivative("savgol")(waves(late))
 
 
 def test_savgol_window_longer_than_the_flight():
     with pytest.raises(InputError, match="window 11 is longer than the flight of 8 samples"):
-        Derivative(window=11)(waves(np.arange(8.0)))
+        Derivative("savgol", window=11)(waves(np.arange(8.0)))
 
 
 @pytest.mark.parametrize("bad", [4, 1, 0, -3, 5.0, True, "5"])
 def test_bad_window(bad):
     with pytest.raises(InputError, match="window must be an odd integer"):
-        Derivative(window=bad, order=1)
+        Derivative("savgol", window=bad, order=1)
 
 
-@pytest.mark.parametrize("bad", [5, 0, -1, 2.0, None])
+@pytest.mark.parametrize("bad", [5, 0, -1, 2.0])
 def test_bad_order(bad):
     with pytest.raises(InputError, match="order must be an integer from 1 to window - 1 = 4"):
-        Derivative(window=5, order=bad)
+        Derivative("savgol", window=5, order=bad)
+
+
+@pytest.mark.parametrize("method", ["auto", "forward", "central", "midpoint"])
+@pytest.mark.parametrize("setting", [{"window": 7}, {"order": 2}])
+def test_a_window_where_there_is_none_is_refused_not_ignored(method, setting):
+    with pytest.raises(InputError, match="has no window and no order"):
+        Derivative(method, **setting)
 
 
 def test_unknown_method_names_the_nearest():
@@ -187,7 +194,7 @@ def test_unknown_method_names_the_nearest():
         ({"method": "forward"}, Smoothing("forward", rate_window=2)),
         ({"method": "central"}, Smoothing("central", rate_window=3)),
         ({"method": "midpoint"}, Smoothing("midpoint", window=2, rate_window=2)),
-        ({"window": 7, "order": 2}, Smoothing("savgol", window=7, rate_window=7, order=2)),
+        ({"method": "savgol", "window": 7, "order": 2}, Smoothing("savgol", window=7, rate_window=7, order=2)),
     ],
 )
 def test_samples_tell_how_they_were_smoothed(settings, expected):
@@ -196,5 +203,5 @@ def test_samples_tell_how_they_were_smoothed(settings, expected):
 
 
 def test_settings_compare_equal():
-    assert Derivative() == Derivative("savgol", 5, 4)
+    assert Derivative("savgol") == Derivative("savgol", 5, 4)
     assert METHODS == ("forward", "central", "midpoint", "savgol", "auto")

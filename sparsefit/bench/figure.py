@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.measure import LEVELS
@@ -52,6 +53,9 @@ def _panel(axes: Axes, result: BenchResult, kind: Kind) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_ylim(0.3 * FLOOR, 3.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(_power)
+        axis.set_minor_formatter(NullFormatter())
     axes.set_title(TITLES[kind])
     axes.set_xlabel("CPU time / sparsefit's")
     for level in LEVELS:
@@ -59,6 +63,11 @@ def _panel(axes: Axes, result: BenchResult, kind: Kind) -> None:
     for contender in result.contenders:
         if kind in contender.kinds and contender.name != CERTIFIED:
             _draw(axes, result, kind, contender)
+
+
+def _power(value: float, _: object) -> str:
+    """1000 or 1e-08: the style of this package sets no mathematics."""
+    return f"{value:g}"
 
 
 def _draw(axes: Axes, result: BenchResult, kind: Kind, contender: Contender) -> None:
@@ -75,8 +84,7 @@ def _draw(axes: Axes, result: BenchResult, kind: Kind, contender: Contender) -> 
     gaps = [max(run.gap, FLOOR) for run in runs]
     faint = {**look, "markersize": 2.5, "alpha": 0.35, "linestyle": "none"}
     axes.plot(times, gaps, **faint)
-    settings = sorted({run.setting for run in runs}, reverse=True)
-    if len(settings) > 1:
+    if len(contender.settings) > 1:
         reached = [(t, g) for g in LEVELS if np.isfinite(t := _median(result, kind, contender, g))]
         axes.plot([t for t, _ in reached], [g for _, g in reached], **look)
     else:

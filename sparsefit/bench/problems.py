@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ class NamedFlight:
 
     def samples_flown(self) -> Samples:
         """The flight and its derivatives."""
-        derivative = Derivative()
+        derivative = Derivative("savgol", 5, 4)
         flight = simulate_flight(
             CellularFlow(self.mean_velocity, self.length_scale),
             VEHICLE,
@@ -94,8 +95,14 @@ class Task:
         return self.unit * self.fractions
 
     def fresh(self) -> RegressionProblem:
-        """The problem without its cached statistics, so that they are paid for again."""
-        return dataclasses.replace(self.problem)
+        """The problem without what it caches, so that the Gram matrix is paid for again.
+
+        Copied and not built: validation of the data is no part of a solve, and peers skip it.
+        """
+        clone = copy.copy(self.problem)
+        for name in ("statistics", "spectrum"):
+            clone.__dict__.pop(name, None)
+        return clone
 
 
 def chosen(names: tuple[str, ...] | None) -> tuple[NamedFlight, ...]:

@@ -76,12 +76,13 @@ def _ratio_cell(
 def _best_row(result: BenchResult, kind: Kind, level: float, measure: str) -> tuple[Cell, ...]:
     cells, ratios = [], []
     for problem in result.problems:
-        name, seconds = result.best_peer(kind, problem, level, measure)
-        if not name:
+        peer = result.best_peer(kind, problem, level, measure)
+        if not peer.name:
             cells.append("none")
             continue
-        ratios.append(seconds / result.ours(kind, problem))
-        cells.append(f"{significant(ratios[-1])} ({name})")
+        ratios.append(peer.seconds / result.ours(kind, problem))
+        sign = ">" if peer.at_least else ""
+        cells.append(f"{sign}{significant(ratios[-1])} ({peer.name})")
     mean = significant(geometric_mean(ratios)) if ratios else "none"
     return (f"best public peer; geometric mean {mean}", *cells)
 
@@ -103,7 +104,7 @@ def _ratio_notes(result: BenchResult) -> tuple[str, ...]:
 def target_table(result: BenchResult) -> Table:
     """Every target beside the measurement."""
     columns = tuple(Column(n, align="left") for n in ("what", "target", "measured", "verdict"))
-    verdict = {True: "pass", False: "MISS", None: "not measured"}
+    verdict = {True: "pass", False: "MISS", None: "open"}
     rows = tuple((j.what, j.target, j.measured, verdict[j.passed]) for j in judged(result))
     notes = ("sub ≤ 1e-8 is what counts as reached by a peer; ours has a gap ≤ 1e-8 throughout.",)
     return Table("Targets and measurements", columns, rows, notes)

@@ -27,6 +27,15 @@ class ProblemSize:
     rank: int
 
 
+@dataclass(frozen=True)
+class BestPeer:
+    """Name and seconds of a peer ('' and infinity: none); ``at_least``: a lower bound."""
+
+    name: str
+    seconds: float
+    at_least: bool
+
+
 @dataclass(frozen=True, eq=False)
 class BenchResult:
     """All measurements of one run of the benchmark."""
@@ -67,18 +76,18 @@ class BenchResult:
 
     def best_peer(
         self, kind: Kind, problem: str, level: float = 1e-8, measure: str = "sub"
-    ) -> tuple[str, float]:
-        """The fastest public peer to reach a level, and its seconds; ('', inf) if none does.
+    ) -> BestPeer:
+        """The fastest public peer to reach a level.
 
-        A peer that was stopped for taking too long counts with the time it had spent by then.
+        A peer that was stopped for taking too long counts with its last run: a lower bound.
         """
-        found = ("", math.inf)
+        found = BestPeer("", math.inf, at_least=False)
         for contender in self.contenders:
             if contender.peer and contender.installed:
                 at = self.reach(kind, problem, contender.name, level, measure)
                 seconds = at.seconds if at.seconds is not None else at.at_least
-                if seconds is not None and seconds < found[1]:
-                    found = (contender.name, seconds)
+                if seconds is not None and seconds < found.seconds:
+                    found = BestPeer(contender.name, seconds, at_least=at.seconds is None)
         return found
 
 

@@ -138,13 +138,14 @@ def _built(args: argparse.Namespace) -> Estimator:
     from sparsefit.library import LengthScaleGrid, Library
     from sparsefit.readout import Readout
 
+    # A window or an order is one of savgol: the automatic choice has none to be told.
+    told = args.window is not None or args.order is not None
+    method = args.derivative or ("savgol" if told else None)
     grid = LengthScaleGrid(
         **_given(lower=args.grid_lower, upper=args.grid_upper, step=args.grid_step)
     )
     return Estimator(
-        Derivative(
-            **_given(method=args.derivative or "auto", window=args.window, order=args.order)
-        ),
+        Derivative(**_given(method=method, window=args.window, order=args.order)),
         Library(**_given(grid=grid, target=args.target)),
         backends.get(args.backend or "group-lasso", **collected(args.setting or ())),
         Readout(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from sparsefit.cli import study_read, study_run
+import sparsefit.cli.study_read as study_read
+import sparsefit.cli.study_run as study_run
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Parser, Run, Verbs, verb
 

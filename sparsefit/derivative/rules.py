@@ -18,6 +18,7 @@ Array: TypeAlias = npt.NDArray[np.float64]
 # time (m,), state (m, 4), its rate (m, 4), how they were smoothed
 Rates: TypeAlias = tuple[Array, Array, Array, Smoothing]
 
+SAVGOL = {"window": 5, "order": 4}
 UNIFORM_TOLERANCE = 1e-6  # relative; steps that differ by more are not one step
 
 
@@ -57,26 +58,40 @@ class Derivative:
     - ``savgol``: a polynomial of ``order`` fitted to ``window`` samples (Savitzky and Golay,
       1964), states smoothed too; uniform steps only; half a window is dropped at either end.
     - ``auto``: one polynomial through position and velocity, its window chosen from the flight
-      by an unbiased risk (`sparsefit.derivative.smoothing`); ``window`` and ``order`` are not
-      used. Uneven steps and short flights fall back to ``midpoint``: ``smoothing`` says so.
+      by an unbiased risk (`sparsefit.derivative.smoothing`). Uneven steps and short flights fall back to ``midpoint``: ``smoothing`` says so.
 
     Args:
         method: one of `METHODS`.
-        window: samples in the savgol window, odd, >= 3.
-        order: degree of the savgol polynomial, 1 <= order < window.
+        window: samples in the savgol window, odd, >= 3; None is 5. Other methods have none.
+        order: degree of the savgol polynomial, 1 <= order < window; None is 4.
 
     Raises:
         InputError: if a setting is out of its range.
     """
 
-    method: str = "savgol"
-    window: int = 5
-    order: int = 4
+    method: str = "auto"
+    window: int | None = None
+    order: int | None = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
         if self.method not in METHODS:
             raise unknown("derivative", self.method, METHODS)
+        if self.method != "savgol":
+            if self.window is not None or self.order is not None:
+                raise InputError(
+                    f"derivative {self.method!r} has no window and no order; leave them out, or "
+                    "use method 'savgol'"
+                )
+            return
+        for name, default in SAVGOL.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
+        self._check_savgol()
+
+    def _check_savgol(self) -> None:
+        assert self.window is not None
+        assert self.order is not None
         if not _is_integer(self.window) or self.window < 3 or self.window % 2 == 0:
             raise InputError(f"window must be an odd integer, 3 or above; got {self.window!r}")
         if not _is_integer(self.order) or not 1 <= self.order < self.window:
@@ -130,16 +145,19 @@ def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
     """Only full windows are kept: the polynomial at an edge extrapolates."""
     from scipy.signal import savgol_filter  # half a second to import: only who asks pays
 
-    if len(time) < rule.window:
+    window, order = rule.window, rule.order
+    assert window is not None
+    assert order is not None
+    if len(time) < window:
         raise InputError(
-            f"savgol window {rule.window} is longer than the flight of {len(time)} samples: "
+            f"savgol window {window} is longer than the flight of {len(time)} samples: "
             "use a smaller window, or central"
         )
     step = _uniform_step(time)
-    whole = slice(rule.window // 2, len(time) - rule.window // 2)
-    smooth = savgol_filter(state, rule.window, rule.order, axis=0)
-    rate = savgol_filter(state, rule.window, rule.order, deriv=1, delta=step, axis=0)
-    used = Smoothing("savgol", window=rule.window, rate_window=rule.window, order=rule.order)
+    whole = slice(window // 2, len(time) - window // 2)
+    smooth = savgol_filter(state, window, order, axis=0)
+    rate = savgol_filter(state, window, order, deriv=1, delta=step, axis=0)
+    used = Smoothing("savgol", window=window, rate_window=window, order=order)
     return time[whole], smooth[whole], rate[whole], used
 
 

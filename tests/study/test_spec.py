@@ -223,9 +223,12 @@ def test_dotted_keys_may_be_bare(tmp_path: Path) -> None:
 def test_settings_that_only_fit_together(tmp_path: Path) -> None:
     """A window of 3 is refused with the default order 4, not with the order the protocol sets."""
     text = changed("[sweep]", '[sweep]\n"derivative.window" = [3, 7]')
+    assert "no window" in refusal(tmp_path, text)
+    text = text.replace("[sweep]", '[derivative]\nmethod = "savgol"\n[sweep]')
+    text = text.replace('"derivative.method" = "forward"', '"derivative.method" = "savgol"')
     assert "order" in refusal(tmp_path, text)
     text = text.replace('name = "better"', 'name = "better"\n"derivative.order" = 2')
-    text = text.replace('"derivative.method" = "forward"', '"derivative.order" = 1')
+    text = text.replace('"derivative.method" = "savgol"', '"derivative.order" = 1')
     assert load(tmp_path, text).planned == 6 * 2 * 4 * 3
 
 

@@ -153,8 +153,8 @@ def test_a_path_is_one_stage_and_alone_it_is_not(study: Study) -> None:
 def test_time_left_weighs_each_cell_by_what_it_took() -> None:
     pace = Pace.start(pd.Series([3, 3, 2, 4]).to_numpy(), processes=2)
     pace.note(0, 1.0)
+    assert pace.eta is None  # one cell of four stands for little
     pace.note(1, 50.0)
-    assert pace.eta is None
     pace.note(2, 3.0)
     assert pace.eta == (2 * 1.0 + 2 * 50.0 + 1 * 3.0 + 4 * 3.0) / 2
 
