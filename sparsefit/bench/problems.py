@@ -28,6 +28,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 LOWEST = 1e-3  # of alpha_max: where a path ends
 VEHICLE = PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 SAMPLE_RATE = 100.0  # Hz
+WINDOW = 5  # fixed here: a better default derivative must not change the problems
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class NamedFlight:
             CellularFlow(self.mean_velocity, self.length_scale),
             VEHICLE,
             # The derivative drops half a window at either end.
-            duration=(self.samples + derivative.window - 2) / SAMPLE_RATE,
+            duration=(self.samples + WINDOW - 2) / SAMPLE_RATE,
             sample_rate=SAMPLE_RATE,
             seed=self.seed,
             velocity_noise=self.noise,
