@@ -253,14 +253,17 @@ class RegressionProblem:
         return accumulate(row_blocks(self.theta, self.target), count=self.samples)
 
     @cached_property
+    def compressed(self) -> tuple[Array, Array]:
+        """(theta, target) in at most k + n rows, by QR: every least-squares problem is the same."""
+        if len(self.theta) <= self.columns + self.targets:
+            return self.theta, self.target
+        triangle = cast(Array, np.linalg.qr(np.hstack([self.theta, self.target]), mode="r"))
+        return triangle[:, : self.columns], triangle[:, self.columns :]
+
+    @cached_property
     def spectrum(self) -> Spectrum:
         """Singular values of theta, by QR first: the tall matrix is read once."""
-        k = self.columns
-        if len(self.theta) > k + self.targets:
-            triangle = cast(Array, np.linalg.qr(np.hstack([self.theta, self.target]), mode="r"))
-            rows, target = triangle[:, :k], triangle[:, k:]
-        else:
-            rows, target = self.theta, self.target
+        rows, target = self.compressed
         left, singular_values, right = np.linalg.svd(rows, full_matrices=False)
         return Spectrum(singular_values, right, left.T @ target)
 

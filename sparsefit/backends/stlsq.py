@@ -20,6 +20,7 @@ from sparsefit.objective import CertificateKind
 Array = NDArray[np.float64]
 Support = NDArray[np.bool_]
 Mode = Literal["scaled", "pysindy"]
+UNBIAS_RCOND = 1e-6
 DEFAULT_THRESHOLD = {"scaled": 0.03, "pysindy": 0.1}
 SAFE_RCOND = (
     1e-10  # of the Gram matrix: below it, refined normal equations lose digits that QR keeps
@@ -92,7 +93,7 @@ class STLSQ:
                 break
         weights = values / system.scale[:, None]
         if self.unbias:
-            weights = _least_squares_on(problem, support)
+            weights = _least_squares_on(problem, system, support)
         empty = [
             name for name, on in zip(problem.target_names, support.T, strict=True) if not on.any()
         ]
@@ -164,8 +165,12 @@ def _ridge_solve(
     return least
 
 
-def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:
-    """Ordinary least squares of each target on its own support, in the units of theta."""
+def _least_squares_on(problem: RegressionProblem, system: _System, support: Support) -> Array:
+    """Ordinary least squares of each target on its own support, in the units of theta.
+
+    Singular values below UNBIAS_RCOND of the largest count as zero, as scikit-learn's
+    LinearRegression (which PySINDy calls) has them.
+    """
     s = problem.statistics
     weights = np.zeros(support.shape)
     for t in range(support.shape[1]):
@@ -175,7 +180,11 @@ def _least_squares_on(problem: RegressionProblem, support: Support) -> Array:
         theta, target = problem.theta[:, on], problem.target[:, t]
         factor, failed = dpotrf(s.gram[np.ix_(on, on)], lower=1)
         if failed or dpocon(factor, 1.0 * len(on), uplo="L")[0] < SAFE_RCOND:
-            weights[on, t] = np.linalg.lstsq(theta, target, rcond=None)[0]
+            rows, values = problem.compressed
+            least = np.linalg.lstsq(
+                rows[:, on] / system.scale[on], values[:, t], rcond=UNBIAS_RCOND
+            )[0]
+            weights[on, t] = least / system.scale[on]
             continue
         rms = s.rms[on]
         value = dpotrs(factor, s.cross[on, t], lower=1)[0] / rms
