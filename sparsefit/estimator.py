@@ -136,6 +136,7 @@ class Estimator:
         problem = self.library.build(samples, flight.vehicle)
         phi = samples.flow_velocity(flight.vehicle)
         target = self.library.response(samples, flight.vehicle)
+        _ = problem.statistics  # here, not in whichever back-end happens to come first
         return Prepared(samples, phi, target, problem, perf_counter() - start)
 
     def fit(self, prepared: Prepared) -> Fit:

@@ -114,7 +114,7 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
         return path(problem, backend, (fraction,), tolerance=tolerance).fits[0]
     start = perf_counter()
     solution = backend.solve(problem)
-    seconds = perf_counter() - start
+    seconds = perf_counter() - start + solution.shared_seconds
     certificate: Certificate | None
     if isinstance(backend, OffGridBackend):
         certificate = backend.certify(problem, solution) if _usable(solution) else None

@@ -7,6 +7,7 @@ pi x / L and pi y / L. Column groups: the 8 columns of one length scale.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from time import perf_counter
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -126,11 +127,15 @@ class LengthScaleGrid:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """theta = U diag(s) V': singular_values (r,), right_vectors V' (r, k), projected U'Y (r, n)."""
+    """theta = U diag(s) V': singular_values (r,), right_vectors V' (r, k), projected U'Y (r, n).
+
+    seconds: what it took, so that every fit that uses it can be charged.
+    """
 
     singular_values: Array
     right_vectors: Array
     projected: Array
+    seconds: float = 0.0
 
     def retained(self, rcond: float | None, samples: int) -> NDArray[np.bool_]:
         """Singular values above rcond * s_max; None is the rounding level eps * max(m, k)."""
@@ -263,9 +268,11 @@ class RegressionProblem:
     @cached_property
     def spectrum(self) -> Spectrum:
         """Singular values of theta, by QR first: the tall matrix is read once."""
+        start = perf_counter()
         rows, target = self.compressed
         left, singular_values, right = np.linalg.svd(rows, full_matrices=False)
-        return Spectrum(singular_values, right, left.T @ target)
+        projected = left.T @ target
+        return Spectrum(singular_values, right, projected, perf_counter() - start)
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,8 @@ def select(
     """Choose the candidate with the smallest criterion on `validate`, within the limits.
 
     A candidate is a protocol, back-end, setting and level of every swept factor that belongs to
-    the estimator; factors of the flights are conditions, and all of them count. Of equals the
-    first listed wins. The table gives, on `evaluate`, every runner-up's criterion minus the
+    the estimator; factors of the flights are conditions, and all of them count. Of equals
+    (to six digits) the faster wins, then the first listed. The table gives, on `evaluate`, every runner-up's criterion minus the
     winner's, with its paired bootstrap 95 % interval over flights.
 
     Args:
@@ -88,7 +88,8 @@ def select(
     eligible = [one for one in candidates if one.excess(limits) == 0.0]
     if not eligible:
         raise _none_within(candidates, limits)
-    ranked = sorted(eligible, key=lambda one: one.validate)
+    # Rounding must not decide between equals: to six digits the same, the faster wins.
+    ranked = sorted(eligible, key=lambda one: (float(f"{one.validate:.6g}"), one.seconds))
     table = _evidence(study, ranked, len(candidates), criterion, seed)
     return _selection(study, ranked[0], criterion, len(candidates), len(eligible), table)
 
@@ -173,7 +174,8 @@ def _evidence(
     )
     notes = (
         f"Criterion: {criterion}; a case without an estimate counts as {MISS:g} %. "
-        f"Chosen on validate, scored once on evaluate ({len(winner.losses)} flights).",
+        f"Chosen on validate, scored once on evaluate ({len(winner.losses)} flights). Of equals, "
+        "to six digits, the faster ranks first.",
         f"{len(ranked)} of {candidates} candidates keep the limits. Minus winner: positive is "
         f"worse than the winner; 95 % interval by paired bootstrap over flights, {RESAMPLES} "
         f"resamples, seed {seed}. An interval that holds 0 does not tell the two apart.",

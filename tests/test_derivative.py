@@ -194,7 +194,10 @@ def test_unknown_method_names_the_nearest():
         ({"method": "forward"}, Smoothing("forward", rate_window=2)),
         ({"method": "central"}, Smoothing("central", rate_window=3)),
         ({"method": "midpoint"}, Smoothing("midpoint", window=2, rate_window=2)),
-        ({"method": "savgol", "window": 7, "order": 2}, Smoothing("savgol", window=7, rate_window=7, order=2)),
+        (
+            {"method": "savgol", "window": 7, "order": 2},
+            Smoothing("savgol", window=7, rate_window=7, order=2),
+        ),
     ],
 )
 def test_samples_tell_how_they_were_smoothed(settings, expected):

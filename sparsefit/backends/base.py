@@ -24,6 +24,7 @@ class Solution:
     ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
     verbatim. Weights are None where there is no solution, never zeros. ``problem``: the columns
     that the weights belong to, where the back-end found its own (scales off the grid).
+    ``shared_seconds``: what a factorisation cost that this answer needs and an earlier one made.
     """
 
     weights: Array | None
@@ -32,6 +33,7 @@ class Solution:
     solver_status: str = ""
     iterations: int | None = None
     problem: RegressionProblem | None = None
+    shared_seconds: float = 0.0
 
 
 @runtime_checkable

@@ -42,9 +42,12 @@ class LeastSquares:
                 "candidates cannot exceed the data (paper, Section V.B); use more samples, fewer "
                 "scales, or stlsq, lasso or group-lasso, which do not need it",
             )
+        known = "spectrum" in vars(problem)
         spectrum = problem.spectrum
         kept = spectrum.retained(self.rcond, problem.samples)
         scaled = spectrum.projected[kept] / spectrum.singular_values[kept, None]
         return Solution(
-            spectrum.right_vectors[kept].T @ scaled, solver_status=f"rank {int(kept.sum())}"
+            spectrum.right_vectors[kept].T @ scaled,
+            solver_status=f"rank {int(kept.sum())}",
+            shared_seconds=spectrum.seconds if known else 0.0,
         )

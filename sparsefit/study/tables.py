@@ -34,7 +34,7 @@ from sparsefit.study.summary import (
 from sparsefit.study.table import SIGNIFICANT, Cell, Column, Table, plain
 
 TableFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], Table]
-ROWS_SHOWN = 40
+ROWS_SHOWN = 60
 
 FAILURES_NOTE = (
     "n: planned cases. Errors are over the cases with an estimate (status ok or inaccurate); "
