@@ -66,9 +66,10 @@ def select(
     """Choose the candidate with the smallest criterion on `validate`, within the limits.
 
     A candidate is a protocol, back-end, setting and level of every swept factor that belongs to
-    the estimator; factors of the flights are conditions, and all of them count. Of equals
-    (to six digits) the faster wins, then the first listed. The table gives, on `evaluate`, every runner-up's criterion minus the
-    winner's, with its paired bootstrap 95 % interval over flights.
+    the estimator; factors of the flights are conditions, and all of them count. Of equals (to
+    six digits) the faster wins, then the first listed. The table gives, on `evaluate`, every
+    runner-up's criterion minus the winner's, with its paired bootstrap 95 % interval over
+    flights.
 
     Args:
         criterion: one of `CRITERIA`.

@@ -58,7 +58,8 @@ class Derivative:
     - ``savgol``: a polynomial of ``order`` fitted to ``window`` samples (Savitzky and Golay,
       1964), states smoothed too; uniform steps only; half a window is dropped at either end.
     - ``auto``: one polynomial through position and velocity, its window chosen from the flight
-      by an unbiased risk (`sparsefit.derivative.smoothing`). Uneven steps and short flights fall back to ``midpoint``: ``smoothing`` says so.
+      by an unbiased risk (`sparsefit.derivative.smoothing`). Uneven steps and short flights
+      fall back to ``midpoint``: ``smoothing`` says so.
 
     Args:
         method: one of `METHODS`.
