@@ -259,7 +259,7 @@ def test_a_fit_that_hangs_takes_all_its_readouts_along_at_once(
 def test_a_flight_that_cannot_be_read_is_an_error_with_its_reason(
     tmp_path: Path, write: Write
 ) -> None:
-    sweep = '[sweep]\n"derivative.window" = [5, 201]\n'
+    sweep = '[derivative]\nmethod = "savgol"\n[sweep]\n"derivative.window" = [5, 201]\n'
     study = Study.load(write('[[backends]]\nname = "lasso"\n' + sweep, count=2))
     cases = read_cases(run(study, tmp_path, processes=1).folder)
     long = cases[cases["derivative.window"] == 201.0]
