@@ -263,7 +263,7 @@ def _why_not(best: Refinement, extent: float) -> str:
             f"cannot tell {best.length_scale:.3g} m from {best.rival_length_scale:.3g} m: the "
             f"flight covers {extent:.3g} m, or too straight a line; fly farther, or turn"
         )
-    return "no cellular flow detected: no length scale explains more than chance would"
+    return "no cellular flow detected: no length scale explains more than a uniform wind does"
 
 
 def _without_nan(value: Any) -> Any:

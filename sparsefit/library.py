@@ -305,6 +305,12 @@ class Library:
         (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
         """
         scales = self.grid.scales
+        for axis, values in zip("xy", samples.position.T, strict=True):
+            if not values.any():
+                raise InputError(
+                    f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
+                    "are zero: no length scale can be told; leave that line"
+                )
         held = len(samples.time) * len(scales) * len(CANDIDATES) * 8
         target = self.response(samples, vehicle)
         columns = len(scales) * len(CANDIDATES)

@@ -39,9 +39,9 @@ class Refinement:
     """The best length scale of an interval and its rival, the best other lobe.
 
     length_scale L [m] and wavenumber k = pi/L [1/m] of the least residual RSS(k); null_residual
-    |Phi|^2 [m^2/s^2]; the rival's, NaN and inf without one; at_bound: the least residual is on the
+    that of a uniform wind [m^2/s^2]; the rival's, NaN and inf without one; at_bound: the least residual is on the
     edge of the interval; samples m, of 2 components; lobes: separate minima in the interval;
-    correlation: samples over which errors correlate.
+    correlation: samples over which errors correlate; floor: of residuals, by rounding.
     """
 
     length_scale: float
@@ -54,11 +54,12 @@ class Refinement:
     samples: int
     lobes: int
     correlation: float = CORRELATION
+    floor: float = 0.0
 
     @property
     def evidence(self) -> float:
-        """2m ln(RSS_other / RSS), 2 ln(likelihood ratio) to the rival or to no flow at all."""
-        floor = 1e-15 * self.null_residual or 1.0  # rounding
+        """2m ln(RSS_other / RSS), 2 ln(likelihood ratio) to the rival or to a uniform wind."""
+        floor = self.floor or 1.0
         other = min(self.rival_residual, self.null_residual)
         return 2 * self.samples * math.log(max(other, floor) / max(self.residual, floor))
 
@@ -196,9 +197,10 @@ def refine(
     Phi correlate. InputError: empty interval, flight at rest.
     """
     extent = float(np.ptp(position, axis=0).max())
-    if not (0 < lower < upper < math.inf and extent > 0):
-        what = f"{lower:g} to {upper:g} m and an extent of {extent:g} m"
-        raise InputError(f"refine needs 0 < lower < upper and a flight that moves; got {what}")
+    if not 0 < lower < upper < math.inf:
+        raise InputError(f"refine needs 0 < lower < upper; got {lower:g} to {upper:g} m")
+    if not extent > 0:
+        raise InputError("the flight does not move: no length scale can be told; fly farther")
     low, high = math.pi / upper, math.pi / lower
     step = min(STEP / extent, (high - low) / 8)
     if high > MAX_STEPS * step:
@@ -215,9 +217,19 @@ def refine(
     best = _descend(points, phi, found[0].wavenumber, limits, 0.0)
     others = [fit for fit in found if abs(fit.wavenumber - best.wavenumber) > 2 * step]
     rival = (math.pi / others[0].wavenumber, others[0].residual) if others else (math.nan, math.inf)
-    k, null, edge = best.wavenumber, float(np.sum(phi**2)), best.wavenumber in (low, high)
+    k, edge = best.wavenumber, best.wavenumber in (low, high)
+    null, floor = float(np.sum((phi - phi.mean(axis=0)) ** 2)), 1e-15 * float(np.sum(phi**2))
     return Refinement(
-        math.pi / k, k, best.residual, null, *rival, edge, len(position), len(minima), correlation
+        math.pi / k,
+        k,
+        best.residual,
+        null,
+        *rival,
+        edge,
+        len(position),
+        len(minima),
+        correlation,
+        floor,
     )
 
 

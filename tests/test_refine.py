@@ -177,5 +177,5 @@ def test_refuses_bad_intervals(sample, lower, upper, start):
 
 
 def test_refuses_a_flight_that_stands_still():
-    with pytest.raises(InputError, match="moves"):
+    with pytest.raises(InputError, match="does not move"):
         refine(np.ones((50, 2)), np.ones((50, 2)), lower=LOWER, upper=UPPER)
