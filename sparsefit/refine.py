@@ -39,9 +39,10 @@ class Refinement:
     """The best length scale of an interval and its rival, the best other lobe.
 
     length_scale L [m] and wavenumber k = pi/L [1/m] of the least residual RSS(k); null_residual
-    that of a uniform wind [m^2/s^2]; the rival's, NaN and inf without one; at_bound: the least residual is on the
-    edge of the interval; samples m, of 2 components; lobes: separate minima in the interval;
-    correlation: samples over which errors correlate; floor: of residuals, by rounding.
+    that of a uniform wind [m^2/s^2]; the rival's, NaN and inf without one; at_bound: the least
+    residual is on the edge of the interval; samples m, of 2 components; lobes: separate minima
+    in the interval; correlation: samples over which errors correlate; floor: of residuals, by
+    rounding.
     """
 
     length_scale: float

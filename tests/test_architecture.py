@@ -12,7 +12,8 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
-    *("errors", "flow", "vehicle", "flight", "derivative", "objective", "library", "refine"),
+    *("errors", "flow", "vehicle", "flight", "derivative", "objective", "grid", "problem"),
+    *("library", "refine"),
     *("backends", "penalty_choice", "fit", "readout", "estimator", "score", "bound"),
     *("study", "selection", "bench"),
     "cli",
