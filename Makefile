@@ -1,4 +1,5 @@
 # make study: the main job; make test: the tests. Both make .venv first where there is none.
+# A study that was stopped goes on; a finished one is run afresh.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: study test check clean
 
 study: $(VENV)/.installed
-	$(BIN)/sparsefit study run studies/table2.toml --fresh
+	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/.partial),,--fresh)
 
 test: $(VENV)/.tests
 	$(BIN)/python -m pytest
