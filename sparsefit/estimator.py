@@ -19,6 +19,7 @@ from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
 from sparsefit.refine import CORRELATION, Refinement, refine
 
+CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 FORMAT = "sparsefit-estimator/1"
 
 
@@ -32,6 +33,12 @@ class Prepared:
     problem: RegressionProblem
     seconds: float
     _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
+
+    @property
+    def calm(self) -> bool:
+        """Whether Phi is nothing beside the velocity it is the difference of: still air."""
+        speed = float(np.abs(self.samples.velocity).max())
+        return float(np.abs(self.flow_velocity).max()) <= CALM * speed
 
     @property
     def _correlation(self) -> float:
@@ -195,6 +202,8 @@ class Estimator:
         if not best.identifiable:
             extent = float(np.ptp(prepared.samples.position, axis=0).max())
             status, reason = "unidentifiable", _why_not(best, extent)
+        if prepared.calm:
+            status, reason = "unidentifiable", "no cellular flow detected: the air is still"
         return _Place(best.length_scale, candidate, best.rival_length_scale, status, reason)
 
     def to_json(self) -> str:
@@ -253,17 +262,17 @@ class _Place:
 
 def _why_not(best: Refinement, extent: float) -> str:
     """Why the data cannot tell the length scale, as a pilot would say it."""
+    if not best.detected:
+        return "no cellular flow detected: no length scale explains more than a uniform wind does"
     if best.at_bound:
         return (
             f"the best length scale is at the edge of the search, {best.length_scale:.3g} m; "
             "widen the grid's bounds"
         )
-    if best.rival_residual < best.null_residual:
-        return (
-            f"cannot tell {best.length_scale:.3g} m from {best.rival_length_scale:.3g} m: the "
-            f"flight covers {extent:.3g} m, or too straight a line; fly farther, or turn"
-        )
-    return "no cellular flow detected: no length scale explains more than a uniform wind does"
+    return (
+        f"cannot tell {best.length_scale:.3g} m from {best.rival_length_scale:.3g} m: the "
+        f"flight covers {extent:.3g} m, or too straight a line; fly farther, or turn"
+    )
 
 
 def _without_nan(value: Any) -> Any:

@@ -11,6 +11,7 @@ positions are centred throughout, which decouples the phases from k.
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ SPREAD, BETA = 8, 18.4  # cells of the spreading kernel, and its steepness: sums
 ITERATIONS, MAX_STEPS = 40, 500_000  # of a descent; of a scan, 0.4 GB
 ROUGH = 1e-3  # in scan steps, 1e-9 of a lobe's depth: where a rival's descent may stop
 SIGNIFICANCE = 0.05
+FALSE_ALARM, EXTRA = 1e-3, 15  # of a detection; 16 weights and k, less a uniform wind's 2
 CORRELATION = 5  # samples: errors of smoothed derivatives and of positions are not white
 
 
@@ -59,20 +61,38 @@ class Refinement:
 
     @property
     def evidence(self) -> float:
-        """2m ln(RSS_other / RSS), 2 ln(likelihood ratio) to the rival or to a uniform wind."""
+        """2m ln(RSS_rival / RSS) / correlation: 2 ln(likelihood ratio) to the rival."""
+        return self._evidence(self.rival_residual)
+
+    @property
+    def detected(self) -> bool:
+        """Whether the best scale explains more than chance, with a false alarm in 1000 flights.
+
+        A uniform wind has 15 parameters less: where there is no flow, 2 ln(likelihood ratio) is
+        chi-squared with 15 degrees of freedom in each lobe.
+        """
+        return self._evidence(self.null_residual) > _chi_squared(FALSE_ALARM / self.lobes)
+
+    def _evidence(self, other: float) -> float:
         floor = self.floor or 1.0
-        other = min(self.rival_residual, self.null_residual)
-        return 2 * self.samples * math.log(max(other, floor) / max(self.residual, floor))
+        ratio = max(other, floor) / max(self.residual, floor)
+        return 2 * self.samples * math.log(ratio) / self.correlation
 
     @property
     def identifiable(self) -> bool:
-        """Whether the data exclude the rival, and L is inside the interval.
+        """Whether there is a flow, the data exclude the rival, and L is inside the interval.
 
         A false lobe leads by a likelihood ratio c with probability <= 1/c; over all lobes the
-        risk is 5 % at evidence = 2 ln(lobes / 0.05), times the length over which errors correlate.
+        risk is 5 % at evidence = 2 ln(lobes / 0.05).
         """
-        needed = 2 * self.correlation * math.log(self.lobes / SIGNIFICANCE)
-        return not self.at_bound and self.evidence > needed
+        needed = 2 * math.log(self.lobes / SIGNIFICANCE)
+        return self.detected and not self.at_bound and self.evidence > needed
+
+
+def _chi_squared(probability: float) -> float:
+    """Upper quantile of chi-squared with EXTRA degrees of freedom (Wilson and Hilferty, 1931)."""
+    normal, spread = NormalDist().inv_cdf(1 - probability), 2 / (9 * EXTRA)
+    return EXTRA * (1 - spread + normal * math.sqrt(spread)) ** 3
 
 
 def columns(position: Array, wavenumber: float) -> tuple[Array, Array]:

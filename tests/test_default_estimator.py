@@ -58,6 +58,15 @@ def test_uniform_wind_is_no_cellular_flow():
     assert "no cellular flow" in found.reason
 
 
+def test_still_air_is_no_cellular_flow():
+    end = 0.5 * np.array([5.0, 3.0])  # the vehicle speeds up to tau a
+    decay = np.exp(-TIME / 0.5)[:, None]
+    path = end * (TIME[:, None] - 0.5 * (1 - decay)) + 1.0
+    found = sf.Estimator().estimate(moved(path, end * (1 - decay)))
+    assert found.status == "unidentifiable"
+    assert "still" in found.reason
+
+
 def test_a_flight_that_stands_still_is_refused():
     with pytest.raises(InputError, match="does not move"):
         sf.Estimator().estimate(moved(np.ones((600, 2)), np.zeros((600, 2))))

@@ -143,6 +143,8 @@ def start(study: Path, results: Path, plugin: Path, processes: int = 2) -> subpr
         [sys.executable, str(driver), str(study), str(results), str(processes)],
         env={**os.environ, "PYTHONPATH": path},
         start_new_session=True,
+        # A shell that runs the tests in the background has its children ignore SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
