@@ -35,7 +35,7 @@ def add(verbs: Verbs) -> None:
         verbs,
         "select",
         run,
-        summary="choose one estimator from the cases of a finished study, and write it",
+        summary="choose one estimator from the cases of a finished study, and write it and the evidence",
         example=EXAMPLE,
     )
     parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_existing(args.output, force=args.force)
     from sparsefit.selection import CRITERIA, select
     from sparsefit.study import runner
+    from sparsefit.study.report import write_table
     from sparsefit.study.spec import Study
     from sparsefit.study.store import read_cases
 
@@ -89,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
         max_seconds=args.max_seconds,
     )
     write_text(args.output, estimator_of(study, chosen).to_json(), force=args.force)
+    write_table(study, folder, "selection", chosen.table)
     if args.json:
         print_json(_record(chosen, args.output))
     else:

@@ -50,6 +50,11 @@ def write_report(
     return _write(Path(results_dir) / study.name, files)
 
 
+def write_table(study: StudyRecord, folder: Path, name: str, table: Table) -> list[Path]:
+    """Write one table as `name`.md, .tex and .csv into the results folder of the study."""
+    return _write(folder, dict(_table_files(study, {name: table})))
+
+
 def render_show(study: StudyRecord, cases: pd.DataFrame, *, width: int = 100) -> str:
     """Return the study's tables for a terminal `width` columns wide, its question first."""
     _refuse_empty(study, cases)
