@@ -35,7 +35,7 @@ def add(verbs: Verbs) -> None:
         verbs,
         "select",
         run,
-        summary="choose one estimator from the cases of a finished study, and write it and the evidence",
+        summary="choose one estimator from a finished study, and write it and the evidence",
         example=EXAMPLE,
     )
     parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
