@@ -392,3 +392,12 @@ def test_ctrl_c_is_130_without_traceback(capsys, flight, monkeypatch):
 
     monkeypatch.setattr(Estimator, "estimate", interrupted)
     assert run(capsys, "estimate", flight) == (130, "", "\nstopped\n")
+
+
+def test_bench_refuses_bad_input_and_what_it_would_overwrite(capsys, tmp_path):
+    where = ("--results", str(tmp_path))
+    assert "unknown" in refused(capsys, "bench", "--quick", "--problems", "nosuch", *where)
+    (tmp_path / "solvers").mkdir(exist_ok=True)
+    (tmp_path / "solvers" / "times.md").write_text("mine")
+    assert "--force" in refused(capsys, "bench", "--quick", *where)
+    assert (tmp_path / "solvers" / "times.md").read_text() == "mine"

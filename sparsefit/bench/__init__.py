@@ -11,14 +11,14 @@ from sparsefit.bench import contenders as registry
 from sparsefit.bench import problems as flights
 from sparsefit.bench import scaling, side
 from sparsefit.bench.contender import Contender
-from sparsefit.bench.files import write
+from sparsefit.bench.files import FOLDER, write
 from sparsefit.bench.measure import compare, warm_up
 from sparsefit.bench.problems import NAMED, QUICK_GRID, Progress, Task
 from sparsefit.bench.result import BenchResult, ProblemSize
 from sparsefit.bench.robustness import Robustness, robustness
 from sparsefit.library import LengthScaleGrid
 
-__all__ = ["BenchResult", "Robustness", "robustness", "run", "write"]
+__all__ = ["FOLDER", "BenchResult", "Robustness", "robustness", "run", "write"]
 
 POINTS, QUICK_POINTS = 30, 6
 FLIGHTS, QUICK_FLIGHTS = 300, 4

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
+from sparsefit.cli.output import refuse_existing
 from sparsefit.cli.parser import Verbs, verb, whole
 
 EXAMPLE = """\
-  sparsefit bench --quick
+  sparsefit bench --quick --results trial
   sparsefit bench --problems short-clean long-noisy --repeats 5
-  sparsefit bench                # everything, about 15 minutes; peers: pip install sparsefit[peers]
+  sparsefit bench --force        # everything, about 15 minutes; peers: pip install sparsefit[peers]
 """
 
 
@@ -34,12 +36,21 @@ def add(verbs: Verbs) -> None:
     parser.add_argument(
         "--quick", action="store_true", help="one small problem, to see that everything works"
     )
+    parser.add_argument(
+        "--force", action="store_true", help="overwrite the benchmark that FOLDER/solvers holds"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write, and say where."""
     from sparsefit import bench
+    from sparsefit.bench import contenders, problems
 
+    problems.chosen(tuple(args.problems) if args.problems else None)  # refuses unknown names
+    contenders.chosen(args.contenders, quick=args.quick)
+    folder = Path(args.results) / bench.FOLDER
+    refuse_existing(str(folder), force=args.force)
+    folder.mkdir(parents=True, exist_ok=True)  # before minutes of work, not after
     result = bench.run(
         problems=args.problems,
         contenders=args.contenders,
