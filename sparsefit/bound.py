@@ -16,6 +16,7 @@ from sparsefit.errors import InputError, non_negative, positive, unknown
 from sparsefit.flow import CellularFlow
 from sparsefit.readout import rms_mean_velocity
 from sparsefit.refine import centred, columns, project
+from sparsefit.uncertainty import Uncertainty
 from sparsefit.vehicle import PointMassVehicle
 
 Array = NDArray[np.float64]
@@ -35,22 +36,6 @@ class Bound:
     mean_velocity: float
     length_scale: float
     timescale: float
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """Standard errors [m/s], [m], [s], and intervals that hold the truth in 95 % of flights.
-
-    They cover what noise does, not what is systematic: the truncation of a forward difference,
-    the attenuation by smoothing or by noise of the position.
-    """
-
-    mean_velocity: float
-    length_scale: float
-    timescale: float
-    mean_velocity_interval: tuple[float, float]
-    length_scale_interval: tuple[float, float]
-    timescale_interval: tuple[float, float]
 
 
 def cramer_rao(

@@ -18,6 +18,7 @@ from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
 from sparsefit.refine import CORRELATION, Refinement, refine
+from sparsefit.uncertainty import Uncertainty
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 FORMAT = "sparsefit-estimator/1"
@@ -87,6 +88,7 @@ class Estimate:
     samples: int = 0
     columns: int = 0
     rival_length_scale: float = math.nan
+    uncertainty: Uncertainty | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

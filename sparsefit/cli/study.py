@@ -84,7 +84,11 @@ def plan(args: argparse.Namespace) -> int:
     study = Study.load(args.study)
     counted = counts(study)
     if args.json:
-        written = {"tables": list(study.tables), "figures": list(study.figures)}
+        written = {
+            "tables": list(study.tables),
+            "figures": list(study.figures),
+            "answers": list(study.answers),
+        }
         print_json({"study": study.name, **dataclasses.asdict(counted), **written})
         return 0
     each = counted.cases // sum(counted.settings.values())

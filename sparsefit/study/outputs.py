@@ -1,24 +1,35 @@
-"""What a study shows of its cases: the names of its tables and figures."""
+"""What a study shows of its cases: the names of its answer, tables and figures."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from sparsefit.study.document import Place, distinct, items, only, suggestion, table, text
 
 
-def read_outputs(value: object, place: Place) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """(tables, figures) of [outputs], each name known to its registry."""
+@dataclass(frozen=True)
+class Outputs:
+    """Names in the registries of tables, figures and answers; empty: what fits the cases."""
+
+    tables: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+
+
+REGISTRIES = {"tables": "TABLES", "figures": "FIGURES", "answers": "ANSWERS"}
+
+
+def read_outputs(value: object, place: Place) -> Outputs:
+    """The names in [outputs], each known to its registry."""
     section = table(value, place.at("outputs"))
     here = place.within("outputs")
-    only(section, ("tables", "figures"), here)
-    kinds = [_names(section[kind], kind, here) if kind in section else () for kind in REGISTRIES]
-    return kinds[0], kinds[1]
-
-
-REGISTRIES = {"tables": "TABLES", "figures": "FIGURES"}
+    only(section, REGISTRIES, here)
+    return Outputs(
+        **{kind: _names(section[kind], kind, here) for kind in REGISTRIES if kind in section}
+    )
 
 
 def known(kind: str) -> Iterable[str] | None:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from sparsefit.errors import InputError
 from sparsefit.study import paper
+from sparsefit.study.answers import ANSWERS
 from sparsefit.study.document import canonical_json
 from sparsefit.study.drawing import to_png, to_svg
 from sparsefit.study.escape import escape_markdown
@@ -59,7 +60,8 @@ def render_show(study: StudyRecord, cases: pd.DataFrame, *, width: int = 100) ->
     """Return the study's tables for a terminal `width` columns wide, its question first."""
     _refuse_empty(study, cases)
     tables = _tables(study, cases).values()
-    head = [f"{study.name}: {study.question}", _progress(study, cases)]
+    answers = _answers(study, cases)
+    head = [f"{study.name}: {study.question}", *answers, _progress(study, cases)]
     return "\n".join(["\n".join(head), "", *(to_text(table, width=width) for table in tables)])
 
 
@@ -70,6 +72,7 @@ def readme(
     parts = [
         f"# {escape_markdown(study.name)}",
         f"**{escape_markdown(study.question)}**",
+        *(escape_markdown(sentence) for sentence in _answers(study, cases)),
         f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
         "Written by `sparsefit study report`; do not edit.",
         *(f"![{name}]({name}.svg)\n\n*{CAPTIONS[name]}*" for name in figures),
@@ -106,6 +109,10 @@ def _progress(study: StudyRecord, cases: pd.DataFrame) -> str:
     counted = Counter(cases["status"])
     statuses = ", ".join(f"{counted[name]} {name}" for name in STATUSES if counted[name])
     return f"{len(cases)} of {study.planned} planned cases: {statuses}."
+
+
+def _answers(study: StudyRecord, cases: pd.DataFrame) -> list[str]:
+    return [ANSWERS[name](study, cases) for name in study.answers]
 
 
 def _refuse_empty(study: StudyRecord, cases: pd.DataFrame) -> None:

@@ -92,6 +92,7 @@ class Study:
     tolerance: float
     tables: tuple[str, ...]
     figures: tuple[str, ...]
+    answers: tuple[str, ...]
     hash: str
 
     @classmethod
@@ -163,7 +164,7 @@ def _read(document: dict[str, object], place: Place) -> Study:
     read_setup(sections, place)
     sweep = _read_sweep(document, place)
     timeout, tolerance = _read_run(document, place)
-    tables_, figures = outputs.read_outputs(document.get("outputs", {}), place)
+    output = outputs.read_outputs(document.get("outputs", {}), place)
     return Study(
         path=place.file,
         name=_name(required(document, "name", place), place.at("name")),
@@ -177,8 +178,9 @@ def _read(document: dict[str, object], place: Place) -> Study:
         validate_count=_read_split(document, count, place),
         case_timeout=timeout,
         tolerance=tolerance,
-        tables=tables_,
-        figures=figures,
+        tables=output.tables,
+        figures=output.figures,
+        answers=output.answers,
         hash=study_hash(document),
     )
 

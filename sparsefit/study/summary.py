@@ -73,6 +73,11 @@ class StudyRecord(Protocol):
         """Names of the figures asked for; empty: those that apply."""
         ...
 
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Names of the sentences that answer the question; empty: none."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Group:

@@ -30,6 +30,7 @@ def study(**changes):
             "sections": {"flights": {"response_time": 0.5, "length_scale": {"uniform": [2, 10]}}},
             "tables": (),
             "figures": (),
+            "answers": (),
         }
         | changes
     )

@@ -27,7 +27,15 @@ from sparsefit.study.table import (
 from sparsefit.study.tables import TABLES, tables_for
 
 STUDY = SimpleNamespace(
-    name="demo", question="?", seed=1, hash="ab" * 32, planned=0, sections={}, tables=(), figures=()
+    name="demo",
+    question="?",
+    seed=1,
+    hash="ab" * 32,
+    planned=0,
+    sections={},
+    tables=(),
+    figures=(),
+    answers=(),
 )
 
 

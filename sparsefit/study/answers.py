@@ -1,0 +1,14 @@
+"""The answers of a study, by name: each a sentence that its cases, not its author, give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import pandas as pd
+
+from sparsefit.study.summary import StudyRecord
+
+AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
+
+ANSWERS: dict[str, AnswerFunction] = {}
