@@ -15,18 +15,23 @@ and Ng, NIPS 19 (2006) 801-808.
 """
 
 from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.backends.active_set import DEPENDENT_BELOW, ActiveSet, Array, SingularBlockError
 
+Loop: TypeAlias = Literal["compiled", "python"]
+COMPILED = "sparsefit.backends._homotopy"
 OPTIMAL_WITHIN = 1e-9  # excess of a correlation over alpha, relative to alpha
 ROUNDING = 1e-13  # the same, absolute, in units of the largest |c|
 FLAT = 1e-16  # distance to an event below which it is at hand, relative to alpha
 FRESH_SLOPE_ABOVE = 1e-11  # error of the slope that is corrected at a requested alpha
 CAUTION = (1.0, 1e2, 1e4, 1e6)  # factors on what counts as dependent, one repair after another
 NEWTON_STEPS, NEWTON_SHARE = 3, 1e-2  # at a requested alpha, and the part of the margin they aim at
+HOPELESS = 1e8  # breach, in units of the margin, of weights that are not worth returning
 STEPS_PER_COLUMN, STEPS_AT_LEAST = 3, 50  # to one requested alpha; more is taken for cycling
 
 
@@ -34,12 +39,14 @@ STEPS_PER_COLUMN, STEPS_AT_LEAST = 3, 50  # to one requested alpha; more is take
 class HomotopyPath:
     """Weights (p, k) at the p requested penalties, events on the way, and which are optimal.
 
-    Where `complete` (p,) is false the weights are the best ones known, not a solution.
+    Where `complete` (p,) is false the weights are the best ones known, not a solution. `loop`:
+    which of the two made them, "compiled" or "python".
     """
 
     weights: Array
     steps: int
     complete: NDArray[np.bool_]
+    loop: Loop
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +91,34 @@ class _Walk:
         return weights
 
 
-def lasso_path(gram: Array, cross: Array, alphas: Array) -> HomotopyPath:
+def lasso_path(
+    gram: Array, cross: Array, alphas: Array, loop: Loop | None = None
+) -> HomotopyPath:
     """Solve for G = `gram` (k, k), c = `cross` (k,) at every one of `alphas` (p,), descending.
 
     Columns may be zero, repeated or dependent.  `alphas` are >= 0, in the units of `cross`.
-    Raises ValueError if they ascend or are negative.
+    `loop`: None is the compiled one where it was built, else this module's; both are the same
+    algorithm.  Raises ValueError if alphas ascend or are negative, ImportError if the compiled
+    loop is asked for and was not built.
     """
     if np.any(np.diff(alphas) > 0) or np.any(np.asarray(alphas) < 0):
         raise ValueError("alphas must descend and not be negative: sort them largest first")
     unit, height = _binary_unit(np.diagonal(gram)), _binary_unit(cross)
     scaled = gram if unit == 1.0 else gram / unit
-    # What a broken inverse overflows to is caught by the checks, not by warnings.
-    with np.errstate(all="ignore"):
-        weights, steps, complete = _visit(scaled, cross / height, np.asarray(alphas) / height)
-    return HomotopyPath(weights * (height / unit), steps, complete)
+    signal, penalties = cross / height, np.asarray(alphas, dtype=float) / height
+    loop = loop or fastest_loop()
+    visit = _visit_compiled if loop == "compiled" else _visit
+    weights, steps, complete = np.zeros((len(alphas), len(cross))), 0, np.zeros(len(alphas), bool)
+    if np.isfinite(signal).all() and np.isfinite(scaled).all():
+        # What a broken inverse overflows to is caught by the checks, not by warnings.
+        with np.errstate(all="ignore"):
+            steps = visit(scaled, signal, penalties, weights, complete)
+    return HomotopyPath(weights * (height / unit), steps, complete, loop)
+
+
+def fastest_loop() -> Loop:
+    """The compiled loop where it was built, else the one of this module."""
+    return "python" if find_spec(COMPILED) is None else "compiled"
 
 
 def _binary_unit(values: Array) -> float:
@@ -108,47 +129,59 @@ def _binary_unit(values: Array) -> float:
     return float(2.0 ** (np.frexp(largest)[1] - 1)) if not 0.99 < largest < 1.01 else 1.0
 
 
-def _visit(gram: Array, cross: Array, alphas: Array) -> tuple[Array, int, NDArray[np.bool_]]:
-    """The path on scaled data: weights (p, k), steps, complete (p,)."""
-    walk = _Walk.start(gram, cross)
-    weights = np.zeros((len(alphas), len(cross)))
-    complete = np.zeros(len(alphas), dtype=bool)
+def _visit_compiled(
+    gram: Array, cross: Array, alphas: Array, weights: Array, complete: NDArray[np.bool_]
+) -> int:
+    from sparsefit.backends import _homotopy
+
+    square, signal = np.ascontiguousarray(gram), np.ascontiguousarray(cross)
+    return _homotopy.path(square, signal, np.ascontiguousarray(alphas), weights, complete)
+
+
+def _visit(
+    gram: Array, cross: Array, alphas: Array, weights: Array, complete: NDArray[np.bool_]
+) -> int:
+    """The path on scaled data, into weights (p, k) and complete (p,); the steps it took."""
+    walk, known = _Walk.start(gram, cross), np.zeros(len(cross))
     alpha, steps = float(np.max(np.abs(cross), initial=0.0)), 0
-    if not (np.isfinite(alpha) and np.isfinite(gram).all()):
-        return weights, steps, complete
-    known = np.zeros(len(cross))
+    begun = False
     for point, goal in enumerate(alphas.tolist()):
-        if goal >= alpha and not known.any():
+        begun = begun or goal < alpha
+        if not begun:
             complete[point] = True
             continue
-        walk, taken, complete[point] = _reach(walk, alpha, goal, known)
-        known = walk.full() if complete[point] else known
-        weights[point], alpha, steps = known, goal, steps + taken
-    return weights, steps, complete
+        walk, weights[point], taken, complete[point] = _reach(walk, alpha, goal, known)
+        known = weights[point] if complete[point] else known
+        alpha, steps = goal, steps + taken
+    return steps
 
 
-def _reach(walk: _Walk, alpha: float, goal: float, known: Array) -> tuple[_Walk, int, bool]:
-    """Follow the path to `goal`; where it breaks, settle there from the last `known` weights.
+def _reach(
+    walk: _Walk, alpha: float, goal: float, known: Array
+) -> tuple[_Walk, Array, int, bool]:
+    """Follow the path to `goal`; where it breaks, settle there, at last from the `known` weights.
 
-    Returns the walk to go on with, the steps taken and whether it stands at an optimum.
+    Returns the walk to go on with, the weights (k,), the steps taken and whether the weights are
+    an optimum; where no attempt finds one, they are those of the attempt that came closest.
     """
     limit = STEPS_PER_COLUMN * len(known) + STEPS_AT_LEAST
-    steps = 0
-    try:
-        steps = _follow(walk, alpha, goal, limit)
-        if steps < limit and _polish(walk, goal):
-            return walk, steps, True
-    except SingularBlockError:
-        pass
-    for caution in CAUTION:
+    steps, found, least = 0, known, HOPELESS
+    for attempt in range(-2, len(CAUTION)):
         try:
-            walk = _Walk.at(walk.active.gram, walk.cross, known, caution)
-            steps += _settle(walk, goal, limit)
-            if _polish(walk, goal):
-                return walk, steps, True
+            if attempt == -2:
+                steps += _follow(walk, alpha, goal, limit)
+            else:
+                if attempt >= 0:
+                    walk = _Walk.at(walk.active.gram, walk.cross, known, CAUTION[attempt])
+                steps += _settle(walk, goal, limit)
+            breach = _polish(walk, goal)
         except SingularBlockError:
-            pass
-    return walk, steps, False
+            continue
+        if breach < least:
+            found, least = walk.full(), breach
+        if breach <= 1.0:
+            return walk, found, steps, True
+    return walk, found, steps, False
 
 
 def _follow(walk: _Walk, alpha: float, goal: float, limit: int) -> int:
@@ -219,8 +252,11 @@ def _leave(walk: _Walk, position: int) -> None:
     walk.waiting.clear()
 
 
-def _polish(walk: _Walk, alpha: float) -> bool:
-    """Newton steps from exact correlations; whether the result is optimal at `alpha`."""
+def _polish(walk: _Walk, alpha: float) -> float:
+    """Newton steps from exact correlations; the breach of optimality left, in units of the margin.
+
+    At most 1 is optimal.
+    """
     active, n = walk.active, walk.active.size
     weights, margin = walk.weights[:n], OPTIMAL_WITHIN * alpha + ROUNDING
     np.subtract(walk.cross, active.product(weights), out=walk.correlation)
@@ -234,8 +270,10 @@ def _polish(walk: _Walk, alpha: float) -> bool:
     _freshen(walk)
     smallest, largest = weights.min(initial=0.0), weights.max(initial=0.0)
     np.maximum(weights, 0.0, out=weights)  # an exit that lies within rounding of this alpha
-    fits = slack <= margin and np.abs(walk.correlation).max() <= alpha + margin
-    return bool(fits and smallest >= -ROUNDING * largest)
+    excess = float(np.abs(walk.correlation).max()) - alpha
+    wrong = -smallest / (ROUNDING * largest) if smallest < 0.0 else 0.0
+    breach = float(max(slack / margin, excess / margin, wrong))
+    return breach if breach >= 0.0 else np.inf  # a NaN compares as false
 
 
 def _freshen(walk: _Walk) -> None:
@@ -267,5 +305,25 @@ def _settle(walk: _Walk, alpha: float, limit: int) -> int:
         column = int(excess.argmax())
         if excess[column] <= alpha * (1.0 + 0.1 * OPTIMAL_WITHIN) + 0.1 * ROUNDING:
             return step
-        _enter(walk, column, float(np.sign(walk.correlation[column])))
+        sign = float(np.sign(walk.correlation[column]))
+        if not _enter(walk, column, sign):
+            _exchange(walk, column, sign)
     return limit
+
+
+def _exchange(walk: _Walk, column: int, sign: float) -> None:
+    """Let a dependent column in for the active one that its entering drives to zero first.
+
+    Along a null direction of G no correlation changes and the objective falls in proportion.
+    """
+    n = walk.active.size
+    step = walk.active.entering(column, sign).step[:n]
+    ratio = -step / np.maximum(walk.weights[:n], 1e-300)
+    position = int(ratio.argmax()) if n else 0
+    if not n or not ratio[position] > 0.0:
+        return
+    walk.weights[:n] += step / ratio[position]
+    amount = 1.0 / float(ratio[position])
+    _leave(walk, position)
+    if _enter(walk, column, sign):
+        walk.weights[walk.active.size - 1] = amount

@@ -64,13 +64,13 @@ class Lasso:
         ]
         scaled = np.stack([path.weights for path in paths], axis=-1)
         complete = np.all([path.complete for path in paths], axis=0)
-        steps = sum(path.steps for path in paths)
+        steps, loop = sum(path.steps for path in paths), paths[0].loop
         return tuple(
             Solution(
                 values / statistics.rms[:, None],
                 "ok" if done else "inaccurate",
                 "" if done else "the homotopy did not reach this penalty",
-                "path complete" if done else "path incomplete",
+                f"path {'complete' if done else 'incomplete'}, {loop} loop",
                 steps,
             )
             for values, done in zip(scaled, complete, strict=True)
