@@ -91,9 +91,7 @@ class _Walk:
         return weights
 
 
-def lasso_path(
-    gram: Array, cross: Array, alphas: Array, loop: Loop | None = None
-) -> HomotopyPath:
+def lasso_path(gram: Array, cross: Array, alphas: Array, loop: Loop | None = None) -> HomotopyPath:
     """Solve for G = `gram` (k, k), c = `cross` (k,) at every one of `alphas` (p,), descending.
 
     Columns may be zero, repeated or dependent.  `alphas` are >= 0, in the units of `cross`.
@@ -156,9 +154,7 @@ def _visit(
     return steps
 
 
-def _reach(
-    walk: _Walk, alpha: float, goal: float, known: Array
-) -> tuple[_Walk, Array, int, bool]:
+def _reach(walk: _Walk, alpha: float, goal: float, known: Array) -> tuple[_Walk, Array, int, bool]:
     """Follow the path to `goal`; where it breaks, settle there, at last from the `known` weights.
 
     Returns the walk to go on with, the weights (k,), the steps taken and whether the weights are

@@ -8,10 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from sparsefit.backends import homotopy
 from sparsefit.backends.active_set import ActiveSet, SingularBlockError
-from sparsefit.backends.homotopy import HomotopyPath, lasso_path
+from sparsefit.backends.homotopy import HomotopyPath, Loop, fastest_loop, lasso_path
 
 Array = NDArray[np.float64]
+LOOPS: tuple[Loop, ...] = ("compiled", "python")
+BUILT = LOOPS if fastest_loop() == "compiled" else LOOPS[1:]
+
+
+@pytest.fixture(params=LOOPS)
+def loop(request: pytest.FixtureRequest) -> Loop:
+    """Each of the two loops; the compiled one where it was built."""
+    if request.param == "compiled":
+        pytest.importorskip(homotopy.COMPILED)
+    chosen: Loop = request.param
+    return chosen
 
 
 def gram_of(design: Array, target: Array) -> tuple[Array, Array]:
@@ -76,10 +88,12 @@ def degenerate(seed: int) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize(("samples", "noise"), [(500, 0.0), (500, 2.0), (2000, 0.0), (2000, 2.0)])
-def test_flight_libraries_are_solved_at_every_penalty(samples: int, noise: float) -> None:
+def test_flight_libraries_are_solved_at_every_penalty(
+    samples: int, noise: float, loop: Loop
+) -> None:
     gram, cross = gram_of(*cellular(samples + int(noise), samples, noise))
     alphas = fractions(cross)
-    path = lasso_path(gram, cross, alphas)
+    path = lasso_path(gram, cross, alphas, loop)
     assert path.complete.all()
     assert violation(gram, cross, path, alphas) < 1e-10
 
@@ -89,32 +103,33 @@ def test_flight_libraries_are_solved_at_every_penalty(samples: int, noise: float
 def test_what_is_called_complete_is_optimal_on_degenerate_problems(seed: int) -> None:
     gram, cross = gram_of(*degenerate(seed))
     alphas = fractions(cross)
-    path = lasso_path(gram, cross, alphas)
-    assert path.complete.all()
-    if np.abs(cross).max() > 1e-12:
-        assert violation(gram, cross, path, alphas) < 1e-9
+    for loop in BUILT:
+        path = lasso_path(gram, cross, alphas, loop)
+        assert path.complete.all()
+        if np.abs(cross).max() > 1e-12:
+            assert violation(gram, cross, path, alphas) < 1e-9
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_objective_is_that_of_scikit_learn_lars(seed: int) -> None:
+def test_objective_is_that_of_scikit_learn_lars(seed: int, loop: Loop) -> None:
     linear_model = pytest.importorskip("sklearn.linear_model")
     rng = np.random.default_rng(seed)
     design = rng.normal(size=(60, 5)) @ rng.normal(size=(5, 25)) + 0.3 * rng.normal(size=(60, 25))
     target = rng.normal(size=60)
     gram, cross = design.T @ design / 60, design.T @ target / 60
     alphas = fractions(cross, points=8)
-    path = lasso_path(gram, cross, alphas)
+    path = lasso_path(gram, cross, alphas, loop)
     for alpha, weights in zip(alphas, path.weights, strict=True):
         peer = linear_model.LassoLars(alpha=alpha, fit_intercept=False).fit(design, target)
         np.testing.assert_allclose(weights, peer.coef_, atol=1e-9 * np.abs(weights).max() + 1e-12)
 
 
-def test_objective_is_that_of_coordinate_descent() -> None:
+def test_objective_is_that_of_coordinate_descent(loop: Loop) -> None:
     linear_model = pytest.importorskip("sklearn.linear_model")
     design, target = degenerate(7)
     gram, cross = design.T @ design / len(target), design.T @ target / len(target)
     alphas = fractions(cross, last=0.05, points=6)
-    path = lasso_path(gram, cross, alphas)
+    path = lasso_path(gram, cross, alphas, loop)
     _, peer, _ = linear_model.lasso_path(design, target, alphas=alphas, tol=1e-13, max_iter=10**6)
     for weights, other, alpha in zip(path.weights, peer.T, alphas, strict=True):
         ours, theirs = (
@@ -124,93 +139,169 @@ def test_objective_is_that_of_coordinate_descent() -> None:
         assert ours == pytest.approx(theirs, rel=1e-7)
 
 
-def test_two_columns_by_hand() -> None:
+def test_two_columns_by_hand(loop: Loop) -> None:
     """rho = 1/2, c = (2, 3/2): the second enters where 3/2 - (2 - alpha)/2 = alpha, at alpha = 1.
 
     Below, G w = c - alpha gives w1 + w2/2 = 2 - alpha, w1/2 + w2 = 3/2 - alpha.
     """
     gram, cross = np.array([[1.0, 0.5], [0.5, 1.0]]), np.array([2.0, 1.5])
-    path = lasso_path(gram, cross, np.array([3.0, 2.0, 1.5, 1.0, 0.4, 0.0]))
+    path = lasso_path(gram, cross, np.array([3.0, 2.0, 1.5, 1.0, 0.4, 0.0]), loop)
     expected = np.array([[0, 0], [0, 0], [0.5, 0], [1, 0], [1.4, 0.4], [5 / 3, 2 / 3]])
     np.testing.assert_allclose(path.weights, expected, atol=1e-15)
     assert path.complete.all()
 
 
-def test_orthonormal_columns_give_soft_thresholding() -> None:
+def test_orthonormal_columns_give_soft_thresholding(loop: Loop) -> None:
     cross = np.array([3.0, -2.0, 0.5, 0.0, -2.0])
     alphas = np.array([3.0, 2.0, 1.0, 0.1])
-    path = lasso_path(np.eye(5), cross, alphas)
+    path = lasso_path(np.eye(5), cross, alphas, loop)
     expected = np.sign(cross) * np.maximum(np.abs(cross) - alphas[:, None], 0.0)
     np.testing.assert_allclose(path.weights, expected, atol=1e-15)
 
 
-def test_permuted_and_flipped_columns_permute_and_flip_the_weights() -> None:
+def test_permuted_and_flipped_columns_permute_and_flip_the_weights(loop: Loop) -> None:
     rng = np.random.default_rng(3)
     design, target = rng.normal(size=(40, 30)), rng.normal(size=40)
     gram, cross = gram_of(design, target)
     order, flip = rng.permutation(30), rng.choice([-1.0, 1.0], 30)
     alphas = fractions(cross)
-    direct = lasso_path(gram, cross, alphas).weights
+    direct = lasso_path(gram, cross, alphas, loop).weights
     gram, cross = (gram * np.outer(flip, flip))[np.ix_(order, order)], (flip * cross)[order]
-    turned = lasso_path(gram, cross, alphas)
+    turned = lasso_path(gram, cross, alphas, loop)
     np.testing.assert_allclose(turned.weights, (direct * flip)[:, order], atol=1e-10)
 
 
 @pytest.mark.parametrize("units", [1e-150, 1e-9, 1e9, 1e150])
-def test_units_of_the_target_do_not_matter(units: float) -> None:
+def test_units_of_the_target_do_not_matter(units: float, loop: Loop) -> None:
     gram, cross = gram_of(*cellular(1, 300, 1.0))
     gram, cross = gram[:60, :60], cross[:60]
-    plain = lasso_path(gram, cross, fractions(cross)).weights
-    scaled = lasso_path(gram, units * cross, fractions(units * cross))
+    plain = lasso_path(gram, cross, fractions(cross), loop).weights
+    scaled = lasso_path(gram, units * cross, fractions(units * cross), loop)
     assert scaled.complete.all()
     np.testing.assert_allclose(scaled.weights / units, plain, atol=1e-9 * np.abs(plain).max())
 
 
-def test_units_of_the_columns_only_scale_the_weights() -> None:
+def test_units_of_the_columns_only_scale_the_weights(loop: Loop) -> None:
     gram, cross = gram_of(*degenerate(6))
     alphas = fractions(cross)
-    plain = lasso_path(gram, cross, alphas).weights
-    np.testing.assert_allclose(lasso_path(2.0**40 * gram, cross, alphas).weights * 2.0**40, plain)
+    plain = lasso_path(gram, cross, alphas, loop).weights
+    np.testing.assert_allclose(
+        lasso_path(2.0**40 * gram, cross, alphas, loop).weights * 2.0**40, plain
+    )
 
 
-def test_nothing_to_explain_is_zero_and_complete() -> None:
-    path = lasso_path(np.eye(3), np.zeros(3), np.array([1.0, 0.5, 0.0]))
+def test_nothing_to_explain_is_zero_and_complete(loop: Loop) -> None:
+    path = lasso_path(np.eye(3), np.zeros(3), np.array([1.0, 0.5, 0.0]), loop)
     assert path.complete.all()
     assert path.steps == 0
     assert not path.weights.any()
 
 
-def test_no_columns_and_no_penalties() -> None:
-    assert lasso_path(np.empty((0, 0)), np.empty(0), np.array([1.0])).weights.shape == (1, 0)
-    assert lasso_path(np.eye(2), np.ones(2), np.empty(0)).weights.shape == (0, 2)
+def test_no_columns_and_no_penalties(loop: Loop) -> None:
+    assert lasso_path(np.empty((0, 0)), np.empty(0), np.array([1.0]), loop).weights.shape == (1, 0)
+    assert lasso_path(np.eye(2), np.ones(2), np.empty(0), loop).weights.shape == (0, 2)
 
 
-def test_penalties_may_repeat_or_start_low() -> None:
+def test_penalties_may_repeat_or_start_low(loop: Loop) -> None:
     gram, cross = gram_of(*degenerate(6))
     alphas = 0.1 * np.abs(cross).max() * np.ones(3)
-    path = lasso_path(gram, cross, alphas)
+    path = lasso_path(gram, cross, alphas, loop)
     assert path.complete.all()
     np.testing.assert_allclose(path.weights[2], path.weights[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("alphas", [[0.1, 0.2], [1.0, -0.5]])
-def test_ascending_or_negative_penalties_are_refused(alphas: list[float]) -> None:
+def test_ascending_or_negative_penalties_are_refused(alphas: list[float], loop: Loop) -> None:
     with pytest.raises(ValueError, match="descend"):
-        lasso_path(np.eye(2), np.ones(2), np.array(alphas))
+        lasso_path(np.eye(2), np.ones(2), np.array(alphas), loop)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_is_never_complete(bad: float) -> None:
+def test_what_is_not_finite_is_never_complete(bad: float, loop: Loop) -> None:
     gram, cross = np.eye(3), np.ones(3)
-    assert not lasso_path(gram, np.array([1.0, bad, 0.0]), np.array([0.5])).complete.any()
+    assert not lasso_path(gram, np.array([1.0, bad, 0.0]), np.array([0.5]), loop).complete.any()
     gram[0, 1] = bad
-    assert not lasso_path(gram, cross, np.array([0.5])).complete.any()
+    assert not lasso_path(gram, cross, np.array([0.5]), loop).complete.any()
 
 
-def test_an_impossible_problem_is_incomplete() -> None:
+def test_an_impossible_problem_is_incomplete(loop: Loop) -> None:
     """G_22 = 0 with c_2 != 0 is unbounded below: no design has it, and none is invented."""
-    path = lasso_path(np.diag([1.0, 0.0]), np.array([1.0, 2.0]), np.array([1.5, 0.5]))
+    path = lasso_path(np.diag([1.0, 0.0]), np.array([1.0, 2.0]), np.array([1.5, 0.5]), loop)
     assert not path.complete.any()
+
+
+def near_twins(seed: int, samples: int = 120, columns: int = 48) -> tuple[Array, Array]:
+    """A quarter of the columns differs from others in the ninth digit: G cannot tell them."""
+    rng = np.random.default_rng(seed)
+    design, target = cellular(seed, samples, 0.5)
+    design = design[:, rng.choice(design.shape[1], columns, replace=False)]
+    to, source = rng.choice(columns, columns // 4, replace=False), rng.integers(0, columns, 12)
+    design[:, to] = design[:, source] + 1e-9 * rng.normal(size=(samples, columns // 4))
+    return design, target
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_columns_that_the_gram_matrix_cannot_tell_apart_are_exchanged(
+    seed: int, loop: Loop
+) -> None:
+    gram, cross = gram_of(*near_twins(seed))
+    alphas = fractions(cross, last=1e-4)
+    path = lasso_path(gram, cross, alphas, loop)
+    assert path.complete.all()
+    assert violation(gram, cross, path, alphas) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("samples", "noise", "units"),
+    [(500, 0.0, 1.0), (500, 2.0, 1e-12), (2000, 2.0, 1e12), (60, 1.0, 1.0), (2000, 0.0, 1.0)],
+)
+def test_both_loops_walk_the_same_path(samples: int, noise: float, units: float) -> None:
+    pytest.importorskip(homotopy.COMPILED)
+    gram, cross = gram_of(*cellular(3 * samples + 1, samples, noise))
+    alphas = fractions(units * cross)
+    fast, slow = (lasso_path(gram, units * cross, alphas, loop) for loop in LOOPS)
+    assert (fast.loop, slow.loop) == LOOPS
+    assert fast.steps == slow.steps
+    np.testing.assert_array_equal(fast.weights != 0, slow.weights != 0)
+    np.testing.assert_allclose(
+        fast.weights, slow.weights, rtol=0, atol=1e-10 * np.abs(slow.weights).max()
+    )
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.integers(0, 10**6))
+def test_both_loops_reach_the_same_optimum_of_degenerate_problems(seed: int) -> None:
+    """Weights of repeated columns are not unique; fit, penalty and objective are."""
+    pytest.importorskip(homotopy.COMPILED)
+    gram, cross = gram_of(*degenerate(seed))
+    alphas = fractions(cross)
+    fast, slow = (lasso_path(gram, cross, alphas, loop) for loop in LOOPS)
+    np.testing.assert_array_equal(fast.complete, slow.complete)
+    scale = float(np.abs(cross).max())
+    np.testing.assert_allclose(fast.weights @ gram, slow.weights @ gram, atol=1e-8 * scale)
+    lengths = [np.abs(path.weights).sum(axis=1) for path in (fast, slow)]
+    np.testing.assert_allclose(*lengths, rtol=1e-7, atol=1e-8 * scale)
+
+
+def test_what_the_compiled_loop_cannot_read_is_refused() -> None:
+    compiled = pytest.importorskip(homotopy.COMPILED)
+    done = np.zeros(1, bool)
+    with pytest.raises(ValueError, match="gram"):
+        compiled.path(np.eye(2), np.ones(3), np.ones(1), np.zeros((1, 3)), done)
+    with pytest.raises((ValueError, BufferError)):
+        compiled.path(np.ones((4, 4))[:, ::2], np.ones(2), np.ones(1), np.zeros((1, 2)), done)
+    frozen = np.zeros((1, 2))
+    frozen.flags.writeable = False
+    with pytest.raises((ValueError, BufferError)):
+        compiled.path(np.eye(2), np.ones(2), np.ones(1), frozen, done)
+
+
+def test_without_the_compiled_loop_python_runs_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(homotopy, "COMPILED", "sparsefit.backends._not_built")
+    assert fastest_loop() == "python"
+    assert lasso_path(np.eye(2), np.ones(2), np.array([0.5])).loop == "python"
 
 
 def test_active_set_inverse_survives_many_changes() -> None:
