@@ -15,16 +15,14 @@ and Ng, NIPS 19 (2006) 801-808.
 """
 
 from dataclasses import dataclass, field
-from importlib.util import find_spec
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.backends.active_set import DEPENDENT_BELOW, ActiveSet, Array, SingularBlockError
+from sparsefit.backends.loops import Loop, loop_of
 
-Loop: TypeAlias = Literal["compiled", "python"]
-COMPILED = "sparsefit.backends._homotopy"
+BACKEND = "lasso"  # whose loop this is
 OPTIMAL_WITHIN = 1e-9  # excess of a correlation over alpha, relative to alpha
 ROUNDING = 1e-13  # the same, absolute, in units of the largest |c|
 FLAT = 1e-16  # distance to an event below which it is at hand, relative to alpha
@@ -104,7 +102,7 @@ def lasso_path(gram: Array, cross: Array, alphas: Array, loop: Loop | None = Non
     unit, height = _binary_unit(np.diagonal(gram)), _binary_unit(cross)
     scaled = gram if unit == 1.0 else gram / unit
     signal, penalties = cross / height, np.asarray(alphas, dtype=float) / height
-    loop = loop or fastest_loop()
+    loop = loop or loop_of(BACKEND) or "python"
     visit = _visit_compiled if loop == "compiled" else _visit
     weights, steps, complete = np.zeros((len(alphas), len(cross))), 0, np.zeros(len(alphas), bool)
     if np.isfinite(signal).all() and np.isfinite(scaled).all():
@@ -112,11 +110,6 @@ def lasso_path(gram: Array, cross: Array, alphas: Array, loop: Loop | None = Non
         with np.errstate(all="ignore"):
             steps = visit(scaled, signal, penalties, weights, complete)
     return HomotopyPath(weights * (height / unit), steps, complete, loop)
-
-
-def fastest_loop() -> Loop:
-    """The compiled loop where it was built, else the one of this module."""
-    return "python" if find_spec(COMPILED) is None else "compiled"
 
 
 def _binary_unit(values: Array) -> float:

@@ -21,7 +21,7 @@ from sparsefit.library import LengthScaleGrid
 __all__ = ["FOLDER", "BenchResult", "Robustness", "robustness", "run", "write"]
 
 POINTS, QUICK_POINTS = 30, 6
-FLIGHTS, QUICK_FLIGHTS = 300, 4
+FLIGHTS, QUICK_FLIGHTS = 1000, 4
 
 
 def _silent(_: str) -> None:

@@ -105,6 +105,7 @@ def run_check(args: argparse.Namespace) -> int:
     """Exit 0 only if the back-end's answer is certified."""
     from sparsefit import backends
     from sparsefit.backends.conic import installed_solvers
+    from sparsefit.backends.loops import loop_of
     from sparsefit.derivative import Derivative
     from sparsefit.estimator import Estimator
     from sparsefit.flight import simulate_flight
@@ -121,7 +122,8 @@ def run_check(args: argparse.Namespace) -> int:
     estimate = Estimator(Derivative(), library, backend).estimate(flight)
     certificate = estimate.certificate
     if args.json:
-        print_json({**estimate.to_dict(), "cvxpy_solvers": installed_solvers()})
+        found = {"loop": loop_of(args.name), "cvxpy_solvers": installed_solvers()}
+        print_json({**estimate.to_dict(), **found})
     else:
         proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
         reason = f" ({estimate.reason})" if estimate.reason else ""
@@ -129,6 +131,7 @@ def run_check(args: argparse.Namespace) -> int:
             f"{args.name}: {estimate.status}{reason}, certificate {proof}, "
             f"{duration(estimate.seconds)}\n"
             f"  settings: {shown(estimate.settings) or 'none'}\n"
+            f"  loop: {loop_of(args.name) or 'no compiled one'}\n"
             f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
             f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)\n"
             f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}"

@@ -8,20 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sparsefit.backends import homotopy
+from sparsefit.backends import loops
 from sparsefit.backends.active_set import ActiveSet, SingularBlockError
-from sparsefit.backends.homotopy import HomotopyPath, Loop, fastest_loop, lasso_path
+from sparsefit.backends.homotopy import HomotopyPath, lasso_path
+from sparsefit.backends.loops import Loop, loop_of
 
 Array = NDArray[np.float64]
 LOOPS: tuple[Loop, ...] = ("compiled", "python")
-BUILT = LOOPS if fastest_loop() == "compiled" else LOOPS[1:]
+COMPILED = "sparsefit.backends._homotopy"
+BUILT = LOOPS if loop_of("lasso") == "compiled" else LOOPS[1:]
 
 
 @pytest.fixture(params=LOOPS)
 def loop(request: pytest.FixtureRequest) -> Loop:
     """Each of the two loops; the compiled one where it was built."""
     if request.param == "compiled":
-        pytest.importorskip(homotopy.COMPILED)
+        pytest.importorskip(COMPILED)
     chosen: Loop = request.param
     return chosen
 
@@ -256,7 +258,7 @@ def test_columns_that_the_gram_matrix_cannot_tell_apart_are_exchanged(
     [(500, 0.0, 1.0), (500, 2.0, 1e-12), (2000, 2.0, 1e12), (60, 1.0, 1.0), (2000, 0.0, 1.0)],
 )
 def test_both_loops_walk_the_same_path(samples: int, noise: float, units: float) -> None:
-    pytest.importorskip(homotopy.COMPILED)
+    pytest.importorskip(COMPILED)
     gram, cross = gram_of(*cellular(3 * samples + 1, samples, noise))
     alphas = fractions(units * cross)
     fast, slow = (lasso_path(gram, units * cross, alphas, loop) for loop in LOOPS)
@@ -272,7 +274,7 @@ def test_both_loops_walk_the_same_path(samples: int, noise: float, units: float)
 @given(st.integers(0, 10**6))
 def test_both_loops_reach_the_same_optimum_of_degenerate_problems(seed: int) -> None:
     """Weights of repeated columns are not unique; fit, penalty and objective are."""
-    pytest.importorskip(homotopy.COMPILED)
+    pytest.importorskip(COMPILED)
     gram, cross = gram_of(*degenerate(seed))
     alphas = fractions(cross)
     fast, slow = (lasso_path(gram, cross, alphas, loop) for loop in LOOPS)
@@ -284,7 +286,7 @@ def test_both_loops_reach_the_same_optimum_of_degenerate_problems(seed: int) -> 
 
 
 def test_what_the_compiled_loop_cannot_read_is_refused() -> None:
-    compiled = pytest.importorskip(homotopy.COMPILED)
+    compiled = pytest.importorskip(COMPILED)
     done = np.zeros(1, bool)
     with pytest.raises(ValueError, match="gram"):
         compiled.path(np.eye(2), np.ones(3), np.ones(1), np.zeros((1, 3)), done)
@@ -299,8 +301,9 @@ def test_what_the_compiled_loop_cannot_read_is_refused() -> None:
 def test_without_the_compiled_loop_python_runs_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(homotopy, "COMPILED", "sparsefit.backends._not_built")
-    assert fastest_loop() == "python"
+    monkeypatch.setattr(loops, "LOOPS", {"lasso": "_not_built"})
+    assert loop_of("lasso") == "python"
+    assert loop_of("least-squares") is None
     assert lasso_path(np.eye(2), np.ones(2), np.array([0.5])).loop == "python"
 
 
