@@ -6,17 +6,18 @@ They are optional: without a C compiler the same algorithms run in Python, slowe
 from setuptools import Extension, setup
 
 LOOPS: tuple[str, ...] = ("_homotopy",)  # sparsefit/backends/NAME.c
+KERNELS = ("_gram",)  # sparsefit/NAME.c
 
 setup(
     ext_modules=[
         Extension(
-            f"sparsefit.backends.{name}",
-            [f"sparsefit/backends/{name}.c"],
+            f"sparsefit.{name}",
+            [f"sparsefit/{name.replace('.', '/')}.c"],
             define_macros=[("Py_LIMITED_API", "0x030b0000")],
             py_limited_api=True,
             optional=True,
         )
-        for name in LOOPS
+        for name in (*(f"backends.{loop}" for loop in LOOPS), *KERNELS)
     ],
-    options={"bdist_wheel": {"py_limited_api": "cp311"}} if LOOPS else {},
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

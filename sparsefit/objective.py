@@ -7,15 +7,16 @@ In scaled columns z_j = theta_j / rms(theta_j), with m samples, k columns and n 
 Weights in the original units of theta are W = V / rms.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Products: TypeAlias = Callable[[Array, Array], tuple[Array, Array, Array]]
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
 
 ROW_BLOCK = 8192  # rows per pass: the block of theta stays in cache for both products
@@ -72,20 +73,32 @@ def row_blocks(*arrays: Array, size: int = ROW_BLOCK) -> Iterator[tuple[Array, .
         yield tuple(array[start : start + size] for array in arrays)
 
 
-def accumulate(blocks: Iterator[tuple[Array, ...]], *, count: int | None = None) -> Statistics:
+def block_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:
+    """Z'Z (k, k), Z'Y (k, n) and |y_t|^2 (n,) of a block of rows, by numpy."""
+    return theta.T @ theta, theta.T @ target, np.einsum("ij,ij->j", target, target)
+
+
+def accumulate(
+    blocks: Iterator[tuple[Array, ...]],
+    *,
+    count: int | None = None,
+    products: Products = block_products,
+) -> Statistics:
     """Statistics from blocks of rows (theta, target), in memory of order k^2.
 
     ``count``: the number of samples m, where the rows are the compressed ones of more samples.
+    ``products``: what sums up a block.
     """
     gram: Array | None = None
     for theta, target in blocks:
         if gram is None:
-            gram, cross = theta.T @ theta, theta.T @ target
-            square, samples = np.einsum("ij,ij->j", target, target), len(theta)
+            gram, cross, square = products(theta, target)
+            samples = len(theta)
         else:
-            gram += theta.T @ theta
-            cross += theta.T @ target
-            square += np.einsum("ij,ij->j", target, target)
+            more = products(theta, target)
+            gram += more[0]
+            cross += more[1]
+            square += more[2]
             samples += len(theta)
     if gram is None:
         raise ValueError("no rows: a regression problem needs at least one block of samples")

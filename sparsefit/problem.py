@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sparsefit.errors import InputError
+from sparsefit.gram import products
 from sparsefit.objective import Statistics, accumulate, row_blocks
 
 Array = NDArray[np.float64]
@@ -145,7 +146,8 @@ class RegressionProblem:
     @cached_property
     def statistics(self) -> Statistics:
         """Sufficient statistics in scaled columns, formed once and shared by all back-ends."""
-        return accumulate(row_blocks(self.theta, self.target), count=self.samples)
+        blocks = row_blocks(self.theta, self.target)
+        return accumulate(blocks, count=self.samples, products=products)
 
     @cached_property
     def compressed(self) -> tuple[Array, Array]:

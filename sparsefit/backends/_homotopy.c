@@ -28,7 +28,7 @@
 #define RESTRICT restrict
 #endif
 
-#define REFINE_ABOVE 1e-13
+#define REFINE_ABOVE 1e-11
 #define STALE_ABOVE 1e-8
 #define STALE_AGE 10
 #define WRONG_ABOVE 1e-3

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.intp]
 
-REFINE_ABOVE = 1e-13  # error of a direction on the active rows that is worth one refinement
+REFINE_ABOVE = 1e-11  # error of a direction on the active rows that is worth one refinement
 STALE_ABOVE = 1e-8  # error at which M is rebuilt, but not more often than every STALE_AGE updates:
 STALE_AGE = 10  # on a nearly singular block a rebuild gains little
 WRONG_ABOVE = 1e-3  # error at which M is rebuilt at once

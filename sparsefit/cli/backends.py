@@ -110,6 +110,7 @@ def run_check(args: argparse.Namespace) -> int:
     from sparsefit.estimator import Estimator
     from sparsefit.flight import simulate_flight
     from sparsefit.flow import CellularFlow
+    from sparsefit.gram import product_loop
     from sparsefit.library import LengthScaleGrid, Library
     from sparsefit.vehicle import PointMassVehicle
 
@@ -122,7 +123,11 @@ def run_check(args: argparse.Namespace) -> int:
     estimate = Estimator(Derivative(), library, backend).estimate(flight)
     certificate = estimate.certificate
     if args.json:
-        found = {"loop": loop_of(args.name), "cvxpy_solvers": installed_solvers()}
+        found = {
+            "loop": loop_of(args.name),
+            "gram": product_loop(),
+            "cvxpy_solvers": installed_solvers(),
+        }
         print_json({**estimate.to_dict(), **found})
     else:
         proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
@@ -131,7 +136,7 @@ def run_check(args: argparse.Namespace) -> int:
             f"{args.name}: {estimate.status}{reason}, certificate {proof}, "
             f"{duration(estimate.seconds)}\n"
             f"  settings: {shown(estimate.settings) or 'none'}\n"
-            f"  loop: {loop_of(args.name) or 'no compiled one'}\n"
+            f"  loop: {loop_of(args.name) or 'no compiled one'}, Gram matrix: {product_loop()}\n"
             f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
             f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)\n"
             f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}"
