@@ -5,7 +5,7 @@ They are optional: without a C compiler the same algorithms run in Python, slowe
 
 from setuptools import Extension, setup
 
-LOOPS: tuple[str, ...] = ()  # sparsefit/backends/NAME.c
+LOOPS: tuple[str, ...] = ("_variational",)  # sparsefit/backends/NAME.c
 
 setup(
     ext_modules=[
