@@ -40,7 +40,9 @@ static int connect(Dense *d, PyObject *blas, PyObject *lapack)
     d->gemm = (Gemm)routine(blas, "dgemm", "cciiiddididdi");
     d->syrk = d->gemm ? (Syrk)routine(blas, "dsyrk", "cciiddiddi") : NULL;
     d->trsm = d->syrk ? (Trsm)routine(blas, "dtrsm", "cccciiddidi") : NULL;
-    d->potrf = d->trsm ? (Potrf)routine(lapack, "dpotrf", "cidii") : NULL;
+    d->gemv = d->trsm ? (Gemv)routine(blas, "dgemv", "ciiddididdi") : NULL;
+    d->trsv = d->gemv ? (Trsv)routine(blas, "dtrsv", "cccididi") : NULL;
+    d->potrf = d->trsv ? (Potrf)routine(lapack, "dpotrf", "cidii") : NULL;
     d->potrs = d->potrf ? (Potrs)routine(lapack, "dpotrs", "ciididii") : NULL;
     return d->potrs != NULL;
 }

@@ -18,13 +18,20 @@ typedef void (*Syrk)(char *, char *, int *, int *, double *, double *, int *, do
                      int *);
 typedef void (*Trsm)(char *, char *, char *, char *, int *, int *, double *, double *, int *,
                      double *, int *);
+typedef void (*Gemv)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
+                     double *, int *);
+typedef void (*Trsv)(char *, char *, char *, int *, double *, int *, double *, int *);
 typedef void (*Potrf)(char *, int *, double *, int *, int *);
 typedef void (*Potrs)(char *, int *, int *, double *, int *, double *, int *, int *);
+
+enum { FEW = 4 }; /* columns up to which a product each is faster than packing the matrix */
 
 typedef struct {
     Gemm gemm;
     Syrk syrk;
     Trsm trsm;
+    Gemv gemv;
+    Trsv trsv;
     Potrf potrf;
     Potrs potrs;
 } Dense;
@@ -34,7 +41,14 @@ static void multiply(const Dense *d, char op, int m, int n, int k, double alpha,
                      int lda, const double *b, int ldb, double beta, double *c, int ldc)
 {
     char plain = 'N';
-    if (m > 0 && n > 0 && k > 0)
+    int one = 1, rows = op == 'N' ? m : k, columns = op == 'N' ? k : m;
+    if (m <= 0 || n <= 0 || k <= 0)
+        return;
+    if (n <= FEW)
+        for (int t = 0; t < n; t++)
+            d->gemv(&op, &rows, &columns, &alpha, (double *)a, &lda, (double *)b + (size_t)t * ldb,
+                    &one, &beta, c + (size_t)t * ldc, &one);
+    else
         d->gemm(&op, &plain, &m, &n, &k, &alpha, (double *)a, &lda, (double *)b, &ldb, &beta, c,
                 &ldc);
 }
@@ -61,9 +75,17 @@ static int factorise(const Dense *d, int n, double *a)
 /* B = (LL')^-1 B */
 static void solve(const Dense *d, int n, int columns, const double *factor, double *b)
 {
-    char lower = 'L';
-    int failed = 0;
-    d->potrs(&lower, &n, &columns, (double *)factor, &n, b, &n, &failed);
+    char lower = 'L', plain = 'N', transposed = 'T';
+    int failed = 0, one = 1;
+    if (columns > FEW) {
+        d->potrs(&lower, &n, &columns, (double *)factor, &n, b, &n, &failed);
+        return;
+    }
+    for (int t = 0; t < columns; t++) {
+        double *x = b + (size_t)t * n;
+        d->trsv(&lower, &plain, &plain, &n, (double *)factor, &n, x, &one);
+        d->trsv(&lower, &transposed, &plain, &n, (double *)factor, &n, x, &one);
+    }
 }
 
 typedef struct { /* scratch of bounded_minimum for up to `size` variables */
