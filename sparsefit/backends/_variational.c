@@ -6,6 +6,83 @@
 
 #include "_variational_search.h"
 
+static double *take(double **from, size_t count)
+{
+    double *taken = *from;
+    *from += count;
+    return taken;
+}
+
+static int prepare(Search *z)
+{
+    size_t k = z->problem->columns, n = z->problem->targets, g = z->problem->groups;
+    size_t room = k * n * (16 + 2 * NEW_GROUPS) + 2 * k + 3 * g * g + 15 * g;
+    double *at = z->numbers = calloc(room, sizeof(double));
+    int *slot = z->integers = calloc(4 * k + 3 * g, sizeof(int));
+    z->bounded.free = z->flags = calloc(g, 1);
+    if (!z->numbers || !z->integers || !z->flags)
+        return 0;
+    for (int i = 0; i < 2; i++) {
+        Point *x = &z->points[i];
+        x->eta = take(&at, g);
+        x->root = take(&at, k);
+        x->inner = take(&at, k * n);
+        x->weights = take(&at, k * n);
+        x->correlation = take(&at, k * n);
+        x->group = slot;
+        x->label = slot + g;
+        x->column = slot + g + k;
+        slot += g + 2 * k;
+    }
+    z->bounded.inside = slot;
+    double **rows[] = {&z->inner,   &z->pushed,      &z->trial_weights, &z->trial_correlation,
+                       &z->weights, &z->correlation, &z->best_weights,
+                       &z->defect,  &z->direction,   &z->product};
+    double **groups[] = {&z->eta,           &z->square,       &z->all_square,   &z->drive,
+                         &z->lower,         &z->step,         &z->width,        &z->bounded.scale,
+                         &z->bounded.pull,  &z->bounded.floor, &z->bounded.x,
+                         &z->bounded.target, &z->bounded.rhs};
+    double **squares[] = {&z->hessian, &z->bounded.unit, &z->bounded.block};
+    for (size_t i = 0; i < sizeof(rows) / sizeof(*rows); i++)
+        *rows[i] = take(&at, k * n);
+    for (size_t i = 0; i < sizeof(groups) / sizeof(*groups); i++)
+        *groups[i] = take(&at, g);
+    for (size_t i = 0; i < sizeof(squares) / sizeof(*squares); i++)
+        *squares[i] = take(&at, g * g);
+    z->products = take(&at, k * n * NEW_GROUPS);
+    z->coupling = take(&at, k * n * NEW_GROUPS);
+    return 1;
+}
+
+/* The path: weights (p, n, k), iterations (p), gaps (p); 0 where memory is out. */
+static int solve_path(const Problem *problem, const double *alphas, int points, double tolerance,
+                      double *weights, long long *iterations, double *gaps)
+{
+    Search z;
+    memset(&z, 0, sizeof z);
+    z.problem = problem;
+    z.goal = fmax(tolerance, FLOOR);
+    size_t block = (size_t)problem->columns * problem->targets;
+    int fine = prepare(&z) && evaluate(problem, &z.points[0]) >= 0;
+    for (int i = 0; fine && i < points; i++) {
+        z.alpha = alphas[i];
+        int spent = minimise(&z);
+        fine = spent >= 0;
+        iterations[i] = spent;
+        gaps[i] = z.best_gap;
+        memcpy(weights + block * i, z.best_weights, block * sizeof(double));
+    }
+    for (int i = 0; i < 2; i++) {
+        free(z.points[i].factor);
+        free(z.points[i].half);
+        free(z.points[i].hessian);
+    }
+    free(z.numbers);
+    free(z.integers);
+    free(z.flags);
+    return fine;
+}
+
 /* The address in a capsule of scipy whose arguments have the kinds given: c(har), i(nt),
    d(ouble). A scipy with 64-bit integers would be called wrongly, so its names are read. */
 static void *routine(PyObject *table, const char *name, const char *kinds)
@@ -58,6 +135,14 @@ static PyObject *check(PyObject *self, PyObject *args)
     return Py_NewRef(Py_None);
 }
 
+static int ascending(const Problem *p)
+{
+    for (int g = 0; g < p->groups; g++)
+        if (p->starts[g] >= p->starts[g + 1])
+            return 0;
+    return 1;
+}
+
 static PyObject *path(PyObject *self, PyObject *args)
 {
     PyObject *blas, *lapack, *answer = NULL;
@@ -80,7 +165,7 @@ static PyObject *path(PyObject *self, PyObject *args)
     p.starts = starts.buf;
     if (!row || p.groups < 1 || p.targets < 1 || (size_t)gram.len != row * p.columns
         || (size_t)cross.len != row * p.targets || p.starts[0] != 0
-        || p.starts[p.groups] != p.columns || (size_t)weights.len != cross.len * points
+        || p.starts[p.groups] != p.columns || !ascending(&p) || (size_t)weights.len != cross.len * points
         || (size_t)gaps.len != points * sizeof(double)
         || (size_t)iterations.len != points * sizeof(long long)) {
         PyErr_SetString(PyExc_ValueError, "the arrays of a group path do not fit each other");

@@ -74,17 +74,25 @@ static void support_squares(const Problem *p, const Point *x, const double *matr
         }
 }
 
-/* B - G W for weights (c, n) on the support: a product for every run of adjacent groups. */
-static void correlate(const Problem *p, const Point *x, const double *weights, double *result)
+/* Adds share G W to the result (k, n), for W (c, n) on the support: a product for every run of
+   adjacent groups. */
+static void add_product(const Problem *p, const Point *x, double share, const double *weights,
+                        double *result)
 {
     int k = p->columns, c = x->columns;
-    memcpy(result, p->cross, (size_t)k * p->targets * sizeof(double));
     for (int i = 0, end; i < c; i = end) {
         for (end = i + 1; end < c && x->column[end] == x->column[end - 1] + 1; end++)
             ;
-        multiply(p->dense, 'N', k, p->targets, end - i, -1.0,
+        multiply(p->dense, 'N', k, p->targets, end - i, share,
                  p->gram + (size_t)x->column[i] * k, k, weights + i, c, 1.0, result, k);
     }
+}
+
+/* B - G W for weights (c, n) on the support. */
+static void correlate(const Problem *p, const Point *x, const double *weights, double *result)
+{
+    memcpy(result, p->cross, (size_t)p->columns * p->targets * sizeof(double));
+    add_product(p, x, -1.0, weights, result);
 }
 
 /* Columns L^-1 [0; x_g; 0] of the support's groups, one for each group and target. Rows above a
@@ -131,8 +139,13 @@ static int evaluate(const Problem *p, Point *x)
     for (int j = 0; j < c; j++) {
         const double *row = p->gram + (size_t)x->column[j] * k;
         double *below = x->factor + (size_t)j * c;
-        for (int i = j; i < c; i++)
-            below[i] = row[x->column[i]] * x->root[i] * x->root[j];
+        for (int i = j, end; i < c; i = end) { /* a group's columns are adjacent */
+            const double *from = row + x->column[i] - i;
+            double scale = x->root[i] * x->root[j];
+            end = i + (int)p->starts[x->group[x->label[i]] + 1] - x->column[i];
+            for (int to = i; to < end; to++)
+                below[to] = from[to] * scale;
+        }
         below[j] += 1.0;
     }
     if (c && factorise(p->dense, c, x->factor))
