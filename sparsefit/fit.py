@@ -273,8 +273,10 @@ def _judged(
 
 def _repaired(found: Fit, tolerance: float) -> Fit:
     """The referee's answer where the certificate rejects the fast path's, if it is the better."""
+    if found.status == "ok":
+        return found
     referee = found.backend.referee() if isinstance(found.backend, PathBackend) else None
-    if found.status == "ok" or referee is None:
+    if referee is None:
         return found
     other = fit(found.problem, referee, tolerance=tolerance)
     worse = found.certificate is not None and (
