@@ -16,7 +16,7 @@ static double *take(double **from, size_t count)
 static int prepare(Search *z)
 {
     size_t k = z->problem->columns, n = z->problem->targets, g = z->problem->groups;
-    size_t room = k * n * (16 + 2 * NEW_GROUPS) + 2 * k + 3 * g * g + 15 * g;
+    size_t room = k * n * (13 + 2 * NEW_GROUPS) + 2 * k + 3 * g * g + 15 * g;
     double *at = z->numbers = calloc(room, sizeof(double));
     int *slot = z->integers = calloc(4 * k + 3 * g, sizeof(int));
     z->bounded.free = z->flags = calloc(g, 1);
@@ -36,8 +36,7 @@ static int prepare(Search *z)
     }
     z->bounded.inside = slot;
     double **rows[] = {&z->inner,   &z->pushed,      &z->trial_weights, &z->trial_correlation,
-                       &z->weights, &z->correlation, &z->best_weights,
-                       &z->defect,  &z->direction,   &z->product};
+                       &z->weights, &z->correlation, &z->best_weights};
     double **groups[] = {&z->eta,           &z->square,       &z->all_square,   &z->drive,
                          &z->lower,         &z->step,         &z->width,        &z->bounded.scale,
                          &z->bounded.pull,  &z->bounded.floor, &z->bounded.x,

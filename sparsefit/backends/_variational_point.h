@@ -74,25 +74,17 @@ static void support_squares(const Problem *p, const Point *x, const double *matr
         }
 }
 
-/* Adds share G W to the result (k, n), for W (c, n) on the support: a product for every run of
-   adjacent groups. */
-static void add_product(const Problem *p, const Point *x, double share, const double *weights,
-                        double *result)
+/* B - G W for weights (c, n) on the support: a product for every run of adjacent groups. */
+static void correlate(const Problem *p, const Point *x, const double *weights, double *result)
 {
     int k = p->columns, c = x->columns;
+    memcpy(result, p->cross, (size_t)k * p->targets * sizeof(double));
     for (int i = 0, end; i < c; i = end) {
         for (end = i + 1; end < c && x->column[end] == x->column[end - 1] + 1; end++)
             ;
-        multiply(p->dense, 'N', k, p->targets, end - i, share,
+        multiply(p->dense, 'N', k, p->targets, end - i, -1.0,
                  p->gram + (size_t)x->column[i] * k, k, weights + i, c, 1.0, result, k);
     }
-}
-
-/* B - G W for weights (c, n) on the support. */
-static void correlate(const Problem *p, const Point *x, const double *weights, double *result)
-{
-    memcpy(result, p->cross, (size_t)p->columns * p->targets * sizeof(double));
-    add_product(p, x, -1.0, weights, result);
 }
 
 /* Columns L^-1 [0; x_g; 0] of the support's groups, one for each group and target. Rows above a

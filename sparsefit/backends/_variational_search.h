@@ -6,8 +6,8 @@
 
 #include "_variational_point.h"
 
-enum { NEW_GROUPS = 8, ITERATIONS = 80, CHORDS = 8, SETTLING = 4, HALVINGS = 30 };
-static const double NEGLIGIBLE = 1e-11, FLOOR = 1e-15, POOR = 1e-3, SETTLED = 1e-2;
+enum { NEW_GROUPS = 8, ITERATIONS = 80, CHORDS = 8, HALVINGS = 30 };
+static const double NEGLIGIBLE = 1e-11, FLOOR = 1e-15, POOR = 1e-3;
 
 typedef struct {
     const Problem *problem;
@@ -16,7 +16,6 @@ typedef struct {
     int now; /* which of the two is the present point */
     Bounded bounded;
     double *inner, *pushed, *trial_weights, *trial_correlation; /* of a chord step */
-    double *defect, *direction, *product;                       /* of the conjugate gradients */
     double *weights, *correlation, *eta;                        /* of the best chord step */
     double gap;
     double *best_weights; /* (k, n), of the best at this penalty */
@@ -84,75 +83,12 @@ static void keep(Search *z, const Point *x, const double *weights, const double 
     memcpy(z->correlation, correlation, (size_t)p->columns * p->targets * sizeof(double));
 }
 
-/* Trial weights nearer to (G + D^-1)^-1 B at eta = z->width, and their correlation: conjugate
-   gradients preconditioned by the factor of the point. */
-static void settle(Search *z)
-{
-    const Problem *p = z->problem;
-    const Point *x = &z->points[z->now];
-    int c = x->columns, n = p->targets, k = p->columns;
-    double before = INFINITY, begin = INFINITY;
-    memset(z->direction, 0, (size_t)c * n * sizeof(double));
-    for (int t = 0; t < n; t++)
-        for (int i = 0; i < c; i++) {
-            size_t at = i + (size_t)t * c;
-            double width = z->width[x->label[i]];
-            z->defect[at] = width > 0.0 ? x->root[i]
-                                              * (z->trial_correlation[x->column[i] + (size_t)t * k]
-                                                 - z->trial_weights[at] / width)
-                                        : 0.0;
-        }
-    for (int turn = 0; turn < SETTLING; turn++) {
-        double square = 0.0, curvature = 0.0;
-        memcpy(z->pushed, z->defect, (size_t)c * n * sizeof(double));
-        solve(p->dense, c, n, x->factor, z->pushed);
-        for (int t = 0; t < n; t++)
-            for (int i = 0; i < c; i++)
-                square += z->pushed[i + (size_t)t * c] * z->defect[i + (size_t)t * c];
-        if (before == INFINITY)
-            begin = square;
-        else if (square <= SETTLED * begin)
-            break;
-        for (int t = 0; t < n; t++)
-            for (int i = 0; i < c; i++) {
-                size_t at = i + (size_t)t * c;
-                double kept = z->width[x->label[i]] > 0.0 ? z->pushed[at] : 0.0;
-                z->direction[at] = kept + square / before * z->direction[at];
-                z->pushed[at] = x->root[i] * z->direction[at];
-            }
-        memset(z->product, 0, (size_t)k * n * sizeof(double));
-        add_product(p, x, 1.0, z->pushed, z->product);
-        for (int t = 0; t < n; t++)
-            for (int i = 0; i < c; i++) { /* pushed: the image of the direction */
-                size_t at = i + (size_t)t * c;
-                double width = z->width[x->label[i]];
-                z->pushed[at] = width > 0.0
-                                    ? x->root[i] * (z->product[x->column[i] + (size_t)t * k]
-                                                    + x->root[i] * z->direction[at] / width)
-                                    : 0.0;
-                curvature += z->direction[at] * z->pushed[at];
-            }
-        if (!(curvature > 0.0))
-            break;
-        double length = square / curvature;
-        before = square;
-        for (int t = 0; t < n; t++)
-            for (int i = 0; i < c; i++) {
-                size_t at = i + (size_t)t * c;
-                z->trial_weights[at] += length * x->root[i] * z->direction[at];
-                z->defect[at] -= length * z->pushed[at];
-            }
-        for (size_t at = 0; at < (size_t)k * n; at++)
-            z->trial_correlation[at] -= length * z->product[at];
-    }
-}
-
 /* Newton step on the support, then chord steps on the same factor while they pay. */
 static void predict(Search *z)
 {
     const Problem *p = z->problem;
     const Point *x = &z->points[z->now];
-    int c = x->columns, n = p->targets, s = x->groups, settled = 0;
+    int c = x->columns, n = p->targets, s = x->groups;
     memcpy(z->eta, x->eta, p->groups * sizeof(double));
     keep(z, x, x->weights, x->correlation);
     z->gap = s ? INFINITY : relative_gap(z, x, x->weights, x->correlation);
@@ -183,17 +119,13 @@ static void predict(Search *z)
             }
         correlate(p, x, z->trial_weights, z->trial_correlation);
         double gap = relative_gap(z, x, z->trial_weights, z->trial_correlation);
-        if (chord == 0 && gap > POOR) {
-            settle(z);
-            settled = 1;
-            gap = relative_gap(z, x, z->trial_weights, z->trial_correlation);
-        } else if (!(gap < 0.4 * z->gap))
+        if (!(gap < 0.4 * z->gap))
             break;
         keep(z, x, z->trial_weights, z->trial_correlation);
         z->gap = gap;
         for (int a = 0; a < s; a++)
             z->eta[x->group[a]] = moved(p, x->group[a], z->width[a]);
-        if (settled || gap <= z->goal || gap > POOR)
+        if (gap <= z->goal || gap > POOR)
             break;
         for (int t = 0; t < n; t++)
             for (int i = 0; i < c; i++) {

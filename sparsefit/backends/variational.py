@@ -47,8 +47,6 @@ _NEW_GROUPS = 8  # more violators at once only make the subproblem larger: most 
 _ITERATIONS = 80
 _CHORDS = 8  # corrections on an old factor before a new one pays off
 _POOR = 1e-3  # a relative gap above which corrections do not converge
-_SETTLING = 4  # conjugate gradients that show which groups are missing
-_SETTLED = 1e-2  # of the squared defect
 _NEGLIGIBLE = 1e-11  # eta times the group's power: its curvature would be lost to rounding
 _FLOOR = 1e-15  # a relative gap that double precision cannot improve
 
@@ -180,8 +178,7 @@ def _predict(
 
     From an approximate C and its defect rho = B - G D C - C (exact, a product with G):
     C + D^-1/2 A^-1 D^1/2 rho solves the linear part, and a change d of eta moves C by
-    -K (d C). The exact correlation of W = eta C gives the certificate and the violators. After a
-    long step W is far from the minimiser at the new eta, and would name the wrong violators.
+    -K (d C). The exact correlation of W = eta C gives the certificate and the violators.
     """
     support, root = point.support, point.root[:, None]
     groups, label = support.groups, support.label
@@ -189,7 +186,7 @@ def _predict(
     if not groups.size:
         return eta, _candidate(problem, support, point.weights, point.correlation, alpha)
     best = _Candidate(support, point.weights, point.correlation, gap)
-    for chord in range(1 + _CHORDS):
+    for _ in range(1 + _CHORDS):
         step = bounded_minimum(
             point.hessian, _drive(group_squares(inner, label), alpha, secular=True), -width
         )
@@ -199,10 +196,6 @@ def _predict(
         weights = width[label][:, None] * inner
         correlation = problem.cross - support.rows.T @ weights
         reached = _candidate(problem, support, weights, correlation, alpha)
-        if chord == 0 and reached.gap > _POOR:
-            weights, correlation = _settled(point, width, weights, correlation)
-            reached = _candidate(problem, support, weights, correlation, alpha)
-            return _moved(problem, point.eta, groups, width), reached
         if not reached.gap < 0.4 * gap:
             break
         best, gap, eta = reached, reached.gap, _moved(problem, point.eta, groups, width)
@@ -211,39 +204,6 @@ def _predict(
         defect = correlation[support.columns] - inner
         inner = inner + dpotrs(point.factor, root * defect, lower=1)[0] / root
     return eta, best
-
-
-def _settled(
-    point: Point, width: Floats, weights: Floats, correlation: Floats
-) -> tuple[Floats, Floats]:
-    """Weights nearer to (G + D^-1)^-1 B at eta = width, and their correlation.
-
-    Conjugate gradients for W = D0^1/2 U with D0 the eta of the point, preconditioned by its
-    factor: (D0^1/2 G D0^1/2 + D0 / D) U = D0^1/2 B on the groups that stay.
-    """
-    support, root = point.support, point.root[:, None]
-    stays = (width > 0)[support.label][:, None]
-    ratio = root**2 / np.where(stays, width[support.label][:, None], 1.0)
-    defect = np.where(stays, root * correlation[support.columns] - ratio * weights / root, 0.0)
-    direction, before, first = np.zeros_like(defect), np.inf, np.inf
-    for _ in range(_SETTLING):
-        pulled = np.where(stays, dpotrs(point.factor, defect, lower=1)[0], 0.0)
-        square = float(np.vdot(defect, pulled))
-        if before == np.inf:
-            first = square
-        elif square <= _SETTLED * first:
-            break
-        direction = pulled + square / before * direction
-        product = support.rows.T @ (root * direction)
-        image = np.where(stays, root * product[support.columns] + ratio * direction, 0.0)
-        curvature = float(np.vdot(direction, image))
-        if not curvature > 0.0:
-            break
-        length, before = square / curvature, square
-        weights = weights + length * root * direction
-        defect = defect - length * image
-        correlation = correlation - length * product
-    return weights, correlation
 
 
 def _violators(correlation: Floats, problem: Problem, point: Point, alpha: float) -> Ints:

@@ -16,7 +16,6 @@ from sklearn.linear_model import Lasso
 from sparsefit.backends import variational
 from sparsefit.backends.variational import Engine, GroupPath, group_path
 from sparsefit.backends.variational_compiled import compiled_loop
-from sparsefit.backends.variational_point import evaluate, normalise
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -365,26 +364,3 @@ def test_without_the_compiled_loop_the_one_in_python_runs_and_says_so(
     assert solve(z, y, groups, omega, alphas).engine == "python"
     with pytest.raises(ImportError, match="no compiler"):
         solve(z, y, groups, omega, alphas, engine="compiled")
-
-
-def test_enough_conjugate_gradients_reach_the_minimiser_at_the_new_variances(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    z, y, groups, omega = ragged(5, 2)
-    m, square = len(z), np.sum(y**2) / len(z)
-    problem, _, _ = normalise(z.T @ z / m, z.T @ y / m / np.sqrt(square), groups, omega)
-    eta = np.array([0.5, 0.0, 2.0, 0.1, 0.0, 1.0])
-    moved = np.array([0.9, 0.0, 1.0, 0.3, 0.0, 0.0])
-    point, there = evaluate(problem, eta, None), evaluate(problem, moved, None)
-    assert point is not None
-    assert there is not None
-    monkeypatch.setattr(variational, "_SETTLING", 40)
-    monkeypatch.setattr(variational, "_SETTLED", 1e-30)
-    width = moved[point.support.groups]
-    weights = width[point.support.label][:, None] * point.inner
-    correlation = problem.cross - point.support.rows.T @ weights
-    found, exact = variational._settled(point, width, weights, correlation)
-    np.testing.assert_allclose(exact, there.correlation, atol=1e-12)
-    expected = np.zeros_like(problem.cross)
-    expected[there.support.columns] = there.weights
-    np.testing.assert_allclose(found, expected[point.support.columns], atol=1e-12)
