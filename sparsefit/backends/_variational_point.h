@@ -8,6 +8,8 @@
 
 #include "_variational_dense.h"
 
+static const double LOST = 1e-14; /* of the terms of a curvature, which may cancel */
+
 typedef struct { /* contiguous groups of penalty weight one, |Y|^2/m = 1 */
     const Dense *dense;
     const double *gram, *cross;
@@ -166,7 +168,7 @@ static int evaluate(const Problem *p, Point *x)
     for (int i = 0; i < c; i++)
         for (int t = 0; t < n; t++)
             x->hessian[(size_t)x->label[i] * (s + 1)] +=
-                x->inner[i + (size_t)t * c] * x->inner[i + (size_t)t * c];
+                (1.0 + LOST) * x->inner[i + (size_t)t * c] * x->inner[i + (size_t)t * c];
     for (int a = 0; a < s; a++)
         for (int b = a; b < s; b++)
             x->hessian[(size_t)a * s + b] = x->hessian[(size_t)b * s + a] =

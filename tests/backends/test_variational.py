@@ -16,6 +16,7 @@ from sklearn.linear_model import Lasso
 from sparsefit.backends import variational
 from sparsefit.backends.variational import Engine, GroupPath, group_path
 from sparsefit.backends.variational_compiled import compiled_loop
+from sparsefit.bench.robustness import draw_problem
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -364,3 +365,16 @@ def test_without_the_compiled_loop_the_one_in_python_runs_and_says_so(
     assert solve(z, y, groups, omega, alphas).engine == "python"
     with pytest.raises(ImportError, match="no compiler"):
         solve(z, y, groups, omega, alphas, engine="compiled")
+
+
+@pytest.mark.parametrize("engine", ["python", pytest.param("compiled", marks=built)])
+@pytest.mark.parametrize("seed", [60241, 60409])
+def test_a_curvature_lost_to_rounding_does_not_stall_the_path(seed: int, engine: Engine) -> None:
+    """Flights whose groups have no power in the direction of their correlation."""
+    problem = draw_problem(seed)[1]
+    z = unit_columns(problem.theta)
+    groups, omega = problem.groups, np.ones(int(problem.groups.max()) + 1)
+    alphas = penalties(z, problem.target, groups, omega, 30, 1e-4)
+    path = solve(z, problem.target, groups, omega, alphas, 1e-10, engine)
+    assert path.complete.all()
+    assert worst_gap(z, problem.target, path, groups, omega, alphas) < 1e-9
