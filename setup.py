@@ -5,7 +5,7 @@ They are optional: without a C compiler the same algorithms run in Python, slowe
 
 from setuptools import Extension, setup
 
-LOOPS: tuple[str, ...] = ("_homotopy",)  # sparsefit/backends/NAME.c
+LOOPS = ("_homotopy", "_variational")  # sparsefit/backends/NAME.c
 KERNELS = ("_gram",)  # sparsefit/NAME.c
 
 setup(

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 Loop: TypeAlias = Literal["compiled", "python"]
-LOOPS: Mapping[str, str] = MappingProxyType({"lasso": "_homotopy"})
+LOOPS: Mapping[str, str] = MappingProxyType({"lasso": "_homotopy", "group-lasso": "_variational"})
 """Back-end -> its compiled module in this package."""
 
 

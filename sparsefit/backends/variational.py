@@ -21,12 +21,13 @@ quadratic form; More and Sorensen, "Computing a trust region step" (1983), for t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dpotrs
 
+from sparsefit.backends.variational_compiled import compiled_loop, compiled_path
 from sparsefit.backends.variational_point import (
     Point,
     Problem,
@@ -40,22 +41,28 @@ from sparsefit.backends.variational_step import bounded_minimum
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
+Engine: TypeAlias = Literal["compiled", "python"]
 
 _NEW_GROUPS = 8  # more violators at once only make the subproblem larger: most do not stay
 _ITERATIONS = 80
-_CHORDS = 3  # corrections on an old factor before a new one pays off
+_CHORDS = 8  # corrections on an old factor before a new one pays off
+_POOR = 1e-3  # a relative gap above which corrections do not converge
 _NEGLIGIBLE = 1e-11  # eta times the group's power: its curvature would be lost to rounding
 _FLOOR = 1e-15  # a relative gap that double precision cannot improve
 
 
 @dataclass(frozen=True, eq=False)
 class GroupPath:
-    """Weights (p, k, n), factorisations spent (p,), relative gaps (p,), gap <= tolerance (p,)."""
+    """Weights (p, k, n), factorisations spent (p,), relative gaps (p,), gap <= tolerance (p,).
+
+    engine: the loop that ran, compiled or this module's.
+    """
 
     weights: Floats
     iterations: Ints
     gaps: Floats
     complete: NDArray[np.bool_]
+    engine: Engine
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +84,7 @@ def group_path(
     target_square: ArrayLike,
     *,
     tolerance: float = 1e-10,
+    engine: Engine | None = None,
 ) -> GroupPath:
     """Minimise the group-LASSO objective at every penalty, each started from the one before.
 
@@ -85,13 +93,24 @@ def group_path(
     target_square = |Y|^2/m, one number or one per target. All targets share one norm per group.
     A point is complete when (primal - dual) / (|Y|^2 / 2m) <= tolerance, the dual point being
     the residual scaled into the feasible set; otherwise it carries the best iterate.
+    engine: ``compiled`` or ``python``, the same algorithm; by default compiled where it was built.
+    Raises ImportError where ``compiled`` is asked for and was not.
     """
+    loop, missing = compiled_loop() if engine != "python" else (None, "")
+    if engine == "compiled" and loop is None:
+        raise ImportError(f"the compiled group-LASSO path is not there: {missing}")
+    ran: Engine = "python" if loop is None else "compiled"
     penalties = np.atleast_1d(np.asarray(alphas, dtype=float))
     targets = np.asarray(cross, dtype=float)
     scale = float(np.sqrt(np.sum(target_square)))
     if scale == 0.0 or not np.any(targets):
-        return _zero_path(penalties.size, targets.shape)
+        return _zero_path(penalties.size, targets.shape, ran)
     problem, order, column_scale = normalise(gram, targets / scale, groups, omega)
+    if loop is not None:
+        found, iterations, gaps = compiled_path(loop, problem, penalties / scale, tolerance)
+        weights = np.empty_like(found)
+        weights[:, order] = found * (scale / column_scale)[:, None]
+        return GroupPath(weights, iterations, gaps, gaps <= tolerance, ran)
     point = evaluate(problem, np.zeros(problem.sizes.size), None)
     assert point is not None  # nothing to factorise at eta = 0
     weights = np.zeros((penalties.size, *targets.shape))
@@ -102,12 +121,12 @@ def group_path(
         columns = best.support.columns
         weights[i, order[columns]] = best.weights * (scale / column_scale[columns, None])
         gaps[i] = best.gap
-    return GroupPath(weights, iterations, gaps, gaps <= tolerance)
+    return GroupPath(weights, iterations, gaps, gaps <= tolerance, ran)
 
 
-def _zero_path(points: int, shape: tuple[int, ...]) -> GroupPath:
-    done = np.ones(points, dtype=bool)
-    return GroupPath(np.zeros((points, *shape)), np.zeros(points, np.intp), np.zeros(points), done)
+def _zero_path(points: int, shape: tuple[int, ...], engine: Engine) -> GroupPath:
+    done, none = np.ones(points, dtype=bool), np.zeros(points, np.intp)
+    return GroupPath(np.zeros((points, *shape)), none, np.zeros(points), done, engine)
 
 
 def _minimise(
@@ -177,10 +196,10 @@ def _predict(
         weights = width[label][:, None] * inner
         correlation = problem.cross - support.rows.T @ weights
         reached = _candidate(problem, support, weights, correlation, alpha)
-        if not reached.gap < 0.2 * gap:
+        if not reached.gap < 0.4 * gap:
             break
         best, gap, eta = reached, reached.gap, _moved(problem, point.eta, groups, width)
-        if gap <= goal:
+        if gap <= goal or gap > _POOR:
             break
         defect = correlation[support.columns] - inner
         inner = inner + dpotrs(point.factor, root * defect, lower=1)[0] / root

@@ -15,6 +15,8 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.intp]
 
+_LOST = 1e-14  # of the terms of a curvature, which may cancel: a negative one sends eta to infinity
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -109,7 +111,7 @@ def evaluate(problem: Problem, eta: Floats, previous: Support | None) -> Point |
     half = _half(factor, _spread(inner, label))
     product = half.T @ half
     hessian = np.negative(product, out=product)
-    hessian.flat[:: len(hessian) + 1] += group_squares(inner, label)
+    hessian.flat[:: len(hessian) + 1] += (1.0 + _LOST) * group_squares(inner, label)
     width = np.sqrt(eta[support.groups])
     hessian /= np.multiply.outer(width, width)
     return Point(

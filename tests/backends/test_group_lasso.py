@@ -10,6 +10,7 @@ from problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
+from sparsefit.backends import variational
 from sparsefit.errors import InputError
 from sparsefit.library import RegressionProblem
 from sparsefit.objective import alpha_max
@@ -126,6 +127,18 @@ def test_groups_may_come_in_any_order():
     backend = backends.get("group-lasso", alpha_fraction=0.1)
     expected = sf.fit(problem, backend).weights[order]
     assert sf.fit(mixed, backend).weights == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("separate", [True, False])
+def test_a_fit_names_the_loop_that_ran(monkeypatch, separate):
+    problem, backend = regular(3), backends.get("group-lasso", separate=separate)
+    usual = sf.fit(problem, backend)
+    loop = "python" if variational.compiled_loop()[0] is None else "compiled"
+    assert usual.solver_status == f"converged ({loop} loop)"
+    monkeypatch.setattr(variational, "compiled_loop", lambda: (None, "not built"))
+    found = sf.fit(problem, backend)
+    assert found.solver_status == "converged (python loop)"
+    assert found.weights == pytest.approx(usual.weights, rel=1e-5, abs=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import cvxpy as cp
 import numpy as np
@@ -12,10 +13,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.linear_model import Lasso
 
-from sparsefit.backends.variational import GroupPath, group_path
+from sparsefit.backends import variational
+from sparsefit.backends.variational import Engine, GroupPath, group_path
+from sparsefit.backends.variational_compiled import compiled_loop
+from sparsefit.bench.robustness import draw_problem
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
+built = pytest.mark.skipif(compiled_loop()[0] is None, reason=compiled_loop()[1])
 
 
 def norms(matrix: Array, groups: Labels) -> Array:
@@ -33,11 +38,19 @@ def penalties(z: Array, y: Array, groups: Labels, omega: Array, points: int, rat
 
 
 def solve(
-    z: Array, y: Array, groups: Labels, omega: Array, alphas: Array, tolerance: float = 1e-10
+    z: Array,
+    y: Array,
+    groups: Labels,
+    omega: Array,
+    alphas: Array,
+    tolerance: float = 1e-10,
+    engine: Engine | None = None,
 ) -> GroupPath:
-    m = len(z)
+    m, square = len(z), np.sum(y**2) / len(z)
     return group_path(
-        z.T @ z / m, z.T @ y / m, groups, omega, alphas, np.sum(y**2) / m, tolerance=tolerance
+        *(z.T @ z / m, z.T @ y / m, groups, omega, alphas, square),
+        tolerance=tolerance,
+        engine=engine,
     )
 
 
@@ -241,3 +254,127 @@ def test_degenerate_problems_are_certified(
     path = solve(z, y, groups, omega, alphas, tolerance=1e-9)
     assert path.complete.all()
     assert worst_gap(z, y, path, groups, omega, alphas) < 1e-8
+
+
+@built
+@pytest.mark.parametrize("targets", [1, 2, 4, 6])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_compiled_loop_finds_the_weights_of_the_one_in_python(seed: int, targets: int) -> None:
+    z, y, groups, omega = ragged(seed, targets)
+    alphas = penalties(z, y, groups, omega, 15, 1e-3)
+    slow = solve(z, y, groups, omega, alphas, 1e-14, "python")
+    fast = solve(z, y, groups, omega, alphas, 1e-14, "compiled")
+    assert (slow.engine, fast.engine) == ("python", "compiled")
+    assert slow.complete.all()
+    assert fast.complete.all()
+    scale = float(np.abs(slow.weights).max())
+    np.testing.assert_allclose(fast.weights, slow.weights, rtol=1e-9, atol=1e-9 * scale)
+
+
+@built
+@pytest.mark.parametrize("targets", [1, 2])
+@pytest.mark.parametrize(("length", "noise"), [(5.0, 0.0), (4.13, 0.5), (6.57, 0.0)])
+def test_both_loops_fit_a_rank_deficient_flight_alike(
+    length: float, noise: float, targets: int
+) -> None:
+    z, y, groups = flight(length, targets, noise, samples=300)
+    omega = np.ones(56)
+    alphas = penalties(z, y, groups, omega, 20, 1e-3)
+    slow = solve(z, y, groups, omega, alphas, 1e-11, "python")
+    fast = solve(z, y, groups, omega, alphas, 1e-11, "compiled")
+    assert slow.complete.all()
+    assert fast.complete.all()
+    assert worst_gap(z, y, fast, groups, omega, alphas) < 2e-11
+    # The loss is strongly convex in Z W: |Z (V - W)|^2 / 2m <= gap of V + gap of W.
+    apart = np.sum((z @ (fast.weights - slow.weights)) ** 2, axis=(1, 2)) / np.sum(y**2)
+    assert np.all(apart <= 2 * (slow.gaps + fast.gaps) + 1e-20)
+
+
+@built
+@settings(max_examples=80, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10**6),
+    samples=st.integers(1, 40),
+    rank=st.integers(1, 12),
+    targets=st.integers(1, 5),
+    copies=st.booleans(),
+    exact=st.booleans(),
+    unit=st.sampled_from([1e-100, 1e-12, 1.0, 1e12, 1e100]),
+)
+def test_both_loops_are_certified_on_degenerate_problems(
+    seed: int, samples: int, rank: int, targets: int, copies: bool, exact: bool, unit: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    half = rng.standard_normal((samples, rank)) @ rng.standard_normal((rank, 14))
+    other = half if copies else rng.standard_normal((samples, 14))
+    z = unit_columns(np.hstack([half, other, np.zeros((samples, 2))]))
+    groups = rng.permutation(np.repeat(np.arange(9), [1, 2, 6, 4, 1, 3, 8, 3, 2]))
+    weights = rng.standard_normal((z.shape[1], targets))
+    y = (z @ weights if exact else rng.standard_normal((samples, targets))) * unit
+    y[:, 1:2] = 0.0
+    omega = rng.uniform(0.1, 10.0, 9)
+    alphas = penalties(z, y, groups, omega, 10, 1e-3)
+    for engine in ("python", "compiled"):
+        path = solve(z, y, groups, omega, alphas, 1e-9, engine)
+        assert path.complete.all(), engine
+        scaled = GroupPath(path.weights / unit, path.iterations, path.gaps, path.complete, engine)
+        assert worst_gap(z, y / unit, scaled, groups, omega, alphas / unit) < 1e-8, engine
+
+
+@built
+def test_threads_do_not_disturb_each_other() -> None:
+    made = [ragged(seed, 2) for seed in range(8)]
+    inputs = [(*p, penalties(*p, 20, 1e-3)) for p in made]
+    alone = [solve(*one, engine="compiled").weights for one in inputs]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda one: solve(*one, engine="compiled").weights, inputs))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@built
+def test_the_compiled_loop_refuses_what_it_was_not_written_for() -> None:
+    loop = compiled_loop()[0]
+    assert loop is not None
+    from scipy.linalg import cython_blas, cython_lapack
+
+    blas, lapack = cython_blas.__pyx_capi__, cython_lapack.__pyx_capi__
+    loop.check(blas, lapack)
+    with pytest.raises(ImportError, match="dsyrk has another signature"):
+        loop.check({**blas, "dsyrk": blas["dsymm"]}, lapack)
+    with pytest.raises(ImportError, match="dpotrf has another signature"):
+        loop.check(blas, {**lapack, "dpotrf": lapack["spotrf"]})
+    with pytest.raises(ImportError, match="no dgemv"):
+        loop.check({k: v for k, v in blas.items() if k != "dgemv"}, lapack)
+    gram, cross, starts = np.eye(4), np.ones((1, 4)), np.array([0, 2, 4])
+    out = np.zeros((1, 1, 4)), np.zeros(1, np.int64), np.zeros(1)
+    loop.path(blas, lapack, gram, cross, starts, np.ones(1), 1e-9, *out)
+    for wrong in (np.array([0, 2, 3]), np.array([0, 5, 4]), np.array([0, 2, 2, 4])):
+        with pytest.raises(ValueError, match="do not fit"):
+            loop.path(blas, lapack, gram, cross, wrong, np.ones(1), 1e-9, *out)
+    with pytest.raises(ValueError, match="do not fit"):
+        loop.path(blas, lapack, gram, cross, starts, np.ones(2), 1e-9, *out)
+
+
+def test_without_the_compiled_loop_the_one_in_python_runs_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    z, y, groups, omega = ragged(0, 2)
+    alphas = penalties(z, y, groups, omega, 5, 1e-2)
+    monkeypatch.setattr(variational, "compiled_loop", lambda: (None, "no compiler"))
+    assert solve(z, y, groups, omega, alphas).engine == "python"
+    with pytest.raises(ImportError, match="no compiler"):
+        solve(z, y, groups, omega, alphas, engine="compiled")
+
+
+@pytest.mark.parametrize("engine", ["python", pytest.param("compiled", marks=built)])
+@pytest.mark.parametrize("seed", [60241, 60409])
+def test_a_curvature_lost_to_rounding_does_not_stall_the_path(seed: int, engine: Engine) -> None:
+    """Flights whose groups have no power in the direction of their correlation."""
+    problem = draw_problem(seed)[1]
+    z = unit_columns(problem.theta)
+    groups, omega = problem.groups, np.ones(int(problem.groups.max()) + 1)
+    alphas = penalties(z, problem.target, groups, omega, 30, 1e-4)
+    path = solve(z, problem.target, groups, omega, alphas, 1e-10, engine)
+    assert path.complete.all()
+    assert worst_gap(z, problem.target, path, groups, omega, alphas) < 1e-9
