@@ -7,7 +7,9 @@ H = S G_AA S, the signed weights grow by H^-1 1 for each unit alpha loses.  An e
 whose correlation |c - G w| reaches alpha (it enters) or an active weight that reaches zero (it
 leaves).  Each requested alpha is polished by a Newton step on the exact Gram rows and checked
 against the optimality conditions; what fails is settled at that alpha by a primal active-set
-method, and what fails that too is reported as incomplete.
+method, in which a column that depends on active ones is exchanged for one of them; what fails
+that too is reported as incomplete, with the weights that came closest.  `_homotopy.c` is the
+same algorithm, compiled.
 
 Sources: Osborne, Presnell and Turlach, IMA J. Numer. Anal. 20 (2000) 389-403; Efron, Hastie,
 Johnstone and Tibshirani, Ann. Statist. 32 (2004) 407-499; for the repair, Lee, Battle, Raina
