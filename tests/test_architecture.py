@@ -13,7 +13,7 @@ from sparsefit.backends import BACKENDS
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
     *("errors", "flow", "vehicle", "flight", "derivative", "objective", "grid", "problem"),
-    *("library", "refine", "uncertainty"),
+    *("nuisance", "library", "refine", "rows", "uncertainty"),
     *("backends", "penalty_choice", "fit", "readout", "estimator", "score", "bound"),
     *("study", "selection", "bench"),
     "cli",
