@@ -217,9 +217,7 @@ def _flight(args: argparse.Namespace, unknown: tuple[str, ...]) -> Flight:
     return read_flight(path, vehicle=PointMassVehicle(vehicle["response_time"], thrust))
 
 
-def _lines(
-    name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...]
-) -> list[str]:
+def _lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:
     ax, ay = flight.vehicle.thrust_acceleration
     known = {
         "response_time": f"response time {flight.vehicle.response_time:g} s",

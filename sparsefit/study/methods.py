@@ -29,6 +29,7 @@ from sparsefit.study.table import SIGNIFICANT, Cell, Column, Table, significant
 
 NOISE = "flights.measurement_noise"
 FLOOR = 1e-6  # percent: smaller medians are quadrature and rounding, no ratio of them says anything
+_FLOOR = "0.000001 %"
 NOTE = (
     f"Median |percentage error| of {SYMBOLS['timescale']} at each measurement noise, velocity "
     "[m/s] / position [m]. A failure (no estimate) counts as an infinite error, and is counted."
@@ -119,14 +120,16 @@ def _place(every: list[Line], line: Line) -> tuple[int, int]:
 
 def derivatives_answer(study: StudyRecord, cases: pd.DataFrame) -> str:
     """How far the choice of derivative moves the median error of tau_w, and how far the penalty."""
+    names = [name.rpartition(".")[2] for name in factors(cases) if name != NOISE]
     sentences = []
     for others, own in _split(lines(cases)):
-        name = f"With {' and '.join(f'{one}' for one in others)}" if others else "Overall"
-        parts = [_of_level(level, own) for level in own[0].levels]
-        sentences.append(f"{name}: {'; '.join(parts)}.")
+        told = [f"{name} = {one}" for name, one in zip(names, others, strict=True)]
+        condition = f"with {', '.join(told)}, " if told else ""
+        ranges = [_range(level, own) for level in own[0].levels]
+        sentences.append(f"{condition}{', '.join(ranges)}; {_penalty(own)}")
     return (
-        f"The choice of derivative moves the median |error| of {SYMBOLS['timescale']} "
-        "(measurement noise in m/s / m). " + " ".join(sentences)
+        f"By the choice of derivative the median |error| of {SYMBOLS['timescale']} goes, at "
+        f"measurement noise in m/s / m: {'. '.join(one[0].upper() + one[1:] for one in sentences)}."
     )
 
 
@@ -135,68 +138,66 @@ def _split(every: list[Line]) -> Iterator[tuple[tuple[Cell, ...], list[Line]]]:
         yield others, [line for line in every if line.others == others]
 
 
-def _of_level(level: str, every: list[Line]) -> str:
-    """At one noise: best and worst protocol at the median setting, and both factors."""
-    by_protocol = _median_by(every, level, "protocol")
-    best, worst = min(by_protocol, key=by_protocol.__getitem__), max(
-        by_protocol, key=by_protocol.__getitem__
+def _range(level: str, every: list[Line]) -> str:
+    """Best and worst protocol at one noise, each by its median setting."""
+    medians = _medians(every, level)
+    low, high = min(medians.values()), max(medians.values())
+    best, worst = (
+        ", ".join(name for name, value in medians.items() if value == one) for one in (low, high)
     )
-    moved = _factor(by_protocol)
-    within = [
-        _factor({line.setting: line.levels[level] for line in every if line.protocol == protocol})
-        for protocol in by_protocol
-    ]
-    low, high = by_protocol[best], by_protocol[worst]
-    return (
-        f"at {level} from {_percent(low)} ({best}) to {_percent(high)} ({worst}), "
-        f"{_times(moved)}, the back-end and its penalty {_times(float(np.median(within)))}"
-    )
+    return f"at {level} from {_percent(low)} ({best}) to {_percent(high)} ({worst})"
 
 
-def _median_by(every: list[Line], level: str, name: str) -> dict[str, float]:
-    keys = dict.fromkeys(getattr(line, name) for line in every)
+def _penalty(every: list[Line]) -> str:
+    """The largest ratio of medians over back-ends and penalties, one derivative at one noise."""
+    largest = 1.0
+    for protocol in dict.fromkeys(line.protocol for line in every):
+        own = [line for line in every if line.protocol == protocol]
+        for level in own[0].levels:
+            sizes = [max(line.levels[level], FLOOR) for line in own]
+            if math.isfinite(min(sizes)):  # where no setting has an answer, there is no ratio
+                largest = max(largest, max(sizes) / min(sizes))
+    return f"back-end and penalty, for any one derivative, move it {_times(largest)}"
+
+
+def _medians(every: list[Line], level: str) -> dict[str, float]:
+    """By protocol, the median over the settings of the medians at one noise."""
     return {
-        key: float(
-            np.quantile(
-                [line.levels[level] for line in every if getattr(line, name) == key],
-                0.5,
-                method="inverted_cdf",
-            )
-        )
-        for key in keys
+        protocol: _middle([line.levels[level] for line in every if line.protocol == protocol])
+        for protocol in dict.fromkeys(line.protocol for line in every)
     }
 
 
-def _factor(values: dict[str, float]) -> float:
-    sizes = [max(value, FLOOR) for value in values.values()]
-    return max(sizes) / min(sizes)
+def _middle(values: list[float]) -> float:
+    return float(np.quantile(values, 0.5, method="inverted_cdf"))
 
 
 def _times(factor: float) -> str:
     if factor < NEAR:
         return "not at all"
     if math.isinf(factor):
-        return "without bound"
-    return f"by a factor of {factor:.0f}" if factor >= 9.5 else f"by a factor of {factor:.2g}"
+        return "from an answer to none"
+    return f"by a factor of at most {significant(factor, 2)}"
 
 
 def _percent(value: float) -> str:
     if math.isinf(value):
         return "no answer"
-    return f"{significant(value, 2)} %" if value >= FLOOR else f"below {FLOOR:g} %"
+    return f"{significant(value, 2)} %" if value >= FLOOR else f"below {_FLOOR}"
 
 
 def vehicle_answer(study: StudyRecord, cases: pd.DataFrame) -> str:
-    """What each protocol costs against the first one, which knows the vehicle."""
-    every = lines(cases)
-    protocols = list(dict.fromkeys(line.protocol for line in every))
+    """The medians of every protocol, from the smallest noise to the largest."""
     sentences = []
-    for level in every[0].levels:
-        medians = _median_by(every, level, "protocol")
-        known = medians[protocols[0]]
-        costs = [f"{one} {_percent(medians[one])}" for one in protocols[1:]]
-        sentences.append(f"at {level}: {protocols[0]} {_percent(known)}, {', '.join(costs)}")
+    for _, own in _split(lines(cases)):
+        by_level = [_medians(own, level) for level in own[0].levels]
+        told = [
+            f"{protocol} {', '.join(_percent(medians[protocol]) for medians in by_level)}"
+            for protocol in by_level[0]
+        ]
+        sentences.append("; ".join(told))
+    levels = ", ".join(lines(cases)[0].levels)
     return (
-        f"Median |error| of {SYMBOLS['timescale']} (measurement noise in m/s / m) "
-        f"{'; '.join(sentences)}."
+        f"Median |error| of {SYMBOLS['timescale']} at measurement noise {levels} (m/s / m): "
+        f"{'. '.join(sentences)}."
     )

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.errors import InputError
-from sparsefit.study.drawing import colours, logarithmic, markers, panels, shortened
+from sparsefit.study.drawing import COLOURS, colours, logarithmic, markers, panels, shortened
 from sparsefit.study.methods import FLOOR, NOISE, Line, lines
 from sparsefit.study.summary import SYMBOLS, StudyRecord, factors
 
@@ -20,9 +20,7 @@ def has_methods(cases: pd.DataFrame) -> bool:
     return NOISE in factors(cases)
 
 
-def methods_figure(
-    study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None
-) -> Figure:
+def methods_figure(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
     """Draw a panel per setting, and a row per level of what else is swept.
 
     Raises:
@@ -33,25 +31,24 @@ def methods_figure(
             f'{study.name} does not sweep {NOISE}: drop the figure "methods" from [outputs]'
         )
     every = lines(cases)
+    names = [name.rpartition(".")[2] for name in factors(cases) if name != NOISE]
     rows = list(dict.fromkeys(line.others for line in every))
     settings = list(dict.fromkeys(line.setting for line in every))[:COLUMNS]
     protocols = list(dict.fromkeys(line.protocol for line in every))
     colour, marker = colours(protocols), markers(protocols)
+    style = {one: "--" if place >= len(COLOURS) else "-" for place, one in enumerate(protocols)}
     figure, grid = panels(len(rows), len(settings), height=0.9 + 2.1 * len(rows))
     for others, row in zip(rows, grid, strict=True):
         for setting, axes in zip(settings, row, strict=True):
             own = [line for line in every if (line.others, line.setting) == (others, setting)]
             for line in own:
-                _draw(axes, line, colour[line.protocol], marker[line.protocol])
+                name = line.protocol
+                _draw(axes, line, colour[name], marker[name], style[name])
             axes.set_yscale("log")
-            axes.set_title(shortened(setting, 30))
-            if others:
-                axes.annotate(
-                    ", ".join(map(str, others)), (0.03, 0.97), xycoords="axes fraction", va="top",
-                    fontsize=7,
-                )  # fmt: skip
+            axes.set_title(shortened(setting.replace("alpha_fraction=", "alpha "), 24))
         _share(row)
-        row[0].set_ylabel(f"median |error| of {SYMBOLS['timescale']} [%]")
+        told = [f"{name} = {one}" for name, one in zip(names, others, strict=True)]
+        row[0].set_ylabel("\n".join([*told, f"median |error| of {SYMBOLS['timescale']} [%]"]))
     for axes in grid[-1]:
         axes.set_xlabel("noise [m/s] / [m]")
     handles, labels = grid[0][0].get_legend_handles_labels()
@@ -59,7 +56,7 @@ def methods_figure(
     return figure
 
 
-def _draw(axes: Axes, line: Line, colour: str, marker: str) -> None:
+def _draw(axes: Axes, line: Line, colour: str, marker: str, style: str) -> None:
     sizes = np.array([max(one, FLOOR) for one in line.levels.values()])
     axes.plot(
         np.arange(len(sizes)),
@@ -68,6 +65,7 @@ def _draw(axes: Axes, line: Line, colour: str, marker: str) -> None:
         marker=marker,
         ms=3.5,
         lw=1.2,
+        ls=style,
         label=line.protocol,
     )
     axes.set_xticks(np.arange(len(sizes)), [name.replace(" / ", "/\n") for name in line.levels])
