@@ -187,17 +187,24 @@ def _percent(value: float) -> str:
 
 
 def vehicle_answer(study: StudyRecord, cases: pd.DataFrame) -> str:
-    """The medians of every protocol, from the smallest noise to the largest."""
+    """The medians of every protocol over the noise; at the last one, in units of the first's."""
     sentences = []
     for _, own in _split(lines(cases)):
         by_level = [_medians(own, level) for level in own[0].levels]
+        first, *_ = by_level[0]
         told = [
             f"{protocol} {', '.join(_percent(medians[protocol]) for medians in by_level)}"
+            + ("" if protocol == first else _ratio(by_level[-1][protocol], by_level[-1][first]))
             for protocol in by_level[0]
         ]
         sentences.append("; ".join(told))
     levels = ", ".join(lines(cases)[0].levels)
     return (
         f"Median |error| of {SYMBOLS['timescale']} at measurement noise {levels} (m/s / m): "
-        f"{'. '.join(sentences)}."
+        f"{'. '.join(sentences)}; in brackets, against {first} at the last noise."
     )
+
+
+def _ratio(value: float, reference: float) -> str:
+    finite = math.isfinite(value) and FLOOR < reference < math.inf
+    return f" (× {significant(value / reference, 2)})" if finite else ""

@@ -94,8 +94,10 @@ def test_vehicle_answer_by_hand():
     said = ANSWERS["vehicle"](STUDY, cases_of(ERRORS))
     assert said == (
         "Median |error| of τ_w at measurement noise 0 / 0, 0.5 / 0.1 (m/s / m): "
-        "crude 2.0 %, no answer; fine 0.20 %, 1.0 %."
+        "crude 2.0 %, no answer; fine 0.20 %, 1.0 %; in brackets, against crude at the last noise."
     )
+    quiet = {key: sizes for key, sizes in ERRORS.items() if key[1] == QUIET}
+    assert "crude 2.0 %; fine 0.20 % (× 0.10);" in ANSWERS["vehicle"](STUDY, cases_of(quiet))
 
 
 def test_the_figure_needs_a_noise():
