@@ -15,9 +15,11 @@ from sparsefit.errors import InputError, unknown
 from sparsefit.fit import TOLERANCE, Fit, fit
 from sparsefit.flight import Flight
 from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
+from sparsefit.nuisance import VehicleEstimate
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
 from sparsefit.refine import CORRELATION, Refinement, refine
+from sparsefit.rows import Rows
 from sparsefit.uncertainty import Uncertainty
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
@@ -33,18 +35,22 @@ class Prepared:
     target: np.ndarray  # a row per sample: the problem's own may be compressed
     problem: RegressionProblem
     seconds: float
+    rows: Rows | None = None  # what is refined and read in place of plain samples of Phi
     _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
 
     @property
     def calm(self) -> bool:
         """Whether Phi is nothing beside the velocity it is the difference of: still air."""
         speed = float(np.abs(self.samples.velocity).max())
-        return float(np.abs(self.flow_velocity).max()) <= CALM * speed
+        phi = self.flow_velocity if self.rows is None else self.rows.remainder
+        return float(np.abs(phi).max()) <= CALM * speed
 
     @property
     def _correlation(self) -> float:
         """Samples over which the errors of Phi correlate: a polynomial's window per coefficient."""
         smoothing = self.samples.smoothing
+        if self.rows is not None and self.rows.correlation is not None:
+            return self.rows.correlation
         if smoothing is None:
             return CORRELATION
         return max(CORRELATION, smoothing.rate_window / (smoothing.order + 1))
@@ -60,6 +66,7 @@ class Prepared:
                 lower=grid.lower,
                 upper=grid.upper,
                 correlation=self._correlation,
+                rows=self.rows,
             )
         return self._refined[key]
 
@@ -71,7 +78,8 @@ class Estimate:
     status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
-    refinement found the best other lobe of the residual [m].
+    refinement found the best other lobe of the residual [m]; response_time [s],
+    thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown.
     """
 
     mean_velocity: float
@@ -89,6 +97,9 @@ class Estimate:
     columns: int = 0
     rival_length_scale: float = math.nan
     uncertainty: Uncertainty | None = None
+    response_time: float = math.nan
+    thrust_acceleration: tuple[float, float] | None = None
+    wind: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""
@@ -146,7 +157,8 @@ class Estimator:
         phi = samples.flow_velocity(flight.vehicle)
         target = self.library.response(samples, flight.vehicle)
         _ = problem.statistics  # here, not in whichever back-end happens to come first
-        return Prepared(samples, phi, target, problem, perf_counter() - start)
+        rows = Rows.of(samples, flight.vehicle, self.library.unknown)
+        return Prepared(samples, phi, target, problem, perf_counter() - start, rows)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""
@@ -166,13 +178,8 @@ class Estimator:
             place = self._place(prepared, found, float(scales[int(np.argmax(weights))]))
         mean_velocity = math.nan
         if math.isfinite(place.length_scale):
-            mean_velocity = self.readout.velocity(
-                prepared.samples.position,
-                prepared.flow_velocity,
-                prepared.target,
-                place.length_scale,
-            )
-            if not (math.isfinite(mean_velocity) and mean_velocity > 0):
+            place, mean_velocity = self._velocity(prepared, place)
+            if place.possible and not (math.isfinite(mean_velocity) and mean_velocity > 0):
                 words = f"readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
                 place = replace(place, status="unidentifiable", reason=f"no mean velocity: {words}")
         return Estimate(
@@ -190,6 +197,23 @@ class Estimator:
             found.problem.samples,
             found.problem.columns,
             place.rival_length_scale,
+            **place.unknown,
+        )
+
+    def _velocity(self, prepared: Prepared, place: "_Place") -> tuple["_Place", float]:
+        """U0 at the length scale, by the vehicle that fits it best where it is unknown."""
+        phi, target, rows = prepared.flow_velocity, prepared.target, prepared.rows
+        if rows is not None and self.library.unknown:
+            place = replace(place, vehicle=rows.vehicle(place.length_scale))
+            vehicle, samples = place.vehicle, prepared.samples
+            assert vehicle is not None
+            if not vehicle.possible:
+                words = f"the response time that fits best is {vehicle.response_time:.3g} s"
+                reason = f"{words}; fly longer, or give the response time"
+                return replace(place, status="unidentifiable", reason=reason), math.nan
+            phi = target = vehicle.flow_velocity(samples.velocity, samples.acceleration)
+        return place, self.readout.velocity(
+            prepared.samples.position, phi, target, place.length_scale, rows
         )
 
     def _place(self, prepared: Prepared, found: Fit, candidate: float) -> "_Place":
@@ -260,6 +284,19 @@ class _Place:
     rival_length_scale: float = math.nan
     status: str = "ok"
     reason: str = ""
+    vehicle: VehicleEstimate | None = None
+
+    @property
+    def possible(self) -> bool:
+        """Whether there is no vehicle that cannot be."""
+        return self.vehicle is None or self.vehicle.possible
+
+    @property
+    def unknown(self) -> dict[str, Any]:
+        """The estimates of what was unknown, by name."""
+        if self.vehicle is None:
+            return {}
+        return {name: getattr(self.vehicle, name) for name in self.vehicle.unknown}
 
 
 def _why_not(best: Refinement, extent: float) -> str:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sparsefit.errors import InputError, positive
+from sparsefit.errors import InputError, pair, positive
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
@@ -54,6 +54,11 @@ class CellularFlow:
         """The flow as a superposition of one."""
         return (self,)
 
+    @property
+    def wind(self) -> tuple[float, float]:
+        """No steady wind [m/s]: a cellular flow has none of its own."""
+        return (0.0, 0.0)
+
     def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at positions x, y [m] (Eq. 1)."""
         east, north = np.broadcast_arrays(
@@ -66,19 +71,22 @@ class CellularFlow:
 
 @dataclass(frozen=True)
 class SuperposedFlow:
-    """The sum of several cellular flows: eddies within eddies.
+    """The sum of several cellular flows, eddies within eddies, and of a steady wind.
 
     Args:
         components: the cellular flows, at least one.
+        wind: a steady wind that carries them all [m/s], (x, y).
 
     Raises:
-        InputError: if there is none, or one is not a `CellularFlow`.
+        InputError: if there is no component, or one is not a `CellularFlow`; if the wind is not
+            two finite numbers.
     """
 
     components: tuple[CellularFlow, ...]
+    wind: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the components and store them as a tuple."""
+        """Check the components and the wind, and store them as tuples."""
         found = self.components
         parts = tuple(found) if isinstance(found, (tuple, list)) else ()
         if not parts or not all(isinstance(part, CellularFlow) for part in parts):
@@ -87,10 +95,12 @@ class SuperposedFlow:
                 f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {found!r}"
             )
         object.__setattr__(self, "components", parts)
+        object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
 
     def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m]."""
         total: Array = np.sum([part.velocity(x, y) for part in self.components], axis=0)
+        total += np.array(self.wind)
         return total
 
 

@@ -4,15 +4,17 @@ Paper Eqs. 17-19: for every length scale L the 8 products and singles of sin and
 pi x / L and pi y / L. Column groups: the 8 columns of one length scale.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.derivative import Samples
+from sparsefit.derivative import Samples, WeakRows
 from sparsefit.errors import InputError, unknown
 from sparsefit.grid import LengthScaleGrid
+from sparsefit.nuisance import Nuisance, checked_unknowns, project_out, refuse_spanned
 from sparsefit.objective import row_blocks
 from sparsefit.problem import RegressionProblem, compressed
 from sparsefit.vehicle import PointMassVehicle
@@ -55,16 +57,20 @@ class Library:
 
     ``target``: ``flow-velocity`` Phi = tau (v' - a) + v (Eq. 23), ``acceleration`` v', or
     ``state-derivative`` (x', v'), the literal reading of Eq. 20.
+    ``unknown``: what is estimated with the flow, of ``response_time``, ``thrust_acceleration`` and
+    ``wind`` (`sparsefit.nuisance`); what is not is as the flight's vehicle says, the wind 0.
     """
 
     grid: LengthScaleGrid = LengthScaleGrid()
     target: Target = "flow-velocity"
+    unknown: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.target not in TARGET_NAMES:
             raise unknown("target", str(self.target), TARGET_NAMES)
+        object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
 
-    def response(self, samples: Samples, vehicle: PointMassVehicle) -> Array:
+    def response(self, samples: Samples | WeakRows, vehicle: PointMassVehicle) -> Array:
         """What the candidates are regressed on, (m, n), one row per sample."""
         if self.target == "flow-velocity":
             return samples.flow_velocity(vehicle)
@@ -85,10 +91,15 @@ class Library:
                     f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
                     "are zero: no length scale can be told; leave that line"
                 )
-        held = len(samples.time) * len(scales) * len(CANDIDATES) * 8
-        target = self.response(samples, vehicle)
+        source = samples.weak or samples
+        held = len(source.time) * len(scales) * len(CANDIDATES) * 8
+        target = self.response(source, vehicle)
         columns = len(scales) * len(CANDIDATES)
-        if held > STREAM_BYTES and len(samples.time) > columns + target.shape[1]:
+        large = held > STREAM_BYTES and len(source.time) > columns + target.shape[1]
+        if samples.weak or self.unknown:
+            theta, target, rows = self._reduced(source, vehicle, target, large)
+            return self._problem(theta, target, rows, None)
+        if large:
             pieces = row_blocks(samples.position, target)
             triangle, count, _ = compressed(
                 (candidate_columns(position, scales), values) for position, values in pieces
@@ -98,6 +109,37 @@ class Library:
         else:
             theta, count = candidate_columns(samples.position, scales), len(target)
             position = samples.position
+        return self._problem(theta, target, count, position)
+
+    def _reduced(
+        self, source: Samples | WeakRows, vehicle: PointMassVehicle, target: Array, large: bool
+    ) -> tuple[Array, Array, int | None]:
+        """theta and target averaged by test functions, less what the unknown columns explain.
+
+        Folding [Q, theta, target] into a triangle, Q a basis of those columns, and dropping the
+        first rows and columns of it, takes the projection in the same pass.
+        """
+        size = len(self.grid.scales) * len(CANDIDATES)
+        basis = np.zeros((len(target), 0))
+        if self.unknown:
+            basis = Nuisance(self.unknown, vehicle).basis(source.velocity)
+        pieces = _candidate_blocks(source, self.grid.scales)
+        if not large:
+            theta = np.vstack([block for _, block in pieces])
+            return (*project_out(basis, theta, target), None)
+        triangle, count, _ = compressed(
+            (np.hstack([basis[rows], block]), target[rows]) for rows, block in pieces
+        )
+        skip = basis.shape[1]
+        left = triangle[skip:, skip:].copy()
+        before = np.linalg.norm(triangle[:, skip : skip + size], axis=0)
+        refuse_spanned(np.linalg.norm(left[:, :size], axis=0), before)
+        return left[:, :size].copy(), left[:, size:].copy(), count
+
+    def _problem(
+        self, theta: Array, target: Array, count: int | None, position: Array | None
+    ) -> RegressionProblem:
+        scales = self.grid.scales
         return RegressionProblem(
             theta,
             target,
@@ -108,6 +150,18 @@ class Library:
             count,
             position,
         )
+
+
+def _candidate_blocks(source: Samples | WeakRows, scales: Array) -> Iterator[tuple[slice, Array]]:
+    """Rows of theta in blocks: samples, or averages of them."""
+    if isinstance(source, WeakRows):
+        for rows, weights, position in source.blocks():
+            yield rows, weights @ candidate_columns(position, scales)
+        return
+    start = 0
+    for (position,) in row_blocks(source.position):
+        yield slice(start, start + len(position)), candidate_columns(position, scales)
+        start += len(position)
 
 
 def candidate_columns(position: Array, scales: Array) -> Array:

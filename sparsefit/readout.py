@@ -2,13 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.errors import unknown
 from sparsefit.library import RegressionProblem, candidate_columns
+
+if TYPE_CHECKING:
+    from sparsefit.rows import Rows
 
 Array = NDArray[np.float64]
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
@@ -60,18 +63,24 @@ class Readout:
         return np.sqrt(sums) if self.length_scale == "group-norm" else sums
 
     def velocity(
-        self, position: Array, flow_velocity: Array, target: Array, length_scale: float
+        self,
+        position: Array,
+        flow_velocity: Array,
+        target: Array,
+        length_scale: float,
+        rows: "Rows | None" = None,
     ) -> float:
         """U0 [m/s] at a length scale [m]; NaN where the readout has no finite answer.
 
         position, flow_velocity Phi (m, 2); target (m, n) is what the library was regressed on,
         its last two columns the velocity components: Eq. 22 normalises its refit.
+        rows: refitted in their place, but for ``paper``, which compares sample by sample.
         """
         columns = candidate_columns(position, np.array([length_scale]))
         if self.mean_velocity == "paper":
             field = columns @ _refit(columns, target[:, -2:])
             return paper_mean_velocity(field, flow_velocity, self.eq24)
-        weights = _refit(columns, flow_velocity)
+        weights = _refit(columns, flow_velocity) if rows is None else rows.weights(length_scale)
         return (
             rms_mean_velocity(weights)
             if self.mean_velocity == "rms"

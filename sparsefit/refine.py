@@ -9,14 +9,22 @@ The span of C(k) = span {cos k s, sin k s: s = x, y, x + y, x - y} does not move
 positions are centred throughout, which decouples the phases from k.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from statistics import NormalDist
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.errors import InputError, positive
+
+if TYPE_CHECKING:
+    from sparsefit.rows import Rows
 
 Array = NDArray[np.float64]
 
@@ -142,20 +150,29 @@ def residual_curve(position: Array, flow_velocity: Array, wavenumbers: Array) ->
     return np.array([project(points, flow_velocity, k).residual for k in wavenumbers.tolist()])
 
 
-def scan(position: Array, flow_velocity: Array, step: float, first: int, last: int) -> Array:
+def scan(
+    position: Array,
+    flow_velocity: Array,
+    step: float,
+    first: int,
+    last: int,
+    rows: Rows | None = None,
+) -> Array:
     """RSS(k) at k = j step, j = first..last, from Fourier sums: all rows, few operations.
 
     The Gram entries are sums of cos and sin of k (p x + q y), |p|, |q| <= 2: 12 non-uniform
     Fourier transforms and their conjugates; C'Phi is 8 more. A ridge of RIDGE m is added.
+    Unknown parameters of the vehicle in ``rows`` add the sums of their series.
     """
     points, count = centred(position), last - first + 1
     gain, size = kernel_gain(first, last)
-    sums, cross = np.empty((25, count), complex), np.empty((4, 2, count), complex)
+    series = flow_velocity.T if rows is None else np.vstack([flow_velocity.T, rows.scanned])
+    sums, cross = np.empty((25, count), complex), np.empty((4, len(series), count), complex)
     sums[12] = len(points)
     for i in range(12):  # (p, q) = divmod(i, 5) - 2: symmetric about i = 12, (0, 0)
         mode = np.array(divmod(i, 5)) - 2
         wave = np.flatnonzero((-mode == DIRECTIONS).all(axis=1))
-        loads = flow_velocity.T[: 2 * len(wave)]
+        loads = series[: len(series) * len(wave)]
         found = fourier_sums(points @ mode, loads, step, size)[:, first : last + 1] / gain
         sums[i], sums[24 - i] = found[0].conj(), found[0]
         if len(wave):
@@ -167,6 +184,10 @@ def scan(position: Array, flow_velocity: Array, step: float, first: int, last: i
         gram = _real_gram(minus[..., part], plus[..., part])
         gram[:, range(8), range(8)] += RIDGE * len(points)
         load = np.concatenate([cross[..., part].real, cross[..., part].imag]).transpose(2, 0, 1)
+        if len(series) > 2 and rows is not None:
+            freed = load.transpose(0, 2, 1) @ np.linalg.solve(gram, load)
+            curve[part] = rows.reduced(series @ series.T - freed)
+            continue
         curve[part] -= np.sum(load * np.linalg.solve(gram, load), axis=(1, 2))
     return curve
 
@@ -210,12 +231,14 @@ def refine(
     lower: float,
     upper: float,
     correlation: float = CORRELATION,
+    rows: Rows | None = None,
 ) -> Refinement:
     """Find L in [lower, upper] [m] with the least residual, and its rival.
 
     position (m, 2) [m]; flow_velocity Phi (m, 2) [m/s]; start_length_scale: a back-end's answer
     [m], whose lobe is refined whatever its depth; correlation: samples over which the errors of
-    Phi correlate. InputError: empty interval, flight at rest.
+    Phi correlate; rows: what is fitted in place of Phi at the positions, which then only tell
+    where the lobes are. InputError: empty interval, flight at rest.
     """
     extent = float(np.ptp(position, axis=0).max())
     if not 0 < lower < upper < math.inf:
@@ -227,19 +250,22 @@ def refine(
     if high > MAX_STEPS * step:
         raise InputError(f"refine: lower {lower:g} m is too small for {extent:g} m; raise it")
     limits, first, last = (low, high, step), math.floor(low / step), math.ceil(high / step)
-    minima = _minima(scan(position, flow_velocity, step, first, last))
+    minima = _minima(scan(position, flow_velocity, step, first, last, rows))
     chosen = minima[:LOBES].tolist()
     if start_length_scale is not None:
         start = math.pi / positive("start_length_scale", start_length_scale, "m") / step - first
         chosen.append(int(minima[np.abs(minima - start).argmin()]))
-    points, phi, rough = centred(position), flow_velocity, ROUGH * step
-    found = [_descend(points, phi, step * (first + j), limits, rough) for j in set(chosen)]
+    at: Callable[[float], Projection] = partial(project, centred(position), flow_velocity)
+    at, phi = (at, flow_velocity) if rows is None else (rows.project, rows.target)
+    rough = ROUGH * step
+    found = [_descend(at, step * (first + j), limits, rough) for j in set(chosen)]
     found.sort(key=lambda fit: fit.residual)
-    best = _descend(points, phi, found[0].wavenumber, limits, 0.0)
+    best = _descend(at, found[0].wavenumber, limits, 0.0)
     others = [fit for fit in found if abs(fit.wavenumber - best.wavenumber) > 2 * step]
     rival = (math.pi / others[0].wavenumber, others[0].residual) if others else (math.nan, math.inf)
     k, edge = best.wavenumber, best.wavenumber in (low, high)
     null, floor = float(np.sum((phi - phi.mean(axis=0)) ** 2)), 1e-15 * float(np.sum(phi**2))
+    null = null if rows is None else rows.null_residual
     return Refinement(
         math.pi / k,
         k,
@@ -247,7 +273,7 @@ def refine(
         null,
         *rival,
         edge,
-        len(position),
+        len(phi),
         len(minima),
         correlation,
         floor,
@@ -268,20 +294,24 @@ def _minima(curve: Array) -> NDArray[np.intp]:
 
 
 def _descend(
-    position: Array, phi: Array, start: float, limits: tuple[float, float, float], tolerance: float
+    fitted: Callable[[float], Projection],
+    start: float,
+    limits: tuple[float, float, float],
+    tolerance: float,
 ) -> Projection:
     """Gauss-Newton from k = start: moves within one scan step, shortened until RSS falls.
 
-    limits: the least and the largest k, and the scan step; tolerance on a move [1/m].
+    fitted: `project` at a k; limits: the least and the largest k, and the scan step; tolerance on
+    a move [1/m].
     """
     lowest, highest, step = limits
-    here = project(position, phi, min(max(start, lowest), highest))
+    here = fitted(min(max(start, lowest), highest))
     move = here.move
     for _ in range(ITERATIONS):
         k = min(max(here.wavenumber + min(max(move, -step), step), lowest), highest)
         if abs(k - here.wavenumber) <= max(tolerance, 1e-15 * k):
             break
-        there = project(position, phi, k)
+        there = fitted(k)
         if there.residual < here.residual:
             here, move = there, there.move
         else:

@@ -117,7 +117,9 @@ def test_savgol_smooths_noise():
 @pytest.mark.parametrize("method", METHODS)
 def test_columns_share_their_rows_and_dropped_samples(method):
     samples = Derivative(method)(waves(np.linspace(0.0, 1.0, 11)))
-    kept = {"forward": 10, "central": 9, "midpoint": 10, "savgol": 7, "auto": 10}[method]
+    kept = {"forward": 10, "central": 9, "midpoint": 10, "savgol": 7, "auto": 10, "weak": 10}[
+        method
+    ]
     assert samples.time.shape == (kept,)
     for name in ("position", "velocity", "position_rate", "acceleration"):
         assert getattr(samples, name).shape == (kept, 2)
@@ -207,4 +209,4 @@ def test_samples_tell_how_they_were_smoothed(settings, expected):
 
 def test_settings_compare_equal():
     assert Derivative("savgol") == Derivative("savgol", 5, 4)
-    assert METHODS == ("forward", "central", "midpoint", "savgol", "auto")
+    assert METHODS == ("forward", "central", "midpoint", "savgol", "auto", "weak")

@@ -37,7 +37,11 @@ CELLULAR = st.builds(CellularFlow, POSITIVE, POSITIVE)
 FLOWS = st.one_of(
     st.none(),
     CELLULAR,
-    st.lists(CELLULAR, min_size=1, max_size=3).map(lambda parts: SuperposedFlow(tuple(parts))),
+    st.builds(
+        SuperposedFlow,
+        st.lists(CELLULAR, min_size=1, max_size=3).map(tuple),
+        st.one_of(st.just((0.0, 0.0)), st.tuples(NUMBERS, NUMBERS)),
+    ),
 )
 
 

@@ -12,6 +12,7 @@ from sparsefit.vehicle import PointMassVehicle
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = CellularFlow(15.43, 4.21)
 TWO = SuperposedFlow((FLOW, CellularFlow(3.0, 1.7)))
+WINDY = SuperposedFlow((FLOW,), (4.0, -1.0))
 STILL = CellularFlow(1e-15, 4.0)  # slower than rounding: still air
 
 
@@ -37,7 +38,12 @@ def test_still_air_follows_the_analytic_solution():
     np.testing.assert_allclose(flight.position, position, atol=1e-10)
 
 
-@pytest.mark.parametrize("flow", [CellularFlow(84.2, 4.21), TWO, CellularFlow(4.0, 4.0)])
+def test_a_wind_carries_the_vehicle_along():
+    flight = fly(SuperposedFlow((STILL,), (1.0, -2.0)), duration=20.0)
+    np.testing.assert_allclose(flight.velocity[-1], [1.0 + 2.5, -2.0 + 1.5], atol=1e-10)
+
+
+@pytest.mark.parametrize("flow", [CellularFlow(84.2, 4.21), TWO, WINDY, CellularFlow(4.0, 4.0)])
 def test_each_sample_follows_from_the_last_by_the_slow_reference(flow):
     flight = fly(flow)
     states = np.hstack([flight.position, flight.velocity])

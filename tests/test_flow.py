@@ -69,6 +69,18 @@ def test_superposition_is_the_sum():
     np.testing.assert_array_equal(SuperposedFlow((FLOW,)).velocity(x, y), FLOW.velocity(x, y))
 
 
+def test_a_wind_carries_the_sum():
+    windy = SuperposedFlow((FLOW,), wind=[1, -2])
+    x, y = np.array([0.3, 1.7]), np.array([2.2, -0.4])
+    np.testing.assert_allclose(
+        windy.velocity(x, y), FLOW.velocity(x, y) + np.array([1, -2]), rtol=1e-15
+    )
+    assert windy.wind == (1.0, -2.0)
+    assert FLOW.wind == SuperposedFlow((FLOW,)).wind == (0.0, 0.0)
+    with pytest.raises(InputError, match=r"wind must be two numbers"):
+        SuperposedFlow((FLOW,), wind=(1.0,))
+
+
 def test_values_are_stored_as_floats_and_compare_equal():
     assert CellularFlow(6, np.float64(4)) == FLOW
     assert type(CellularFlow(6, 4).mean_velocity) is float

@@ -19,6 +19,7 @@ EXAMPLE = """\
   sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
   sparsefit estimate flight.csv --estimator estimator.json
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
+  sparsefit estimate flight.csv --unknown response_time thrust_acceleration
 
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
 2 for bad input. `sparsefit backends` lists back-ends and their settings.
@@ -36,6 +37,7 @@ OF_ESTIMATOR = (
     "length_scale_readout",
     "mean_velocity_readout",
     "refine",
+    "unknown",
 )
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
@@ -78,10 +80,10 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--derivative",
         metavar="METHOD",
-        help="auto (default), forward, central, midpoint or savgol",
+        help="auto (default), forward, central, midpoint, savgol or weak",
     )
-    group.add_argument("--window", type=whole, metavar="N", help="of savgol; default: 5 samples")
-    group.add_argument("--order", type=whole, metavar="N", help="of savgol; default: 4")
+    group.add_argument("--window", type=whole, metavar="N", help="of savgol (5 samples) or weak")
+    group.add_argument("--order", type=whole, metavar="N", help="of savgol (4) or weak (8)")
     group.add_argument("--grid-lower", type=number("m"), metavar="M", help="default: 1 m")
     group.add_argument("--grid-upper", type=number("m"), metavar="M", help="default: 12 m")
     group.add_argument("--grid-step", type=number("m"), metavar="M", help="default: 0.2 m")
@@ -89,6 +91,12 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
         "--target",
         metavar="NAME",
         help="flow-velocity (default), acceleration or state-derivative",
+    )
+    group.add_argument(
+        "--unknown",
+        nargs="+",
+        metavar="NAME",
+        help="estimated with the flow: response_time, thrust_acceleration, wind",
     )
     group.add_argument(
         "--length-scale-readout",
@@ -108,12 +116,13 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Estimate, print, and tell by the exit code whether the status is ok."""
     estimator = _estimator(args)
-    flight = _flight(args)
+    flight = _flight(args, estimator.library.unknown)
     estimate = estimator.estimate(flight)
     if args.json:
         print_json(estimate.to_dict())
     else:
-        print("\n".join(_lines(args.flight, flight, estimate)))
+        unknown = estimator.library.unknown
+        print("\n".join(_lines(args.flight, flight, estimate, unknown)))
     if estimate.status != "ok":
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
     return 0 if estimate.status == "ok" else 1
@@ -146,7 +155,7 @@ def _built(args: argparse.Namespace) -> Estimator:
     )
     return Estimator(
         Derivative(**_given(method=method, window=args.window, order=args.order)),
-        Library(**_given(grid=grid, target=args.target)),
+        Library(**_given(grid=grid, target=args.target, unknown=args.unknown)),
         backends.get(args.backend or "group-lasso", **collected(args.setting or ())),
         Readout(
             **_given(
@@ -179,7 +188,7 @@ def _read_estimator(path: str) -> Estimator:
         raise InputError(f"{path}: {error}") from None
 
 
-def _flight(args: argparse.Namespace) -> Flight:
+def _flight(args: argparse.Namespace, unknown: tuple[str, ...]) -> Flight:
     """The flight, its vehicle as in the file unless the command line says otherwise."""
     from sparsefit.errors import InputError
     from sparsefit.flight import read_flight
@@ -189,7 +198,9 @@ def _flight(args: argparse.Namespace) -> Flight:
     given = _given(
         response_time=args.response_time, thrust_ax=args.thrust_ax, thrust_ay=args.thrust_ay
     )
-    if not given:
+    # Its value is no part of the answer, but the record of a flight has one.
+    sought = "response_time" in unknown
+    if not given and not sought:
         try:
             return read_flight(args.flight)
         except InputError as error:
@@ -198,14 +209,21 @@ def _flight(args: argparse.Namespace) -> Flight:
     read_flight(args.flight, vehicle=PointMassVehicle(1.0))  # refuses all but a missing vehicle
     path = Path(args.flight)
     vehicle = {**FORMATS[path.suffix.lower()].decode(path.read_bytes()).settings, **given}
+    if sought:
+        vehicle.setdefault("response_time", 1.0)
     if "response_time" not in vehicle:
         raise InputError(f"{path}: no vehicle: the file has none; give --response-time too")
     thrust = (vehicle.get("thrust_ax", 0.0), vehicle.get("thrust_ay", 0.0))
     return read_flight(path, vehicle=PointMassVehicle(vehicle["response_time"], thrust))
 
 
-def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
+def _lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:
     ax, ay = flight.vehicle.thrust_acceleration
+    known = {
+        "response_time": f"response time {flight.vehicle.response_time:g} s",
+        "thrust_acceleration": f"thrust ({ax:g}, {ay:g}) m/s^2",
+    }
+    vehicle = [words for key, words in known.items() if key not in unknown]
     certificate = estimate.certificate
     proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
     meaning = (
@@ -213,14 +231,12 @@ def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
     )
     rows = [
         ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
-        (
-            "vehicle",
-            f"response time {flight.vehicle.response_time:g} s, thrust ({ax:g}, {ay:g}) m/s^2",
-        ),
+        ("vehicle", ", ".join(vehicle) or "unknown"),
         ("", ""),
         ("mean velocity  U0", _quantity(estimate.mean_velocity, "m/s")),
         ("length scale   L_w", _quantity(estimate.length_scale, "m")),
         ("timescale      tau_w", _quantity(estimate.timescale, "s")),
+        *_estimated(estimate),
         ("", ""),
         ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
         ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
@@ -229,6 +245,20 @@ def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
         ("time", duration(estimate.seconds)),
     ]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _estimated(estimate: Estimate) -> list[tuple[str, str]]:
+    """What was unknown beside the flow."""
+    rows = []
+    if estimate.response_time == estimate.response_time:
+        rows.append(("response time  tau", _quantity(estimate.response_time, "s")))
+    for label, pair, unit in (
+        ("thrust         a", estimate.thrust_acceleration, "m/s^2"),
+        ("wind", estimate.wind, "m/s"),
+    ):
+        if pair is not None:
+            rows.append((label, f"({pair[0]:.4f}, {pair[1]:.4f}) {unit}"))
+    return rows
 
 
 def _quantity(value: float, unit: str) -> str:

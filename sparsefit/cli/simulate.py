@@ -25,6 +25,13 @@ def add(verbs: Verbs) -> None:
     flow = parser.add_argument_group("flow")
     flow.add_argument("--mean-velocity", type=number("m/s"), required=True, metavar="U0")
     flow.add_argument("--length-scale", type=number("m"), required=True, metavar="L")
+    flow.add_argument(
+        "--wind",
+        type=number("m/s"),
+        nargs=2,
+        metavar=("X", "Y"),
+        help="a steady wind that carries the flow; default: none",
+    )
     craft = parser.add_argument_group("vehicle")
     craft.add_argument(
         "--response-time", type=number("s"), default=0.5, metavar="S", help="default: 0.5 s"
@@ -74,11 +81,12 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
     refuse_existing(args.output, force=args.force)
     from sparsefit.flight import simulate_flight, write_flight
-    from sparsefit.flow import CellularFlow
+    from sparsefit.flow import CellularFlow, SuperposedFlow
     from sparsefit.vehicle import PointMassVehicle
 
+    cells = CellularFlow(args.mean_velocity, args.length_scale)
     flight = simulate_flight(
-        CellularFlow(args.mean_velocity, args.length_scale),
+        SuperposedFlow((cells,), tuple(args.wind)) if args.wind else cells,
         PointMassVehicle(args.response_time, tuple(args.thrust)),
         duration=args.duration,
         sample_rate=args.sample_rate,

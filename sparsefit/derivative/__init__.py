@@ -2,5 +2,6 @@
 
 from sparsefit.derivative.rules import METHODS, Derivative, Samples
 from sparsefit.derivative.smoothing import Smoothing
+from sparsefit.derivative.weak import WeakRows
 
-__all__ = ["METHODS", "Derivative", "Samples", "Smoothing"]
+__all__ = ["METHODS", "Derivative", "Samples", "Smoothing", "WeakRows"]

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparsefit.derivative.smoothing import SHARE, SHORTEST, Channels, Smoothing, smooth
+from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
 from sparsefit.errors import InputError, unknown
 from sparsefit.flight import Flight
 from sparsefit.vehicle import PointMassVehicle
@@ -34,6 +35,8 @@ class Samples:
             ``velocity``.
         acceleration: the derivative of the velocity [m/s^2], (m, 2).
         smoothing: the filter that was used, and with ``auto`` the noise it found.
+        weak: with ``weak`` the rows of the regression, which the library and the readout take in
+            place of the samples; these, by ``auto``, then only say where a scan has to look.
     """
 
     time: Array
@@ -42,6 +45,7 @@ class Samples:
     position_rate: Array
     acceleration: Array
     smoothing: Smoothing | None = None
+    weak: WeakRows | None = None
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
@@ -60,11 +64,15 @@ class Derivative:
     - ``auto``: one polynomial through position and velocity, its window chosen from the flight
       by an unbiased risk (`sparsefit.derivative.smoothing`). Uneven steps and short flights
       fall back to ``midpoint``: ``smoothing`` says so.
+    - ``weak``: no derivative; averages by test functions (`sparsefit.derivative.weak`) of the
+      states that ``auto`` smooths, or as measured where it cannot; any spacing.
 
     Args:
         method: one of `METHODS`.
-        window: samples in the savgol window, odd, >= 3; None is 5. Other methods have none.
-        order: degree of the savgol polynomial, 1 <= order < window; None is 4.
+        window: samples in the savgol window, odd, >= 3; None is 5. Of ``weak`` the width of a test
+            function, odd, >= 5; None is the window of ``auto``, at least 21. Others have none.
+        order: degree of the savgol polynomial, 1 <= order < window; None is 4. Of ``weak`` the
+            exponent of the test functions, 2 to 32; None is 8.
 
     Raises:
         InputError: if a setting is out of its range.
@@ -78,11 +86,14 @@ class Derivative:
         """Check the settings."""
         if self.method not in METHODS:
             raise unknown("derivative", self.method, METHODS)
+        if self.method == "weak":
+            self._check_weak()
+            return
         if self.method != "savgol":
             if self.window is not None or self.order is not None:
                 raise InputError(
                     f"derivative {self.method!r} has no window and no order; leave them out, or "
-                    "use method 'savgol'"
+                    "use method 'savgol' or 'weak'"
                 )
             return
         for name, default in SAVGOL.items():
@@ -101,15 +112,32 @@ class Derivative:
                 f"got {self.order!r}"
             )
 
+    def _check_weak(self) -> None:
+        if self.order is None:
+            object.__setattr__(self, "order", ORDER)
+        window, order = self.window, self.order
+        if window is not None and (not _is_integer(window) or window < 5 or window % 2 == 0):
+            raise InputError(f"weak window must be an odd integer, 5 or above; got {window!r}")
+        if not _is_integer(order) or not 2 <= (order or 0) <= 32:
+            raise InputError(f"weak order must be an integer from 2 to 32; got {order!r}")
+
+    def _weak(self, flight: Flight, time: Array, state: Array, smoothing: Smoothing) -> WeakRows:
+        """Rows of the smoothed states; of the measured ones where nothing was smoothed."""
+        if smoothing.method != "auto":
+            time, state = flight.time, np.hstack([flight.position, flight.velocity])
+        window = self.window or automatic_window(len(time), smoothing.window)
+        return weak_rows(time, state[:, :2], state[:, 2:], window, self.order or ORDER)
+
     def __call__(self, flight: Flight) -> Samples:
         """Return states and derivatives of ``flight``.
 
         Raises:
-            InputError: with ``savgol``, if the flight is shorter than the window or its time
-                steps are not uniform.
+            InputError: with ``savgol`` and ``weak``, if the flight is shorter than the window;
+                with ``savgol``, if its time steps are not uniform.
         """
         state = np.hstack([flight.position, flight.velocity])
         time, state, rate, smoothing = _RULES[self.method](self, flight.time, state)
+        weak = self._weak(flight, time, state, smoothing) if self.method == "weak" else None
         return Samples(
             time=time,
             position=state[:, :2],
@@ -117,6 +145,7 @@ class Derivative:
             position_rate=rate[:, :2],
             acceleration=rate[:, 2:],
             smoothing=smoothing,
+            weak=weak,
         )
 
 
@@ -207,5 +236,6 @@ _RULES: dict[str, Callable[[Derivative, Array, Array], Rates]] = {
     "midpoint": _midpoint,
     "savgol": _savgol,
     "auto": _auto,
+    "weak": _auto,
 }
 METHODS: tuple[str, ...] = tuple(_RULES)

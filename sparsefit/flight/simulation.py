@@ -153,11 +153,12 @@ def _right_hand_side(flow: Flow, vehicle: PointMassVehicle) -> RightHandSide:
     sin, cos = math.sin, math.cos
     terms = [(part.wavenumber, part.mean_velocity) for part in flow.components]
     rate = 1.0 / vehicle.response_time
+    east_wind, north_wind = flow.wind
     ax, ay = vehicle.thrust_acceleration
 
     def derivative(_: float, state: Array) -> list[float]:
         x, y, vx, vy = state.tolist()
-        wx = wy = 0.0
+        wx, wy = east_wind, north_wind
         for k, speed in terms:
             east, north = k * x, k * y
             wx += speed * sin(east) * cos(north)

@@ -15,6 +15,7 @@ from sparsefit.vehicle import PointMassVehicle
 
 COLUMNS = ("time", "x", "y", "vx", "vy")  # s, m, m, m/s, m/s
 KEYS = ("response_time", "thrust_ax", "thrust_ay", "mean_velocity", "length_scale")
+WIND = ("wind_x", "wind_y")
 
 _FLOW_KEY = re.compile(r"(?:mean_velocity|length_scale)(_[1-9]\d{0,3})?")
 
@@ -23,7 +24,8 @@ _FLOW_KEY = re.compile(r"(?:mean_velocity|length_scale)(_[1-9]\d{0,3})?")
 class FlightTable:
     """The columns of a flight by name, and its vehicle and flow as ``settings`` (see `KEYS`).
 
-    The parameters of superposed flows are numbered: ``mean_velocity_1``, ``length_scale_1``, ...
+    The parameters of superposed flows are numbered: ``mean_velocity_1``, ``length_scale_1``, ...;
+    a steady wind is ``wind_x``, ``wind_y``.
     """
 
     columns: dict[str, list[float]]
@@ -55,7 +57,7 @@ class FlightTable:
 
 def is_key(name: str) -> bool:
     """Tell whether ``name`` is a setting a flight file may hold."""
-    return name in KEYS or _FLOW_KEY.fullmatch(name) is not None
+    return name in (*KEYS, *WIND) or _FLOW_KEY.fullmatch(name) is not None
 
 
 def check_header(names: list[str]) -> None:
@@ -87,6 +89,8 @@ def _flow_settings(flow: Flow | None) -> dict[str, float]:
         ending = f"_{count}" if isinstance(flow, SuperposedFlow) else ""
         settings[f"mean_velocity{ending}"] = part.mean_velocity
         settings[f"length_scale{ending}"] = part.length_scale
+    if flow and any(flow.wind):
+        settings |= dict(zip(WIND, flow.wind, strict=True))
     return settings
 
 
@@ -102,8 +106,11 @@ def _vehicle(settings: dict[str, float]) -> PointMassVehicle:
 def _flow(settings: dict[str, float]) -> Flow | None:
     matches = (_FLOW_KEY.fullmatch(key) for key in settings)
     endings = {match.group(1) or "" for match in matches if match}
+    wind = (settings.get(WIND[0], 0.0), settings.get(WIND[1], 0.0))
     if not endings:
         return None
+    if endings == {""} and any(wind):
+        return SuperposedFlow((_component(settings, ""),), wind)
     if endings == {""}:
         return _component(settings, "")
     numbered = [f"_{count}" for count in range(1, len(endings) + 1)]
@@ -112,7 +119,7 @@ def _flow(settings: dict[str, float]) -> Flow | None:
             "the flow must be one mean_velocity and length_scale, or pairs numbered "
             "_1, _2, ... without a gap; rename them"
         )
-    return SuperposedFlow(tuple(_component(settings, ending) for ending in numbered))
+    return SuperposedFlow(tuple(_component(settings, ending) for ending in numbered), wind)
 
 
 def _component(settings: dict[str, float], ending: str) -> CellularFlow:

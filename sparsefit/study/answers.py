@@ -7,8 +7,12 @@ from typing import TypeAlias
 
 import pandas as pd
 
+from sparsefit.study.methods import derivatives_answer, vehicle_answer
 from sparsefit.study.summary import StudyRecord
 
 AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
 
-ANSWERS: dict[str, AnswerFunction] = {}
+ANSWERS: dict[str, AnswerFunction] = {
+    "derivatives": derivatives_answer,
+    "vehicle": vehicle_answer,
+}

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from sparsefit.study.drawing import STYLE
 from sparsefit.study.error_figures import errors, numeric_factors, sweep
+from sparsefit.study.methods_figure import has_methods, methods_figure
 from sparsefit.study.scatter_figure import scatter
 from sparsefit.study.summary import StudyRecord
 from sparsefit.study.weights_figure import weights_figure
@@ -39,6 +40,7 @@ FIGURES: dict[str, FigureFunction] = {
     "scatter": _styled(scatter),
     "errors": _styled(errors),
     "sweep": _styled(sweep),
+    "methods": _styled(methods_figure),
 }
 CAPTIONS = {
     "weights": "Weight of every candidate length scale, first flight, first listed setting of "
@@ -50,6 +52,9 @@ CAPTIONS = {
     "sweep": "Median size of the percentage error and its quartiles against each swept number, "
     "first listed setting of each back-end. A failure counts as an infinite error: where half "
     "the cases fail, the line stops. Other swept factors are pooled.",
+    "methods": "Median size of the percentage error of τ_w against the measurement noise, a line "
+    "per protocol, a column per back-end and setting. A failure counts as an infinite error: where "
+    "half the flights fail, the line stops.",
 }
 
 
@@ -61,5 +66,6 @@ def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:
         "scatter": not single,
         "errors": not single,
         "sweep": not single and bool(numeric_factors(cases)),
+        "methods": not single and has_methods(cases),
     }
     return [name for name in FIGURES if shows[name]]

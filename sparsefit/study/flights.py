@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.flight import Flight, simulate_flight
-from sparsefit.flow import CellularFlow
+from sparsefit.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.study.document import Place, Table, only
 from sparsefit.study.entry import Entry, read_entry
 from sparsefit.vehicle import PointMassVehicle
@@ -30,8 +30,14 @@ STREAMS = (
     "process_noise",
     "position_noise",
     "velocity_noise",
+    "wind_x",
+    "wind_y",
+    "believed_response_time_ratio",
+    "believed_thrust_ratio",
 )
 FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
+# Believed over true: what the estimator is told of the vehicle.
+RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio")
 NOISE_KEYS = ("process_noise", "position_noise", "velocity_noise")
 KEYS = (
     *FLOW_KEYS,
@@ -42,6 +48,9 @@ KEYS = (
     *NOISE_KEYS,
     "initial_position",
     "initial_velocity",
+    "wind",
+    "measurement_noise",
+    *RATIO_KEYS,
 )
 REQUIRED = ("response_time", "duration", "sample_rate")
 
@@ -88,6 +97,8 @@ class Draw:
     process_noise: float
     position_noise: float
     velocity_noise: float
+    wind: tuple[float, float] = (0.0, 0.0)
+    believed: PointMassVehicle | None = None
 
     @classmethod
     def from_values(cls, values: dict[str, float]) -> Draw:
@@ -104,12 +115,19 @@ class Draw:
             process_noise=values.get("process_noise", 0.0),
             position_noise=values.get("position_noise", 0.0),
             velocity_noise=values.get("velocity_noise", 0.0),
+            wind=(values.get("wind_x", 0.0), values.get("wind_y", 0.0)),
+            believed=_believed(values, thrust),
         )
 
+    @property
+    def flown(self) -> Flow:
+        """The flow with its wind; `flow` alone is what is sought."""
+        return SuperposedFlow(self.flow.components, self.wind) if any(self.wind) else self.flow
+
     def fly(self, seed: np.random.SeedSequence) -> Flight:
-        """The simulated flight."""
-        return simulate_flight(
-            self.flow,
+        """The simulated flight, with the vehicle that its pilot believes in."""
+        flight = simulate_flight(
+            self.flown,
             self.vehicle,
             duration=self.duration,
             sample_rate=self.sample_rate,
@@ -120,6 +138,15 @@ class Draw:
             position_noise=self.position_noise,
             velocity_noise=self.velocity_noise,
         )
+        return flight if self.believed is None else replace(flight, vehicle=self.believed)
+
+
+def _believed(values: dict[str, float], thrust: tuple[float, float]) -> PointMassVehicle | None:
+    if not any(key in values for key in RATIO_KEYS):
+        return None
+    response, push = (values.get(key, 1.0) for key in RATIO_KEYS)
+    x, y = thrust
+    return PointMassVehicle(response * values["response_time"], (push * x, push * y))
 
 
 def read_flight_rules(section: Table, place: Place) -> FlightRules:
@@ -133,6 +160,10 @@ def read_flight_rules(section: Table, place: Place) -> FlightRules:
         if key not in section:
             raise place.at(key).error("missing: every flight needs it")
     _check_third(section, place)
+    if "measurement_noise" in section and {"velocity_noise", "position_noise"} & set(section):
+        raise place.at("measurement_noise").error(
+            "is [velocity_noise, position_noise]: drop those two"
+        )
     named = {name: entry for key in section for name, entry in _entries(key, section[key], place)}
     return FlightRules(tuple((name, named[name]) for name in STREAMS if name in named))
 
@@ -156,11 +187,16 @@ def _entries(key: str, value: object, place: Place) -> list[tuple[str, Entry]]:
     if key in ("thrust_acceleration", "initial_position", "initial_velocity"):
         stem = key.removeprefix("initial_").removesuffix("_acceleration")
         return list(zip((f"{stem}_x", f"{stem}_y"), _pair(value, here), strict=True))
-    noise = key in NOISE_KEYS
+    if key == "wind":
+        return list(zip(("wind_x", "wind_y"), _pair(value, here), strict=True))
+    if key == "measurement_noise":
+        pair = _pair(value, here, least=0.0)
+        return list(zip(("velocity_noise", "position_noise"), pair, strict=True))
+    noise = key in NOISE_KEYS or key == "believed_thrust_ratio"
     return [(key, read_entry(value, here, least=0.0, open_end=not noise))]
 
 
-def _pair(value: object, place: Place) -> list[Entry]:
+def _pair(value: object, place: Place, least: float | None = None) -> list[Entry]:
     if not isinstance(value, list) or len(value) != 2:
         raise place.error("must be a pair [x, y]")
-    return [read_entry(item, place, least=None, open_end=False) for item in value]
+    return [read_entry(item, place, least=least, open_end=False) for item in value]

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.study import paper
+from sparsefit.study.methods import NOISE, methods
 from sparsefit.study.readings import readings, sensitivity
 from sparsefit.study.summary import (
     PARAMETERS,
@@ -220,6 +221,7 @@ TABLES: dict[str, TableFunction] = {
     "readings": readings,
     "sensitivity": sensitivity,
     "times": times,
+    "methods": methods,
 }
 
 
@@ -234,5 +236,6 @@ def tables_for(cases: pd.DataFrame) -> list[str]:
         "readings": not single and any(not is_condition(name) for name in swept),
         "sensitivity": not single and bool(swept),
         "times": True,
+        "methods": not single and NOISE in swept,
     }
     return [name for name in TABLES if said[name]]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sparsefit.errors import InputError
 from sparsefit.study import Study, cells, counts, plan
 from sparsefit.study.design import grouped
 from sparsefit.study.flights import SIMULATION, Draw, stream
@@ -141,3 +142,39 @@ def test_initial_state_can_be_given(tmp_path: Path) -> None:
     flight = draw.fly(stream(5, 0, SIMULATION))
     assert np.allclose(flight.position[0], draw.initial_position)
     assert np.allclose(flight.velocity[0], (1.0, 2.0))
+
+
+def test_a_wind_and_a_wrong_belief_are_those_of_the_flight(tmp_path: Path) -> None:
+    more = """wind = [1.0, { uniform = [2.0, 3.0] }]
+measurement_noise = [0.2, 0.05]
+thrust_acceleration = [5.0, 3.0]
+believed_response_time_ratio = 1.2
+believed_thrust_ratio = 0.5
+"""
+    plain, draw = (draws(load(tmp_path, HEAD + text + LASSO))[0] for text in ("", more))
+    assert draw.flow == plain.flow
+    assert draw.flown.components == (plain.flow,)
+    assert draw.flown.wind == draw.wind
+    assert draw.wind[0] == 1.0
+    assert 2.0 <= draw.wind[1] < 3.0
+    assert (draw.velocity_noise, draw.position_noise) == (0.2, 0.05)
+    flight = draw.fly(stream(5, 0, SIMULATION))
+    assert flight.vehicle.response_time == pytest.approx(1.2 * draw.vehicle.response_time)
+    assert flight.vehicle.thrust_acceleration == (2.5, 1.5)
+    assert flight.flow == draw.flown
+    assert plain.flown == plain.flow
+    assert plain.fly(stream(5, 0, SIMULATION)).vehicle == plain.vehicle
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("wind = 1.0", "must be a pair"),
+        ("measurement_noise = [0.1, -0.1]", "must be at least 0"),
+        ("measurement_noise = [0.1, 0.1]\nvelocity_noise = 0.1", "drop those two"),
+        ("believed_response_time_ratio = 0", "must be above 0"),
+    ],
+)
+def test_refuses_a_wind_or_a_belief(tmp_path: Path, line: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        load(tmp_path, HEAD + line + "\n" + LASSO)

@@ -91,6 +91,13 @@ LEVELS = tuple(
 )
 
 
+NOISES = tuple(
+    {"flights.measurement_noise": noise, "readout.refine": refine}
+    for noise in ("[0,0]", "[0.05,0.01]", "[0.5,0.1]")
+    for refine in ("none", "variable-projection")
+)
+
+
 @pytest.fixture(scope="module")
 def drawn():
     one, many, swept = synthetic(1), synthetic(), synthetic(8, LEVELS)
@@ -99,6 +106,7 @@ def drawn():
         "scatter": (many, None),
         "errors": (many, None),
         "sweep": (swept, None),
+        "methods": (synthetic(8, NOISES), None),
     }
     assert set(given) == set(FIGURES) == set(CAPTIONS)
     return {name: (FIGURES[name], *data) for name, data in given.items()}
