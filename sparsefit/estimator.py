@@ -18,6 +18,7 @@ from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
 from sparsefit.refine import CORRELATION, Refinement, refine
+from sparsefit.scales import ScaleEstimate, several
 from sparsefit.uncertainty import Uncertainty
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
@@ -71,7 +72,8 @@ class Estimate:
     status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
-    refinement found the best other lobe of the residual [m].
+    refinement found the best other lobe of the residual [m]; scales: all cellular flows found,
+    fastest first, where the readout asks for several: the parameters are those of the first.
     """
 
     mean_velocity: float
@@ -89,11 +91,13 @@ class Estimate:
     columns: int = 0
     rival_length_scale: float = math.nan
     uncertainty: Uncertainty | None = None
+    scales: tuple[ScaleEstimate, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""
         values = asdict(self)
         values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
+        values["scales"] = [asdict(one) for one in self.scales]
         cleaned: dict[str, Any] = _without_nan(values)
         return cleaned
 
@@ -165,16 +169,18 @@ class Estimator:
             by_scale = dict(zip(scales.tolist(), weights.tolist(), strict=True))
             place = self._place(prepared, found, float(scales[int(np.argmax(weights))]))
         mean_velocity = math.nan
-        if math.isfinite(place.length_scale):
+        if place.scales:
+            mean_velocity = place.scales[0].mean_velocity
+        elif math.isfinite(place.length_scale):
             mean_velocity = self.readout.velocity(
                 prepared.samples.position,
                 prepared.flow_velocity,
                 prepared.target,
                 place.length_scale,
             )
-            if not (math.isfinite(mean_velocity) and mean_velocity > 0):
-                words = f"readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
-                place = replace(place, status="unidentifiable", reason=f"no mean velocity: {words}")
+        if math.isfinite(place.length_scale) and not 0 < mean_velocity < math.inf:
+            words = f"readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
+            place = replace(place, status="unidentifiable", reason=f"no mean velocity: {words}")
         return Estimate(
             mean_velocity,
             place.length_scale,
@@ -190,6 +196,7 @@ class Estimator:
             found.problem.samples,
             found.problem.columns,
             place.rival_length_scale,
+            scales=place.scales,
         )
 
     def _place(self, prepared: Prepared, found: Fit, candidate: float) -> "_Place":
@@ -197,6 +204,8 @@ class Estimator:
         grid = self.library.grid
         if not found.weights.any():
             return _Place(status="unidentifiable", reason="no length scale: all weights are zero")
+        if self.readout.scales == "several":
+            return self._several(prepared, found)
         if self.readout.refine == "none" or not grid.lower < grid.upper:
             return _Place(candidate, candidate, status=found.status, reason=found.reason)
         best = prepared.refined(candidate, grid)
@@ -207,6 +216,33 @@ class Estimator:
         if prepared.calm:
             status, reason = "unidentifiable", "no cellular flow detected: the air is still"
         return _Place(best.length_scale, candidate, best.rival_length_scale, status, reason)
+
+    def _several(self, prepared: Prepared, found: Fit) -> "_Place":
+        """All scales of a fit; the place is that of the fastest."""
+        grid = self.library.grid
+        refined = self.readout.refine != "none" and grid.lower < grid.upper
+        chosen = several(
+            found,
+            prepared.samples.position,
+            prepared.flow_velocity,
+            bounds=(grid.lower, grid.upper),
+            on_grid=found.problem is prepared.problem,
+            refined=refined,
+            velocity="peak" if self.readout.mean_velocity == "peak" else "rms",
+            correlation=prepared._correlation,
+        )
+        first, reason = chosen.scales[0], chosen.reason
+        if refined and prepared.calm:
+            reason = "no cellular flow detected: the air is still"
+        status = "unidentifiable" if reason else found.status
+        return _Place(
+            first.length_scale,
+            first.grid_length_scale,
+            chosen.rival_length_scale,
+            status,
+            reason or found.reason,
+            chosen.scales,
+        )
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""
@@ -260,6 +296,7 @@ class _Place:
     rival_length_scale: float = math.nan
     status: str = "ok"
     reason: str = ""
+    scales: tuple[ScaleEstimate, ...] = ()
 
 
 def _why_not(best: Refinement, extent: float) -> str:

@@ -1,0 +1,323 @@
+"""From a fit to a set of length scales, each with a velocity: flows that are superposed.
+
+The back-end proposes and the refit decides. Proposals are the peaks of the back-end's weights,
+|W_g| by group, and around each a window of wavenumbers: to the neighbouring candidates and at least
+a lobe, 2 pi / extent, wide. Nothing is looked for outside the windows: a scale that the back-end
+gave no weight is missed. Within them, strongest proposal first:
+
+1. the deepest lobe of what the scales so far leave unexplained joins, and all scales move off the
+   grid together (`joint.descend`);
+2. it stays where 2 ln(likelihood ratio) = 2m ln(RSS_without / RSS) / correlation exceeds what
+   chance gives its 17 parameters once in 1000 flights, over all lobes between the bounds;
+3. when no window holds another, scales that no longer earn their place, or are slower than a
+   twentieth of the fastest, go.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from sparsefit.fit import Fit
+from sparsefit.joint import JointFit, descend, fit_at, lobes
+from sparsefit.readout import peak_mean_velocity, rms_mean_velocity
+from sparsefit.refine import FALSE_ALARM, ROUGH, SIGNIFICANCE, STEP, centred, columns
+
+Array = NDArray[np.float64]
+Bounds = tuple[float, float]
+
+MOST = 6  # scales
+SHARE = 0.05  # of the fastest scale's velocity: systematic errors of a derivative reach 2 %
+PROPOSED = 0.02  # of the largest |W_g|: what is smaller proposes nothing
+APART = 0.5  # in lobes: scales nearer than this are one
+TRIED = 2  # lobes of a window, deepest first
+RIVALS = 2  # other lobes of each scale, refined in full
+PARAMETERS = 17  # of a scale: 16 weights and k
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """One cellular flow of several: U0 [m/s], L [m], L/U0 [s], and the candidate [m] behind it."""
+
+    mean_velocity: float
+    length_scale: float
+    timescale: float
+    grid_length_scale: float
+
+
+@dataclass(frozen=True)
+class ScaleSet:
+    """Scales, fastest first; what keeps them from being sure, "" if nothing; the best rival [m]."""
+
+    scales: tuple[ScaleEstimate, ...]
+    reason: str = ""
+    rival_length_scale: float = math.nan
+
+
+@dataclass(frozen=True)
+class Window:
+    """Wavenumbers low...high [1/m] that a candidate at k proposes to look in."""
+
+    wavenumber: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What the search for scales knows: centred rows, the bounds of k, and how errors behave."""
+
+    position: Array
+    phi: Array
+    bounds: Bounds
+    correlation: float
+    extent: float
+    floor: float
+
+    @property
+    def lobe(self) -> float:
+        return 2 * math.pi / self.extent
+
+    def descend(self, wavenumbers: Array, *, rough: bool = True) -> JointFit:
+        """All scales moved to the least RSS; rough: to a thousandth of a scan step."""
+        tolerance = ROUGH * STEP / self.extent if rough else 0.0
+        return descend(self.position, self.phi, wavenumbers, self.bounds, tolerance)
+
+    @property
+    def lobe_count(self) -> float:
+        return max(1.0, (self.bounds[1] - self.bounds[0]) / self.lobe)
+
+    def evidence(self, without: float, residual: float) -> float:
+        """2 ln(likelihood ratio) of RSS = residual to RSS = without."""
+        ratio = max(without, self.floor) / max(residual, self.floor)
+        return 2 * len(self.phi) * math.log(ratio) / self.correlation
+
+    def by_chance(self, parameters: int) -> float:
+        """What evidence for so many parameters reaches by chance in one flight of 1000."""
+        return float(chdtri(parameters, FALSE_ALARM / self.lobe_count))
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Scales so far and the window that each came from."""
+
+    fit: JointFit
+    windows: tuple[Window, ...] = field(default=())
+
+
+def several(
+    fit: Fit,
+    position: Array,
+    flow_velocity: Array,
+    *,
+    bounds: tuple[float, float],
+    on_grid: bool,
+    refined: bool,
+    velocity: Literal["rms", "peak"] = "rms",
+    correlation: float,
+) -> ScaleSet:
+    """The set of scales of a fit that has weights.
+
+    position (m, 2) [m], flow_velocity Phi (m, 2) [m/s]; bounds of the length scale [m]; on_grid:
+    whether the fit's groups are the candidates of a grid, between which a scale may lie, or scales
+    that the back-end placed itself; refined: False takes the peaks of the weights as they are;
+    correlation: samples over which the errors of Phi correlate.
+    """
+    extent = float(np.ptp(position, axis=0).max())
+    limits = (math.pi / bounds[1], math.pi / bounds[0])
+    floor = 1e-15 * float(np.sum(flow_velocity**2))
+    search = _Search(centred(position), flow_velocity, limits, correlation, extent, floor)
+    peaks, windows = proposals(fit, search.lobe, limits, on_grid=on_grid)
+    speed = rms_mean_velocity if velocity == "rms" else peak_mean_velocity
+    if not refined:
+        at = np.array([one.wavenumber for one in peaks[:MOST]])
+        found = _Found(fit_at(search.position, flow_velocity, at), peaks[:MOST])
+        speeds = np.array([speed(own) for own in found.fit.weights])
+        kept = [peak for peak, u in zip(peaks, speeds, strict=False) if u >= SHARE * speeds.max()]
+        at = np.array([one.wavenumber for one in kept])
+        return ScaleSet(
+            _read(_Found(fit_at(search.position, flow_velocity, at), tuple(kept)), speed)
+        )
+    found = _pruned(search, _gathered(search, peaks, windows))
+    found = _Found(search.descend(found.fit.wavenumbers, rough=False), found.windows)
+    reason, rival = _doubt(search, found)
+    return ScaleSet(_read(found, speed), reason, rival)
+
+
+def proposals(
+    fit: Fit, lobe: float, limits: Bounds, *, on_grid: bool
+) -> tuple[tuple[Window, ...], tuple[Window, ...]]:
+    """(peaks of |W_g| by group, strongest first, one per lobe; windows of all groups in use)."""
+    scales = fit.problem.group_scales
+    assert scales is not None
+    squares = np.bincount(fit.problem.groups, np.square(fit.weights).sum(axis=1), len(scales))
+    order = np.argsort(-scales, kind="stable")
+    k, strength = math.pi / scales[order], np.sqrt(squares[order])
+    used = strength > PROPOSED * strength.max()
+    below, above = k - lobe, k + lobe
+    if on_grid:
+        below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
+        around = np.concatenate([[0.0], strength, [0.0]])
+        top = used & (strength >= around[:-2]) & (strength >= around[2:])
+    else:
+        top = used
+    every = [
+        Window(float(k[i]), max(float(below[i]), limits[0]), min(float(above[i]), limits[1]))
+        for i in range(len(k))
+    ]
+    peaks: list[Window] = []
+    for i in np.argsort(-strength, kind="stable"):
+        if top[i] and all(abs(k[i] - one.wavenumber) > lobe for one in peaks):
+            peaks.append(every[i])
+    return tuple(peaks), tuple(every[i] for i in np.flatnonzero(used))
+
+
+def _gathered(search: _Search, peaks: tuple[Window, ...], windows: tuple[Window, ...]) -> _Found:
+    """Scales from the peaks, strongest first, then from every other group with a weight."""
+    found = _Found(fit_at(search.position, search.phi, np.empty(0)))
+    for peak in peaks[:MOST]:
+        found = _settled(search, _joined(search, found, (peak,)) or found)
+    while len(found.windows) < MOST:
+        unspent = tuple(one for one in windows if one not in found.windows)
+        more = _joined(search, found, unspent)
+        if more is None:
+            break
+        found = _settled(search, more)
+    return found
+
+
+def _joined(search: _Search, found: _Found, windows: tuple[Window, ...]) -> _Found | None:
+    """One scale more, from the deepest lobe in the windows; None where none is worth it."""
+    if not windows:
+        return None
+    low, high = min(one.low for one in windows), max(one.high for one in windows)
+    best: _Found | None = None
+    tried = 0
+    for k in lobes(search.position, found.fit.rest, low, high)[0].tolist():
+        around = [one for one in windows if one.low <= k <= one.high]
+        if not around or not _apart(search, found.fit.wavenumbers, k):
+            continue
+        window = min(around, key=lambda one: abs(one.wavenumber - k))
+        fit = search.descend(np.append(found.fit.wavenumbers, k))
+        separate = _separate(search, fit.wavenumbers)
+        if separate and (best is None or fit.residual < best.fit.residual):
+            best = _Found(fit, (*found.windows, window))
+        tried += 1
+        if tried == TRIED:
+            break
+    if best is None or not found.windows:
+        return best
+    gain = search.evidence(found.fit.residual, best.fit.residual)
+    return best if gain > search.by_chance(PARAMETERS) else None
+
+
+def _apart(search: _Search, wavenumbers: Array, one: float) -> bool:
+    return bool(np.all(np.abs(wavenumbers - one) >= APART * search.lobe))
+
+
+def _separate(search: _Search, wavenumbers: Array) -> bool:
+    return bool(np.all(np.diff(np.sort(wavenumbers)) >= APART * search.lobe))
+
+
+def _settled(search: _Search, found: _Found) -> _Found:
+    """Each scale looks again for its lobe, the others in place: the first saw all of them mixed."""
+    if len(found.windows) < 2:
+        return found
+    for j, window in enumerate(found.windows):
+        own = _contribution(search, found.fit, j)
+        k = lobes(search.position, found.fit.rest + own, window.low, window.high)[0][:1]
+        if not len(k) or abs(float(k[0]) - found.fit.wavenumbers[j]) < APART * search.lobe:
+            continue
+        start = found.fit.wavenumbers.copy()
+        start[j] = k[0]
+        tried = search.descend(start)
+        if tried.residual < found.fit.residual and _separate(search, tried.wavenumbers):
+            found = _Found(tried, found.windows)
+    return found
+
+
+def _contribution(search: _Search, fit: JointFit, j: int) -> Array:
+    value, _ = columns(search.position, float(fit.wavenumbers[j]))
+    own: Array = value @ fit.weights[j]
+    return own
+
+
+def _pruned(search: _Search, found: _Found) -> _Found:
+    """The scales without those that are too slow, or that chance could explain, weakest first."""
+    while len(found.windows) > 1:
+        speeds = [rms_mean_velocity(own) for own in found.fit.weights]
+        without = [_without(search, found, j) for j in range(len(speeds))]
+        j = int(np.argmin([one.residual for one in without]))
+        slowest = int(np.argmin(speeds))
+        gain = search.evidence(without[j].residual, found.fit.residual)
+        if speeds[slowest] < SHARE * max(speeds):
+            j = slowest
+        elif gain > search.by_chance(PARAMETERS):
+            break
+        windows = tuple(one for i, one in enumerate(found.windows) if i != j)
+        kept = without[j].wavenumbers
+        found = _Found(search.descend(kept), windows)
+    return found
+
+
+def _without(search: _Search, found: _Found, j: int) -> JointFit:
+    return fit_at(search.position, search.phi, np.delete(found.fit.wavenumbers, j))
+
+
+def _doubt(search: _Search, found: _Found) -> tuple[str, float]:
+    """(why the data cannot tell the scales, "" where they can; the best rival [m], NaN without)."""
+    fit, m = found.fit, len(search.phi)
+    null = float(np.sum((search.phi - search.phi.mean(axis=0)) ** 2))
+    parameters = PARAMETERS * len(found.windows) - 2  # a uniform wind has 2
+    if search.evidence(null, fit.residual) <= search.by_chance(parameters) or m <= parameters:
+        words = "no length scale explains more than a uniform wind does"
+        return f"no cellular flow detected: {words}", math.nan
+    for k in fit.wavenumbers:
+        if k in search.bounds:
+            words = f"a length scale is at the edge of the search, {math.pi / k:.3g} m"
+            return f"{words}; widen the grid's bounds", math.nan
+    left = _pruned(search, _joined(search, found, (Window(0.0, *search.bounds),)) or found)
+    if len(left.windows) > len(found.windows):
+        more = math.pi / float(left.fit.wavenumbers[-1])
+        return f"another flow is left, of length scale {more:.3g} m: the back-end proposed none", more
+    least, own, other = math.inf, math.nan, math.nan
+    for j, k in enumerate(fit.wavenumbers):
+        rival = _rival(search, fit, j)
+        if rival is not None and rival[1] < least:
+            other, least, own = math.pi / rival[0], rival[1], math.pi / float(k)
+    if search.evidence(least, fit.residual) > 2 * math.log(search.lobe_count / SIGNIFICANCE):
+        return "", other
+    return (
+        f"cannot tell {own:.3g} m from {other:.3g} m: the flight covers {search.extent:.3g} m, or "
+        "too straight a line; fly farther, or turn",
+        other,
+    )
+
+
+def _rival(search: _Search, fit: JointFit, j: int) -> tuple[float, float] | None:
+    """(k, RSS) of the best other lobe of one scale, all scales refined around it."""
+    rest = fit.rest + _contribution(search, fit, j)
+    places = lobes(search.position, rest, *search.bounds)[0]
+    others = [k for k in places.tolist() if _apart(search, fit.wavenumbers, k)]
+    best: tuple[float, float] | None = None
+    for k in others[:RIVALS]:
+        start = fit.wavenumbers.copy()
+        start[j] = k
+        tried = search.descend(start)
+        moved = abs(tried.wavenumbers[j] - fit.wavenumbers[j]) >= APART * search.lobe
+        if moved and (best is None or tried.residual < best[1]):
+            best = float(tried.wavenumbers[j]), tried.residual
+    return best
+
+
+def _read(found: _Found, speed: Callable[[Array], float]) -> tuple[ScaleEstimate, ...]:
+    every = []
+    for k, own, window in zip(found.fit.wavenumbers, found.fit.weights, found.windows, strict=True):
+        scale, velocity = math.pi / float(k), float(speed(own))
+        timescale = scale / velocity if velocity > 0 else math.nan
+        every.append(ScaleEstimate(velocity, scale, timescale, math.pi / window.wavenumber))
+    return tuple(sorted(every, key=lambda one: -one.mean_velocity))
