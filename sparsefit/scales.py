@@ -180,39 +180,72 @@ def _gathered(search: _Search, peaks: tuple[Window, ...], windows: tuple[Window,
     """Scales from the peaks, strongest first, then from every other group with a weight."""
     found = _Found(fit_at(search.position, search.phi, np.empty(0)))
     for peak in peaks[:MOST]:
-        found = _settled(search, _joined(search, found, (peak,)) or found)
+        more = _joined(search, found, (peak,))
+        found = found if more is None else _settled(search, more, windows)
     while len(found.windows) < MOST:
-        unspent = tuple(one for one in windows if one not in found.windows)
-        more = _joined(search, found, unspent)
+        more = _joined(search, found, _unspent(windows, found))
         if more is None:
             break
-        found = _settled(search, more)
+        found = _settled(search, more, windows)
     return found
+
+
+def _unspent(windows: tuple[Window, ...], found: _Found) -> tuple[Window, ...]:
+    """A window gives one scale."""
+    return tuple(one for one in windows if one not in found.windows)
 
 
 def _joined(search: _Search, found: _Found, windows: tuple[Window, ...]) -> _Found | None:
     """One scale more, from the deepest lobe in the windows; None where none is worth it."""
-    if not windows:
-        return None
-    low, high = min(one.low for one in windows), max(one.high for one in windows)
     best: _Found | None = None
-    tried = 0
-    for k in lobes(search.position, found.fit.rest, low, high)[0].tolist():
-        around = [one for one in windows if one.low <= k <= one.high]
-        if not around or not _apart(search, found.fit.wavenumbers, k):
-            continue
-        window = min(around, key=lambda one: abs(one.wavenumber - k))
+    for k, window in _places(search, found.fit.rest, windows, found.fit.wavenumbers):
         fit = search.descend(np.append(found.fit.wavenumbers, k))
         separate = _separate(search, fit.wavenumbers)
         if separate and (best is None or fit.residual < best.fit.residual):
             best = _Found(fit, (*found.windows, window))
-        tried += 1
-        if tried == TRIED:
-            break
     if best is None or not found.windows:
         return best
     gain = search.evidence(found.fit.residual, best.fit.residual)
     return best if gain > search.by_chance(PARAMETERS) else None
+
+
+def _settled(search: _Search, found: _Found, windows: tuple[Window, ...]) -> _Found:
+    """Each scale looks again, the others in place: the first saw all of them mixed.
+
+    In its own window and in those that gave no scale yet.
+    """
+    if len(found.windows) < 2:
+        return found
+    for j, window in enumerate(found.windows):
+        rest = found.fit.rest + _contribution(search, found.fit, j)
+        others = np.delete(found.fit.wavenumbers, j)
+        for k, there in _places(search, rest, (window, *_unspent(windows, found)), others):
+            if abs(k - found.fit.wavenumbers[j]) < APART * search.lobe:
+                continue
+            start = found.fit.wavenumbers.copy()
+            start[j] = k
+            fit = search.descend(start)
+            if fit.residual < found.fit.residual and _separate(search, fit.wavenumbers):
+                changed = (*found.windows[:j], there, *found.windows[j + 1 :])
+                found = _Found(fit, changed)
+    return found
+
+
+def _places(
+    search: _Search, rest: Array, windows: tuple[Window, ...], taken: Array
+) -> list[tuple[float, Window]]:
+    """The deepest lobes of rest (m, 2) in the windows, apart from what is taken, and whose."""
+    if not windows:
+        return []
+    found: list[tuple[float, Window]] = []
+    low, high = min(one.low for one in windows), max(one.high for one in windows)
+    for k in lobes(search.position, rest, low, high)[0].tolist():
+        around = [one for one in windows if one.low <= k <= one.high]
+        if around and _apart(search, taken, k):
+            found.append((k, min(around, key=lambda one: abs(one.wavenumber - k))))
+        if len(found) == TRIED:
+            break
+    return found
 
 
 def _apart(search: _Search, wavenumbers: Array, one: float) -> bool:
@@ -221,23 +254,6 @@ def _apart(search: _Search, wavenumbers: Array, one: float) -> bool:
 
 def _separate(search: _Search, wavenumbers: Array) -> bool:
     return bool(np.all(np.diff(np.sort(wavenumbers)) >= APART * search.lobe))
-
-
-def _settled(search: _Search, found: _Found) -> _Found:
-    """Each scale looks again for its lobe, the others in place: the first saw all of them mixed."""
-    if len(found.windows) < 2:
-        return found
-    for j, window in enumerate(found.windows):
-        own = _contribution(search, found.fit, j)
-        k = lobes(search.position, found.fit.rest + own, window.low, window.high)[0][:1]
-        if not len(k) or abs(float(k[0]) - found.fit.wavenumbers[j]) < APART * search.lobe:
-            continue
-        start = found.fit.wavenumbers.copy()
-        start[j] = k[0]
-        tried = search.descend(start)
-        if tried.residual < found.fit.residual and _separate(search, tried.wavenumbers):
-            found = _Found(tried, found.windows)
-    return found
 
 
 def _contribution(search: _Search, fit: JointFit, j: int) -> Array:
@@ -283,12 +299,20 @@ def _doubt(search: _Search, found: _Found) -> tuple[str, float]:
     left = _pruned(search, _joined(search, found, (Window(0.0, *search.bounds),)) or found)
     if len(left.windows) > len(found.windows):
         more = math.pi / float(left.fit.wavenumbers[-1])
-        return f"another flow is left, of length scale {more:.3g} m: the back-end proposed none", more
+        return (
+            f"another flow is left, of {more:.3g} m, that the back-end did not propose",
+            more,
+        )
     least, own, other = math.inf, math.nan, math.nan
     for j, k in enumerate(fit.wavenumbers):
         rival = _rival(search, fit, j)
         if rival is not None and rival[1] < least:
             other, least, own = math.pi / rival[0], rival[1], math.pi / float(k)
+    if least < fit.residual:
+        return (
+            f"{other:.3g} m fits better than {own:.3g} m, and the back-end did not propose it",
+            other,
+        )
     if search.evidence(least, fit.residual) > 2 * math.log(search.lobe_count / SIGNIFICANCE):
         return "", other
     return (
