@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import InputError, unknown
 from sparsefit.fit import TOLERANCE, Fit, fit
 from sparsefit.flight import Flight
+from sparsefit.joint import Lobes
 from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
-from sparsefit.refine import CORRELATION, Refinement, refine
-from sparsefit.scales import ScaleEstimate, several
+from sparsefit.refine import CORRELATION, Refinement, centred, refine
+from sparsefit.scales import ScaleEstimate, as_proposed, several
 from sparsefit.uncertainty import Uncertainty
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
@@ -35,6 +36,7 @@ class Prepared:
     problem: RegressionProblem
     seconds: float
     _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
+    _lobes: dict[tuple[float, float], Lobes] = field(default_factory=dict, repr=False)
 
     @property
     def calm(self) -> bool:
@@ -63,6 +65,13 @@ class Prepared:
                 correlation=self._correlation,
             )
         return self._refined[key]
+
+    def lobes(self, grid: LengthScaleGrid) -> Lobes:
+        """Where the residual of a scale more can have lobes, worked out once for all back-ends."""
+        bounds = (math.pi / grid.upper, math.pi / grid.lower)
+        if bounds not in self._lobes:
+            self._lobes[bounds] = Lobes.of(centred(self.samples.position), bounds)
+        return self._lobes[bounds]
 
 
 @dataclass(frozen=True)
@@ -219,18 +228,19 @@ class Estimator:
 
     def _several(self, prepared: Prepared, found: Fit) -> "_Place":
         """All scales of a fit; the place is that of the fastest."""
-        grid = self.library.grid
-        refined = self.readout.refine != "none" and grid.lower < grid.upper
-        chosen = several(
-            found,
-            prepared.samples.position,
-            prepared.flow_velocity,
-            bounds=(grid.lower, grid.upper),
-            on_grid=found.problem is prepared.problem,
-            refined=refined,
-            velocity="peak" if self.readout.mean_velocity == "peak" else "rms",
-            correlation=prepared._correlation,
-        )
+        grid, on_grid = self.library.grid, found.problem is prepared.problem
+        velocity: Literal["rms", "peak"] = "rms"
+        if self.readout.mean_velocity == "peak":
+            velocity = "peak"
+        phi, refined = prepared.flow_velocity, self.readout.refine != "none"
+        if refined and grid.lower < grid.upper:
+            lobes, correlation = prepared.lobes(grid), prepared._correlation
+            chosen = several(
+                found, phi, lobes, on_grid=on_grid, velocity=velocity, correlation=correlation
+            )
+        else:
+            position = prepared.samples.position
+            chosen = as_proposed(found, position, phi, on_grid=on_grid, velocity=velocity)
         first, reason = chosen.scales[0], chosen.reason
         if refined and prepared.calm:
             reason = "no cellular flow detected: the air is still"

@@ -16,7 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.refine import RANK, STEP, columns, scan
+from sparsefit.errors import InputError
+from sparsefit.refine import (
+    DIRECTIONS,
+    MAX_STEPS,
+    RANK,
+    RIDGE,
+    STEP,
+    columns,
+    fourier_sums,
+    kernel_gain,
+)
 
 Array = NDArray[np.float64]
 ITERATIONS = 60
@@ -56,7 +66,9 @@ def fit_at(position: Array, flow_velocity: Array, wavenumbers: Array) -> JointFi
     rest = flow_velocity - value @ weights
     blocks = weights.reshape(len(k), 8, 2)
     bent = np.stack([slope @ own for (_, slope), own in zip(pairs, blocks, strict=True)])
-    beside = np.stack([one - value @ (basis @ (basis.T @ (value.T @ one))) for one in bent])
+    side = np.hstack(list(bent))
+    side = side - value @ (basis @ (basis.T @ (value.T @ side)))
+    beside = side.reshape(-1, len(k), 2).transpose(1, 0, 2)
     moves = _moves(beside.reshape(len(k), -1), rest.ravel(), np.sum(bent**2, axis=(1, 2)))
     return JointFit(k, float(np.sum(rest * rest)), blocks, rest, moves)
 
@@ -107,17 +119,62 @@ def descend(
     return here
 
 
-def lobes(
-    position: Array, flow_velocity: Array, low: float, high: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(k, RSS) of the local minima of the 8-column fit in [low, high] [1/m], deepest first.
+@dataclass(frozen=True, eq=False)
+class Lobes:
+    """The lobes of RSS(k) of one scale more, for any remainder of Phi: the flight's part, once.
 
-    position (m, 2), centred; flow_velocity: what other scales have left. Steps resolve every lobe.
+    As `refine.scan`, whose Gram matrices of the four plane waves do not depend on Phi: inverse
+    (q, 8, 8) at k = j step, j = first, first + 1, ... A remainder costs four Fourier sums.
     """
-    step = STEP / float(np.ptp(position, axis=0).max())
-    first, last = max(1, math.floor(low / step)), math.ceil(high / step)
-    curve = scan(position, flow_velocity, step, first, max(last, first))
-    padded = np.concatenate([[np.inf], curve, [np.inf]])
-    found = np.flatnonzero((curve <= padded[:-2]) & (curve <= padded[2:]))
-    found = found[np.argsort(curve[found], kind="stable")]
-    return np.clip(step * (first + found), low, high), curve[found]
+
+    position: Array
+    bounds: tuple[float, float]
+    step: float
+    first: int
+    gain: Array
+    size: int
+    inverse: Array
+
+    @classmethod
+    def of(cls, position: Array, bounds: tuple[float, float]) -> "Lobes":
+        """For position (m, 2) [m], centred, and bounds of k [1/m]. InputError: too many lobes."""
+        step = STEP / float(np.ptp(position, axis=0).max())
+        first, last = max(1, math.floor(bounds[0] / step)), math.ceil(bounds[1] / step)
+        if last > MAX_STEPS:
+            raise InputError(
+                f"a length scale of {math.pi / bounds[1]:.3g} m is too small for a flight of "
+                f"{STEP / step:.3g} m: too many lobes; raise the grid's lower bound"
+            )
+        gain, size = kernel_gain(first, last)
+        nothing, sums = np.empty((0, len(position))), np.empty((25, last - first + 1), complex)
+        sums[12] = len(position)
+        for i in range(12):  # (p, q) = divmod(i, 5) - 2: symmetric about i = 12, (0, 0)
+            mode = np.array(divmod(i, 5)) - 2
+            found = fourier_sums(position @ mode, nothing, step, size)[0, first : last + 1] / gain
+            sums[i], sums[24 - i] = found.conj(), found
+        pairs = (DIRECTIONS[:, None] + sign * DIRECTIONS for sign in (-1, 1))
+        minus, plus = (sums[(pair + 2) @ (5, 1)] for pair in pairs)
+        cosines = np.concatenate([(plus + minus).real, (plus - minus).imag], axis=1)
+        sines = np.concatenate([(plus + minus).imag, (minus - plus).real], axis=1)
+        gram = 0.5 * np.concatenate([cosines, sines], axis=0).transpose(2, 0, 1)
+        gram[:, range(8), range(8)] += RIDGE * len(position)
+        inverse = np.linalg.inv(gram).astype(float, copy=False)
+        return cls(position, bounds, step, first, gain, size, inverse)
+
+    def depths(self, rest: Array) -> Array:
+        """|rest|^2 - RSS(k) (q,): what one scale more explains of rest (m, 2)."""
+        loads, step, size = np.ascontiguousarray(rest.T), self.step, self.size
+        waves = [fourier_sums(self.position @ -mode, loads, step, size) for mode in DIRECTIONS]
+        part = slice(self.first, self.first + len(self.inverse))
+        cross = np.stack([wave[1:, part] / self.gain for wave in waves])
+        load = np.concatenate([cross.real, cross.imag]).transpose(2, 0, 1)
+        depths: Array = np.sum(load * (self.inverse @ load), axis=(1, 2))
+        return depths
+
+    def __call__(self, rest: Array) -> Array:
+        """k of the lobes [1/m], the deepest first; bounds included."""
+        depth = self.depths(rest)
+        padded = np.concatenate([[-np.inf], depth, [-np.inf]])
+        found = np.flatnonzero((depth >= padded[:-2]) & (depth >= padded[2:]))
+        found = found[np.argsort(-depth[found], kind="stable")]
+        return np.clip(self.step * (self.first + found), *self.bounds)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from sparsefit.fit import Fit
-from sparsefit.joint import JointFit, descend, fit_at, lobes
+from sparsefit.joint import JointFit, Lobes, descend, fit_at
 from sparsefit.readout import peak_mean_velocity, rms_mean_velocity
 from sparsefit.refine import FALSE_ALARM, ROUGH, SIGNIFICANCE, STEP, centred, columns
 
@@ -73,10 +73,14 @@ class _Search:
 
     position: Array
     phi: Array
-    bounds: Bounds
+    lobes: Lobes
     correlation: float
     extent: float
     floor: float
+
+    @property
+    def bounds(self) -> Bounds:
+        return self.lobes.bounds
 
     @property
     def lobe(self) -> float:
@@ -111,41 +115,54 @@ class _Found:
 
 def several(
     fit: Fit,
-    position: Array,
     flow_velocity: Array,
+    lobes: Lobes,
     *,
-    bounds: tuple[float, float],
     on_grid: bool,
-    refined: bool,
     velocity: Literal["rms", "peak"] = "rms",
     correlation: float,
 ) -> ScaleSet:
-    """The set of scales of a fit that has weights.
+    """The set of scales of a fit that has weights, off the grid.
 
-    position (m, 2) [m], flow_velocity Phi (m, 2) [m/s]; bounds of the length scale [m]; on_grid:
-    whether the fit's groups are the candidates of a grid, between which a scale may lie, or scales
-    that the back-end placed itself; refined: False takes the peaks of the weights as they are;
-    correlation: samples over which the errors of Phi correlate.
+    flow_velocity Phi (m, 2) [m/s]; lobes: of the same rows, over the wavenumbers to look in;
+    on_grid: whether the fit's groups are the candidates of a grid, between which a scale may lie,
+    or scales that the back-end placed itself; correlation: samples over which the errors of Phi
+    correlate.
     """
-    extent = float(np.ptp(position, axis=0).max())
-    limits = (math.pi / bounds[1], math.pi / bounds[0])
+    extent = float(np.ptp(lobes.position, axis=0).max())
     floor = 1e-15 * float(np.sum(flow_velocity**2))
-    search = _Search(centred(position), flow_velocity, limits, correlation, extent, floor)
-    peaks, windows = proposals(fit, search.lobe, limits, on_grid=on_grid)
-    speed = rms_mean_velocity if velocity == "rms" else peak_mean_velocity
-    if not refined:
-        at = np.array([one.wavenumber for one in peaks[:MOST]])
-        found = _Found(fit_at(search.position, flow_velocity, at), peaks[:MOST])
-        speeds = np.array([speed(own) for own in found.fit.weights])
-        kept = [peak for peak, u in zip(peaks, speeds, strict=False) if u >= SHARE * speeds.max()]
-        at = np.array([one.wavenumber for one in kept])
-        return ScaleSet(
-            _read(_Found(fit_at(search.position, flow_velocity, at), tuple(kept)), speed)
-        )
+    search = _Search(lobes.position, flow_velocity, lobes, correlation, extent, floor)
+    peaks, windows = proposals(fit, search.lobe, lobes.bounds, on_grid=on_grid)
     found = _pruned(search, _gathered(search, peaks, windows))
     found = _Found(search.descend(found.fit.wavenumbers, rough=False), found.windows)
     reason, rival = _doubt(search, found)
-    return ScaleSet(_read(found, speed), reason, rival)
+    return ScaleSet(_read(found, _speed(velocity)), reason, rival)
+
+
+def as_proposed(
+    fit: Fit,
+    position: Array,
+    flow_velocity: Array,
+    *,
+    on_grid: bool,
+    velocity: Literal["rms", "peak"] = "rms",
+) -> ScaleSet:
+    """The peaks of the weights as they are: the back-end's own set, velocities fitted together.
+
+    position (m, 2) [m], flow_velocity Phi (m, 2) [m/s]; on_grid as in `several`.
+    """
+    points, speed = centred(position), _speed(velocity)
+    lobe = 2 * math.pi / float(np.ptp(position, axis=0).max())
+    peaks = proposals(fit, lobe, (0.0, math.inf), on_grid=on_grid)[0][:MOST]
+    every = fit_at(points, flow_velocity, np.array([one.wavenumber for one in peaks]))
+    speeds = np.array([speed(own) for own in every.weights])
+    kept = tuple(one for one, u in zip(peaks, speeds, strict=True) if u >= SHARE * speeds.max())
+    again = fit_at(points, flow_velocity, np.array([one.wavenumber for one in kept]))
+    return ScaleSet(_read(_Found(again, kept), speed))
+
+
+def _speed(velocity: Literal["rms", "peak"]) -> Callable[[Array], float]:
+    return rms_mean_velocity if velocity == "rms" else peak_mean_velocity
 
 
 def proposals(
@@ -182,6 +199,8 @@ def _gathered(search: _Search, peaks: tuple[Window, ...], windows: tuple[Window,
     for peak in peaks[:MOST]:
         more = _joined(search, found, (peak,))
         found = found if more is None else _settled(search, more, windows)
+    if not found.windows:  # no lobe in any window: the strongest candidate itself
+        found = _Found(search.descend(np.array([peaks[0].wavenumber])), peaks[:1])
     while len(found.windows) < MOST:
         more = _joined(search, found, _unspent(windows, found))
         if more is None:
@@ -238,8 +257,7 @@ def _places(
     if not windows:
         return []
     found: list[tuple[float, Window]] = []
-    low, high = min(one.low for one in windows), max(one.high for one in windows)
-    for k in lobes(search.position, rest, low, high)[0].tolist():
+    for k in search.lobes(rest).tolist():
         around = [one for one in windows if one.low <= k <= one.high]
         if around and _apart(search, taken, k):
             found.append((k, min(around, key=lambda one: abs(one.wavenumber - k))))
@@ -325,7 +343,7 @@ def _doubt(search: _Search, found: _Found) -> tuple[str, float]:
 def _rival(search: _Search, fit: JointFit, j: int) -> tuple[float, float] | None:
     """(k, RSS) of the best other lobe of one scale, all scales refined around it."""
     rest = fit.rest + _contribution(search, fit, j)
-    places = lobes(search.position, rest, *search.bounds)[0]
+    places = search.lobes(rest)
     others = [k for k in places.tolist() if _apart(search, fit.wavenumbers, k)]
     best: tuple[float, float] | None = None
     for k in others[:RIVALS]:

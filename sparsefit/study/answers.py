@@ -7,8 +7,11 @@ from typing import TypeAlias
 
 import pandas as pd
 
+from sparsefit.study import scale_sets
 from sparsefit.study.summary import StudyRecord
 
 AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
 
-ANSWERS: dict[str, AnswerFunction] = {}
+ANSWERS: dict[str, AnswerFunction] = {
+    "multiscale": scale_sets.answer,
+}
