@@ -55,7 +55,8 @@ def test_the_moves_are_gauss_newtons():
     here = fit_at(position, phi, k)
     jacobian = np.column_stack(
         [
-            (fit_at(position, phi, k + e).rest - fit_at(position, phi, k - e).rest).ravel() / (2 * h)
+            (fit_at(position, phi, k + e).rest - fit_at(position, phi, k - e).rest).ravel()
+            / (2 * h)
             for e in h * np.eye(2)
         ]
     )

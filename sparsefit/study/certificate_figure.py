@@ -51,9 +51,8 @@ def certificate_figure(
     Raises:
         InputError: if the study has no gridless back-end, or it found nothing on this flight.
     """
-    assert isinstance(study, Study)
-    chosen = _chosen(study)
-    if not chosen:
+    chosen = _chosen(study) if isinstance(study, Study) else []
+    if not isinstance(study, Study) or not chosen:
         raise InputError(
             f'{study.name} lists no {BACKEND}: drop the figure "dual-certificate" from [outputs]'
         )
