@@ -14,7 +14,17 @@ PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
     *("errors", "flow", "vehicle", "flight", "derivative", "objective", "grid", "problem"),
     *("library", "refine", "joint", "uncertainty"),
-    *("backends", "penalty_choice", "fit", "readout", "scales", "estimator", "score", "bound"),
+    *(
+        "backends",
+        "penalty_choice",
+        "fit",
+        "readout",
+        "scale_search",
+        "scales",
+        "estimator",
+        "score",
+        "bound",
+    ),
     *("study", "selection", "bench"),
     "cli",
 )

@@ -11,7 +11,8 @@ from problems import flight
 
 import sparsefit as sf
 from sparsefit.estimator import Estimator
-from sparsefit.scales import Window, proposals
+from sparsefit.scale_search import Window
+from sparsefit.scales import proposals
 from sparsefit.score import score_scales
 
 SEVERAL = sf.Readout(scales="several")
