@@ -29,7 +29,8 @@ ROWS_SHOWN = 80
 NOTE = (
     "All found: every flow's length scale within 1 %, over all planned cases. A scale counts as "
     "detected within 5 %; missed and spurious are means per case. Errors: the largest over the "
-    "detected scales of a case, median over cases. First row of each setting: all its cases; then "
+    "detected scales of a case, median over cases. Unseen: cases that ended as ok without all "
+    "scales within 1 %. First row of each setting: all its cases; then "
     "each level of each factor, the others pooled."
 )
 
@@ -97,6 +98,7 @@ def scales(study: StudyRecord, cases: pd.DataFrame) -> Table:
         Column("spurious", format=".2f", group="mean"),
         Column("L_w", "%", SIGNIFICANT, group="median error"),
         Column("U0", "%", SIGNIFICANT, group="median error"),
+        Column("unseen", format="d"),
     )
     title = f"Several scales at once ({study.name})"
     return Table(title, columns, tuple(rows), (NOTE,), ROWS_SHOWN)
@@ -109,7 +111,9 @@ def _counted(cases: pd.DataFrame) -> tuple[Cell, ...]:
     ]
     means = (float(np.nanmean(one)) if np.isfinite(one).any() else None for one in counts)
     medians = (quantile(one[:, None], 0.5)[0] for one in errors)
-    return len(cases), 100.0 * float(all_found(cases).mean()), *means, *medians
+    found = all_found(cases)
+    unseen = int((~found & (cases["status"] == "ok").to_numpy(dtype=bool)).sum())
+    return len(cases), 100.0 * float(found.mean()), *means, *medians, unseen
 
 
 def answer(study: StudyRecord, cases: pd.DataFrame) -> str:

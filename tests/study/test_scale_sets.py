@@ -180,7 +180,7 @@ def test_the_table_counts_planned_cases() -> None:
         ("flights.second_scale_ratio", 1.5, 3, pytest.approx(200 / 3), pytest.approx(1 / 3)),
         ("flights.second_scale_ratio", 1.1, 1, 0.0, None),
     ]
-    assert table.rows[0][9:] == (0.5, 2.0)
+    assert table.rows[0][9:] == (0.5, 2.0, 1)
 
 
 def test_the_answer_is_of_the_cases() -> None:
