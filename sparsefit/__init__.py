@@ -29,8 +29,11 @@ if TYPE_CHECKING:
     from sparsefit.library import RegressionProblem as RegressionProblem
     from sparsefit.objective import Certificate as Certificate
     from sparsefit.readout import Readout as Readout
+    from sparsefit.scales import ScaleEstimate as ScaleEstimate
+    from sparsefit.score import ScalesScore as ScalesScore
     from sparsefit.score import Score as Score
     from sparsefit.score import score as score
+    from sparsefit.score import score_scales as score_scales
     from sparsefit.vehicle import PointMassVehicle as PointMassVehicle
 
 __version__ = "0.1.0"
@@ -55,8 +58,11 @@ _HOMES = {
     "Readout": "readout",
     "Estimate": "estimator",
     "Estimator": "estimator",
+    "ScaleEstimate": "scales",
+    "ScalesScore": "score",
     "Score": "score",
     "score": "score",
+    "score_scales": "score",
     "InputError": "errors",
     "SparsefitError": "errors",
 }

@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import InputError, unknown
 from sparsefit.fit import TOLERANCE, Fit, fit
 from sparsefit.flight import Flight
+from sparsefit.joint import Lobes
 from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.nuisance import VehicleEstimate
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
-from sparsefit.refine import CORRELATION, Refinement, refine
+from sparsefit.refine import CORRELATION, Refinement, centred, refine
 from sparsefit.rows import Rows
+from sparsefit.scales import ScaleEstimate, as_proposed, several
 from sparsefit.uncertainty import Uncertainty
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
@@ -37,6 +39,7 @@ class Prepared:
     seconds: float
     rows: Rows | None = None  # what is refined and read in place of plain samples of Phi
     _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
+    _lobes: dict[tuple[float, float], Lobes] = field(default_factory=dict, repr=False)
 
     @property
     def calm(self) -> bool:
@@ -70,6 +73,13 @@ class Prepared:
             )
         return self._refined[key]
 
+    def lobes(self, grid: LengthScaleGrid) -> Lobes:
+        """Where the residual of a scale more can have lobes, worked out once for all back-ends."""
+        bounds = (math.pi / grid.upper, math.pi / grid.lower)
+        if bounds not in self._lobes:
+            self._lobes[bounds] = Lobes.of(centred(self.samples.position), bounds)
+        return self._lobes[bounds]
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -79,7 +89,9 @@ class Estimate:
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
     refinement found the best other lobe of the residual [m]; response_time [s],
-    thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown.
+    thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown;
+    scales: all cellular flows found, fastest first, where the readout asks for several: the
+    parameters are those of the first.
     """
 
     mean_velocity: float
@@ -100,11 +112,13 @@ class Estimate:
     response_time: float = math.nan
     thrust_acceleration: tuple[float, float] | None = None
     wind: tuple[float, float] | None = None
+    scales: tuple[ScaleEstimate, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""
         values = asdict(self)
         values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
+        values["scales"] = [asdict(one) for one in self.scales]
         cleaned: dict[str, Any] = _without_nan(values)
         return cleaned
 
@@ -138,6 +152,15 @@ class Estimator:
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
                 )
         checked_number("estimator", "tolerance", self.tolerance, low=0.0)
+        if self.readout.scales == "several" and (self._weak or self.library.unknown):
+            raise InputError(
+                'estimator: scales "several" needs a known vehicle and samples of Phi; drop '
+                'the library\'s unknown and the derivative "weak"'
+            )
+
+    @property
+    def _weak(self) -> bool:
+        return isinstance(self.derivative, Derivative) and self.derivative.method == "weak"
 
     def estimate(self, flight: Flight) -> Estimate:
         """Estimate the flow's parameters from a flight.
@@ -178,8 +201,11 @@ class Estimator:
             place = self._place(prepared, found, float(scales[int(np.argmax(weights))]))
         mean_velocity = math.nan
         if math.isfinite(place.length_scale):
-            place, mean_velocity = self._velocity(prepared, place)
-            if place.possible and not (math.isfinite(mean_velocity) and mean_velocity > 0):
+            if place.scales:
+                mean_velocity = place.scales[0].mean_velocity
+            else:
+                place, mean_velocity = self._velocity(prepared, place)
+            if place.possible and not 0 < mean_velocity < math.inf:
                 words = f"readout {self.readout.mean_velocity!r} gave {mean_velocity:g}"
                 place = replace(place, status="unidentifiable", reason=f"no mean velocity: {words}")
         return Estimate(
@@ -197,6 +223,7 @@ class Estimator:
             found.problem.samples,
             found.problem.columns,
             place.rival_length_scale,
+            scales=place.scales,
             **place.unknown,
         )
 
@@ -221,6 +248,8 @@ class Estimator:
         grid = self.library.grid
         if not found.weights.any():
             return _Place(status="unidentifiable", reason="no length scale: all weights are zero")
+        if self.readout.scales == "several":
+            return self._several(prepared, found)
         if self.readout.refine == "none" or not grid.lower < grid.upper:
             return _Place(candidate, candidate, status=found.status, reason=found.reason)
         best = prepared.refined(candidate, grid)
@@ -231,6 +260,34 @@ class Estimator:
         if prepared.calm:
             status, reason = "unidentifiable", "no cellular flow detected: the air is still"
         return _Place(best.length_scale, candidate, best.rival_length_scale, status, reason)
+
+    def _several(self, prepared: Prepared, found: Fit) -> "_Place":
+        """All scales of a fit; the place is that of the fastest."""
+        grid, on_grid = self.library.grid, found.problem is prepared.problem
+        velocity: Literal["rms", "peak"] = "rms"
+        if self.readout.mean_velocity == "peak":
+            velocity = "peak"
+        phi, refined = prepared.flow_velocity, self.readout.refine != "none"
+        if refined and grid.lower < grid.upper:
+            lobes, correlation = prepared.lobes(grid), prepared._correlation
+            chosen = several(
+                found, phi, lobes, on_grid=on_grid, velocity=velocity, correlation=correlation
+            )
+        else:
+            position = prepared.samples.position
+            chosen = as_proposed(found, position, phi, on_grid=on_grid, velocity=velocity)
+        first, reason = chosen.scales[0], chosen.reason
+        if refined and prepared.calm:
+            reason = "no cellular flow detected: the air is still"
+        status = "unidentifiable" if reason else found.status
+        return _Place(
+            first.length_scale,
+            first.grid_length_scale,
+            chosen.rival_length_scale,
+            status,
+            reason or found.reason,
+            scales=chosen.scales,
+        )
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""
@@ -285,6 +342,7 @@ class _Place:
     status: str = "ok"
     reason: str = ""
     vehicle: VehicleEstimate | None = None
+    scales: tuple[ScaleEstimate, ...] = ()
 
     @property
     def possible(self) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.errors import unknown
+from sparsefit.errors import InputError, unknown
 from sparsefit.library import RegressionProblem, candidate_columns
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]
 Refine = Literal["none", "variable-projection"]
+Scales = Literal["one", "several"]
 CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 
 
@@ -34,12 +35,16 @@ class Readout:
     ``peak`` of |w| over the cell.
     refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
     the 8-column fit between the grid's bounds; ``none`` reports the candidate itself.
+    scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
+    flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
+    (`sparsefit.scales`). Its peaks are those of the Euclidean norm, whatever length_scale says.
     """
 
     length_scale: LengthScaleReadout = "group-norm"
     mean_velocity: MeanVelocityReadout = "rms"
     eq24: Eq24 = "pseudo-inverse"
     refine: Refine = "variable-projection"
+    scales: Scales = "one"
 
     def __post_init__(self) -> None:
         for key, valid in (
@@ -47,9 +52,15 @@ class Readout:
             ("mean_velocity", get_args(MeanVelocityReadout)),
             ("eq24", get_args(Eq24)),
             ("refine", get_args(Refine)),
+            ("scales", get_args(Scales)),
         ):
             if getattr(self, key) not in valid:
                 raise unknown(f"readout {key}", str(getattr(self, key)), valid)
+        if self.scales == "several" and self.mean_velocity == "paper":
+            raise InputError(
+                "readout: mean_velocity 'paper' (Eq. 22) scales one field to its range and cannot "
+                "part several; use 'rms' or 'peak', or scales 'one'"
+            )
 
     def scale_weights(self, problem: RegressionProblem, weights: Array) -> Array:
         """The weight of each group (g,), by the length-scale readout, from weights (k, n)."""

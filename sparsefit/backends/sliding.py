@@ -9,7 +9,7 @@ is smooth where no V_j is zero. With R the residual, D_j = dZ/dk (k_j), A_j = D_
     d2F/dV_i dk_j = Z_i'A_j / m - [i = j] D_j'R / m
     d2F/dk_i dk_j = <A_i, A_j> / m - [i = j] <R, d2Z/dk2 V_j> / m
 
-alpha = 0 is nonlinear least squares over several scales at once: the refit without a penalty.
+alpha = 0 is nonlinear least squares over several scales at once; `joint` does it faster.
 Source: Denoyelle, Duval, Peyre and Soubies, "The sliding Frank-Wolfe algorithm" (2019).
 """
 
@@ -93,40 +93,6 @@ def slide(
             break
         here = there
     return here
-
-
-def refit(
-    position: Array,
-    target: Array,
-    wavenumbers: Array,
-    weights: Array,
-    bounds: Interval,
-    *,
-    share: float = 0.1,
-) -> Atoms:
-    """The scales that matter without the penalty's bias: one per lobe, all slid with alpha = 0.
-
-    Scales nearer than a lobe, 2 pi / extent, to a stronger one are not separate; those weaker
-    than ``share`` of the strongest are left out, before the fit and again after it.
-    """
-    lobe = 2 * np.pi / float(np.ptp(position, axis=0).max())
-    norms = _norms(weights)
-    kept: list[float] = []
-    for i in np.argsort(-norms, kind="stable"):
-        far = all(abs(wavenumbers[i] - k) > lobe for k in kept)
-        if far and norms[i] >= share * norms.max():
-            near = np.abs(wavenumbers - wavenumbers[i]) <= lobe
-            kept.append(float(np.average(wavenumbers[near], weights=norms[near])))
-    while True:
-        z = Jet.at(position, np.array(kept)).value.reshape(-1, len(target))
-        fitted = np.linalg.lstsq(z.T, target, rcond=None)[0].astype(float, copy=False)
-        start = fitted.reshape(len(kept), 8, -1)
-        atoms = slide(position, target, np.array(kept), start, 0.0, bounds)
-        norms = _norms(atoms.weights)
-        strong = norms >= share * norms.max()
-        if strong.all():
-            return atoms
-        kept = atoms.wavenumbers[strong].tolist()
 
 
 def derivatives(atoms: Atoms, alpha: float, extent: float) -> tuple[Array, Array]:

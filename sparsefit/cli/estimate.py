@@ -18,6 +18,7 @@ EXAMPLE = """\
   sparsefit estimate flight.csv
   sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
   sparsefit estimate flight.csv --estimator estimator.json
+  sparsefit estimate flight.csv --scales several --backend gridless-group-lasso
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
 
@@ -38,6 +39,7 @@ OF_ESTIMATOR = (
     "mean_velocity_readout",
     "refine",
     "unknown",
+    "scales",
 )
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
@@ -111,6 +113,12 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="variable-projection (default: L off the grid) or none (the candidate itself)",
     )
+    group.add_argument(
+        "--scales",
+        metavar="NAME",
+        help="one (default) or several: all cellular flows that are superposed, as the back-end "
+        "proposes them",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -162,6 +170,7 @@ def _built(args: argparse.Namespace) -> Estimator:
                 length_scale=args.length_scale_readout,
                 mean_velocity=args.mean_velocity_readout,
                 refine=args.refine,
+                scales=args.scales,
             )
         ),
     )
@@ -238,6 +247,7 @@ def _lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ..
         ("timescale      tau_w", _quantity(estimate.timescale, "s")),
         *_estimated(estimate),
         ("", ""),
+        *_scales(estimate),
         ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
         ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
         ("certificate", proof + meaning),
@@ -259,6 +269,18 @@ def _estimated(estimate: Estimate) -> list[tuple[str, str]]:
         if pair is not None:
             rows.append((label, f"({pair[0]:.4f}, {pair[1]:.4f}) {unit}"))
     return rows
+
+
+def _scales(estimate: Estimate) -> list[tuple[str, str]]:
+    """A line per cellular flow where several were asked for, fastest first."""
+    if not estimate.scales:
+        return []
+    head = f"{'U0 [m/s]':>9} {'L_w [m]':>9} {'tau_w [s]':>9}"
+    rows = [
+        (f"  {place}", f"{one.mean_velocity:>9.4f} {one.length_scale:>9.4f} {one.timescale:>9.4f}")
+        for place, one in enumerate(estimate.scales, start=1)
+    ]
+    return [(f"cellular flows  {len(rows)}", head), *rows, ("", "")]
 
 
 def _quantity(value: float, unit: str) -> str:

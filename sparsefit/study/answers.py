@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 import pandas as pd
 
+from sparsefit.study import scale_sets
 from sparsefit.study.methods import derivatives_answer, vehicle_answer
 from sparsefit.study.summary import StudyRecord
 
@@ -15,4 +16,5 @@ AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
 ANSWERS: dict[str, AnswerFunction] = {
     "derivatives": derivatives_answer,
     "vehicle": vehicle_answer,
+    "multiscale": scale_sets.answer,
 }

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias, TypeVar
 
+import numpy as np
+
 from sparsefit.backends.base import Backend, PathBackend
 from sparsefit.estimator import Estimate, Estimator, Prepared
 from sparsefit.fit import Fit, Path, path
@@ -18,6 +20,7 @@ from sparsefit.study.choices import make_backend
 from sparsefit.study.design import Cell, grouped
 from sparsefit.study.document import canonical_json
 from sparsefit.study.flights import SIMULATION, Draw, stream
+from sparsefit.study.scale_columns import ScaleColumns, scale_columns
 from sparsefit.study.spec import Study
 
 MAX_REASON = 500
@@ -40,7 +43,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Outcome(ScaleColumns):
     """The result of one case: what its row holds beyond the plan."""
 
     flight: int
@@ -57,6 +60,7 @@ class Outcome:
     seconds: float = NAN
     samples: int = 0
     columns: int = 0
+    extent: float = NAN
     weights: tuple[tuple[float, float], ...] = ()
 
 
@@ -207,7 +211,9 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
         seconds=float(fit.seconds),
         samples=int(prepared.problem.samples),
         columns=int(prepared.problem.columns),
+        extent=float(np.ptp(prepared.samples.position, axis=0).max()),
         weights=tuple((float(scale), float(weight)) for scale, weight in weights),
+        **vars(scale_columns(estimate, context.draw.flow)),
     )
 
 

@@ -32,6 +32,10 @@ STREAMS = (
     "velocity_noise",
     "wind_x",
     "wind_y",
+    "second_scale_ratio",
+    "second_velocity_ratio",
+    "third_scale_ratio",
+    "third_velocity_ratio",
     "believed_response_time_ratio",
     "believed_thrust_ratio",
 )
@@ -39,6 +43,11 @@ FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
 # Believed over true: what the estimator is told of the vehicle.
 RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio")
 NOISE_KEYS = ("process_noise", "position_noise", "velocity_noise")
+SUPERPOSED = (
+    ("second_scale_ratio", "second_velocity_ratio"),
+    ("third_scale_ratio", "third_velocity_ratio"),
+)
+RATIOS = (0.01, 100.0)
 KEYS = (
     *FLOW_KEYS,
     "response_time",
@@ -51,6 +60,7 @@ KEYS = (
     "wind",
     "measurement_noise",
     *RATIO_KEYS,
+    *(key for pair in SUPERPOSED for key in pair),
 )
 REQUIRED = ("response_time", "duration", "sample_rate")
 
@@ -88,7 +98,7 @@ def _third(values: dict[str, float]) -> dict[str, float]:
 class Draw:
     """One flight to fly: SI units (m/s, m, s, m/s^2, Hz)."""
 
-    flow: CellularFlow
+    flow: Flow
     vehicle: PointMassVehicle
     duration: float
     sample_rate: float
@@ -106,7 +116,7 @@ class Draw:
         thrust = (values.get("thrust_x", 0.0), values.get("thrust_y", 0.0))
         position = (values["position_x"], values["position_y"]) if "position_x" in values else None
         return cls(
-            flow=CellularFlow(values["mean_velocity"], values["length_scale"]),
+            flow=_flow(values),
             vehicle=PointMassVehicle(values["response_time"], thrust),
             duration=values["duration"],
             sample_rate=values["sample_rate"],
@@ -149,6 +159,19 @@ def _believed(values: dict[str, float], thrust: tuple[float, float]) -> PointMas
     return PointMassVehicle(response * values["response_time"], (push * x, push * y))
 
 
+def _flow(values: dict[str, float]) -> Flow:
+    """The first cellular flow, (U0, L), and those of its multiples that are asked for."""
+    speed, scale = values["mean_velocity"], values["length_scale"]
+    first = CellularFlow(speed, scale)
+    more = (
+        CellularFlow(speed * values[velocity_ratio], scale * values[scale_ratio])
+        for scale_ratio, velocity_ratio in SUPERPOSED
+        if scale_ratio in values
+    )
+    parts = (first, *more)
+    return SuperposedFlow(parts) if len(parts) > 1 else first
+
+
 def read_flight_rules(section: Table, place: Place) -> FlightRules:
     """The rules from the [flights] table without `count`; `InputError` names the bad key."""
     only(section, KEYS, place)
@@ -164,6 +187,7 @@ def read_flight_rules(section: Table, place: Place) -> FlightRules:
         raise place.at("measurement_noise").error(
             "is [velocity_noise, position_noise]: drop those two"
         )
+    _check_superposed(section, place)
     named = {name: entry for key in section for name, entry in _entries(key, section[key], place)}
     return FlightRules(tuple((name, named[name]) for name in STREAMS if name in named))
 
@@ -180,6 +204,19 @@ def _check_third(section: Table, place: Place) -> None:
             for third in (first * second, first / second):
                 if not 1e-150 < third < 1e150:
                     raise place.error(f"{first:g} and {second:g} give no flow that can be flown")
+
+
+def _check_superposed(section: Table, place: Place) -> None:
+    """A flow beside the first needs both its ratios, the third a second; each within RATIOS."""
+    given = [key for pair in SUPERPOSED for key in pair if key in section]
+    for pair in SUPERPOSED[: 2 if any(key in SUPERPOSED[1] for key in given) else 1]:
+        for key in pair if given else ():
+            if key not in section:
+                raise place.at(key).error(f"missing: {given[0]} needs it too")
+            values = read_entry(section[key], place.at(key), least=0.0, open_end=True).values
+            if not RATIOS[0] <= min(values) <= max(values) <= RATIOS[1]:
+                low, high = RATIOS
+                raise place.at(key).error(f"must lie between {low:g} and {high:g}")
 
 
 def _entries(key: str, value: object, place: Place) -> list[tuple[str, Entry]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import pandas as pd
@@ -11,9 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sparsefit.errors import InputError
+from sparsefit.score import strongest
 from sparsefit.study.design import Cell, case_id, cells
 from sparsefit.study.document import canonical_json
 from sparsefit.study.execution import Outcome
+from sparsefit.study.scale_columns import ScaleColumns
 from sparsefit.study.spec import Study
 
 CASES = "cases.parquet"
@@ -45,6 +48,8 @@ COLUMNS = {
     "seconds": REAL,
     "samples": WHOLE,
     "columns": WHOLE,
+    "extent": REAL,
+    **{entry.name: TEXT if entry.type == "str" else REAL for entry in fields(ScaleColumns)},
 }
 
 
@@ -113,7 +118,7 @@ def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
 
 
 def _truth(study: Study, flight: int, cell: Cell) -> dict[str, float]:
-    flow = cell.setup.flights.draw(flight, study.count, study.seed).flow
+    flow = strongest(cell.setup.flights.draw(flight, study.count, study.seed).flow)
     return {
         "true_mean_velocity": flow.mean_velocity,
         "true_length_scale": flow.length_scale,

@@ -11,6 +11,7 @@ import pandas as pd
 from sparsefit.study import paper
 from sparsefit.study.methods import NOISE, methods
 from sparsefit.study.readings import readings, sensitivity
+from sparsefit.study.scale_sets import has_scales, scales
 from sparsefit.study.summary import (
     PARAMETERS,
     STATUSES,
@@ -220,6 +221,7 @@ TABLES: dict[str, TableFunction] = {
     "errors-absolute": errors_absolute,
     "readings": readings,
     "sensitivity": sensitivity,
+    "scales": scales,
     "times": times,
     "methods": methods,
 }
@@ -235,6 +237,7 @@ def tables_for(cases: pd.DataFrame) -> list[str]:
         "errors-absolute": not single,
         "readings": not single and any(not is_condition(name) for name in swept),
         "sensitivity": not single and bool(swept),
+        "scales": has_scales(cases),
         "times": True,
         "methods": not single and NOISE in swept,
     }

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from sparsefit.errors import InputError
+from sparsefit.study import Study
 from sparsefit.study.drawing import to_png, to_svg
 from sparsefit.study.error_figures import quartiles
 from sparsefit.study.figures import CAPTIONS, FIGURES, figures_for
@@ -96,10 +97,43 @@ NOISES = tuple(
     for noise in ("[0,0]", "[0.05,0.01]", "[0.5,0.1]")
     for refine in ("none", "variable-projection")
 )
+SCALES = """
+name = "two"
+question = "?"
+seed = 3
+[flights]
+count = 1
+mean_velocity = 10.0
+length_scale = 3.0
+second_scale_ratio = 1.5
+second_velocity_ratio = 0.8
+response_time = 0.5
+thrust_acceleration = [12.0, 7.0]
+duration = 4.0
+sample_rate = 50.0
+[library]
+lower = 2.0
+upper = 6.0
+[[backends]]
+name = "gridless-group-lasso"
+[sweep]
+"flights.duration" = [2.0, 4.0]
+"""
+
+
+def with_scales(cases):
+    """Half the flights found, each of two scales."""
+    found = cases["flight"].to_numpy() % 2.0
+    return cases.assign(
+        scales_true=2.0, scales_within_1_percent=found, extent=100.0, true_scales="[[3,9],[5,4]]"
+    )
 
 
 @pytest.fixture(scope="module")
-def drawn():
+def drawn(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scales") / "two.toml"
+    path.write_text(SCALES)
+    two = Study.load(path)
     one, many, swept = synthetic(1), synthetic(), synthetic(8, LEVELS)
     given = {
         "weights": (one, weights_of(one)),
@@ -107,9 +141,13 @@ def drawn():
         "errors": (many, None),
         "sweep": (swept, None),
         "methods": (synthetic(8, NOISES), None),
+        "scales": (with_scales(swept), None),
+        "dual-certificate": (swept, None),
     }
     assert set(given) == set(FIGURES) == set(CAPTIONS)
-    return {name: (FIGURES[name], *data) for name, data in given.items()}
+    draw = dict(FIGURES) | {"dual-certificate": lambda _, *data: again(two, *data)}
+    again = FIGURES["dual-certificate"]  # it repeats a fit of a study that there is
+    return {name: (draw[name], *data) for name, data in given.items()}
 
 
 @pytest.mark.parametrize("name", list(FIGURES))

@@ -1,0 +1,229 @@
+"""Superposed flows in a study: how they are drawn, what a row says, the table and the sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.estimator import Estimate
+from sparsefit.study import Study, cells, read_cases
+from sparsefit.study.certificate_figure import certificate_figure
+from sparsefit.study.execution import Outcome, run_flight
+from sparsefit.study.figures import FIGURES, figures_for
+from sparsefit.study.flights import STREAMS
+from sparsefit.study.scale_columns import ScaleColumns, scale_columns
+from sparsefit.study.scale_sets import Regime, answer, has_scales, scales
+from sparsefit.study.tables import tables_for
+
+TEXT = """
+name = "two"
+question = "?"
+seed = 3
+[flights]
+count = 2
+mean_velocity = 10.0
+length_scale = { uniform = [2.5, 3.5] }
+second_scale_ratio = 1.5
+second_velocity_ratio = 0.8
+response_time = 0.5
+thrust_acceleration = [12.0, 7.0]
+duration = 4.0
+sample_rate = 50.0
+[library]
+lower = 2.0
+upper = 6.0
+[readout]
+scales = "several"
+[[backends]]
+name = "best-scale"
+[[backends]]
+name = "gridless-group-lasso"
+"""
+RESULTS = Path(__file__).parents[2] / "results"
+
+
+def load(tmp_path: Path, text: str = TEXT) -> Study:
+    (tmp_path / "two.toml").write_text(text)
+    return Study.load(tmp_path / "two.toml")
+
+
+def row(backend="lasso", *, ratio=1.5, velocity=0.5, extent=200.0, found=True, **more):
+    """A case with two flows, of 4 m and 4 m * ratio, found within 0.5 % or the first alone."""
+    truth = [[4.0, 10.0], [round(4.0 * ratio, 6), 10.0 * velocity]]
+    return {
+        "flight": 0,
+        "protocol": "default",
+        "backend": backend,
+        "label": backend,
+        "settings": "{}",
+        "status": "ok",
+        "extent": extent,
+        "scales_true": 2.0,
+        "scales_detected": 2.0 if found else 1.0,
+        "scales_missed": 0.0 if found else 1.0,
+        "scales_spurious": 0.0 if found else 1.0,
+        "scales_max_length_scale_error": 0.5,
+        "scales_max_mean_velocity_error": 2.0,
+        "scales_within_1_percent": float(found),
+        "true_scales": json.dumps(truth),
+        "flights.second_scale_ratio": ratio,
+    } | more
+
+
+def test_flows_are_multiples_of_the_first(tmp_path: Path) -> None:
+    third = "third_scale_ratio = 2.5\nthird_velocity_ratio = 0.1\nresponse_time"
+    study = load(tmp_path, TEXT.replace("response_time", third))
+    flow = cells(study)[0].setup.flights.draw(1, 2, 3).flow
+    assert isinstance(flow, sf.SuperposedFlow)
+    scale = flow.components[0].length_scale
+    assert [(p.mean_velocity, p.length_scale) for p in flow.components] == [
+        (10.0, scale),
+        (8.0, scale * 1.5),
+        (1.0, scale * 2.5),
+    ]
+
+
+def test_a_second_flow_changes_no_other_draw(tmp_path: Path) -> None:
+    superposed = cells(load(tmp_path))[0].setup.flights.draw(1, 2, 3)
+    lines = [line for line in TEXT.splitlines() if not line.startswith("second_")]
+    alone = cells(load(tmp_path, "\n".join(lines)))[0].setup.flights.draw(1, 2, 3)
+    assert alone.flow == superposed.flow.components[0]
+    assert replace(superposed, flow=alone.flow) == alone
+
+
+def test_streams_are_only_ever_added_at_the_end() -> None:
+    assert STREAMS[:3] == ("mean_velocity", "length_scale", "timescale")
+    assert STREAMS.index("velocity_noise") == 14
+    assert STREAMS[17:21] == (
+        "second_scale_ratio",
+        "second_velocity_ratio",
+        "third_scale_ratio",
+        "third_velocity_ratio",
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("second_velocity_ratio = 0.8\n", "", "second_velocity_ratio"),
+        ("second_", "third_", "second_scale_ratio"),
+        ("second_scale_ratio = 1.5", "second_scale_ratio = 0.0", "must be above 0"),
+        ("second_scale_ratio = 1.5", "second_scale_ratio = 1e9", "between 0.01 and 100"),
+    ],
+)
+def test_half_a_flow_and_no_flow_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        load(tmp_path, TEXT.replace(old, new))
+
+
+def test_rows_of_a_run(tmp_path: Path) -> None:
+    study = load(tmp_path)
+    rows = [one for one in run_flight(study, 0, cells(study)) if isinstance(one, Outcome)]
+    assert [one.scales_true for one in rows] == [2, 2]
+    assert rows[0].scales_detected + rows[0].scales_spurious == 1  # best-scale proposes one
+    found = json.loads(rows[1].est_scales)
+    assert len(found) == rows[1].scales_detected + rows[1].scales_spurious
+    flow = cells(study)[0].setup.flights.draw(0, 2, 3).flow
+    assert json.loads(rows[0].true_scales)[1][0] == pytest.approx(flow.components[1].length_scale)
+    assert rows[0].extent > 10.0
+
+
+def estimate(scales: tuple[sf.ScaleEstimate, ...] = (), scale: float = 4.0) -> Estimate:
+    return Estimate(10.0, scale, scale / 10.0, "ok", "", "lasso", {}, scales=scales)
+
+
+def test_one_flow_read_as_one_leaves_the_columns_blank() -> None:
+    blank = scale_columns(estimate(), sf.CellularFlow(10.0, 4.0))
+    assert math.isnan(blank.scales_true)
+    assert (blank.true_scales, blank.est_scales) == ("", "")
+
+
+def test_a_readout_of_one_scale_is_a_set_of_one() -> None:
+    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 4.0), sf.CellularFlow(5.0, 8.0)))
+    one = scale_columns(estimate(scale=4.02), flow)
+    assert (one.scales_detected, one.scales_missed, one.scales_spurious) == (1, 1, 0)
+    assert one.scales_max_length_scale_error == pytest.approx(0.5)
+    assert one.scales_within_1_percent == 0.0
+    assert json.loads(one.true_scales) == [[4.0, 10.0], [8.0, 5.0]]
+    none = scale_columns(estimate(scale=math.nan), flow)
+    assert (none.scales_missed, none.est_scales) == (2, "[]")
+
+
+def test_the_regime_worked_by_hand() -> None:
+    regime = Regime.of(pd.DataFrame([row(ratio=1.3, velocity=0.3, extent=156.0), row(extent=90.0)]))
+    assert regime.cells == pytest.approx([156.0 / 5.2, 90.0 / 6.0])
+    assert regime.ratio == pytest.approx([1.3, 1.5])
+    assert regime.velocity_ratio == pytest.approx([0.3, 0.5])
+    assert list(regime.resolved) == [True, False]
+
+
+STUDY = SimpleNamespace(name="demo")
+
+
+def test_the_table_counts_planned_cases() -> None:
+    failed = row(
+        ratio=1.1, status="error", scales_within_1_percent=math.nan, scales_missed=math.nan,
+        scales_spurious=math.nan, scales_max_length_scale_error=math.nan,
+        scales_max_mean_velocity_error=math.nan,
+    )  # fmt: skip
+    table = scales(STUDY, pd.DataFrame([row(), row(found=False), row(), failed]))
+    assert [one[3:8] for one in table.rows] == [
+        (None, None, 4, 50.0, pytest.approx(1 / 3)),
+        ("flights.second_scale_ratio", 1.5, 3, pytest.approx(200 / 3), pytest.approx(1 / 3)),
+        ("flights.second_scale_ratio", 1.1, 1, 0.0, None),
+    ]
+    assert table.rows[0][9:] == (0.5, 2.0, 1)
+
+
+def test_the_answer_is_of_the_cases() -> None:
+    far = [
+        row("group-lasso"),
+        row("group-lasso"),
+        row("best-scale", found=False),
+        row("best-scale"),
+    ]
+    near = [
+        row("group-lasso", extent=50.0, found=False),
+        row("best-scale", extent=50.0, found=False),
+    ]
+    said = answer(STUDY, pd.DataFrame(far + near))
+    assert "at least 30 cells" in said
+    assert "group-lasso 100 %, best-scale 50 % (2 flights)." in said
+    assert "All other flights: group-lasso, best-scale 0 % (1 flights)." in said
+    assert answer(STUDY, pd.DataFrame([row(true_scales="", extent=math.nan)])).startswith("No case")
+
+
+def test_cases_of_older_files_have_no_scales_and_are_read() -> None:
+    cases = read_cases(RESULTS / "table1").drop(
+        columns=[*vars(ScaleColumns()), "extent"], errors="ignore"
+    )
+    assert not has_scales(cases)
+    assert "scales" not in tables_for(cases)
+    assert "scales" not in figures_for(cases, None)
+
+
+def test_figures_say_what_they_need(tmp_path: Path) -> None:
+    lines = TEXT.split("[[backends]]")
+    alone = load(tmp_path, "[[backends]]".join(lines[:2]))
+    with pytest.raises(InputError, match="no gridless-group-lasso"):
+        certificate_figure(alone, pd.DataFrame(), None)
+    one = pd.DataFrame([row()]).drop(columns="flights.second_scale_ratio")
+    with pytest.raises(InputError, match="no set of scales"):
+        FIGURES["scales"](STUDY, one, None)
+
+
+def test_the_certificate_touches_one_at_the_scales_chosen(tmp_path: Path) -> None:
+    figure = certificate_figure(load(tmp_path), pd.DataFrame(), None)
+    (axes,) = figure.axes
+    (eta,) = [line.get_ydata() for line in axes.lines if line.get_label() == "η(k)"]
+    assert 0.98 < eta.max() <= 1 + 1e-5
+    (points,) = axes.collections
+    assert len(points.get_offsets()) >= 2
