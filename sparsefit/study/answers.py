@@ -7,8 +7,25 @@ from typing import TypeAlias
 
 import pandas as pd
 
+from sparsefit.study import accuracy_answers, paper_answers, trust_answers
 from sparsefit.study.summary import StudyRecord
 
 AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
 
-ANSWERS: dict[str, AnswerFunction] = {}
+ANSWERS: dict[str, AnswerFunction] = {
+    "parameters": paper_answers.parameters,
+    "least-errors": paper_answers.least_errors,
+    "readings": paper_answers.readings,
+    "selection": paper_answers.selection,
+    "completeness": paper_answers.completeness,
+    "efficiency": accuracy_answers.efficiency,
+    "windows": accuracy_answers.windows,
+    "grids": accuracy_answers.grids,
+    "coverage": trust_answers.coverage,
+    "identifiability": trust_answers.identifiability,
+}
+
+
+def sentences(study: StudyRecord, cases: pd.DataFrame) -> list[str]:
+    """What the study's [outputs] asks to be said, computed from its cases."""
+    return [ANSWERS[name](study, cases) for name in study.answers]

@@ -19,6 +19,7 @@ from sparsefit.study.design import Cell, grouped
 from sparsefit.study.document import canonical_json
 from sparsefit.study.flights import SIMULATION, Draw, stream
 from sparsefit.study.spec import Study
+from sparsefit.study.yardsticks import Yardstick, intervals, yardstick
 
 MAX_REASON = 500
 NAN = math.nan
@@ -58,6 +59,19 @@ class Outcome:
     samples: int = 0
     columns: int = 0
     weights: tuple[tuple[float, float], ...] = ()
+    extent: float = NAN
+    se_mean_velocity: float = NAN
+    se_length_scale: float = NAN
+    se_timescale: float = NAN
+    low_mean_velocity: float = NAN
+    low_length_scale: float = NAN
+    low_timescale: float = NAN
+    high_mean_velocity: float = NAN
+    high_length_scale: float = NAN
+    high_timescale: float = NAN
+    bound_mean_velocity: float = NAN
+    bound_length_scale: float = NAN
+    bound_timescale: float = NAN
 
 
 Event: TypeAlias = Stage | Outcome
@@ -78,8 +92,13 @@ def run_flight(
         if isinstance(flown, Exception):
             yield from _failed(flight, cells, flown)
             continue
+        measure = _attempt(partial(yardstick, draw, flown))
+        if isinstance(measure, Exception):
+            yield from _failed(flight, cells, measure)
+            continue
+        context = _Context(study, flight, draw, measure)
         for problem in grouped(cells, "problem"):
-            yield from _run_problem(_Context(study, flight, draw), flown, problem, alone)
+            yield from _run_problem(context, flown, problem, alone)
 
 
 @dataclass(frozen=True)
@@ -87,6 +106,7 @@ class _Context:
     study: Study
     flight: int
     draw: Draw
+    yardstick: Yardstick
 
 
 def _run_problem(
@@ -191,7 +211,8 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
     certificate = estimate.certificate
     weights = sorted(estimate.weights_by_scale.items()) if context.study.store_weights else ()
     scales = prepared.problem.group_scales
-    scored = scales is not None and score(estimate, context.draw.flow, scales).hit
+    flow = context.draw.flow
+    scored = scales is not None and flow is not None and score(estimate, flow, scales).hit
     return Outcome(
         flight=context.flight,
         cell=cell.index,
@@ -208,6 +229,8 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
         samples=int(prepared.problem.samples),
         columns=int(prepared.problem.columns),
         weights=tuple((float(scale), float(weight)) for scale, weight in weights),
+        **vars(context.yardstick),
+        **intervals(estimate.uncertainty),
     )
 
 

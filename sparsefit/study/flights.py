@@ -8,7 +8,7 @@ import numpy as np
 
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flow import CellularFlow
-from sparsefit.study.document import Place, Table, only
+from sparsefit.study.document import Place, Table, only, suggestion, text
 from sparsefit.study.entry import Entry, read_entry
 from sparsefit.vehicle import PointMassVehicle
 
@@ -31,9 +31,11 @@ STREAMS = (
     "position_noise",
     "velocity_noise",
 )
+FLOWS = ("cellular", "none")  # none: still air, in which any flow found is a false alarm
 FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
 NOISE_KEYS = ("process_noise", "position_noise", "velocity_noise")
 KEYS = (
+    "flow",
     *FLOW_KEYS,
     "response_time",
     "thrust_acceleration",
@@ -67,7 +69,9 @@ def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
 
 
 def _third(values: dict[str, float]) -> dict[str, float]:
-    """Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14)."""
+    """Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14); in still air there is none."""
+    if not values.keys() & set(FLOW_KEYS):
+        return values
     if "mean_velocity" not in values:
         return values | {"mean_velocity": values["length_scale"] / values["timescale"]}
     if "length_scale" not in values:
@@ -77,9 +81,9 @@ def _third(values: dict[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Draw:
-    """One flight to fly: SI units (m/s, m, s, m/s^2, Hz)."""
+    """One flight to fly: SI units (m/s, m, s, m/s^2, Hz); flow None: still air."""
 
-    flow: CellularFlow
+    flow: CellularFlow | None
     vehicle: PointMassVehicle
     duration: float
     sample_rate: float
@@ -94,8 +98,10 @@ class Draw:
         """From one number per stream name; what is not named takes its default."""
         thrust = (values.get("thrust_x", 0.0), values.get("thrust_y", 0.0))
         position = (values["position_x"], values["position_y"]) if "position_x" in values else None
+        here = "mean_velocity" in values
+        flow = CellularFlow(values["mean_velocity"], values["length_scale"]) if here else None
         return cls(
-            flow=CellularFlow(values["mean_velocity"], values["length_scale"]),
+            flow=flow,
             vehicle=PointMassVehicle(values["response_time"], thrust),
             duration=values["duration"],
             sample_rate=values["sample_rate"],
@@ -125,16 +131,27 @@ class Draw:
 def read_flight_rules(section: Table, place: Place) -> FlightRules:
     """The rules from the [flights] table without `count`; `InputError` names the bad key."""
     only(section, KEYS, place)
+    calm = _flow_kind(section, place) == "none"
     given = [key for key in FLOW_KEYS if key in section]
-    if len(given) != 2:
+    if len(given) != 2 and not calm:
         have = ", ".join(given) or "none"
         raise place.error(f"needs exactly two of {', '.join(FLOW_KEYS)}, has {have}")
     for key in REQUIRED:
         if key not in section:
             raise place.at(key).error("missing: every flight needs it")
-    _check_third(section, place)
-    named = {name: entry for key in section for name, entry in _entries(key, section[key], place)}
+    if not calm:
+        _check_third(section, place)
+    # A protocol without a flow cannot remove the keys of the others': they are left out here.
+    kept = [key for key in section if key != "flow" and not (calm and key in FLOW_KEYS)]
+    named = {name: entry for key in kept for name, entry in _entries(key, section[key], place)}
     return FlightRules(tuple((name, named[name]) for name in STREAMS if name in named))
+
+
+def _flow_kind(section: Table, place: Place) -> str:
+    kind = text(section.get("flow", "cellular"), place.at("flow"))
+    if kind not in FLOWS:
+        raise place.at("flow").error(f'has unknown value "{kind}"{suggestion(kind, FLOWS)}')
+    return kind
 
 
 def _check_third(section: Table, place: Place) -> None:

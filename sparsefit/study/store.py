@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from sparsefit.study.design import Cell, case_id, cells
 from sparsefit.study.document import canonical_json
 from sparsefit.study.execution import Outcome
 from sparsefit.study.spec import Study
+from sparsefit.study.yardsticks import PARAMETERS
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
@@ -45,6 +47,20 @@ COLUMNS = {
     "seconds": REAL,
     "samples": WHOLE,
     "columns": WHOLE,
+    "flow": TEXT,
+    "extent": REAL,
+    "se_mean_velocity": REAL,
+    "se_length_scale": REAL,
+    "se_timescale": REAL,
+    "low_mean_velocity": REAL,
+    "low_length_scale": REAL,
+    "low_timescale": REAL,
+    "high_mean_velocity": REAL,
+    "high_length_scale": REAL,
+    "high_timescale": REAL,
+    "bound_mean_velocity": REAL,
+    "bound_length_scale": REAL,
+    "bound_timescale": REAL,
 }
 
 
@@ -86,7 +102,7 @@ def cases_table(study: Study, ordered: Sequence[Outcome], every: Sequence[Cell])
     """The rows of `cases.parquet`, one per outcome, with fixed column types."""
     swept = {factor.key: _level_type(factor.levels) for factor in study.sweep}
     schema = COLUMNS | swept
-    truths: dict[tuple[int, object], dict[str, float]] = {}
+    truths: dict[tuple[int, object], dict[str, object]] = {}
     columns: dict[str, list[object]] = {name: [] for name in schema}
     for outcome in ordered:
         cell = every[outcome.cell]
@@ -112,9 +128,12 @@ def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
     }
 
 
-def _truth(study: Study, flight: int, cell: Cell) -> dict[str, float]:
+def _truth(study: Study, flight: int, cell: Cell) -> dict[str, object]:
     flow = cell.setup.flights.draw(flight, study.count, study.seed).flow
+    if flow is None:
+        return {"flow": "none"} | {f"true_{name}": math.nan for name in PARAMETERS}
     return {
+        "flow": "cellular",
         "true_mean_velocity": flow.mean_velocity,
         "true_length_scale": flow.length_scale,
         "true_timescale": flow.timescale,
@@ -152,7 +171,7 @@ def _replace(rows: pa.Table, path: Path) -> None:
     """Write beside, then rename: a reader sees the old file or the new one, never half of one."""
     beside = path.with_name(path.name + ".writing")
     with beside.open("wb") as file:
-        pq.write_table(rows, file)
+        pq.write_table(rows, file, compression="zstd", compression_level=9)
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)

@@ -213,6 +213,23 @@ def numbers(cases: pd.DataFrame, name: str) -> FloatArray:
     return np.asarray(cases[name].to_numpy(dtype=np.float64, na_value=np.nan))
 
 
+def recorded(cases: pd.DataFrame, name: str) -> FloatArray:
+    """(rows,) a numeric column; NaN where the study was run before there was such a column."""
+    return numbers(cases, name) if name in cases else np.full(len(cases), np.nan)
+
+
+def three_of(cases: pd.DataFrame, prefix: str) -> FloatArray:
+    """(rows, 3) the columns `prefix`_* of U0, L_w and tau_w; NaN where there are none."""
+    return np.column_stack([recorded(cases, f"{prefix}_{name}") for name in PARAMETERS])
+
+
+def in_a_flow(cases: pd.DataFrame) -> BoolArray:
+    """(rows,) whether there was a flow to find; where there was none, an estimate is wrong."""
+    if "flow" not in cases:
+        return np.ones(len(cases), dtype=bool)
+    return np.array([plain(value) != "none" for value in cases["flow"]], dtype=bool)
+
+
 def mean(values: FloatArray) -> list[float]:
     """Mean of each column over its finite entries; NaN where there is none."""
     return [float(np.mean(column)) if column.size else np.nan for column in _finite(values)]
