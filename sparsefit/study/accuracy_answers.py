@@ -7,17 +7,18 @@ import math
 import pandas as pd
 
 from sparsefit.study.efficiency import bounded, ratios, rms
-from sparsefit.study.error_figures import first_settings, quartiles
-from sparsefit.study.grids_figure import REFINE
-from sparsefit.study.sentence import extremes, ranged
+from sparsefit.study.sentence import extremes, ranged, some
 from sparsefit.study.summary import (
     PARAMETERS,
+    REFINE,
     SYMBOLS,
     Group,
     StudyRecord,
     factors,
     failures,
+    first_settings,
     grouped,
+    quartiles,
 )
 from sparsefit.study.windows import LIMITS, SHARES, duration_groups, seconds_to
 
@@ -38,31 +39,42 @@ def efficiency(study: StudyRecord, cases: pd.DataFrame) -> str:
             name: {one.title: rms(ratios(one.cases))[PARAMETERS.index(name)] for one in groups}
             for name in ("length_scale", "mean_velocity")
         }
-        words = ", ".join(f"of {SYMBOLS[name]} {extremes(one)}" for name, one in values.items())
-        lost = ranged([100.0 * failures(one.cases) / len(one.cases) for one in groups], " %")
-        said.append(f"{protocol}: {words}, without an estimate {lost}")
+        words = ", ".join(f"{SYMBOLS[name]} {extremes(one)}" for name, one in values.items())
+        lost = [100.0 * failures(one.cases) / len(one.cases) for one in groups]
+        said.append(f"{protocol}: {words}, no estimate in {ranged(lost, ' %')} of the cases")
     flights = len(kept.drop_duplicates(["flight", *factors(cases)]))
-    return f"Rms error over the Cramér-Rao bound, {flights} flights; {'; '.join(said)}."
+    return f"Rms error over the Cramér-Rao bound in {flights} flights. {'; '.join(said)}."
 
 
 def windows(study: StudyRecord, cases: pd.DataFrame) -> str:
-    """Seconds until within 5 % and 1 %, for the median flight and 9 in 10, best to worst."""
+    """Seconds until within 5 % and 1 %, for the median flight and 9 in 10; who agrees, together."""
     duration_groups(study, cases)
     said = []
     for protocol, groups in by_protocol(cases).items():
-        words = []
-        for share, level in SHARES.items():
-            for limit in LIMITS:
-                seconds = {one.title: seconds_to(one.cases, limit, level) for one in groups}
-                words.append(f"{share} within {limit:g} % after {_seconds(seconds)}")
+        names: dict[str, list[str]] = {}
+        for one in groups:
+            names.setdefault(_reached(one), []).append(one.title)
+        words = [
+            f"{'every back-end' if len(names) == 1 else some(who)} {reached}"
+            for reached, who in names.items()
+        ]
         said.append(f"{protocol}: {', '.join(words)}")
-    return f"{'; '.join(said)}."
+    limits = " / ".join(f"{limit:g} %" for limit in LIMITS)
+    head = f"Seconds of flight until within {limits} ({', '.join(SHARES)})"
+    return f"{head}. {'; '.join(said)}."
 
 
-def _seconds(values: dict[str, float]) -> str:
-    if all(math.isinf(value) for value in values.values()):
-        return "no duration flown"
-    return extremes(values, " s").replace("∞ s", "no duration")
+def _reached(group: Group) -> str:
+    """`3 / 5 s and 8 / 12 s`, or never."""
+    seconds = [
+        [seconds_to(group.cases, limit, share) for limit in LIMITS] for share in SHARES.values()
+    ]
+    if all(math.isinf(one) for pair in seconds for one in pair):
+        return "never"
+    words = [
+        " / ".join("never" if math.isinf(one) else f"{one:g}" for one in pair) for pair in seconds
+    ]
+    return " s and ".join(words) + " s"
 
 
 def grids(study: StudyRecord, cases: pd.DataFrame) -> str:

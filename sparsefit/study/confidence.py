@@ -35,11 +35,11 @@ COVERAGE_NOTE = (
     "are left out."
 )
 IDENTIFIABILITY_NOTE = (
-    "Off: more than 5 % from the truth in U0, L_w or τ_w. Of the flights called ok as few as "
-    "possible may be off; an unidentifiable one deserved it if the numbers that it would have "
-    "given are off, or there are none. Other: inaccurate, or no answer. In flights without a flow "
-    "every estimate with status ok or inaccurate is a false alarm; called so: unidentifiable "
-    "because no cellular flow is detected."
+    "Off: called ok, but more than 5 % from the truth in U0, L_w or τ_w, and its share of those "
+    "called ok. An unidentifiable flight deserved it if the numbers that it would have given are "
+    "off by as much, or there are none. Other: inaccurate, or no answer. In flights without a "
+    "flow status ok or inaccurate is a false alarm; called so: unidentifiable because no cellular "
+    "flow is detected."
 )
 
 
@@ -174,16 +174,16 @@ def _cells(found: Verdicts) -> Sequence[Cell]:
     return (*flow, *empty)
 
 
-_FLOW, _EMPTY = "flights in a flow", "flights without a flow"
+_FLOW, _EMPTY = "flow", "no flow"
 _VERDICT_COLUMNS = (
     Column("n", format="d", group=_FLOW),
     Column("ok", format="d", group=_FLOW),
     Column("ok", "%", ".1f", group=_FLOW),
-    Column("ok but off", format="d", group=_FLOW),
-    Column("ok but off", "% of ok", ".2f", group=_FLOW),
+    Column("off", format="d", group=_FLOW),
+    Column("off", "%", ".2f", group=_FLOW),
     Column("unidentifiable", format="d", group=_FLOW),
     Column("deserved", format="d", group=_FLOW),
-    Column("deserved", "% of them", ".1f", group=_FLOW),
+    Column("deserved", "%", ".1f", group=_FLOW),
     Column("other", format="d", group=_FLOW),
     Column("n", format="d", group=_EMPTY),
     Column("false alarms", format="d", group=_EMPTY),

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sparsefit.errors import InputError
-from sparsefit.study.confidence import has_intervals, held
+from sparsefit.study.confidence import held
 from sparsefit.study.drawing import COLOURS, GREY, panels, shortened
 from sparsefit.study.error_figures import ROWS
 from sparsefit.study.summary import SYMBOLS, StudyRecord, by_setting, factors, in_a_flow
@@ -20,13 +19,7 @@ LOWEST = 80.0  # of the axis, unless something lies below
 def coverage_figure(
     study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None
 ) -> Figure:
-    """Draw the coverage of each setting and level with its Wilson interval, and the 95 % line.
-
-    Raises:
-        InputError: if no case has an interval.
-    """
-    if not has_intervals(cases):
-        raise InputError(f'{study.name} has no intervals: drop the figure "coverage"')
+    """Draw the coverage of each setting and level with its Wilson interval, and the 95 % line."""
     swept = factors(cases)
     groups = by_setting(cases[in_a_flow(cases)], *swept)[:ROWS]
     names = [_name([group.key[name] for name in ("protocol", *swept)]) for group in groups]
@@ -38,6 +31,8 @@ def coverage_figure(
         for place, group in enumerate(groups):
             share, _ = held(group.cases, parameter)
             low, high = share.interval
+            if not share.whole:
+                axes.text(BAND[0], place, "no interval", fontsize=6.5, color=GREY, va="center")
             axes.plot([low, high], [place, place], color="black", lw=0.9, zorder=3)
             axes.plot([share.percent], [place], "o", ms=4, color=COLOURS[0], zorder=4)
             lowest = min(lowest, low - 2.0) if np.isfinite(low) else lowest

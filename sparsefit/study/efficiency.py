@@ -67,7 +67,7 @@ def efficiency(study: StudyRecord, cases: pd.DataFrame) -> Table:
         Column("with bound", format="d"),
         *three("rms error", SIGNIFICANT, unit="%"),
         *three("rms bound", SIGNIFICANT, unit="%"),
-        *three("rms of error/bound", SIGNIFICANT, unit="1"),
+        *three("rms of error/bound", SIGNIFICANT, unit=""),
     )
     title = titled(study, "Errors against the Cramér-Rao bound")
     return Table(title, columns, tuple(rows), (EFFICIENCY_NOTE,), 60)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from sparsefit.errors import InputError
 from sparsefit.study.drawing import GREY, colours, logarithmic, markers, panels, ticked
 from sparsefit.study.efficiency import bounded, percent_of_truth, ratios, rms
-from sparsefit.study.error_figures import first_settings, numeric_factors
+from sparsefit.study.error_figures import numeric_factors
 from sparsefit.study.summary import (
     PARAMETERS,
     SYMBOLS,
@@ -21,6 +21,7 @@ from sparsefit.study.summary import (
     Group,
     StudyRecord,
     factors,
+    first_settings,
     grouped,
     signed_errors,
     three_of,
@@ -89,10 +90,10 @@ def _panel(
         noise, values = _curve(line.cases, place, relative=relative)
         # Lines that agree lie on each other: the first are drawn wider, so that all are seen.
         width = 2.6 - 1.8 * order / max(len(lines) - 1, 1)
+        style = STYLES[protocols.index(str(line.key["protocol"])) % len(STYLES)]
         axes.plot(
             noise, values, color=colour[line.title], marker=marker[line.title], lw=width,
-            ms=1.3 + 1.4 * width, ls=STYLES[protocols.index(str(line.key["protocol"])) % len(STYLES)],
-            mew=0, zorder=3,
+            ms=1.3 + 1.4 * width, ls=style, mew=0, zorder=3,
         )  # fmt: skip
     if relative:
         axes.axhline(1.0, color="black", lw=1.0, zorder=4)

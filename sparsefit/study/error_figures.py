@@ -11,6 +11,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.drawing import GREY, colours, logarithmic, markers, panels, shortened, ticked
 from sparsefit.study.scatter_figure import ORDER
 from sparsefit.study.summary import (
+    FLOOR,
     PARAMETERS,
     SYMBOLS,
     FloatArray,
@@ -19,12 +20,13 @@ from sparsefit.study.summary import (
     by_setting,
     estimated,
     factors,
+    first_settings,
     grouped,
     numbers,
     percent_errors,
+    quartiles,
 )
 
-FLOOR = 1e-4  # percent: what is smaller is drawn here, so that a log axis can show it
 ROWS = 30
 
 
@@ -143,23 +145,6 @@ def _sweep_row(row: list[Axes], lines: list[Group], factor: str, levels: FloatAr
         for line in lines:
             _band(axes, name, line, factor, colour[line.title], marker[line.title])
         _scales(axes, name, factor, levels)
-
-
-def first_settings(cases: pd.DataFrame) -> list[Group]:
-    """The first listed setting of each protocol and back-end, over all levels."""
-    firsts: dict[tuple[object, object], Group] = {}
-    for group in by_setting(cases):
-        firsts.setdefault((group.key["protocol"], group.key["backend"]), group)
-    return list(firsts.values())
-
-
-def quartiles(cases: pd.DataFrame, name: str) -> FloatArray:
-    """(3,) quartiles of |% error|, each an observed value; a failure is an infinite error."""
-    percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(name)])
-    # Without a flow to find there is no truth: an estimate is a false alarm.
-    known = estimated(cases) & ~np.isnan(percent)
-    sizes = np.where(known, np.maximum(percent, FLOOR), np.inf)
-    return np.asarray(np.quantile(sizes, [0.25, 0.5, 0.75], method="inverted_cdf"))
 
 
 def _band(axes: Axes, name: str, line: Group, factor: str, colour: str, marker: str) -> None:

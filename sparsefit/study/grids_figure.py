@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -9,10 +11,16 @@ from matplotlib.figure import Figure
 
 from sparsefit.errors import InputError
 from sparsefit.study.drawing import colours, logarithmic, markers, panels
-from sparsefit.study.error_figures import first_settings, quartiles
-from sparsefit.study.summary import SYMBOLS, Group, StudyRecord, grouped
+from sparsefit.study.summary import (
+    REFINE,
+    SYMBOLS,
+    Group,
+    StudyRecord,
+    first_settings,
+    grouped,
+    quartiles,
+)
 
-REFINE = "readout.refine"
 SPREAD = 0.62  # of the distance between two grids
 
 
@@ -61,6 +69,6 @@ def _panel(axes: Axes, groups: list[Group]) -> None:
             label=group.title if new else "_", zorder=3,
         )  # fmt: skip
     axes.set_yscale("log")
-    axes.set_xticks(range(len(grids)), [name.replace(", ", "\n") for name in grids])
+    axes.set_xticks(range(len(grids)), [textwrap.fill(name, 12) for name in grids])
     axes.set_xlim(-0.5, len(grids) - 0.5)
     axes.grid(False, axis="x")

@@ -34,10 +34,16 @@ def key_columns(swept: Sequence[str]) -> tuple[Column, ...]:
     return (*setting_columns(swept), *counted)
 
 
-def three(group: str, spec: str, unit: str = "") -> tuple[Column, ...]:
+def three(group: str, spec: str, unit: str | None = None) -> tuple[Column, ...]:
     """U0, L_w and tau_w under one heading, in their own units where none is given."""
     return tuple(
-        Column(SYMBOLS[one], unit or UNITS[one], spec, group=group, tex=TEX_SYMBOLS[one])
+        Column(
+            SYMBOLS[one],
+            UNITS[one] if unit is None else unit,
+            spec,
+            group=group,
+            tex=TEX_SYMBOLS[one],
+        )
         for one in PARAMETERS
     )
 

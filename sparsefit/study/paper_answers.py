@@ -9,7 +9,7 @@ import pandas as pd
 
 from sparsefit.study import candidates, paper
 from sparsefit.study import readings as reading_tables
-from sparsefit.study.sentence import listed, shown
+from sparsefit.study.sentence import listed, shown, some
 from sparsefit.study.summary import (
     STATUSES,
     SYMBOLS,
@@ -21,7 +21,6 @@ from sparsefit.study.summary import (
 )
 
 TAU = SYMBOLS["timescale"]
-NAMED = 3  # of those that are equal; the rest are counted
 
 
 def parameters(study: StudyRecord, cases: pd.DataFrame) -> str:
@@ -50,17 +49,11 @@ def least_errors(study: StudyRecord, cases: pd.DataFrame) -> str:
         }
         least = shown(min(values.values()))
         best = [name for name, value in values.items() if shown(value) == least]
-        said.append(f"{protocol.key['protocol']} {least} % ({_some(best)})")
+        said.append(f"{protocol.key['protocol']} {least} % ({some(best)})")
     return (
         f"Least mean |error| of {TAU}, a flight without an estimate counting as 100 %: "
         f"{', '.join(said)}."
     )
-
-
-def _some(names: list[str]) -> str:
-    if len(names) <= NAMED + 1:
-        return listed(names)
-    return f"{', '.join(names[:NAMED])} and {len(names) - NAMED} more"
 
 
 def readings(study: StudyRecord, cases: pd.DataFrame) -> str:
@@ -89,7 +82,7 @@ def selection(study: StudyRecord, cases: pd.DataFrame) -> str:
     best = [one for one in found if shown(one.validate) == least]
     scores = sorted({shown(one.evaluate) for one in best})
     return (
-        f"Chosen on the validate flights: {_some([one.title for one in best])}; mean |error| of "
+        f"Chosen on the validate flights: {some([one.title for one in best])}; mean |error| of "
         f"{TAU} {least} % there and {listed(scores)} % on the others."
     )
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from sparsefit.study.table import significant
 
 DIGITS = 3  # as a sentence shows them; what agrees in them is named together
+NAMED = 3  # of those that agree; the rest are counted
 
 
 def listed(names: Sequence[str]) -> str:
@@ -15,6 +16,13 @@ def listed(names: Sequence[str]) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def some(names: Sequence[str]) -> str:
+    """All of them, or the first few and how many more."""
+    if len(names) <= NAMED + 1:
+        return listed(names)
+    return f"{', '.join(names[:NAMED])} and {len(names) - NAMED} more"
 
 
 def shown(value: float) -> str:
@@ -34,11 +42,12 @@ def extremes(values: Mapping[str, float], unit: str = "") -> str:
     if shown(low) == shown(high):
         who = "all" if len(finite) > 1 else next(iter(finite))
         return f"{shown(low)}{unit} ({who})"
-    return f"{shown(low)}{unit} ({_holders(finite, low)}) to {shown(high)}{unit} ({_holders(finite, high)})"
+    ends = (f"{shown(end)}{unit} ({_holders(finite, end)})" for end in (low, high))
+    return " to ".join(ends)
 
 
 def _holders(values: Mapping[str, float], wanted: float) -> str:
-    return listed([name for name, value in values.items() if shown(value) == shown(wanted)])
+    return some([name for name, value in values.items() if shown(value) == shown(wanted)])
 
 
 def ranged(values: Sequence[float], unit: str = "") -> str:

@@ -22,6 +22,8 @@ CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
 
 TEXT, REAL, WHOLE, FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+SINGLE = pa.float32()  # of what seven digits are enough
+DENSE = ("est_", "se_", "low_", "high_", "bound_", "certificate", "seconds", "extent")
 # `samples` and `columns` are 0 where no library was built; what is not known is NaN or "".
 COLUMNS = {
     "case_id": TEXT,
@@ -43,24 +45,24 @@ COLUMNS = {
     "grid_length_scale": REAL,
     "hit": FLAG,
     "certificate_kind": TEXT,
-    "certificate": REAL,
-    "seconds": REAL,
+    "certificate": SINGLE,
+    "seconds": SINGLE,
     "samples": WHOLE,
     "columns": WHOLE,
     "flow": TEXT,
-    "extent": REAL,
-    "se_mean_velocity": REAL,
-    "se_length_scale": REAL,
-    "se_timescale": REAL,
+    "extent": SINGLE,
+    "se_mean_velocity": SINGLE,
+    "se_length_scale": SINGLE,
+    "se_timescale": SINGLE,
     "low_mean_velocity": REAL,
     "low_length_scale": REAL,
     "low_timescale": REAL,
     "high_mean_velocity": REAL,
     "high_length_scale": REAL,
     "high_timescale": REAL,
-    "bound_mean_velocity": REAL,
-    "bound_length_scale": REAL,
-    "bound_timescale": REAL,
+    "bound_mean_velocity": SINGLE,
+    "bound_length_scale": SINGLE,
+    "bound_timescale": SINGLE,
 }
 
 
@@ -167,11 +169,24 @@ def _weights_table(ordered: Sequence[Outcome], every: Sequence[Cell]) -> pa.Tabl
     )
 
 
+def _is_dense(field: pa.Field) -> bool:
+    return bool(pa.types.is_floating(field.type)) and field.name.startswith(DENSE)
+
+
 def _replace(rows: pa.Table, path: Path) -> None:
     """Write beside, then rename: a reader sees the old file or the new one, never half of one."""
     beside = path.with_name(path.name + ".writing")
     with beside.open("wb") as file:
-        pq.write_table(rows, file, compression="zstd", compression_level=9)
+        # Numbers that never repeat pack best by bytes of equal rank, all else as a dictionary.
+        dense = [field.name for field in rows.schema if _is_dense(field)]
+        pq.write_table(
+            rows,
+            file,
+            compression="zstd",
+            compression_level=9,
+            use_dictionary=[name for name in rows.column_names if name not in dense],
+            column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
+        )
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)

@@ -6,32 +6,34 @@ import pandas as pd
 
 from sparsefit.study.confidence import OFF, Share, held, verdicts
 from sparsefit.study.sentence import listed
-from sparsefit.study.summary import PARAMETERS, SYMBOLS, StudyRecord, by_setting, factors, in_a_flow
+from sparsefit.study.summary import PARAMETERS, StudyRecord, by_setting, factors, in_a_flow
 
 NOMINAL = (93.0, 97.0)  # percent: what 95 % intervals must keep
 
 
 def coverage(study: StudyRecord, cases: pd.DataFrame) -> str:
-    """From where to where the coverage goes, and which regimes leave 93-97 %."""
-    swept, shares, outside = factors(cases), [], []
+    """From where to where the coverage goes, and which regimes are not within 93-97 %."""
+    swept, every, outside = factors(cases), [], []
     for group in by_setting(cases[in_a_flow(cases)], *swept):
-        for name in PARAMETERS:
-            share, _ = held(group.cases, name)
-            if not share.whole:
-                continue
-            shares.append(share)
-            if not NOMINAL[0] <= share.percent <= NOMINAL[1]:
-                where = ", ".join(str(group.key[one]) for one in ("protocol", *swept))
-                outside.append(f"{SYMBOLS[name]} of {where} ({share.percent:.1f} %)")
-    if not shares:
+        shares = [share for share, _ in (held(group.cases, name) for name in PARAMETERS)]
+        shares = [share for share in shares if share.whole]
+        every += shares
+        if not all(NOMINAL[0] <= share.percent <= NOMINAL[1] for share in shares):
+            where = ", ".join(str(group.key[one]) for one in ("protocol", *swept))
+            outside.append(f"{where} ({_percents(shares)})")
+    if not every:
         return "No case has an interval: the coverage is not known."
-    low, high = min(one.percent for one in shares), max(one.percent for one in shares)
-    held_, tried = sum(one.part for one in shares), sum(one.whole for one in shares)
-    words = f"outside 93-97 %: {listed(outside)}" if outside else "all within 93-97 %"
+    total = Share(sum(one.part for one in every), sum(one.whole for one in every))
+    words = f"not within 93 to 97 %: {listed(outside)}" if outside else "all within 93 to 97 %"
     return (
-        f"The 95 % intervals held the truth in {Share(held_, tried).percent:.1f} % of the cases "
-        f"called ok, {low:.1f} to {high:.1f} % by regime and parameter; {words}."
+        f"The 95 % intervals of U0, L_w and τ_w held the truth in {total.percent:.1f} % of the "
+        f"flights called ok, {_percents(every)} by regime and parameter; {words}."
     )
+
+
+def _percents(shares: list[Share]) -> str:
+    low, high = (f"{end(one.percent for one in shares):.1f}" for end in (min, max))
+    return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 def identifiability(study: StudyRecord, cases: pd.DataFrame) -> str:

@@ -8,9 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.study.drawing import GREY, colours, logarithmic, markers, panels, ticked
-from sparsefit.study.error_figures import FLOOR, first_settings
-from sparsefit.study.summary import Group, StudyRecord
+from sparsefit.study.summary import FLOOR, Group, StudyRecord, first_settings
 from sparsefit.study.windows import LIMITS, SHARES, by_duration, duration_groups
+
+HIGHEST = 300.0  # percent: what is worse is no answer, and leaves the frame
 
 
 def windows_figure(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
@@ -34,11 +35,12 @@ def windows_figure(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFram
             axes.set_ylabel(f"largest |error|, {words} [%]")
         if len(protocols) > 1:
             row[0].set_title(protocol, loc="left", fontweight="bold")
-        low = min(axes.get_ylim()[0] for axes in row)
-        high = max(axes.get_ylim()[1] for axes in row)
-        for axes in row:
-            axes.set_ylim(low, high)
-            logarithmic(axes.yaxis, low, high)
+    every = [axes for row in grid for axes in row]
+    low = min(axes.get_ylim()[0] for axes in every)
+    high = min(max(axes.get_ylim()[1] for axes in every), HIGHEST)
+    for axes in every:
+        axes.set_ylim(low, high)
+        logarithmic(axes.yaxis, low, high)
     for axes in grid[-1]:
         axes.set_xlabel("seconds flown")
     handles, labels = grid[0][0].get_legend_handles_labels()
@@ -61,7 +63,7 @@ def _panel(axes: Axes, lines: list[Group], backends: list[str], share: float) ->
     for limit in LIMITS:
         axes.axhline(limit, color=GREY, lw=0.9, ls="--", zorder=2)
         axes.text(
-            0.995, limit, f"{limit:g} %", transform=axes.get_yaxis_transform(), ha="right",
-            va="bottom", fontsize=6.5, color=GREY,
+            1.01, limit, f"{limit:g} %", transform=axes.get_yaxis_transform(), ha="left",
+            va="center", fontsize=6.5, color=GREY,
         )  # fmt: skip
     ticked(axes, seconds)

@@ -12,6 +12,7 @@ from sparsefit.study.flights import Draw
 from sparsefit.uncertainty import Uncertainty
 
 NAN = math.nan
+DIGITS = 17  # binary, of the width of an interval
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 
 
@@ -47,11 +48,16 @@ def intervals(found: Uncertainty | None) -> dict[str, float]:
         return {}
     values: dict[str, float] = {}
     for name in PARAMETERS:
-        low, high = getattr(found, f"{name}_interval")
-        error = getattr(found, name)
-        values |= {
-            f"se_{name}": float(error),
-            f"low_{name}": float(low),
-            f"high_{name}": float(high),
-        }
+        low, high = _outward(*map(float, getattr(found, f"{name}_interval")))
+        error = float(getattr(found, name))
+        values |= {f"se_{name}": error, f"low_{name}": low, f"high_{name}": high}
     return values
+
+
+def _outward(low: float, high: float) -> tuple[float, float]:
+    """The interval, 1/32768 of its width longer at most: shorter numbers to store."""
+    width = high - low
+    if not (math.isfinite(width) and width > 0):
+        return low, high
+    step = math.ldexp(1.0, math.frexp(width)[1] - DIGITS)
+    return math.floor(low / step) * step, math.ceil(high / step) * step
