@@ -19,7 +19,6 @@ from sparsefit.study.summary import (
     by_setting,
     factors,
     in_a_flow,
-    quantile,
     three_of,
 )
 from sparsefit.study.table import SIGNIFICANT, Cell, Column, Table
@@ -79,7 +78,7 @@ def held(cases: pd.DataFrame, name: str) -> tuple[Share, float]:
     kept &= ~np.isnan(low) & ~np.isnan(high)
     inside = int(((low <= true) & (true <= high))[kept].sum())
     half: FloatArray = (50.0 * (high - low) / np.abs(found))[kept]
-    return Share(inside, int(kept.sum())), quantile(half[:, None], 0.5)[0]
+    return Share(inside, int(kept.sum())), float(np.median(half)) if half.size else math.nan
 
 
 def has_intervals(cases: pd.DataFrame) -> bool:

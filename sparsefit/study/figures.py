@@ -19,7 +19,7 @@ from sparsefit.study.grids_figure import grids_figure
 from sparsefit.study.scatter_figure import scatter
 from sparsefit.study.summary import StudyRecord, in_a_flow
 from sparsefit.study.weights_figure import weights_figure
-from sparsefit.study.windows import DURATION
+from sparsefit.study.windows import many_durations
 from sparsefit.study.windows_figure import windows_figure
 
 FigureFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame, pd.DataFrame | None], Figure]
@@ -83,7 +83,7 @@ def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:
         "errors": not single,
         "sweep": not single and bool(numeric_factors(cases)),
         "efficiency": NOISE in numeric_factors(cases) and not bounded(cases).empty,
-        "windows": not single and DURATION in numeric_factors(cases),
+        "windows": not single and many_durations(cases),
         "coverage": has_intervals(cases),
         "grids": False,  # its protocols have to be grids, which only the study's author knows
     }

@@ -82,8 +82,9 @@ def selection(study: StudyRecord, cases: pd.DataFrame) -> str:
     best = [one for one in found if shown(one.validate) == least]
     scores = sorted({shown(one.evaluate) for one in best})
     return (
-        f"Chosen on the validate flights: {some([one.title for one in best])}; mean |error| of "
-        f"{TAU} {least} % there and {listed(scores)} % on the others."
+        f"Least mean |error| of {TAU} on the validate flights: {least} %, by "
+        f"{some([one.title for one in best])}; on the evaluate flights {listed(scores)} %. "
+        "Of equals, sparsefit select takes the fastest."
     )
 
 

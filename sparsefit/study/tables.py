@@ -40,7 +40,7 @@ from sparsefit.study.summary import (
     signed_errors,
 )
 from sparsefit.study.table import SIGNIFICANT, Cell, Column, Table, plain
-from sparsefit.study.windows import DURATION, windows
+from sparsefit.study.windows import many_durations, windows
 
 TableFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], Table]
 ROWS_SHOWN = 60
@@ -221,6 +221,6 @@ def tables_for(cases: pd.DataFrame) -> list[str]:
         "efficiency": not bounded(cases).empty,
         "coverage": has_intervals(cases),
         "identifiability": not in_a_flow(cases).all(),
-        "windows": DURATION in swept,
+        "windows": not single and many_durations(cases),
     }
     return [name for name in TABLES if said[name]]

@@ -23,6 +23,7 @@ from sparsefit.study.table import Column, Table
 
 DURATION = "flights.duration"
 LIMITS = (5.0, 1.0)  # percent
+FEWEST = 3  # durations that make a curve
 SHARES = {"median flight": 0.5, "9 of 10 flights": 0.9}
 WINDOWS_NOTE = (
     "Shortest of the durations flown from which on, at every longer one too, the error of the "
@@ -54,6 +55,11 @@ def seconds_to(cases: pd.DataFrame, limit: float, share: float) -> float:
     return float(seconds[first]) if first < len(seconds) else math.inf
 
 
+def many_durations(cases: pd.DataFrame) -> bool:
+    """Whether enough durations were flown to tell when an error falls below a limit."""
+    return DURATION in cases and cases[DURATION].nunique() >= FEWEST
+
+
 def duration_groups(study: StudyRecord, cases: pd.DataFrame) -> tuple[list[str], list[Group]]:
     """The other swept factors, and the groups of settings over all durations.
 
@@ -77,10 +83,10 @@ def windows(study: StudyRecord, cases: pd.DataFrame) -> Table:
     for group in groups:
         reached = [seconds_to(group.cases, limit, share) for share, limit in wanted]
         cells = [one if math.isfinite(one) else None for one in reached]
-        rows.append((*key(group, others), len(group.cases), *cells))
+        rows.append((*key(group, others), int(group.cases["flight"].nunique()), *cells))
     columns = (
         *setting_columns(others),
-        Column("n", format="d"),
+        Column("flights", format="d"),
         *(
             Column(f"within {limit:g} %", "s", "g", group=name)
             for name in SHARES

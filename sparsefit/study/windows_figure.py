@@ -67,3 +67,4 @@ def _panel(axes: Axes, lines: list[Group], backends: list[str], share: float) ->
             va="center", fontsize=6.5, color=GREY,
         )  # fmt: skip
     ticked(axes, seconds)
+    axes.set_xlim(seconds[0] / 1.15, seconds[-1] * 1.15)
