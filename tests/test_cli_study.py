@@ -152,7 +152,7 @@ def test_run_goes_on_where_it_was_stopped(capsys, half):
     found = json.loads(out)
     assert code == 0
     assert (found["cases"], found["resumed"]) == (PLANNED, 12)
-    assert found["answers"] == [ANSWER]
+    assert found["answers"][0].startswith("Not wholly: 96 of 96 planned")
     manifest = json.loads(Path("results/small/manifest.json").read_text())
     assert manifest["solver_seconds"] == pytest.approx(found["solver_seconds"], abs=1e-3)
     assert 0 < found["solver_seconds"] < found["seconds"]  # one process

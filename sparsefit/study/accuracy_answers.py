@@ -60,7 +60,7 @@ def windows(study: StudyRecord, cases: pd.DataFrame) -> str:
         ]
         said.append(f"{protocol}: {', '.join(words)}")
     limits = " / ".join(f"{limit:g} %" for limit in LIMITS)
-    head = f"Seconds of flight until within {limits} ({', '.join(SHARES)})"
+    head = f"Seconds of flight from which on errors stay within {limits} ({', '.join(SHARES)})"
     return f"{head}. {'; '.join(said)}."
 
 
