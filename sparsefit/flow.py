@@ -74,11 +74,11 @@ class SuperposedFlow:
     """The sum of several cellular flows, eddies within eddies, and of a steady wind.
 
     Args:
-        components: the cellular flows, at least one.
+        components: the cellular flows; none are needed where there is a wind.
         wind: a steady wind that carries them all [m/s], (x, y).
 
     Raises:
-        InputError: if there is no component, or one is not a `CellularFlow`; if the wind is not
+        InputError: if there is neither, or a component is not a `CellularFlow`; if the wind is not
             two finite numbers.
     """
 
@@ -89,18 +89,21 @@ class SuperposedFlow:
         """Check the components and the wind, and store them as tuples."""
         found = self.components
         parts = tuple(found) if isinstance(found, (tuple, list)) else ()
-        if not parts or not all(isinstance(part, CellularFlow) for part in parts):
+        object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
+        bare = found == () and any(self.wind)
+        if not bare and (not parts or not all(isinstance(part, CellularFlow) for part in parts)):
             raise InputError(
                 "SuperposedFlow needs a tuple of at least one CellularFlow, "
                 f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {found!r}"
             )
         object.__setattr__(self, "components", parts)
-        object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
 
     def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m]."""
-        total: Array = np.sum([part.velocity(x, y) for part in self.components], axis=0)
-        total += np.array(self.wind)
+        shape = np.broadcast_shapes(np.shape(x), np.shape(y))
+        total: Array = np.zeros((*shape, 2)) + self.wind
+        for part in self.components:
+            total += part.velocity(x, y)
         return total
 
 

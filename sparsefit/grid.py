@@ -11,7 +11,7 @@ from sparsefit.errors import InputError, positive, unknown
 from sparsefit.flight import Flight
 
 Array = NDArray[np.float64]
-Spacing = Literal["length-scale", "wavenumber"]
+Spacing = Literal["length-scale", "wavenumber", "flight"]
 
 MAX_SCALES = 2_048  # k = 16 384 columns: Z'Z alone is 2 GiB
 
@@ -21,7 +21,8 @@ class LengthScaleGrid:
     """The candidate length scales (Eq. 18), ascending [m].
 
     Uniform in length scale, L_lb, L_lb + dL, ..., L_ub (the paper's 1...12 m by 0.2 m is the
-    default), or uniform in wavenumber k = pi/L with ``count`` scales between the same bounds.
+    default), or uniform in wavenumber k = pi/L with ``count`` scales between the same bounds, or
+    with spacing ``flight``: `resolving` the extent of the flight, at ``fraction`` of its lobe.
     """
 
     lower: float = 1.0
@@ -29,6 +30,7 @@ class LengthScaleGrid:
     step: float | None = None
     count: int | None = None
     spacing: Spacing = "length-scale"
+    fraction: float = 0.25
 
     def __post_init__(self) -> None:
         if self.spacing not in get_args(Spacing):
@@ -48,6 +50,12 @@ class LengthScaleGrid:
         whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
         if self.count is not None and not (whole and self.count >= 1):
             raise InputError(f"grid: count must be an integer, at least 1, not {self.count!r}")
+        if not 0 < self.fraction <= 1:
+            raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {self.fraction!r}")
+        if self.spacing == "flight":
+            if self.step is not None or self.count is not None:
+                raise InputError("grid: spacing 'flight' takes fraction, not step or count")
+            return
         if self.size > MAX_SCALES:
             raise InputError(
                 f"grid: {self.size} length scales are more than the {MAX_SCALES} that can be "
@@ -64,16 +72,22 @@ class LengthScaleGrid:
         it, the default, put a candidate in every lobe. Finer at small L than a grid uniform in
         L, and coarser at large L.
         """
-        if not 0 < fraction <= 1:
-            raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {fraction!r}")
-        plain = cls(lower, upper)  # refuses bounds that are none
-        span = np.pi / plain.lower - np.pi / plain.upper
-        steps = np.ceil(span * flight.extent / (2 * np.pi * fraction))
-        return cls(lower, upper, count=int(min(steps, 1e15)) + 1, spacing="wavenumber")
+        return cls(lower, upper, spacing="flight", fraction=fraction).resolving(flight.extent)
+
+    def resolving(self, extent: float) -> "LengthScaleGrid":
+        """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own."""
+        if self.spacing != "flight":
+            return self
+        span = np.pi / self.lower - np.pi / self.upper
+        steps = np.ceil(span * extent / (2 * np.pi * self.fraction))
+        count = int(min(steps, 1e15)) + 1
+        return LengthScaleGrid(self.lower, self.upper, count=count, spacing="wavenumber")
 
     @property
     def size(self) -> int:
-        """Number of length scales."""
+        """Number of length scales. Raises InputError where only a flight can tell it."""
+        if self.spacing == "flight":
+            raise InputError("grid: spacing 'flight' has scales of its own for every flight")
         if self.count is not None:
             return self.count
         # A hair of tolerance: (12 - 1)/0.2 is 54.99999999999999 in binary.

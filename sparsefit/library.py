@@ -84,7 +84,8 @@ class Library:
         Flights whose theta would exceed 1 GiB are compressed block by block
         (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
         """
-        scales = self.grid.scales
+        extent = float(np.ptp(samples.position, axis=0).max())
+        scales = self.grid.resolving(extent).scales
         for axis, values in zip("xy", samples.position.T, strict=True):
             if not values.any():
                 raise InputError(

@@ -50,8 +50,13 @@ evaluate = 2
 [outputs]
 tables = ["errors", "times"]
 figures = ["scatter"]
+answers = ["completeness"]
 """
 PLANNED = 4 * 2 * 4 * 3
+ANSWER = (
+    "Not wholly: 96 of 96 planned cases ended as rows, 64 of them with an estimate "
+    "(64 ok, 32 unidentifiable)."
+)
 
 
 @pytest.fixture(scope="module")
@@ -127,12 +132,15 @@ def test_plan_counts(capsys, fresh):
     found = json.loads(run(capsys, "study", "plan", fresh, "--json")[1])
     assert found["cases"] == PLANNED
     assert found["tables"] == ["errors", "times"]
+    assert found["answers"] == ["completeness"]
+    assert "answers " in out
 
 
 def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
     code, out, err = run(capsys, "study", "run", finished)
     assert (code, err) == (0, "")
-    assert out.startswith("Signed mean errors (small)")
+    assert out.startswith(f"{ANSWER}\n\nSigned mean errors (small)")
+    assert f"\n\n{ANSWER}\n\n" in Path("results/small/README.md").read_text()
     assert f"nothing to run: all {PLANNED} cases were there (64 ok, 32 unidentifiable)" in out
     assert "start with results/small/README.md" in out
     for name in ("README.md", "errors.tex", "scatter.svg", "cases.parquet", "manifest.json"):
@@ -144,6 +152,10 @@ def test_run_goes_on_where_it_was_stopped(capsys, half):
     found = json.loads(out)
     assert code == 0
     assert (found["cases"], found["resumed"]) == (PLANNED, 12)
+    assert found["answers"][0].startswith("Not wholly: 96 of 96 planned")
+    manifest = json.loads(Path("results/small/manifest.json").read_text())
+    assert manifest["solver_seconds"] == pytest.approx(found["solver_seconds"], abs=1e-3)
+    assert 0 < found["solver_seconds"] < found["seconds"]  # one process
     assert err.startswith(f"12/{PLANNED} cases, 12 %\n")
     assert err.endswith(f"{PLANNED}/{PLANNED} cases, 100 %\n")
 
@@ -201,7 +213,7 @@ def test_errors_and_tables_of_a_stopped_study(capsys, half):
 def test_show_prints_the_tables(capsys, finished):
     code, out, _ = run(capsys, "study", "show", finished)
     assert code == 0
-    assert out.startswith("small: Does it run?\n96 of 96 planned cases")
+    assert out.startswith(f"small: Does it run?\n{ANSWER}\n96 of 96 planned cases")
     assert "Times, certificates and statuses (small)" in out
     _, out, _ = run(capsys, "study", "show", finished, "--table", "errors-absolute")
     assert out.startswith("Sizes of the percentage errors (small)")
@@ -215,6 +227,7 @@ def test_report_writes_the_same_again(capsys, finished):
     os.remove("results/small/errors.md")
     code, out, _ = run(capsys, "study", "report", finished)
     assert code == 0
+    assert out.splitlines()[0] == ANSWER
     assert out.splitlines()[-1] == "results/small/README.md"
     assert Path("results/small/errors.md").read_text() == before
 

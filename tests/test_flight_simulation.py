@@ -28,6 +28,17 @@ def assert_same(a, b):
     assert (a.vehicle, a.flow) == (b.vehicle, b.flow)
 
 
+def test_without_a_flow_the_air_is_still():
+    flight = fly(None)
+    assert flight.flow is None
+    np.testing.assert_array_equal(flight.position[0], [0.0, 0.0])
+    limit = 0.5 * np.array([5.0, 3.0])  # tau a
+    expected = limit * (1 - np.exp(-flight.time[:, None] / 0.5))
+    np.testing.assert_allclose(flight.velocity, expected, atol=1e-12)
+    same = fly(STILL, initial_position=(0.0, 0.0))
+    np.testing.assert_allclose(flight.position, same.position, atol=1e-12)
+
+
 def test_still_air_follows_the_analytic_solution():
     tau, a = 0.5, np.array([5.0, 3.0])
     flight = fly(STILL, duration=5.0, initial_position=(0.0, 0.0))

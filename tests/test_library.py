@@ -9,6 +9,7 @@ from problems import SMALL_GRID, VEHICLE, flight, flight_problem, regular
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit import library as room
+from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
 from sparsefit.library import CANDIDATES, LengthScaleGrid, Library, RegressionProblem
 from sparsefit.library import candidate_columns as columns_of
@@ -257,3 +258,33 @@ def test_a_large_flight_is_compressed_to_the_same_estimate(monkeypatch):
             plain = estimator.estimate(flight())
         assert compressed.length_scale == plain.length_scale
         assert compressed.mean_velocity == pytest.approx(plain.mean_velocity, rel=1e-9)
+
+
+def test_a_grid_of_the_flight_is_resolved_when_the_library_is_built():
+    vehicle, flow = sf.PointMassVehicle(0.5, (5.0, 3.0)), sf.CellularFlow(10.0, 4.0)
+    flown = sf.simulate_flight(flow, vehicle, duration=3.0, sample_rate=50.0, seed=7)
+    samples = Derivative("central")(flown)
+    grid = LengthScaleGrid(2.0, 8.0, spacing="flight", fraction=0.5)
+    problem = Library(grid).build(samples, vehicle)
+    extent = np.ptp(samples.position, axis=0).max()
+    # Lobes are 2 pi / extent wide in k: half of one at most from scale to scale.
+    count = int(np.ceil((1 / 2 - 1 / 8) * extent)) + 1
+    assert len(problem.group_scales) == count
+    np.testing.assert_allclose(np.diff(1 / problem.group_scales), -0.375 / (count - 1))
+    assert grid.resolving(extent) == LengthScaleGrid(2.0, 8.0, count=count, spacing="wavenumber")
+    plain = LengthScaleGrid(2.0, 8.0)
+    assert plain.resolving(extent) is plain
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"step": 0.2}, "not step"), ({"count": 3}, "not step or count"), ({"fraction": 0.0}, "lobe")],
+)
+def test_a_grid_of_the_flight_takes_a_fraction_of_the_lobe_only(changes, words):
+    with pytest.raises(InputError, match=words):
+        LengthScaleGrid(2.0, 8.0, spacing="flight", **changes)
+
+
+def test_a_grid_of_the_flight_has_no_scales_without_one():
+    with pytest.raises(InputError, match="every flight"):
+        _ = LengthScaleGrid(2.0, 8.0, spacing="flight").scales

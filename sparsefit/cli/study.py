@@ -110,6 +110,7 @@ def plan(args: argparse.Namespace) -> int:
         ),
         ("tables", ", ".join(study.tables) or "those that fit the cases"),
         ("figures", ", ".join(study.figures) or "those that fit the cases"),
+        ("answers", ", ".join(study.answers) or "none"),
     ]
     width = max(len(label) for label, _ in rows)
     print("\n".join(f"{label:<{width}}  {value}" for label, value in rows))

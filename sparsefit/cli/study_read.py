@@ -114,6 +114,7 @@ def report(args: argparse.Namespace) -> int:
     """Tables, figures and report anew; the cases stay as they are."""
     from sparsefit.errors import InputError
     from sparsefit.study import runner
+    from sparsefit.study.answers import sentences
     from sparsefit.study.spec import Study
     from sparsefit.study.store import read_cases
 
@@ -121,8 +122,9 @@ def report(args: argparse.Namespace) -> int:
     found = runner.status(study, args.results)
     if not found.finished:
         raise InputError(_unfinished(args, found))
-    for path in write_pages(study, args.results, read_cases(found.folder)):
-        print(path)
+    cases = read_cases(found.folder)
+    written = write_pages(study, args.results, cases)
+    print("\n".join([*sentences(study, cases), *map(str, written)]))
     return 0
 
 

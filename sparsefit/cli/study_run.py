@@ -54,17 +54,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
+    from sparsefit.study.answers import sentences
     from sparsefit.study.store import read_cases
 
     cases = read_cases(summary.folder)
     written = write_pages(study, args.results, cases)
+    answers = sentences(study, cases)
     if args.json:
         record = {"study": study.name, "folder": str(summary.folder), "cases": summary.planned}
         counted = {"resumed": summary.resumed, "statuses": dict(summary.statuses)}
-        files = {"seconds": summary.seconds, "written": [str(path) for path in written]}
-        print_json({**record, **counted, **files})
+        spent = {"seconds": summary.seconds, "solver_seconds": summary.solver_seconds}
+        said = {"answers": answers, "written": [str(path) for path in written]}
+        print_json({**record, **counted, **spent, **said})
         return 0
-    print(_main_table(study, cases))
+    print("".join(f"{sentence}\n\n" for sentence in answers) + _main_table(study, cases))
     print(_what_was_done(summary))
     print(f"written to {summary.folder}; start with {written[-1]}")
     return 0
@@ -93,7 +96,11 @@ def _what_was_done(summary: RunSummary) -> str:
     if summary.nothing_to_do:
         return f"nothing to run: all {summary.planned} cases were there ({counted})"
     before = f", {summary.resumed} of them from before" if summary.resumed else ""
-    return f"{summary.planned} cases{before} ({counted}) in {duration(summary.seconds)}"
+    spent = summary.processes * summary.seconds
+    share = f"solvers took {duration(summary.solver_seconds)} of {duration(spent)}"
+    together = f" on {summary.processes} processes" if summary.processes > 1 else ""
+    took = f"in {duration(summary.seconds)}{together}; {share}"
+    return f"{summary.planned} cases{before} ({counted}) {took}"
 
 
 def by_status(statuses: Mapping[str, int]) -> str:

@@ -25,7 +25,7 @@ STEPS_PER_INTERVAL = 10_000  # beyond this the equation is stiff and deserves a 
 
 
 def simulate_flight(
-    flow: Flow,
+    flow: Flow | None,
     vehicle: PointMassVehicle,
     *,
     duration: float,
@@ -44,12 +44,13 @@ def simulate_flight(
     velocity noise. Flights that differ in a noise level only therefore share one draw.
 
     Args:
-        flow: the true flow; kept in the flight for scoring.
+        flow: the true flow; kept in the flight for scoring. None: still air.
         vehicle: the vehicle.
         duration: [s]; the flight has round(duration * sample_rate) + 1 samples.
         sample_rate: [Hz].
         seed: a non-negative integer or a seed sequence, which is left as it was.
-        initial_position: [m]; by default uniform over one period [0, 2L)^2 of the largest scale.
+        initial_position: [m]; by default uniform over one period [0, 2L)^2 of the largest scale,
+            in still air the origin.
         initial_velocity: [m/s].
         process_noise: standard deviation [m/s^2] of the noise on v' (Eq. 7), averaged over one
             sample interval; white within it.
@@ -84,8 +85,8 @@ def simulate_flight(
 
 
 def _check_models(flow: object, vehicle: object) -> None:
-    if not isinstance(flow, (CellularFlow, SuperposedFlow)):
-        raise InputError(f"flow must be a CellularFlow or a SuperposedFlow; got {flow!r}")
+    if not isinstance(flow, (CellularFlow, SuperposedFlow, type(None))):
+        raise InputError(f"flow must be a CellularFlow, a SuperposedFlow or None; got {flow!r}")
     if not isinstance(vehicle, PointMassVehicle):
         raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
 
@@ -127,10 +128,12 @@ def _sample_times(duration: float, sample_rate: float) -> Array:
 
 
 def _start(
-    flow: Flow, position: Sequence[float] | Array | None, stream: np.random.Generator
+    flow: Flow | None, position: Sequence[float] | Array | None, stream: np.random.Generator
 ) -> tuple[float, float]:
     if position is not None:
         return pair("initial_position", position, "m")
+    if flow is None or not flow.components:
+        return (0.0, 0.0)
     period = 2.0 * max(part.length_scale for part in flow.components)
     return pair("initial_position", stream.uniform(0.0, period, 2), "m")
 
@@ -148,12 +151,12 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
     return scale * stream.standard_normal((len(time) - 1, substeps, 2))
 
 
-def _right_hand_side(flow: Flow, vehicle: PointMassVehicle) -> RightHandSide:
+def _right_hand_side(flow: Flow | None, vehicle: PointMassVehicle) -> RightHandSide:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more."""
     sin, cos = math.sin, math.cos
-    terms = [(part.wavenumber, part.mean_velocity) for part in flow.components]
+    terms = [(part.wavenumber, part.mean_velocity) for part in (flow.components if flow else ())]
     rate = 1.0 / vehicle.response_time
-    east_wind, north_wind = flow.wind
+    east_wind, north_wind = flow.wind if flow else (0.0, 0.0)
     ax, ay = vehicle.thrust_acceleration
 
     def derivative(_: float, state: Array) -> list[float]:

@@ -108,7 +108,7 @@ def _flow(settings: dict[str, float]) -> Flow | None:
     endings = {match.group(1) or "" for match in matches if match}
     wind = (settings.get(WIND[0], 0.0), settings.get(WIND[1], 0.0))
     if not endings:
-        return None
+        return SuperposedFlow((), wind) if any(wind) else None
     if endings == {""} and any(wind):
         return SuperposedFlow((_component(settings, ""),), wind)
     if endings == {""}:

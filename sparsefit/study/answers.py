@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import pandas as pd
 
-from sparsefit.study import scale_sets
+from sparsefit.study import accuracy_answers, paper_answers, scale_sets, trust_answers
 from sparsefit.study.methods import derivatives_answer, vehicle_answer
 from sparsefit.study.summary import StudyRecord
 
@@ -17,4 +17,19 @@ ANSWERS: dict[str, AnswerFunction] = {
     "derivatives": derivatives_answer,
     "vehicle": vehicle_answer,
     "multiscale": scale_sets.answer,
+    "parameters": paper_answers.parameters,
+    "least-errors": paper_answers.least_errors,
+    "readings": paper_answers.readings,
+    "selection": paper_answers.selection,
+    "completeness": paper_answers.completeness,
+    "efficiency": accuracy_answers.efficiency,
+    "windows": accuracy_answers.windows,
+    "grids": accuracy_answers.grids,
+    "coverage": trust_answers.coverage,
+    "identifiability": trust_answers.identifiability,
 }
+
+
+def sentences(study: StudyRecord, cases: pd.DataFrame) -> list[str]:
+    """What the study's [outputs] asks to be said, computed from its cases."""
+    return [ANSWERS[name](study, cases) for name in study.answers]

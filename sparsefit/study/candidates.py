@@ -122,7 +122,7 @@ def losses(cases: pd.DataFrame, criterion: str) -> FloatArray:
     parameter = criterion.rpartition("-")[2]
     percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(parameter)])
     answered: BoolArray = estimated(cases)
-    return np.where(answered, percent, MISS)
+    return np.where(answered & ~np.isnan(percent), percent, MISS)
 
 
 def statistic(values: FloatArray, criterion: str) -> FloatArray:

@@ -82,6 +82,8 @@ def _chosen(study: Study) -> list[Cell]:
 def _curve(study: Study, cell: Cell) -> Curve:
     draw = cell.setup.flights.draw(FLIGHT, study.count, study.seed)
     flown = replace(draw.fly(stream(study.seed, FLIGHT, SIMULATION)), flow=None)
+    if draw.flow is None:
+        raise InputError(f"{study.name}: no certificate to draw: its first flight has no flow")
     estimator = estimator_for(study, cell)
     prepared = estimator.prepare(flown)
     found = estimator.fit(prepared)

@@ -7,10 +7,12 @@ import math
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
 
 WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
@@ -58,6 +60,19 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def ticked(axes: Axes, levels: NDArray[np.float64]) -> None:
+    """Number the x axis at the levels themselves, on a log scale where they span a decade."""
+    positive = np.unique(levels[levels > 0])
+    if positive.size > 1 and positive[-1] / positive[0] >= 10 and levels.min() >= 0:
+        if (levels == 0).any():
+            axes.set_xscale("symlog", linthresh=float(positive[0]))
+        else:
+            axes.set_xscale("log")
+        # The levels themselves are the ticks: nothing was measured between them.
+        axes.set_xticks(np.unique(levels), [f"{level:g}" for level in np.unique(levels)])
+        axes.xaxis.set_minor_locator(NullLocator())
 
 
 def shortened(text: str, length: int) -> str:

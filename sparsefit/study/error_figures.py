@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
 
 from sparsefit.errors import InputError
-from sparsefit.study.drawing import GREY, colours, logarithmic, markers, panels, shortened
+from sparsefit.study.drawing import GREY, colours, logarithmic, markers, panels, shortened, ticked
 from sparsefit.study.scatter_figure import ORDER
 from sparsefit.study.summary import (
+    FLOOR,
     PARAMETERS,
     SYMBOLS,
     FloatArray,
@@ -20,12 +20,13 @@ from sparsefit.study.summary import (
     by_setting,
     estimated,
     factors,
+    first_settings,
     grouped,
     numbers,
     percent_errors,
+    quartiles,
 )
 
-FLOOR = 1e-4  # percent: what is smaller is drawn here, so that a log axis can show it
 ROWS = 30
 
 
@@ -51,7 +52,7 @@ def errors(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None
 def _sizes(cases: pd.DataFrame, name: str) -> FloatArray:
     """(rows,) |% error| of the cases that have an estimate."""
     percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(name)])
-    return np.maximum(percent[estimated(cases)], FLOOR)
+    return np.maximum(percent[estimated(cases) & ~np.isnan(percent)], FLOOR)
 
 
 def _strip(axes: Axes, name: str, group: Group, place: int, colour: str) -> None:
@@ -117,7 +118,7 @@ def sweep(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None)
     swept = numeric_factors(cases)
     if not swept:
         raise InputError(f'{study.name} sweeps no number: drop the figure "sweep" from [outputs]')
-    lines = _lines(cases)
+    lines = first_settings(cases)
     protocols = list(dict.fromkeys(str(line.key["protocol"]) for line in lines))
     wanted = [(factor, protocol) for factor in swept for protocol in protocols]
     figure, grid = panels(len(wanted), 3, height=0.6 + 2.0 * len(wanted))
@@ -146,20 +147,6 @@ def _sweep_row(row: list[Axes], lines: list[Group], factor: str, levels: FloatAr
         _scales(axes, name, factor, levels)
 
 
-def _lines(cases: pd.DataFrame) -> list[Group]:
-    firsts: dict[tuple[object, object], Group] = {}
-    for group in by_setting(cases):
-        firsts.setdefault((group.key["protocol"], group.key["backend"]), group)
-    return list(firsts.values())
-
-
-def quartiles(cases: pd.DataFrame, name: str) -> FloatArray:
-    """(3,) quartiles of |% error|, each an observed value; a failure is an infinite error."""
-    percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(name)])
-    sizes = np.where(estimated(cases), np.maximum(percent, FLOOR), np.inf)
-    return np.asarray(np.quantile(sizes, [0.25, 0.5, 0.75], method="inverted_cdf"))
-
-
 def _band(axes: Axes, name: str, line: Group, factor: str, colour: str, marker: str) -> None:
     levels = sorted(grouped(line.cases, [factor]), key=lambda one: float(one.key[factor] or 0))
     values = np.array([float(level.key[factor] or 0.0) for level in levels])
@@ -182,15 +169,7 @@ def _gap(values: FloatArray) -> FloatArray:
 
 
 def _scales(axes: Axes, name: str, factor: str, levels: FloatArray) -> None:
-    positive = np.unique(levels[levels > 0])
-    if positive.size > 1 and positive[-1] / positive[0] >= 10 and levels.min() >= 0:
-        if (levels == 0).any():
-            axes.set_xscale("symlog", linthresh=float(positive[0]))
-        else:
-            axes.set_xscale("log")
-        # The levels themselves are the ticks: nothing was measured between them.
-        axes.set_xticks(np.unique(levels), [f"{level:g}" for level in np.unique(levels)])
-        axes.xaxis.set_minor_locator(NullLocator())
+    ticked(axes, levels)
     axes.set_yscale("log")
     logarithmic(axes.yaxis, *axes.get_ylim())
     axes.set_xlabel(factor)

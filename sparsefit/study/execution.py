@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias, TypeVar
-
-import numpy as np
+from typing import Any, TypeAlias, TypeVar
 
 from sparsefit.backends.base import Backend, PathBackend
 from sparsefit.estimator import Estimate, Estimator, Prepared
@@ -22,6 +20,7 @@ from sparsefit.study.document import canonical_json
 from sparsefit.study.flights import SIMULATION, Draw, stream
 from sparsefit.study.scale_columns import ScaleColumns, scale_columns
 from sparsefit.study.spec import Study
+from sparsefit.study.yardsticks import Yardstick, intervals, yardstick
 
 MAX_REASON = 500
 NAN = math.nan
@@ -60,8 +59,20 @@ class Outcome(ScaleColumns):
     seconds: float = NAN
     samples: int = 0
     columns: int = 0
-    extent: float = NAN
     weights: tuple[tuple[float, float], ...] = ()
+    extent: float = NAN
+    se_mean_velocity: float = NAN
+    se_length_scale: float = NAN
+    se_timescale: float = NAN
+    low_mean_velocity: float = NAN
+    low_length_scale: float = NAN
+    low_timescale: float = NAN
+    high_mean_velocity: float = NAN
+    high_length_scale: float = NAN
+    high_timescale: float = NAN
+    bound_mean_velocity: float = NAN
+    bound_length_scale: float = NAN
+    bound_timescale: float = NAN
 
 
 Event: TypeAlias = Stage | Outcome
@@ -82,8 +93,13 @@ def run_flight(
         if isinstance(flown, Exception):
             yield from _failed(flight, cells, flown)
             continue
+        measure = _attempt(partial(yardstick, draw, flown))
+        if isinstance(measure, Exception):
+            yield from _failed(flight, cells, measure)
+            continue
+        context = _Context(study, flight, draw, measure)
         for problem in grouped(cells, "problem"):
-            yield from _run_problem(_Context(study, flight, draw), flown, problem, alone)
+            yield from _run_problem(context, flown, problem, alone)
 
 
 @dataclass(frozen=True)
@@ -91,6 +107,7 @@ class _Context:
     study: Study
     flight: int
     draw: Draw
+    yardstick: Yardstick
 
 
 def _run_problem(
@@ -195,7 +212,10 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
     certificate = estimate.certificate
     weights = sorted(estimate.weights_by_scale.items()) if context.study.store_weights else ()
     scales = prepared.problem.group_scales
-    scored = scales is not None and score(estimate, context.draw.flow, scales).hit
+    flow = context.draw.flow
+    scored = scales is not None and flow is not None and score(estimate, flow, scales).hit
+    columns: dict[str, Any] = vars(scale_columns(estimate, flow)) | vars(context.yardstick)
+    columns |= intervals(estimate.uncertainty)
     return Outcome(
         flight=context.flight,
         cell=cell.index,
@@ -211,9 +231,8 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
         seconds=float(fit.seconds),
         samples=int(prepared.problem.samples),
         columns=int(prepared.problem.columns),
-        extent=float(np.ptp(prepared.samples.position, axis=0).max()),
         weights=tuple((float(scale), float(weight)) for scale, weight in weights),
-        **vars(scale_columns(estimate, context.draw.flow)),
+        **columns,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flow import CellularFlow, Flow, SuperposedFlow
-from sparsefit.study.document import Place, Table, only
+from sparsefit.study.document import Place, Table, only, suggestion, text
 from sparsefit.study.entry import Entry, read_entry
 from sparsefit.vehicle import PointMassVehicle
 
@@ -39,6 +39,7 @@ STREAMS = (
     "believed_response_time_ratio",
     "believed_thrust_ratio",
 )
+FLOWS = ("cellular", "none")  # none: still air, in which any flow found is a false alarm
 FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
 # Believed over true: what the estimator is told of the vehicle.
 RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio")
@@ -49,6 +50,7 @@ SUPERPOSED = (
 )
 RATIOS = (0.01, 100.0)
 KEYS = (
+    "flow",
     *FLOW_KEYS,
     "response_time",
     "thrust_acceleration",
@@ -86,7 +88,9 @@ def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
 
 
 def _third(values: dict[str, float]) -> dict[str, float]:
-    """Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14)."""
+    """Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14); in still air there is none."""
+    if not values.keys() & set(FLOW_KEYS):
+        return values
     if "mean_velocity" not in values:
         return values | {"mean_velocity": values["length_scale"] / values["timescale"]}
     if "length_scale" not in values:
@@ -96,9 +100,9 @@ def _third(values: dict[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Draw:
-    """One flight to fly: SI units (m/s, m, s, m/s^2, Hz)."""
+    """One flight to fly: SI units (m/s, m, s, m/s^2, Hz); flow None: still air."""
 
-    flow: Flow
+    flow: Flow | None
     vehicle: PointMassVehicle
     duration: float
     sample_rate: float
@@ -116,7 +120,7 @@ class Draw:
         thrust = (values.get("thrust_x", 0.0), values.get("thrust_y", 0.0))
         position = (values["position_x"], values["position_y"]) if "position_x" in values else None
         return cls(
-            flow=_flow(values),
+            flow=_flow(values) if "mean_velocity" in values else None,
             vehicle=PointMassVehicle(values["response_time"], thrust),
             duration=values["duration"],
             sample_rate=values["sample_rate"],
@@ -130,9 +134,10 @@ class Draw:
         )
 
     @property
-    def flown(self) -> Flow:
+    def flown(self) -> Flow | None:
         """The flow with its wind; `flow` alone is what is sought."""
-        return SuperposedFlow(self.flow.components, self.wind) if any(self.wind) else self.flow
+        parts = self.flow.components if self.flow else ()
+        return SuperposedFlow(parts, self.wind) if any(self.wind) else self.flow
 
     def fly(self, seed: np.random.SeedSequence) -> Flight:
         """The simulated flight, with the vehicle that its pilot believes in."""
@@ -175,21 +180,33 @@ def _flow(values: dict[str, float]) -> Flow:
 def read_flight_rules(section: Table, place: Place) -> FlightRules:
     """The rules from the [flights] table without `count`; `InputError` names the bad key."""
     only(section, KEYS, place)
+    calm = _flow_kind(section, place) == "none"
     given = [key for key in FLOW_KEYS if key in section]
-    if len(given) != 2:
+    if len(given) != 2 and not calm:
         have = ", ".join(given) or "none"
         raise place.error(f"needs exactly two of {', '.join(FLOW_KEYS)}, has {have}")
     for key in REQUIRED:
         if key not in section:
             raise place.at(key).error("missing: every flight needs it")
-    _check_third(section, place)
     if "measurement_noise" in section and {"velocity_noise", "position_noise"} & set(section):
         raise place.at("measurement_noise").error(
             "is [velocity_noise, position_noise]: drop those two"
         )
     _check_superposed(section, place)
-    named = {name: entry for key in section for name, entry in _entries(key, section[key], place)}
+    if not calm:
+        _check_third(section, place)
+    # A protocol without a flow cannot remove the keys of the others': they are left out here.
+    of_flow = (*FLOW_KEYS, *(key for pair in SUPERPOSED for key in pair)) if calm else ()
+    kept = [key for key in section if key not in ("flow", *of_flow)]
+    named = {name: entry for key in kept for name, entry in _entries(key, section[key], place)}
     return FlightRules(tuple((name, named[name]) for name in STREAMS if name in named))
+
+
+def _flow_kind(section: Table, place: Place) -> str:
+    kind = text(section.get("flow", "cellular"), place.at("flow"))
+    if kind not in FLOWS:
+        raise place.at("flow").error(f'has unknown value "{kind}"{suggestion(kind, FLOWS)}')
+    return kind
 
 
 def _check_third(section: Table, place: Place) -> None:

@@ -23,10 +23,15 @@ def write_manifest(
     *,
     statuses: Mapping[str, int],
     wall_seconds: float,
+    solver_seconds: float,
     processes: int,
     resumed: int,
 ) -> None:
-    """Write the manifest of a finished run; `resumed` rows came from an earlier, broken-off one."""
+    """Write the manifest of a finished run; `resumed` rows came from an earlier, broken-off one.
+
+    wall_seconds of all `processes` at once; solver_seconds, their sum in back-ends, is of this
+    run's rows only too.
+    """
     content = {
         "study": study.name,
         "study_hash": study.hash,
@@ -34,6 +39,7 @@ def write_manifest(
         "cases": study.planned,
         "statuses": dict(sorted(statuses.items())),
         "wall_seconds": round(wall_seconds, 3),
+        "solver_seconds": round(solver_seconds, 3),
         "resumed_cases": resumed,
         "processes": processes,
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),

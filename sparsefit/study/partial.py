@@ -120,7 +120,7 @@ def _outcome(line: bytes) -> Outcome | None:
         return None
     try:
         record = json.loads(line)
-        for name in _REALS:
+        for name in _REALS & record.keys():
             record[name] = math.nan if record[name] is None else float(record[name])
         record["weights"] = tuple((scale, weight) for scale, weight in record["weights"])
         return Outcome(**record)

@@ -11,7 +11,7 @@ import pandas as pd
 
 from sparsefit.errors import InputError
 from sparsefit.study import paper
-from sparsefit.study.answers import ANSWERS
+from sparsefit.study.answers import sentences
 from sparsefit.study.document import canonical_json
 from sparsefit.study.drawing import to_png, to_svg
 from sparsefit.study.escape import escape_markdown
@@ -60,7 +60,7 @@ def render_show(study: StudyRecord, cases: pd.DataFrame, *, width: int = 100) ->
     """Return the study's tables for a terminal `width` columns wide, its question first."""
     _refuse_empty(study, cases)
     tables = _tables(study, cases).values()
-    answers = _answers(study, cases)
+    answers = sentences(study, cases)
     head = [f"{study.name}: {study.question}", *answers, _progress(study, cases)]
     return "\n".join(["\n".join(head), "", *(to_text(table, width=width) for table in tables)])
 
@@ -72,7 +72,7 @@ def readme(
     parts = [
         f"# {escape_markdown(study.name)}",
         f"**{escape_markdown(study.question)}**",
-        *(escape_markdown(sentence) for sentence in _answers(study, cases)),
+        *(escape_markdown(sentence) for sentence in sentences(study, cases)),
         f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
         "Written by `sparsefit study report`; do not edit.",
         *(f"![{name}]({name}.svg)\n\n*{CAPTIONS[name]}*" for name in figures),
@@ -109,10 +109,6 @@ def _progress(study: StudyRecord, cases: pd.DataFrame) -> str:
     counted = Counter(cases["status"])
     statuses = ", ".join(f"{counted[name]} {name}" for name in STATUSES if counted[name])
     return f"{len(cases)} of {study.planned} planned cases: {statuses}."
-
-
-def _answers(study: StudyRecord, cases: pd.DataFrame) -> list[str]:
-    return [ANSWERS[name](study, cases) for name in study.answers]
 
 
 def _refuse_empty(study: StudyRecord, cases: pd.DataFrame) -> None:

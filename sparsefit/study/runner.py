@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 
 from sparsefit.errors import InputError
 from sparsefit.study import partial, store
-from sparsefit.study.design import Cell, cells, grouped
+from sparsefit.study.design import Cell, cells, fit_key, grouped
 from sparsefit.study.execution import Outcome
 from sparsefit.study.lock import locked
 from sparsefit.study.manifest import MANIFEST, read_manifest, sparsefit_version, write_manifest
@@ -33,13 +33,18 @@ PROGRESS_SECONDS = 0.2
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a run did: `resumed` rows were there before; `statuses` counts all rows."""
+    """What a run did: `resumed` rows were there before; `statuses` counts all rows.
+
+    `solver_seconds` of `processes` times `seconds` were spent in the back-ends.
+    """
 
     folder: Path
     planned: int
     resumed: int
     statuses: Mapping[str, int]
     seconds: float
+    solver_seconds: float = 0.0
+    processes: int = 1
 
     @property
     def nothing_to_do(self) -> bool:
@@ -103,17 +108,30 @@ def _finish(study: Study, folder: Path, processes: int, progress: Progress | Non
     done = _work(study, folder, every, dict(known), processes, progress)
     seconds = time.monotonic() - begun
     statuses = Counter(outcome.status for outcome in done.values())
+    fresh = [outcome for key, outcome in done.items() if key not in known]
+    solving = solver_seconds(fresh, every)
     store.write_cases(study, done.values(), folder)
     write_manifest(
         study,
         folder,
         statuses=statuses,
         wall_seconds=seconds,
+        solver_seconds=solving,
         processes=processes,
         resumed=len(known),
     )
     partial.discard(folder)
-    return RunSummary(folder, study.planned, len(known), statuses, seconds)
+    counted = (study.planned, len(known), statuses, seconds)
+    return RunSummary(folder, *counted, solver_seconds=solving, processes=processes)
+
+
+def solver_seconds(rows: Iterable[Outcome], every: Sequence[Cell]) -> float:
+    """Seconds in back-ends: a fit that several cases read is counted once."""
+    fits: dict[tuple[int, object], float] = {}
+    for outcome in rows:
+        if not np.isnan(outcome.seconds):
+            fits[outcome.flight, fit_key(every[outcome.cell])] = outcome.seconds
+    return float(sum(fits.values()))
 
 
 def status(study: Study, results_dir: str | Path = "results") -> RunStatus:

@@ -35,12 +35,12 @@ class ScaleColumns:
     est_scales: str = ""
 
 
-def scale_columns(estimate: Estimate, flow: Flow) -> ScaleColumns:
+def scale_columns(estimate: Estimate, flow: Flow | None) -> ScaleColumns:
     """The columns of one case, blank where one flow was read as one.
 
     A readout of one scale on superposed flows counts as the set of that scale.
     """
-    if len(flow.components) == 1 and not estimate.scales:
+    if flow is None or (len(flow.components) == 1 and not estimate.scales):
         return ScaleColumns()
     found = estimate.scales or _alone(estimate)
     scored = score_scales(found, flow)

@@ -19,6 +19,7 @@ from sparsefit.study.summary import (
     by_setting,
     estimated,
     factors,
+    in_a_flow,
     numbers,
 )
 
@@ -68,7 +69,7 @@ def scatter(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | Non
 def first_listed(cases: pd.DataFrame) -> list[Group]:
     """Return, for every protocol and back-end, its first setting and first sweep level."""
     firsts: dict[tuple[object, object], Group] = {}
-    for group in by_setting(cases, *factors(cases)):
+    for group in by_setting(cases[in_a_flow(cases)], *factors(cases)):
         firsts.setdefault((group.key["protocol"], group.key["backend"]), group)
     return list(firsts.values())
 

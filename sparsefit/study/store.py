@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -18,11 +19,14 @@ from sparsefit.study.document import canonical_json
 from sparsefit.study.execution import Outcome
 from sparsefit.study.scale_columns import ScaleColumns
 from sparsefit.study.spec import Study
+from sparsefit.study.yardsticks import PARAMETERS
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
 
 TEXT, REAL, WHOLE, FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+SINGLE = pa.float32()  # of what seven digits are enough
+DENSE = ("est_", "se_", "low_", "high_", "bound_", "certificate", "seconds", "extent")
 # `samples` and `columns` are 0 where no library was built; what is not known is NaN or "".
 COLUMNS = {
     "case_id": TEXT,
@@ -44,12 +48,25 @@ COLUMNS = {
     "grid_length_scale": REAL,
     "hit": FLAG,
     "certificate_kind": TEXT,
-    "certificate": REAL,
-    "seconds": REAL,
+    "certificate": SINGLE,
+    "seconds": SINGLE,
     "samples": WHOLE,
     "columns": WHOLE,
-    "extent": REAL,
     **{entry.name: TEXT if entry.type == "str" else REAL for entry in fields(ScaleColumns)},
+    "flow": TEXT,
+    "extent": SINGLE,
+    "se_mean_velocity": SINGLE,
+    "se_length_scale": SINGLE,
+    "se_timescale": SINGLE,
+    "low_mean_velocity": REAL,
+    "low_length_scale": REAL,
+    "low_timescale": REAL,
+    "high_mean_velocity": REAL,
+    "high_length_scale": REAL,
+    "high_timescale": REAL,
+    "bound_mean_velocity": SINGLE,
+    "bound_length_scale": SINGLE,
+    "bound_timescale": SINGLE,
 }
 
 
@@ -91,7 +108,7 @@ def cases_table(study: Study, ordered: Sequence[Outcome], every: Sequence[Cell])
     """The rows of `cases.parquet`, one per outcome, with fixed column types."""
     swept = {factor.key: _level_type(factor.levels) for factor in study.sweep}
     schema = COLUMNS | swept
-    truths: dict[tuple[int, object], dict[str, float]] = {}
+    truths: dict[tuple[int, object], dict[str, object]] = {}
     columns: dict[str, list[object]] = {name: [] for name in schema}
     for outcome in ordered:
         cell = every[outcome.cell]
@@ -117,9 +134,13 @@ def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
     }
 
 
-def _truth(study: Study, flight: int, cell: Cell) -> dict[str, float]:
-    flow = strongest(cell.setup.flights.draw(flight, study.count, study.seed).flow)
+def _truth(study: Study, flight: int, cell: Cell) -> dict[str, object]:
+    flow = cell.setup.flights.draw(flight, study.count, study.seed).flow
+    if flow is None:
+        return {"flow": "none"} | {f"true_{name}": math.nan for name in PARAMETERS}
+    flow = strongest(flow)
     return {
+        "flow": "cellular",
         "true_mean_velocity": flow.mean_velocity,
         "true_length_scale": flow.length_scale,
         "true_timescale": flow.timescale,
@@ -153,11 +174,24 @@ def _weights_table(ordered: Sequence[Outcome], every: Sequence[Cell]) -> pa.Tabl
     )
 
 
+def _is_dense(field: pa.Field) -> bool:
+    return bool(pa.types.is_floating(field.type)) and field.name.startswith(DENSE)
+
+
 def _replace(rows: pa.Table, path: Path) -> None:
     """Write beside, then rename: a reader sees the old file or the new one, never half of one."""
     beside = path.with_name(path.name + ".writing")
     with beside.open("wb") as file:
-        pq.write_table(rows, file)
+        # Numbers that never repeat pack best by bytes of equal rank, all else as a dictionary.
+        dense = [field.name for field in rows.schema if _is_dense(field)]
+        pq.write_table(
+            rows,
+            file,
+            compression="zstd",
+            compression_level=9,
+            use_dictionary=[name for name in rows.column_names if name not in dense],
+            column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
+        )
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)

@@ -27,6 +27,8 @@ UNITS = {"mean_velocity": "m/s", "length_scale": "m", "timescale": "s"}
 STATUSES = ("ok", "inaccurate", "unidentifiable", "error", "timeout", "crashed", "skipped")
 ESTIMATED = ("ok", "inaccurate")
 DEFAULT = "default"
+REFINE = "readout.refine"
+FLOOR = 1e-4  # percent: what is smaller is shown as this, so that a log axis has room for it
 SETTING = ("protocol", "backend", "label", "settings")
 
 
@@ -121,6 +123,14 @@ def by_setting(cases: pd.DataFrame, *more: str) -> list[Group]:
     ]
 
 
+def first_settings(cases: pd.DataFrame) -> list[Group]:
+    """The first listed setting of each protocol and back-end, over all levels."""
+    firsts: dict[tuple[object, object], Group] = {}
+    for group in by_setting(cases):
+        firsts.setdefault((group.key["protocol"], group.key["backend"]), group)
+    return list(firsts.values())
+
+
 def _setting_names(cases: pd.DataFrame) -> dict[tuple[Cell, ...], str]:
     every = grouped(cases, SETTING[1:])
     varied = varied_settings(cases)
@@ -203,6 +213,15 @@ def percent_errors(cases: pd.DataFrame) -> FloatArray:
     return percent
 
 
+def quartiles(cases: pd.DataFrame, name: str) -> FloatArray:
+    """(3,) quartiles of |% error|, each an observed value; a failure is an infinite error."""
+    percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(name)])
+    # Without a flow to find there is no truth: an estimate is a false alarm.
+    known = estimated(cases) & ~np.isnan(percent)
+    sizes = np.where(known, np.maximum(percent, FLOOR), np.inf)
+    return np.asarray(np.quantile(sizes, [0.25, 0.5, 0.75], method="inverted_cdf"))
+
+
 def _columns(cases: pd.DataFrame, prefix: str) -> FloatArray:
     names = [f"{prefix}_{name}" for name in PARAMETERS]
     return np.column_stack([numbers(cases, name) for name in names])
@@ -211,6 +230,23 @@ def _columns(cases: pd.DataFrame, prefix: str) -> FloatArray:
 def numbers(cases: pd.DataFrame, name: str) -> FloatArray:
     """(rows,) a numeric column as floats, absent values as NaN."""
     return np.asarray(cases[name].to_numpy(dtype=np.float64, na_value=np.nan))
+
+
+def recorded(cases: pd.DataFrame, name: str) -> FloatArray:
+    """(rows,) a numeric column; NaN where the study was run before there was such a column."""
+    return numbers(cases, name) if name in cases else np.full(len(cases), np.nan)
+
+
+def three_of(cases: pd.DataFrame, prefix: str) -> FloatArray:
+    """(rows, 3) the columns `prefix`_* of U0, L_w and tau_w; NaN where there are none."""
+    return np.column_stack([recorded(cases, f"{prefix}_{name}") for name in PARAMETERS])
+
+
+def in_a_flow(cases: pd.DataFrame) -> BoolArray:
+    """(rows,) whether there was a flow to find; where there was none, an estimate is wrong."""
+    if "flow" not in cases:
+        return np.ones(len(cases), dtype=bool)
+    return np.array([plain(value) != "none" for value in cases["flow"]], dtype=bool)
 
 
 def mean(values: FloatArray) -> list[float]:

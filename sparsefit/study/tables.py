@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.study import paper
+from sparsefit.study.confidence import coverage, has_intervals, identifiability
+from sparsefit.study.efficiency import bounded, efficiency
+from sparsefit.study.keys import (
+    counts,
+    key,
+    key_columns,
+    name_column,
+    setting_columns,
+    three,
+    titled,
+)
 from sparsefit.study.methods import NOISE, methods
 from sparsefit.study.readings import readings, sensitivity
 from sparsefit.study.scale_sets import has_scales, scales
 from sparsefit.study.summary import (
     PARAMETERS,
     STATUSES,
-    SYMBOLS,
-    TEX_SYMBOLS,
-    UNITS,
     Group,
     StudyRecord,
     by_setting,
     estimated,
     factors,
-    failures,
     grouped,
     hits,
+    in_a_flow,
     is_condition,
     mean,
     numbers,
@@ -34,6 +42,7 @@ from sparsefit.study.summary import (
     signed_errors,
 )
 from sparsefit.study.table import SIGNIFICANT, Cell, Column, Table, plain
+from sparsefit.study.windows import many_durations, windows
 
 TableFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], Table]
 ROWS_SHOWN = 60
@@ -56,10 +65,10 @@ def parameters(study: StudyRecord, cases: pd.DataFrame) -> Table:
     """Table 1: truth, estimate and percentage error of every case, the paper's row beside it."""
     swept = factors(cases)
     columns = (
-        *(_name(name) for name in ("flight", "protocol", "backend", "setting", *swept)),
-        *_three("value", ".4g"),
-        *_three("error", "+.2f", unit="%"),
-        _name("status"),
+        *(name_column(name) for name in ("flight", "protocol", "backend", "setting", *swept)),
+        *three("value", ".4g"),
+        *three("error", "+.2f", unit="%"),
+        name_column("status"),
     )
     rows: list[tuple[Cell, ...]] = []
     for flight in grouped(cases, ["flight"]):
@@ -77,7 +86,7 @@ def _flight_rows(flight: Group, swept: list[str]) -> list[tuple[Cell, ...]]:
         printed = (*paper.ESTIMATE, *paper.ESTIMATE_PERCENT, None)
         rows.append((name, "paper, Table 1", None, None, *blank, *printed))
     for group in by_setting(flight.cases, *swept):
-        rows += [(name, *_key(group, swept), *rest) for rest in _estimates(group.cases)]
+        rows += [(name, *key(group, swept), *rest) for rest in _estimates(group.cases)]
     return rows
 
 
@@ -103,8 +112,8 @@ def errors(study: StudyRecord, cases: pd.DataFrame) -> Table:
     rows: list[tuple[Cell, ...]] = [(*printed, *paper.MEAN_ERROR, *paper.MEAN_PERCENT, None)]
     rows += [
         (
-            *_key(group, swept),
-            *_counts(group.cases),
+            *key(group, swept),
+            *counts(group.cases),
             *mean(signed_errors(group.cases)),
             *mean(percent_errors(group.cases)),
             _hit_rate(group.cases),
@@ -112,13 +121,13 @@ def errors(study: StudyRecord, cases: pd.DataFrame) -> Table:
         for group in by_setting(cases, *swept)
     ]
     columns = (
-        *_key_columns(swept),
-        *_three("mean signed error", "+.2f"),
-        *_three("mean signed % error", "+.2f", unit="%"),
+        *key_columns(swept),
+        *three("mean signed error", "+.2f"),
+        *three("mean signed % error", "+.2f", unit="%"),
         Column("hits", "%", ".0f"),
     )
     notes = (FAILURES_NOTE, SIGNED_NOTE)
-    return Table(_title(study, "Signed mean errors"), columns, tuple(rows), notes, ROWS_SHOWN)
+    return Table(titled(study, "Signed mean errors"), columns, tuple(rows), notes, ROWS_SHOWN)
 
 
 def errors_absolute(study: StudyRecord, cases: pd.DataFrame) -> Table:
@@ -128,15 +137,15 @@ def errors_absolute(study: StudyRecord, cases: pd.DataFrame) -> Table:
     for group in by_setting(cases, *swept):
         sizes = np.abs(percent_errors(group.cases))
         numbers_ = (*mean(sizes), *quantile(sizes, 0.5), *quantile(sizes, 0.95))
-        rows.append((*_key(group, swept), *_counts(group.cases), *numbers_, _hit_rate(group.cases)))
+        rows.append((*key(group, swept), *counts(group.cases), *numbers_, _hit_rate(group.cases)))
     columns = (
-        *_key_columns(swept),
-        *_three("mean |error|", SIGNIFICANT, unit="%"),
-        *_three("median |error|", SIGNIFICANT, unit="%"),
-        *_three("95th percentile |error|", SIGNIFICANT, unit="%"),
+        *key_columns(swept),
+        *three("mean |error|", SIGNIFICANT, unit="%"),
+        *three("median |error|", SIGNIFICANT, unit="%"),
+        *three("95th percentile |error|", SIGNIFICANT, unit="%"),
         Column("hits", "%", ".0f"),
     )
-    title = _title(study, "Sizes of the percentage errors")
+    title = titled(study, "Sizes of the percentage errors")
     return Table(title, columns, tuple(rows), (FAILURES_NOTE,), ROWS_SHOWN)
 
 
@@ -145,7 +154,7 @@ def times(study: StudyRecord, cases: pd.DataFrame) -> Table:
     present = [name for name in STATUSES if (cases["status"] == name).any()]
     rows = tuple(
         (
-            *_key(group, []),
+            *key(group, []),
             len(group.cases),
             *_seconds(group.cases),
             *_worst(group.cases),
@@ -154,7 +163,8 @@ def times(study: StudyRecord, cases: pd.DataFrame) -> Table:
         for group in by_setting(cases)
     )
     columns = (
-        *_key_columns([])[:4],
+        *setting_columns([]),
+        Column("n", format="d"),
         Column("median", "s", SIGNIFICANT, group="time"),
         Column("95 %", "s", SIGNIFICANT, group="time"),
         Column("certificate", align="left"),
@@ -165,7 +175,7 @@ def times(study: StudyRecord, cases: pd.DataFrame) -> Table:
         "Worst: the largest certificate of the cases with an estimate. "
         "Times depend on the machine; the manifest names it."
     )
-    return Table(_title(study, "Times, certificates and statuses"), columns, rows, (note,))
+    return Table(titled(study, "Times, certificates and statuses"), columns, rows, (note,))
 
 
 def _seconds(cases: pd.DataFrame) -> list[float]:
@@ -181,36 +191,6 @@ def _worst(cases: pd.DataFrame) -> tuple[Cell, Cell]:
     return ", ".join(kinds) or None, float(finite.max()) if finite.size else None
 
 
-def _title(study: StudyRecord, words: str) -> str:
-    return f"{words} ({study.name})"
-
-
-def _name(name: str) -> Column:
-    return Column(name, align="left")
-
-
-def _key_columns(swept: Sequence[str]) -> tuple[Column, ...]:
-    names = ("protocol", "backend", "setting", *swept)
-    counts = (Column("n", format="d"), Column("ok", format="d"), Column("failures", format="d"))
-    return (*map(_name, names), *counts)
-
-
-def _three(group: str, spec: str, unit: str = "") -> tuple[Column, ...]:
-    return tuple(
-        Column(SYMBOLS[one], unit or UNITS[one], spec, group=group, tex=TEX_SYMBOLS[one])
-        for one in PARAMETERS
-    )
-
-
-def _key(group: Group, swept: Sequence[str]) -> tuple[Cell, ...]:
-    fixed = (group.key["protocol"], group.key["backend"], group.setting)
-    return (*fixed, *(group.key[name] for name in swept))
-
-
-def _counts(cases: pd.DataFrame) -> tuple[int, int, int]:
-    return len(cases), int((cases["status"] == "ok").sum()), failures(cases)
-
-
 def _hit_rate(cases: pd.DataFrame) -> float:
     return 100.0 * float(hits(cases).mean())
 
@@ -224,6 +204,10 @@ TABLES: dict[str, TableFunction] = {
     "scales": scales,
     "times": times,
     "methods": methods,
+    "efficiency": efficiency,
+    "coverage": coverage,
+    "identifiability": identifiability,
+    "windows": windows,
 }
 
 
@@ -240,5 +224,9 @@ def tables_for(cases: pd.DataFrame) -> list[str]:
         "scales": has_scales(cases),
         "times": True,
         "methods": not single and NOISE in swept,
+        "efficiency": not bounded(cases).empty,
+        "coverage": has_intervals(cases),
+        "identifiability": not in_a_flow(cases).all(),
+        "windows": not single and many_durations(cases),
     }
     return [name for name in TABLES if said[name]]

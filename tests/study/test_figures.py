@@ -129,6 +129,25 @@ def with_scales(cases):
     )
 
 
+PROCESS_NOISES = tuple(
+    {"flights.process_noise": noise, "flights.duration": seconds}
+    for noise in (0.1, 1.0, 10.0)
+    for seconds in (5.0, 20.0)
+)
+DURATIONS = tuple({"flights.duration": seconds} for seconds in (1.0, 3.0, 10.0, 60.0))
+REFINES = tuple({"readout.refine": refine} for refine in ("none", "variable-projection"))
+
+
+def bounded(cases):
+    """The cases with a bound of 1 %, and intervals of 5 % to either side."""
+    columns = {}
+    for name in ("mean_velocity", "length_scale", "timescale"):
+        columns[f"bound_{name}"] = 0.01 * cases[f"true_{name}"]
+        columns[f"low_{name}"] = 0.95 * cases[f"est_{name}"]
+        columns[f"high_{name}"] = 1.05 * cases[f"est_{name}"]
+    return cases.assign(**columns)
+
+
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     path = tmp_path_factory.mktemp("scales") / "two.toml"
@@ -143,6 +162,10 @@ def drawn(tmp_path_factory):
         "methods": (synthetic(8, NOISES), None),
         "scales": (with_scales(swept), None),
         "dual-certificate": (swept, None),
+        "efficiency": (bounded(synthetic(8, PROCESS_NOISES)), None),
+        "windows": (synthetic(8, DURATIONS), None),
+        "coverage": (bounded(many), None),
+        "grids": (synthetic(8, REFINES), None),
     }
     assert set(given) == set(FIGURES) == set(CAPTIONS)
     draw = dict(FIGURES) | {"dual-certificate": lambda _, *data: again(two, *data)}

@@ -133,6 +133,8 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("{ uniform = [2.0, 10.0] }", "1e200", "no flow that can be flown"),
         ("response_time = 0.5", "response_time = 0.5\nmean_velocity = 3", "exactly two of"),
         ("timescale = { linspace = [0.05, 1.0] }", "", "needs exactly two of"),
+        ("response_time = 0.5", 'response_time = 0.5\nflow = "non"', 'did you mean "none"?'),
+        ("response_time = 0.5", "response_time = 0.5\nflow = true", "must be text"),
         ("[5.0, 3.0]", "[5.0]", '"thrust_acceleration" must be a pair'),
         ("[5.0, 3.0]", "5.0", '"thrust_acceleration" must be a pair'),
         ("upper = 10.0", "upper = 1.0", "[library]"),

@@ -17,6 +17,7 @@ from sparsefit.study.execution import Outcome, Stage, run_flight
 from sparsefit.study.manifest import git_commit, read_manifest
 from sparsefit.study.pace import Pace
 from sparsefit.study.store import COLUMNS, write_cases
+from sparsefit.study.tables import TABLES
 
 TEXT = """
 name = "s"
@@ -162,3 +163,28 @@ def test_time_left_weighs_each_cell_by_what_it_took() -> None:
 def test_a_commit_or_nothing() -> None:
     commit = git_commit()
     assert commit is None or len(commit.removesuffix("+changes")) == 40
+
+
+def test_a_file_from_before_there_were_bounds_is_still_read(study: Study, tmp_path: Path) -> None:
+    write_cases(study, outcomes(study), tmp_path)
+    new = [name for name in COLUMNS if name.startswith(("se_", "low_", "high_", "bound_"))]
+    old = pq.read_table(tmp_path / "cases.parquet").drop_columns([*new, "flow", "extent"])
+    pq.write_table(old, tmp_path / "cases.parquet")
+    found = read_cases(tmp_path)
+    assert len(new) == 12
+    for name in ("efficiency", "coverage", "identifiability", "errors"):
+        assert len(TABLES[name](study, found).rows) > 0
+
+
+def test_rows_of_a_run_from_before_are_read_with_what_they_lack(
+    study: Study, tmp_path: Path
+) -> None:
+    partial.begin(tmp_path, {})
+    with partial.appending(tmp_path) as rows:
+        rows.append(outcomes(study)[0])
+    file = tmp_path / partial.FOLDER / partial.ROWS
+    record = json.loads(file.read_text())
+    del record["bound_timescale"], record["extent"]
+    file.write_text(json.dumps(record) + "\n")
+    (found,) = partial.read_rows(tmp_path).values()
+    assert math.isnan(found.bound_timescale)
