@@ -49,7 +49,7 @@ class Contender:
 
 
 def gram_form(task: Task) -> Statistics:
-    """Z'Z/m and Z'Y/m, formed as ours are: the cost is charged to whoever asks."""
+    """Z'Z/m and Z'Y/m by numpy, as a peer's user has them; charged to whoever asks."""
     return accumulate(row_blocks(task.problem.theta, task.problem.target))
 
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import NullFormatter
 
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.measure import LEVELS
-from sparsefit.bench.ours import CERTIFIED, OURS
+from sparsefit.bench.ours import OURS, VARIANTS
 from sparsefit.bench.problems import KINDS, Kind
 from sparsefit.bench.report import TITLES
 from sparsefit.bench.result import BenchResult
@@ -32,7 +32,7 @@ def time_against_gap(result: BenchResult) -> Figure:
         for axes, kind in zip(grid[0], KINDS, strict=True):
             _panel(axes, result, kind)
         grid[0][0].set_ylabel("relative duality gap, worst point of the path")
-        shown = [c for c in result.contenders if c.installed and c.name != CERTIFIED]
+        shown = [c for c in result.contenders if c.installed and c.name not in VARIANTS[1:]]
         handles = [Line2D([], [], **_look(result, c)) for c in shown]
         figure.legend(handles, [c.name for c in shown], loc="outside lower center", ncols=4)
         figure.draw_without_rendering()
@@ -61,7 +61,7 @@ def _panel(axes: Axes, result: BenchResult, kind: Kind) -> None:
     for level in LEVELS:
         axes.axhline(level, color=GREY, linewidth=0.5, linestyle=":")
     for contender in result.contenders:
-        if kind in contender.kinds and contender.name != CERTIFIED:
+        if kind in contender.kinds and contender.name not in VARIANTS[1:]:
             _draw(axes, result, kind, contender)
 
 

@@ -6,7 +6,7 @@ import math
 
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.measure import LEVELS, REPEATED, TOO_LONG, Run
-from sparsefit.bench.ours import CERTIFIED, OURS
+from sparsefit.bench.ours import VARIANTS
 from sparsefit.bench.problems import KINDS, Kind
 from sparsefit.bench.result import BenchResult, geometric_mean
 from sparsefit.bench.scaling import Scaling, exponent
@@ -28,10 +28,10 @@ def ratio_table(result: BenchResult, kind: Kind, level: float, measure: str) -> 
             f"{name} [ms]",
             *(_milliseconds(result, kind, problem, name) for problem in result.problems),
         )
-        for name in (OURS, CERTIFIED)
+        for name in VARIANTS
     ]
     for contender in result.contenders:
-        if contender.name not in (OURS, CERTIFIED) and kind in contender.kinds:
+        if contender.name not in VARIANTS and kind in contender.kinds:
             rows.append(_ratio_row(result, kind, contender, level, measure))
     for name, reason in result.absent.items():
         if all(contender.name != name for contender in result.contenders):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from sparsefit.bench.ours import CERTIFIED, OURS
+from sparsefit.bench.ours import CERTIFIED, NUMPY_GRAM, OURS
 from sparsefit.bench.problems import Kind
 from sparsefit.bench.result import BenchResult, geometric_mean
 
@@ -88,7 +88,11 @@ def _against_peers(result: BenchResult) -> Iterator[Judgement]:
         ("joint-group-lasso", 25.0),
     )
     for kind, mean in wanted:
-        for name, words in ((OURS, "solve against solve"), (CERTIFIED, "our certificates charged")):
+        for name, words in (
+            (OURS, "solve against solve"),
+            (CERTIFIED, "our certificates charged"),
+            (NUMPY_GRAM, "Z'Z by numpy for both"),
+        ):
             peers = [
                 (result.best_peer(kind, p), result.ours(kind, p, name)) for p in result.problems
             ]
