@@ -18,7 +18,9 @@ from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.readout import Readout
 from sparsefit.refine import CORRELATION, Refinement, refine
-from sparsefit.uncertainty import Uncertainty
+from sparsefit.uncertainty import Assessment, Uncertainty, assess
+from sparsefit.vehicle import PointMassVehicle
+from sparsefit.verdict import why_not
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 FORMAT = "sparsefit-estimator/1"
@@ -33,7 +35,9 @@ class Prepared:
     target: np.ndarray  # a row per sample: the problem's own may be compressed
     problem: RegressionProblem
     seconds: float
+    vehicle: PointMassVehicle | None = None
     _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
+    _assessed: dict[tuple[float, bool], Assessment | None] = field(default_factory=dict, repr=False)
 
     @property
     def calm(self) -> bool:
@@ -63,6 +67,21 @@ class Prepared:
             )
         return self._refined[key]
 
+    def assessed(self, wavenumber: float, correct: bool) -> Assessment | None:
+        """The assessment of a refined scale, k [1/m], done once; None for too few samples."""
+        if self.vehicle is None:
+            return None
+        key = (wavenumber, correct)
+        if key not in self._assessed:
+            self._assessed[key] = assess(
+                self.samples,
+                self.flow_velocity,
+                wavenumber,
+                self.vehicle.response_time,
+                correct=correct,
+            )
+        return self._assessed[key]
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -71,7 +90,9 @@ class Estimate:
     status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
-    refinement found the best other lobe of the residual [m].
+    refinement found the best other lobe of the residual [m]. uncertainty: of a refined scale with
+    the ``rms`` mean velocity, `unidentifiable` or not: it holds within the lobe that was chosen,
+    and says nothing of its rival; None with other readouts, and below 21 samples.
     """
 
     mean_velocity: float
@@ -146,7 +167,8 @@ class Estimator:
         phi = samples.flow_velocity(flight.vehicle)
         target = self.library.response(samples, flight.vehicle)
         _ = problem.statistics  # here, not in whichever back-end happens to come first
-        return Prepared(samples, phi, target, problem, perf_counter() - start)
+        seconds = perf_counter() - start
+        return Prepared(samples, phi, target, problem, seconds, flight.vehicle)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""
@@ -164,8 +186,10 @@ class Estimator:
             weights = self.readout.scale_weights(found.problem, found.weights)
             by_scale = dict(zip(scales.tolist(), weights.tolist(), strict=True))
             place = self._place(prepared, found, float(scales[int(np.argmax(weights))]))
-        mean_velocity = math.nan
-        if math.isfinite(place.length_scale):
+        mean_velocity, known = math.nan, place.assessment
+        if known is not None:
+            mean_velocity = known.mean_velocity
+        elif math.isfinite(place.length_scale):
             mean_velocity = self.readout.velocity(
                 prepared.samples.position,
                 prepared.flow_velocity,
@@ -190,6 +214,7 @@ class Estimator:
             found.problem.samples,
             found.problem.columns,
             place.rival_length_scale,
+            known.uncertainty if known else None,
         )
 
     def _place(self, prepared: Prepared, found: Fit, candidate: float) -> "_Place":
@@ -200,13 +225,15 @@ class Estimator:
         if self.readout.refine == "none" or not grid.lower < grid.upper:
             return _Place(candidate, candidate, status=found.status, reason=found.reason)
         best = prepared.refined(candidate, grid)
+        known, scale = None, best.length_scale
+        if self.readout.mean_velocity == "rms":
+            known = prepared.assessed(best.wavenumber, self.readout.correction != "none")
+            scale = known.length_scale if known else scale
         status, reason = found.status, found.reason
-        if not best.identifiable:
-            extent = float(np.ptp(prepared.samples.position, axis=0).max())
-            status, reason = "unidentifiable", _why_not(best, extent)
-        if prepared.calm:
-            status, reason = "unidentifiable", "no cellular flow detected: the air is still"
-        return _Place(best.length_scale, candidate, best.rival_length_scale, status, reason)
+        doubt = why_not(best, known, prepared.samples, grid.lower, calm=prepared.calm)
+        if doubt:
+            status, reason = "unidentifiable", doubt
+        return _Place(scale, candidate, best.rival_length_scale, status, reason, known)
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""
@@ -260,21 +287,7 @@ class _Place:
     rival_length_scale: float = math.nan
     status: str = "ok"
     reason: str = ""
-
-
-def _why_not(best: Refinement, extent: float) -> str:
-    """Why the data cannot tell the length scale, as a pilot would say it."""
-    if not best.detected:
-        return "no cellular flow detected: no length scale explains more than a uniform wind does"
-    if best.at_bound:
-        return (
-            f"the best length scale is at the edge of the search, {best.length_scale:.3g} m; "
-            "widen the grid's bounds"
-        )
-    return (
-        f"cannot tell {best.length_scale:.3g} m from {best.rival_length_scale:.3g} m: the "
-        f"flight covers {extent:.3g} m, or too straight a line; fly farther, or turn"
-    )
+    assessment: Assessment | None = None
 
 
 def _without_nan(value: Any) -> Any:

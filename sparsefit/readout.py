@@ -15,6 +15,7 @@ LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]
 Refine = Literal["none", "variable-projection"]
+Correction = Literal["none", "first-order"]
 CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 
 
@@ -31,12 +32,15 @@ class Readout:
     ``peak`` of |w| over the cell.
     refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
     the 8-column fit between the grid's bounds; ``none`` reports the candidate itself.
+    correction: ``first-order`` takes from a refined ``rms`` readout what smoothing, differencing
+    and noisy positions are known to do to it; ``none`` leaves it.
     """
 
     length_scale: LengthScaleReadout = "group-norm"
     mean_velocity: MeanVelocityReadout = "rms"
     eq24: Eq24 = "pseudo-inverse"
     refine: Refine = "variable-projection"
+    correction: Correction = "first-order"
 
     def __post_init__(self) -> None:
         for key, valid in (
@@ -44,6 +48,7 @@ class Readout:
             ("mean_velocity", get_args(MeanVelocityReadout)),
             ("eq24", get_args(Eq24)),
             ("refine", get_args(Refine)),
+            ("correction", get_args(Correction)),
         ):
             if getattr(self, key) not in valid:
                 raise unknown(f"readout {key}", str(getattr(self, key)), valid)

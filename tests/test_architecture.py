@@ -13,8 +13,9 @@ from sparsefit.backends import BACKENDS
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
     *("errors", "flow", "vehicle", "flight", "derivative", "objective", "grid", "problem"),
-    *("library", "refine", "uncertainty"),
-    *("backends", "penalty_choice", "fit", "readout", "estimator", "score", "bound"),
+    *("library", "filters", "refine"),
+    *("backends", "penalty_choice", "fit", "readout", "uncertainty", "verdict"),
+    *("estimator", "score", "bound"),
     *("study", "selection", "bench"),
     "cli",
 )

@@ -114,7 +114,12 @@ def test_simulate_refuses(capsys, options, words):
 def test_estimate_prints_parameters_with_units(capsys, flight):
     code, out, err = run(capsys, "estimate", flight)
     assert (code, err) == (0, "")
-    for words in ("m/s\n", "status                ok", "group-lasso  alpha_fraction=0.1"):
+    for words in (
+        " m/s  ± ",
+        "(95 %: ",
+        "status                ok",
+        "group-lasso  alpha_fraction=0.1",
+    ):
         assert words in out
     assert "duality_gap" in out
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -218,9 +219,7 @@ def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
             f"response time {flight.vehicle.response_time:g} s, thrust ({ax:g}, {ay:g}) m/s^2",
         ),
         ("", ""),
-        ("mean velocity  U0", _quantity(estimate.mean_velocity, "m/s")),
-        ("length scale   L_w", _quantity(estimate.length_scale, "m")),
-        ("timescale      tau_w", _quantity(estimate.timescale, "s")),
+        *_parameters(estimate),
         ("", ""),
         ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
         ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
@@ -231,5 +230,33 @@ def _lines(name: str, flight: Flight, estimate: Estimate) -> list[str]:
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
 
 
-def _quantity(value: float, unit: str) -> str:
-    return f"{value:>9.4f} {unit}" if value == value else f"{'–':>9} {unit}"
+def _parameters(estimate: Estimate) -> list[tuple[str, str]]:
+    """U0, L_w and tau_w, each with its standard error and 95 % interval where they are known."""
+    known, rows = estimate.uncertainty, []
+    for label, name, unit in (
+        ("mean velocity  U0", "mean_velocity", "m/s"),
+        ("length scale   L_w", "length_scale", "m"),
+        ("timescale      tau_w", "timescale", "s"),
+    ):
+        value = getattr(estimate, name)
+        if known is None:
+            rows.append((label, _quantity(value, unit)))
+        else:
+            spread, ends = getattr(known, name), getattr(known, f"{name}_interval")
+            rows.append((label, _quantity(value, unit, spread, ends)))
+    return rows
+
+
+def _quantity(
+    value: float, unit: str, spread: float | None = None, ends: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """A value to two digits of its standard error, four decimals at least."""
+    if value != value:
+        return f"{'–':>9} {unit}"
+    if spread is None:
+        return f"{value:>9.4f} {unit}"
+    if not math.isfinite(spread):
+        return f"{value:>9.4f} {unit:<3}  ± unknown"
+    places = min(max(4, 1 - math.floor(math.log10(spread))), 9) if spread > 0 else 9
+    low, high = (f"{end:.{places}f}" for end in ends)
+    return f"{value:>9.{places}f} {unit:<3}  ± {spread:.{places}f}  (95 %: {low} … {high})"
