@@ -111,26 +111,26 @@ def _on_samples(raw: Array, kicks: Array, first: float, step: float) -> tuple[Ar
     """
     size = raw.shape[2]
     if size > DEGREE:
-        mean = np.zeros(size)
+        mean: Array = np.zeros(size)
         mean[1:] += 0.5 * kicks
         mean[:-1] += 0.5 * kicks
         used = np.flatnonzero(np.any(raw[2] != 0, axis=0))  # the derivative's shorter window
         held = slice(used[0], used[-1] + 1)
-        powers = _powers(_places(size))[:, held]
+        powers: Array = _powers(_places(size))[:, held]
         mean[held] += _least(powers, _moments(raw[2], first, step) - powers @ mean[held])
         return raw[:2], mean
     nodes = _powers(_places(DEGREE + 1))
     reach = DEGREE / 2
-    places: Array = (first + np.arange(size)) / reach
+    places: Array = (first + np.arange(size, dtype=np.float64)) / reach
     on_nodes = _least(nodes, _powers(places) @ raw[0, 0])
     none = np.zeros(len(on_nodes))
-    mean = _least(nodes, _moments(raw[2], first, step, reach))
-    return np.array([[on_nodes, none], [none, on_nodes]]), mean
+    whole = _least(nodes, _moments(raw[2], first, step, reach))
+    return np.array([[on_nodes, none], [none, on_nodes]]), whole
 
 
 def _least(powers: Array, moments: Array) -> Array:
     """The least weights with these moments."""
-    found: Array = np.linalg.lstsq(powers, moments, rcond=None)[0]
+    found: Array = np.linalg.lstsq(powers, moments, rcond=None)[0].astype(float, copy=False)
     return found
 
 
@@ -153,7 +153,7 @@ def _powers(places: Array) -> Array:
 def _moments(acceleration: Array, first: float, step: float, reach: float = 0.0) -> Array:
     """What the acceleration's weights (2, n) give where V' = t^j, t in units of the reach."""
     reach = reach or (acceleration.shape[1] - 1) / 2
-    t: Array = (first + np.arange(acceleration.shape[1])) / reach
+    t: Array = (first + np.arange(acceleration.shape[1], dtype=np.float64)) / reach
     scale = reach * step
     j, powers = np.arange(DEGREE + 1), _powers(t)
     by_velocity = powers @ (t * acceleration[1]) / (j + 1)

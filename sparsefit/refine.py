@@ -31,7 +31,7 @@ CHUNK = 4096  # wavenumbers solved at once: bounds the memory
 SPREAD, BETA = 8, 18.4  # cells of the spreading kernel, and its steepness: sums to 1e-7
 ITERATIONS, MAX_STEPS = 40, 500_000  # of a descent; of a scan, 0.4 GB
 ROUGH = 1e-2  # in scan steps, 1e-7 of a lobe's depth: where a rival's descent may stop
-SIGNIFICANCE = 0.05
+SIGNIFICANCE = 0.01  # of a lobe being mistaken for another
 FALSE_ALARM, EXTRA = 1e-3, 15  # of a detection; 16 weights and k, less a uniform wind's 2
 CORRELATION = 5  # samples: errors of smoothed derivatives and of positions are not white
 BINS = 16  # of the residuals' spectrum, averaged: its level is then known to 18 %
@@ -84,7 +84,7 @@ class Refinement:
         """Whether there is a flow, the data exclude the rival, and L is inside the interval.
 
         A false lobe leads by a likelihood ratio c with probability <= 1/c; over all lobes the
-        risk is 5 % at evidence = 2 ln(lobes / 0.05).
+        risk is 1 % at evidence = 2 ln(lobes / 0.01).
         """
         needed = 2 * math.log(self.lobes / SIGNIFICANCE)
         return self.detected and not self.at_bound and self.evidence > needed

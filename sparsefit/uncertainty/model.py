@@ -88,6 +88,7 @@ class Fitted:
         kept = roots > NULL * roots[-1]
         turned = vectors.T @ (self.gradients / scale).T
         lost = ~(np.linalg.norm(turned[~kept], axis=0) <= LOST * np.linalg.norm(turned, axis=0))
+        lost[[0, 2]] |= not kept.all()  # U0 grows along a null direction, if not to first order
         basis = vectors[:, kept] / scale[:, None]
         return (basis / roots[kept]) @ basis.T, lost
 
