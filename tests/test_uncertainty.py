@@ -1,3 +1,4 @@
+import json
 import math
 from dataclasses import replace
 
@@ -231,7 +232,10 @@ def test_estimates_carry_uncertainty_where_it_is_known():
     found = sf.Estimator().estimate(flight)
     low, high = found.uncertainty.length_scale_interval
     assert low < found.length_scale < high
-    assert found.to_dict()["uncertainty"]["length_scale_interval"] == (low, high)
+    assert found.to_dict()["uncertainty"]["length_scale_interval"] == [low, high]
+    lost = Uncertainty.around([12.0, 4.0, 0.3], [math.inf, 0.1, math.inf])
+    written = json.dumps(replace(found, uncertainty=lost).to_dict(), allow_nan=False)
+    assert json.loads(written)["uncertainty"]["mean_velocity_interval"] == [None, None]
     for readout in (sf.Readout(refine="none"), sf.Readout(mean_velocity="peak")):
         assert sf.Estimator(readout=readout).estimate(flight).uncertainty is None
     plain = sf.Estimator(readout=sf.Readout(correction="none")).estimate(flight)
