@@ -182,6 +182,34 @@ def test_intervals_cover_process_noise(method):
     assert (np.sum(covered, axis=0) >= 20).all()
 
 
+@pytest.mark.slow
+def test_intervals_cover_measured_noise_of_flights_at_large():
+    # Smoothed over 100 samples and more: the residuals' correlation outlasts any fixed lag.
+    covered, vehicle = [], sf.PointMassVehicle(0.1, (20.0, 12.0))
+    for seed in range(120):
+        rng = np.random.default_rng([seed, 17])
+        scale, timescale = rng.uniform(2, 10), rng.uniform(0.1, 1)
+        flow = sf.CellularFlow(scale / timescale, scale)
+        flight = sf.simulate_flight(
+            flow,
+            vehicle,
+            duration=10.0,
+            sample_rate=100.0,
+            seed=seed,
+            velocity_noise=0.2,
+            position_noise=0.05,
+        )
+        found = sf.Estimator().estimate(flight)
+        if found.status == "ok":
+            known = found.uncertainty
+            (low, high), (least, most) = known.mean_velocity_interval, known.length_scale_interval
+            covered.append((low < flow.mean_velocity < high, least < scale < most))
+    assert len(covered) > 90
+    missed = np.sum(~np.array(covered), axis=0)
+    assert (missed <= 15).all()  # 1e-3 likely at 95 %, in 120
+    assert missed.sum() > 0  # an interval that always covers is too wide
+
+
 def test_noise_free_intervals_hold_the_truth_and_are_narrow(exact):
     for rate in (1, 2, 4):
         flight = sf.Flight(

@@ -82,8 +82,8 @@ def assess(
     if np.isfinite(filters.sigma_position) and np.isfinite(filters.sigma_velocity):
         score = bias.noisy_positions(fitted, filters, response_time)
         step = fitted.moved(-score).values - fitted.values
-        step = np.clip(step, -REACH * spread, REACH * spread)
-        correction, doubt = correction + step, np.hypot(doubt, DOUBT_OF_NOISE * step)
+        doubt = np.hypot(doubt, DOUBT_OF_NOISE * step)
+        correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     values = fitted.values + correct * correction
     if correct:  # tau_w is L / U0, whatever was cut
         values[2] = values[1] / values[0]
