@@ -38,6 +38,7 @@ OF_ESTIMATOR = (
     "mean_velocity_readout",
     "refine",
 )
+FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
     "normal_equations": "relative gradient of the least-squares fit",
@@ -257,6 +258,8 @@ def _quantity(
         return f"{value:>9.4f} {unit}"
     if not math.isfinite(spread):
         return f"{value:>9.4f} {unit:<3}  ± unknown"
-    places = min(max(4, 1 - math.floor(math.log10(spread))), 9) if spread > 0 else 9
+    if spread < FINEST:
+        return f"{value:>9.4f} {unit:<3}  ± {spread:.1e}"
+    places = max(4, 1 - math.floor(math.log10(spread)))
     low, high = (f"{end:.{places}f}" for end in ends)
     return f"{value:>9.{places}f} {unit:<3}  ± {spread:.{places}f}  (95 %: {low} … {high})"

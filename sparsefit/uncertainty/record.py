@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 NORMAL_95 = 1.959963984540054
-WIDE = 0.04  # of a value, the half-width of its interval: beyond, 5 % off is 1.4 % likely or more
+WIDE = 0.03  # of a value, the half-width of its interval: at it, 5 % off is 1 in 1000 likely
 NAMES = ("the mean velocity", "the length scale", "the timescale")
 
 
