@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from sparsefit.derivative import Derivative as Derivative
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
-    from sparsefit.estimator import Estimate as Estimate
+    from sparsefit.estimate import Estimate as Estimate
     from sparsefit.estimator import Estimator as Estimator
     from sparsefit.fit import Fit as Fit
     from sparsefit.fit import Path as Path
@@ -56,7 +56,7 @@ _HOMES = {
     "fit": "fit",
     "path": "fit",
     "Readout": "readout",
-    "Estimate": "estimator",
+    "Estimate": "estimate",
     "Estimator": "estimator",
     "ScaleEstimate": "scales",
     "ScalesScore": "score",

@@ -1,30 +1,25 @@
-"""How well U0, L and tau_w can be known: the Cramer-Rao bound, and standard errors from residuals.
+"""How well U0, L and tau_w can be known at best: the Cramer-Rao bound, for a flow that is known.
 
 The model is Phi_t = C(k) w_t + e_t for the two components t, C (m, 8) the candidates at
 k = pi/L. Its parameters are theta = (k, w_1, w_2), 17 of them; the Jacobian of both components,
 stacked, is J (2m, 17) = [dC/dk w, blockdiag(C, C)].
 """
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.errors import InputError, non_negative, positive, unknown
+from sparsefit.errors import non_negative, unknown
 from sparsefit.flow import CellularFlow
-from sparsefit.readout import rms_mean_velocity
-from sparsefit.refine import centred, columns, project
-from sparsefit.uncertainty import Uncertainty
+from sparsefit.refine import columns
+from sparsefit.uncertainty import Fitted
 from sparsefit.vehicle import PointMassVehicle
 
 Array = NDArray[np.float64]
 Model = Literal["parametric", "semiparametric"]
 
-MEAN_SQUARE = np.array([0.5] * 4 + [0.25] * 4)[:, None]  # of each candidate over a cell
-LAGS = 20  # samples: twice the memory of a smoothing window of 11
-NORMAL_95 = 1.959963984540054
 NULL = 1e-9  # singular values of the scaled Jacobian below this, relative, are its null space
 LOST = 1e-6  # a gradient with more than this, relative, in the null space: inf
 
@@ -82,51 +77,13 @@ def parametric_jacobian(position: Array, flow: CellularFlow) -> Array:
 
 
 def semiparametric(position: Array, weights: Array, wavenumber: float) -> tuple[Array, Array]:
-    """J (2m, 17), and the gradients (3, 17) of U0, L and tau_w.
-
-    U0^2 = 2 sum h w^2, h the mean square of a candidate over the cell: dU0/dw = 2 h w / U0.
-    """
+    """J (2m, 17), and the gradients (3, 17) of U0, L and tau_w."""
     value, slope = columns(position, wavenumber)
     zero = np.zeros_like(value)
     jacobian = np.block([[value, zero], [zero, value]])
     bend = (slope @ weights).T.ravel()
-    speed, scale = rms_mean_velocity(weights) or math.nan, math.pi / wavenumber
-    by_weight = (2 * MEAN_SQUARE * weights / speed).T.ravel()
-    gradients = np.zeros((3, 17))
-    gradients[0, 1:], gradients[1, 0] = by_weight, -scale / wavenumber
-    gradients[2] = gradients[1] / speed - scale / speed**2 * gradients[0]
+    gradients = Fitted(position, wavenumber, weights).gradients
     return np.column_stack([bend, jacobian]), gradients
-
-
-def uncertainty(position: Array, flow_velocity: Array, length_scale: float) -> Uncertainty:
-    """Standard errors of U0, L and tau_w where the 8-column fit of Phi (m, 2) is best in L [m].
-
-    To first order the errors of the three are c'e, c = J (J'J)^+ g. Derivative filters make e
-    correlated in time: with gamma(l) the autocovariance of the residuals at lag l, tapered to
-    LAGS (Bartlett), and rho(l) that of c, the variance is sum_l gamma(l) rho(l), component by
-    component. gamma is corrected for the 17/2 parameters per component.
-    """
-    scale, points = positive("length_scale", length_scale, "m"), centred(position)
-    samples = len(points)
-    if samples <= LAGS:
-        raise InputError(f"uncertainty needs more than {LAGS} samples; got {samples}")
-    fit = project(points, flow_velocity, math.pi / scale)
-    errors = flow_velocity - columns(points, fit.wavenumber)[0] @ fit.weights
-    jacobian, gradients = semiparametric(points, fit.weights, fit.wavenumber)
-    rows, lost = _functionals(jacobian, gradients)
-    taper = 1 - np.arange(LAGS + 1) / (LAGS + 1)
-    taper[1:] *= 2  # lags of either sign
-    taper *= 1 / (samples - 8.5)
-    variance = np.zeros(3)
-    for error, part in zip(errors.T, rows.reshape(2, samples, 3), strict=True):
-        variance += (taper * _products(error[:, None])[:, 0]) @ _products(part)
-    spread = np.where(lost, np.inf, np.sqrt(variance))
-    u0 = rms_mean_velocity(fit.weights) or math.nan
-    ends = [
-        (v - NORMAL_95 * s, v + NORMAL_95 * s)
-        for v, s in zip((u0, scale, scale / u0), spread.tolist(), strict=True)
-    ]
-    return Uncertainty(*spread.tolist(), *ends)
 
 
 def _functionals(jacobian: Array, gradients: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -141,10 +98,3 @@ def _functionals(jacobian: Array, gradients: Array) -> tuple[Array, NDArray[np.b
     inverse = right[kept].T @ (turned[kept] / roots[kept[: len(roots)], None] ** 2)
     found: Array = (jacobian / scale) @ inverse
     return found, lost
-
-
-def _products(series: Array) -> Array:
-    """Sums over time of the lagged products of each column (m, n), lags 0..LAGS."""
-    found = np.fft.rfft(series, len(series) + LAGS, axis=0)
-    lagged: Array = np.fft.irfft(np.abs(found) ** 2, len(series) + LAGS, axis=0)[: LAGS + 1]
-    return lagged

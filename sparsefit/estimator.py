@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import Any, Literal
 
@@ -10,117 +10,21 @@ import numpy as np
 
 from sparsefit import backends
 from sparsefit.backends.base import Backend, checked_number, settings_of
-from sparsefit.derivative import Derivative, Samples
+from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError, unknown
+from sparsefit.estimate import Estimate
 from sparsefit.fit import TOLERANCE, Fit, fit
 from sparsefit.flight import Flight
-from sparsefit.joint import Lobes
-from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
+from sparsefit.library import LengthScaleGrid, Library
 from sparsefit.nuisance import VehicleEstimate
-from sparsefit.objective import Certificate
+from sparsefit.prepared import Prepared
 from sparsefit.readout import Readout
-from sparsefit.refine import CORRELATION, Refinement, centred, refine
 from sparsefit.rows import Rows
 from sparsefit.scales import ScaleEstimate, as_proposed, several
-from sparsefit.uncertainty import Uncertainty
+from sparsefit.uncertainty import Assessment
+from sparsefit.verdict import why_not
 
-CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 FORMAT = "sparsefit-estimator/1"
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """What every back-end shares on one flight: samples, Phi and the regression problem."""
-
-    samples: Samples
-    flow_velocity: np.ndarray
-    target: np.ndarray  # a row per sample: the problem's own may be compressed
-    problem: RegressionProblem
-    seconds: float
-    rows: Rows | None = None  # what is refined and read in place of plain samples of Phi
-    _refined: dict[tuple[float, float, float], Refinement] = field(default_factory=dict, repr=False)
-    _lobes: dict[tuple[float, float], Lobes] = field(default_factory=dict, repr=False)
-
-    @property
-    def calm(self) -> bool:
-        """Whether Phi is nothing beside the velocity it is the difference of: still air."""
-        speed = float(np.abs(self.samples.velocity).max())
-        phi = self.flow_velocity if self.rows is None else self.rows.remainder
-        return float(np.abs(phi).max()) <= CALM * speed
-
-    @property
-    def _correlation(self) -> float:
-        """Samples over which the errors of Phi correlate: a polynomial's window per coefficient."""
-        smoothing = self.samples.smoothing
-        if self.rows is not None and self.rows.correlation is not None:
-            return self.rows.correlation
-        if smoothing is None:
-            return CORRELATION
-        return max(CORRELATION, smoothing.rate_window / (smoothing.order + 1))
-
-    def refined(self, candidate: float, grid: LengthScaleGrid) -> Refinement:
-        """The refinement from a candidate [m], done once for all back-ends that choose it."""
-        key = (candidate, grid.lower, grid.upper)
-        if key not in self._refined:
-            self._refined[key] = refine(
-                self.samples.position,
-                self.flow_velocity,
-                candidate,
-                lower=grid.lower,
-                upper=grid.upper,
-                correlation=self._correlation,
-                rows=self.rows,
-            )
-        return self._refined[key]
-
-    def lobes(self, grid: LengthScaleGrid) -> Lobes:
-        """Where the residual of a scale more can have lobes, worked out once for all back-ends."""
-        bounds = (math.pi / grid.upper, math.pi / grid.lower)
-        if bounds not in self._lobes:
-            self._lobes[bounds] = Lobes.of(centred(self.samples.position), bounds)
-        return self._lobes[bounds]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
-
-    status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
-    grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
-    length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
-    refinement found the best other lobe of the residual [m]; response_time [s],
-    thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown;
-    scales: all cellular flows found, fastest first, where the readout asks for several: the
-    parameters are those of the first.
-    """
-
-    mean_velocity: float
-    length_scale: float
-    timescale: float
-    status: str
-    reason: str
-    backend: str
-    settings: dict[str, Any]
-    certificate: Certificate | None = None
-    grid_length_scale: float = math.nan
-    weights_by_scale: dict[float, float] = field(default_factory=dict, repr=False)
-    seconds: float = math.nan
-    samples: int = 0
-    columns: int = 0
-    rival_length_scale: float = math.nan
-    uncertainty: Uncertainty | None = None
-    response_time: float = math.nan
-    thrust_acceleration: tuple[float, float] | None = None
-    wind: tuple[float, float] | None = None
-    scales: tuple[ScaleEstimate, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The estimate as JSON-ready values; NaN becomes None."""
-        values = asdict(self)
-        values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
-        values["scales"] = [asdict(one) for one in self.scales]
-        cleaned: dict[str, Any] = _without_nan(values)
-        return cleaned
 
 
 @dataclass(frozen=True)
@@ -181,7 +85,8 @@ class Estimator:
         target = self.library.response(samples, flight.vehicle)
         _ = problem.statistics  # here, not in whichever back-end happens to come first
         rows = Rows.of(samples, flight.vehicle, self.library.unknown)
-        return Prepared(samples, phi, target, problem, perf_counter() - start, rows)
+        seconds = perf_counter() - start
+        return Prepared(samples, phi, target, problem, seconds, rows, flight.vehicle)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""
@@ -199,9 +104,11 @@ class Estimator:
             weights = self.readout.scale_weights(found.problem, found.weights)
             by_scale = dict(zip(scales.tolist(), weights.tolist(), strict=True))
             place = self._place(prepared, found, float(scales[int(np.argmax(weights))]))
-        mean_velocity = math.nan
+        mean_velocity, known = math.nan, place.assessment
         if math.isfinite(place.length_scale):
-            if place.scales:
+            if known is not None:
+                mean_velocity = known.mean_velocity
+            elif place.scales:
                 mean_velocity = place.scales[0].mean_velocity
             else:
                 place, mean_velocity = self._velocity(prepared, place)
@@ -223,6 +130,7 @@ class Estimator:
             found.problem.samples,
             found.problem.columns,
             place.rival_length_scale,
+            known.uncertainty if known else None,
             scales=place.scales,
             **place.unknown,
         )
@@ -253,13 +161,15 @@ class Estimator:
         if self.readout.refine == "none" or not grid.lower < grid.upper:
             return _Place(candidate, candidate, status=found.status, reason=found.reason)
         best = prepared.refined(candidate, grid)
+        known, scale = None, best.length_scale
+        if self.readout.mean_velocity == "rms":
+            known = prepared.assessed(best.wavenumber, self.readout.correction != "none")
+            scale = known.length_scale if known else scale
         status, reason = found.status, found.reason
-        if not best.identifiable:
-            extent = float(np.ptp(prepared.samples.position, axis=0).max())
-            status, reason = "unidentifiable", _why_not(best, extent)
-        if prepared.calm:
-            status, reason = "unidentifiable", "no cellular flow detected: the air is still"
-        return _Place(best.length_scale, candidate, best.rival_length_scale, status, reason)
+        doubt = why_not(best, known, prepared.samples, grid.lower, calm=prepared.calm)
+        if doubt:
+            status, reason = "unidentifiable", doubt
+        return _Place(scale, candidate, best.rival_length_scale, status, reason, known)
 
     def _several(self, prepared: Prepared, found: Fit) -> "_Place":
         """All scales of a fit; the place is that of the fastest."""
@@ -341,6 +251,7 @@ class _Place:
     rival_length_scale: float = math.nan
     status: str = "ok"
     reason: str = ""
+    assessment: Assessment | None = None
     vehicle: VehicleEstimate | None = None
     scales: tuple[ScaleEstimate, ...] = ()
 
@@ -355,26 +266,3 @@ class _Place:
         if self.vehicle is None:
             return {}
         return {name: getattr(self.vehicle, name) for name in self.vehicle.unknown}
-
-
-def _why_not(best: Refinement, extent: float) -> str:
-    """Why the data cannot tell the length scale, as a pilot would say it."""
-    if not best.detected:
-        return "no cellular flow detected: no length scale explains more than a uniform wind does"
-    if best.at_bound:
-        return (
-            f"the best length scale is at the edge of the search, {best.length_scale:.3g} m; "
-            "widen the grid's bounds"
-        )
-    return (
-        f"cannot tell {best.length_scale:.3g} m from {best.rival_length_scale:.3g} m: the "
-        f"flight covers {extent:.3g} m, or too straight a line; fly farther, or turn"
-    )
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

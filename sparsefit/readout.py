@@ -19,6 +19,7 @@ MeanVelocityReadout = Literal["paper", "rms", "peak"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]
 Refine = Literal["none", "variable-projection"]
 Scales = Literal["one", "several"]
+Correction = Literal["none", "first-order"]
 CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 
 
@@ -38,6 +39,8 @@ class Readout:
     scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
     (`sparsefit.scales`). Its peaks are those of the Euclidean norm, whatever length_scale says.
+    correction: ``first-order`` takes from a refined ``rms`` readout what smoothing, differencing
+    and noisy positions are known to do to it; ``none`` leaves it.
     """
 
     length_scale: LengthScaleReadout = "group-norm"
@@ -45,6 +48,7 @@ class Readout:
     eq24: Eq24 = "pseudo-inverse"
     refine: Refine = "variable-projection"
     scales: Scales = "one"
+    correction: Correction = "first-order"
 
     def __post_init__(self) -> None:
         for key, valid in (
@@ -53,6 +57,7 @@ class Readout:
             ("eq24", get_args(Eq24)),
             ("refine", get_args(Refine)),
             ("scales", get_args(Scales)),
+            ("correction", get_args(Correction)),
         ):
             if getattr(self, key) not in valid:
                 raise unknown(f"readout {key}", str(getattr(self, key)), valid)

@@ -38,10 +38,11 @@ RANK = 1e-12  # eigenvalues of the scaled 8 x 8 Gram below this, relative, are d
 CHUNK = 4096  # wavenumbers solved at once: bounds the memory
 SPREAD, BETA = 8, 18.4  # cells of the spreading kernel, and its steepness: sums to 1e-7
 ITERATIONS, MAX_STEPS = 40, 500_000  # of a descent; of a scan, 0.4 GB
-ROUGH = 1e-3  # in scan steps, 1e-9 of a lobe's depth: where a rival's descent may stop
-SIGNIFICANCE = 0.05
+ROUGH = 1e-2  # in scan steps, 1e-7 of a lobe's depth: where a rival's descent may stop
+SIGNIFICANCE = 0.01  # of a lobe being mistaken for another
 FALSE_ALARM, EXTRA = 1e-3, 15  # of a detection; 16 weights and k, less a uniform wind's 2
 CORRELATION = 5  # samples: errors of smoothed derivatives and of positions are not white
+BINS = 16  # of the residuals' spectrum, averaged: its level is then known to 18 %
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class Refinement:
         """Whether there is a flow, the data exclude the rival, and L is inside the interval.
 
         A false lobe leads by a likelihood ratio c with probability <= 1/c; over all lobes the
-        risk is 5 % at evidence = 2 ln(lobes / 0.05).
+        risk is 1 % at evidence = 2 ln(lobes / 0.01).
         """
         needed = 2 * math.log(self.lobes / SIGNIFICANCE)
         return self.detected and not self.at_bound and self.evidence > needed
@@ -218,6 +219,7 @@ def kernel_gain(first: int, last: int) -> tuple[Array, int]:
     """The kernel's Fourier transform at j = first..last; the size that oversamples twice."""
     size = 1 << math.ceil(math.log2(4 * (last + 1) + 4 * SPREAD))
     nodes, mass = np.polynomial.legendre.leggauss(4 * SPREAD)
+    nodes, mass = nodes[2 * SPREAD :], 2 * mass[2 * SPREAD :]  # the kernel is even
     mass = 0.5 * SPREAD * mass * np.exp(BETA * np.sqrt(1 - nodes * nodes) - BETA)
     waves = np.outer(np.arange(first, last + 1), math.pi * SPREAD / size * nodes)
     return np.cos(waves) @ mass, size
@@ -237,8 +239,9 @@ def refine(
 
     position (m, 2) [m]; flow_velocity Phi (m, 2) [m/s]; start_length_scale: a back-end's answer
     [m], whose lobe is refined whatever its depth; correlation: samples over which the errors of
-    Phi correlate; rows: what is fitted in place of Phi at the positions, which then only tell
-    where the lobes are. InputError: empty interval, flight at rest.
+    Phi correlate, at least; more where the residuals show it; rows: what is fitted in place of Phi
+    at the positions, which then only tell where the lobes are. InputError: empty interval, flight
+    at rest.
     """
     extent = float(np.ptp(position, axis=0).max())
     if not 0 < lower < upper < math.inf:
@@ -250,7 +253,8 @@ def refine(
     if high > MAX_STEPS * step:
         raise InputError(f"refine: lower {lower:g} m is too small for {extent:g} m; raise it")
     limits, first, last = (low, high, step), math.floor(low / step), math.ceil(high / step)
-    minima = _minima(scan(position, flow_velocity, step, first, last, rows))
+    curve = scan(position, flow_velocity, step, first, last, rows)
+    minima = _minima(curve)
     chosen = minima[:LOBES].tolist()
     if start_length_scale is not None:
         start = math.pi / positive("start_length_scale", start_length_scale, "m") / step - first
@@ -258,12 +262,16 @@ def refine(
     at: Callable[[float], Projection] = partial(project, centred(position), flow_velocity)
     at, phi = (at, flow_velocity) if rows is None else (rows.project, rows.target)
     rough = ROUGH * step
-    found = [_descend(at, step * (first + j), limits, rough) for j in set(chosen)]
+    vertices = {j: step * (first + j + _vertex(curve, j)) for j in chosen}
+    found = [_descend(at, k, limits, rough) for k in vertices.values()]
     found.sort(key=lambda fit: fit.residual)
     best = _descend(at, found[0].wavenumber, limits, 0.0)
     others = [fit for fit in found if abs(fit.wavenumber - best.wavenumber) > 2 * step]
     rival = (math.pi / others[0].wavenumber, others[0].residual) if others else (math.nan, math.inf)
     k, edge = best.wavenumber, best.wavenumber in (low, high)
+    if rows is None:  # other rows know how far their errors correlate
+        errors = phi - columns(centred(position), k)[0] @ best.weights
+        correlation = max(correlation, concentration(errors))
     null, floor = float(np.sum((phi - phi.mean(axis=0)) ** 2)), 1e-15 * float(np.sum(phi**2))
     null = null if rows is None else rows.null_residual
     return Refinement(
@@ -284,6 +292,27 @@ def centred(position: Array) -> Array:
     """Positions (m, 2) from the middle of their bounding box."""
     centre: Array = 0.5 * (position.max(axis=0) + position.min(axis=0))
     return position - centre
+
+
+def concentration(errors: Array) -> float:
+    """The highest power of the spectrum of errors (m, 2) over its mean: 1 for white noise.
+
+    A column takes from the residual what noise has at its own frequencies: m samples of such
+    errors are worth m / concentration white ones to whoever fits where the power is highest.
+    """
+    power = np.sum(np.abs(np.fft.rfft(errors, axis=0)) ** 2, axis=1)
+    total, bins = np.cumsum(np.concatenate([[0.0], power])), min(BINS, len(power))
+    highest = float((total[bins:] - total[:-bins]).max()) / bins
+    return highest / float(power.mean()) if highest > 0 else 1.0
+
+
+def _vertex(curve: Array, j: int) -> float:
+    """Where the parabola through three points of the curve is lowest, in steps from j."""
+    if not 0 < j < len(curve) - 1:
+        return 0.0
+    before, here, after = curve[j - 1 : j + 2].tolist()
+    bow = before - 2 * here + after
+    return 0.5 * (before - after) / bow if bow > 0 else 0.0
 
 
 def _minima(curve: Array) -> NDArray[np.intp]:

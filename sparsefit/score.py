@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.errors import InputError
-from sparsefit.estimator import Estimate
+from sparsefit.estimate import Estimate
 from sparsefit.flow import CellularFlow, Flow
 from sparsefit.scales import ScaleEstimate
 

@@ -15,7 +15,7 @@ ROOMS = (
     *("errors", "flow", "vehicle", "flight", "derivative", "objective", "gram", "grid"),
     *("problem", "nuisance", "library", "filters", "refine", "joint", "rows"),
     *("backends", "penalty_choice", "fit", "readout", "uncertainty", "verdict"),
-    *("scale_search", "scales", "estimator", "score", "bound"),
+    *("scale_search", "scales", "prepared", "estimate", "estimator", "score", "bound"),
     *("study", "selection", "bench"),
     "cli",
 )

@@ -3,11 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from sparsefit.bound import cramer_rao, parametric_jacobian, semiparametric, uncertainty
+from sparsefit.bound import cramer_rao, parametric_jacobian, semiparametric
 from sparsefit.errors import InputError
 from sparsefit.flow import CellularFlow
 from sparsefit.readout import rms_mean_velocity
 from sparsefit.refine import centred, columns, project, refine
+from sparsefit.uncertainty import uncertainty
 from sparsefit.vehicle import PointMassVehicle
 
 FLOW = CellularFlow(12.0, 4.0)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -111,10 +112,25 @@ def test_simulate_refuses(capsys, options, words):
 # --- estimate
 
 
+def test_estimate_prints_standard_errors_and_intervals(capsys, tmp_path):
+    path = tmp_path / "noisy.csv"
+    of_flow = ("--mean-velocity", "15.43", "--length-scale", "4.21", "--velocity-noise", "0.1")
+    assert run(capsys, "simulate", *of_flow, "--seed", "7", "-o", path)[0] == 0
+    code, out, _ = run(capsys, "estimate", path)
+    assert code == 0
+    line = next(line for line in out.splitlines() if line.startswith("length scale"))
+    value, spread, low, high = (float(n) for n in re.findall(r"\d+\.\d+", line))
+    assert low < 4.21 < high
+    assert high - value == pytest.approx(1.96 * spread, rel=0.02)
+    code, out, _ = run(capsys, "estimate", path, "--json")
+    assert json.loads(out)["uncertainty"]["length_scale"] == pytest.approx(spread, rel=0.1)
+    assert "±" not in run(capsys, "estimate", path, "--refine", "none")[1]
+
+
 def test_estimate_prints_parameters_with_units(capsys, flight):
     code, out, err = run(capsys, "estimate", flight)
     assert (code, err) == (0, "")
-    for words in ("m/s\n", "status                ok", "group-lasso  alpha_fraction=0.1"):
+    for words in (" m/s  ± ", "status                ok", "group-lasso  alpha_fraction=0.1"):
         assert words in out
     assert "duality_gap" in out
 

@@ -12,7 +12,8 @@ from problems import SMALL_GRID, VEHICLE, flight
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from sparsefit.estimator import FORMAT, Estimate, Estimator
+from sparsefit.estimate import Estimate
+from sparsefit.estimator import FORMAT, Estimator
 from sparsefit.library import LengthScaleGrid, Library
 from sparsefit.objective import Certificate
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,8 @@ from sparsefit.cli.output import duration, print_json
 from sparsefit.cli.parser import Verbs, collected, key_value, number, shown, verb, whole
 
 if TYPE_CHECKING:
-    from sparsefit.estimator import Estimate, Estimator
+    from sparsefit.estimate import Estimate
+    from sparsefit.estimator import Estimator
     from sparsefit.flight import Flight
 
 EXAMPLE = """\
@@ -41,6 +43,7 @@ OF_ESTIMATOR = (
     "unknown",
     "scales",
 )
+FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
     "normal_equations": "relative gradient of the least-squares fit",
@@ -242,9 +245,7 @@ def _lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ..
         ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
         ("vehicle", ", ".join(vehicle) or "unknown"),
         ("", ""),
-        ("mean velocity  U0", _quantity(estimate.mean_velocity, "m/s")),
-        ("length scale   L_w", _quantity(estimate.length_scale, "m")),
-        ("timescale      tau_w", _quantity(estimate.timescale, "s")),
+        *_parameters(estimate),
         *_estimated(estimate),
         ("", ""),
         *_scales(estimate),
@@ -283,5 +284,35 @@ def _scales(estimate: Estimate) -> list[tuple[str, str]]:
     return [(f"cellular flows  {len(rows)}", head), *rows, ("", "")]
 
 
-def _quantity(value: float, unit: str) -> str:
-    return f"{value:>9.4f} {unit}" if value == value else f"{'–':>9} {unit}"
+def _parameters(estimate: Estimate) -> list[tuple[str, str]]:
+    """U0, L_w and tau_w, each with its standard error and 95 % interval where they are known."""
+    known, rows = estimate.uncertainty, []
+    for label, name, unit in (
+        ("mean velocity  U0", "mean_velocity", "m/s"),
+        ("length scale   L_w", "length_scale", "m"),
+        ("timescale      tau_w", "timescale", "s"),
+    ):
+        value = getattr(estimate, name)
+        if known is None:
+            rows.append((label, _quantity(value, unit)))
+        else:
+            spread, ends = getattr(known, name), getattr(known, f"{name}_interval")
+            rows.append((label, _quantity(value, unit, spread, ends)))
+    return rows
+
+
+def _quantity(
+    value: float, unit: str, spread: float | None = None, ends: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """A value to two digits of its standard error, four decimals at least."""
+    if value != value:
+        return f"{'–':>9} {unit}"
+    if spread is None:
+        return f"{value:>9.4f} {unit}"
+    if not math.isfinite(spread):
+        return f"{value:>9.4f} {unit:<3}  ± unknown"
+    if spread < FINEST:
+        return f"{value:>9.4f} {unit:<3}  ± {spread:.1e}"
+    places = max(4, 1 - math.floor(math.log10(spread)))
+    low, high = (f"{end:.{places}f}" for end in ends)
+    return f"{value:>9.{places}f} {unit:<3}  ± {spread:.{places}f}  (95 %: {low} … {high})"

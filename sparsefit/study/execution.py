@@ -10,9 +10,11 @@ from functools import partial
 from typing import Any, TypeAlias, TypeVar
 
 from sparsefit.backends.base import Backend, PathBackend
-from sparsefit.estimator import Estimate, Estimator, Prepared
+from sparsefit.estimate import Estimate
+from sparsefit.estimator import Estimator
 from sparsefit.fit import Fit, Path, path
 from sparsefit.flight import Flight
+from sparsefit.prepared import Prepared
 from sparsefit.score import score
 from sparsefit.study.choices import make_backend
 from sparsefit.study.design import Cell, grouped

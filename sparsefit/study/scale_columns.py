@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sparsefit.estimator import Estimate
+from sparsefit.estimate import Estimate
 from sparsefit.flow import CellularFlow, Flow
 from sparsefit.scales import ScaleEstimate
 from sparsefit.score import score_scales

@@ -13,7 +13,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.estimator import Estimate
+from sparsefit.estimate import Estimate
 from sparsefit.study import Study, cells, read_cases
 from sparsefit.study.certificate_figure import certificate_figure
 from sparsefit.study.execution import Outcome, run_flight

@@ -1,0 +1,162 @@
+"""The linear filter behind Phi: what smoothing and differencing do to a flow, and to noise.
+
+Every derivative of `sparsefit.derivative` reads state and acceleration from n raw samples,
+
+    x_s = kx . (x, v),    v_s = kv . (x, v),    a_s = ka . (x, v),
+
+with weights (2n,), n positions and then n velocities. Along an exact path velocity is the integral
+of V' and position that of V, so a_s = P V' with weights p of sum 1: a forward difference is the
+mean over its step. Hence Phi is (P - 1) V' tau + (S - 1) V away from the flow velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sparsefit.derivative import Samples
+from sparsefit.derivative.smoothing import Channels, Smoothing, polynomial_kernels
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+DEGREE = 10  # of the polynomials that the weights on samples keep exact: the smoother's own
+UNEVEN = 1e-3  # relative: beyond it weights for even steps mean nothing
+PLAIN = {  # state and difference on neighbouring samples, and where the first one is, in steps
+    "forward": ((1.0, 0.0), (-1.0, 1.0), 0.0),
+    "midpoint": ((0.5, 0.5), (-1.0, 1.0), -0.5),
+    "central": ((0.0, 1.0, 0.0), (-0.5, 0.0, 0.5), -1.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Filters:
+    """Weights on raw samples, for noise, and on the samples they give, for what they distort.
+
+    raw (3, 2, n): of position [1, s], velocity [1/s, 1] and acceleration [1/s^2, 1/s], on n raw
+    positions and n raw velocities. kicks (n - 1,): of the mean acceleration in each step, in the
+    filtered acceleration. path (2, 2, n'), mean (n',): position, velocity and P on the n' samples
+    around one, n' odd; None where steps are uneven. sigma_position [m], sigma_velocity [m/s]: of
+    the raw noise, NaN where it was not sought.
+    """
+
+    raw: Array
+    kicks: Array
+    path: Array | None
+    mean: Array | None
+    sigma_position: float = math.nan
+    sigma_velocity: float = math.nan
+
+    @classmethod
+    def of(cls, samples: Samples) -> Filters | None:
+        """The filters that made ``samples``; None where no rule of this package did."""
+        if samples.smoothing is None or len(samples.time) < 2:
+            return None
+        steps = np.diff(samples.time)
+        step = float(np.mean(steps))
+        found = _kernels(samples.smoothing, step)
+        if found is None:
+            return None
+        raw, first = found
+        kicks, path, mean = _kicks(raw[2], step), None, None
+        if np.abs(steps - step).max() <= UNEVEN * step:
+            path, mean = _on_samples(raw, kicks, first, step)
+        chosen = samples.smoothing
+        return cls(raw, kicks, path, mean, chosen.sigma_position, chosen.sigma_velocity)
+
+
+def _kernels(found: Smoothing, step: float) -> tuple[Array, float] | None:
+    """raw (3, 2, n), and the place of the first raw sample in steps from the filtered one."""
+    if found.method == "auto":
+        nothing = np.empty((0, 2))
+        channels = Channels(nothing, nothing, step, found.sigma_position, found.sigma_velocity)
+        state = channels.kernels(found.window, found.coupled)
+        rate = channels.kernels(found.rate_window, found.coupled)[3].reshape(2, -1)
+        trim = (found.window - found.rate_window) // 2
+        wide = np.pad(rate, ((0, 0), (trim, trim)))
+        return np.stack([*state[[0, 2]].reshape(2, 2, -1), wide]), -(found.window // 2)
+    if found.method == "savgol":
+        value, slope = polynomial_kernels(found.window, found.order, step)
+        first = -(found.window // 2) * 1.0
+    elif found.method in PLAIN:
+        state_weights, difference, first = PLAIN[found.method]
+        value, slope = np.array(state_weights), np.array(difference) / step
+    else:
+        return None
+    none = np.zeros(len(value))
+    return np.array([[value, none], [none, value], [none, slope]]), first
+
+
+def _kicks(acceleration: Array, step: float) -> Array:
+    """Weights (n - 1,) of the mean of V' in each step, in the filtered acceleration (2, n).
+
+    A kick u in step j adds h u to every later velocity, and h^2 (i - j - 1/2) u to position i.
+    """
+    by_position, by_velocity = acceleration
+    index = np.arange(len(by_velocity))
+    later = [np.cumsum(row[::-1])[::-1][1:] for row in (by_velocity, by_position)]
+    moment = np.cumsum((index * by_position)[::-1])[::-1][1:]
+    weights: Array = step * later[0] + step**2 * (moment - (index[:-1] + 0.5) * later[1])
+    return weights
+
+
+def _on_samples(raw: Array, kicks: Array, first: float, step: float) -> tuple[Array, Array]:
+    """path (2, 2, n') and mean (n',), exact for polynomials of `DEGREE`.
+
+    Long windows keep their own weights, P by the trapezoidal rule, and take the least change that
+    makes it exact; short ones are the least weights on DEGREE + 1 samples that are.
+    """
+    size = raw.shape[2]
+    if size > DEGREE:
+        mean: Array = np.zeros(size)
+        mean[1:] += 0.5 * kicks
+        mean[:-1] += 0.5 * kicks
+        used = np.flatnonzero(np.any(raw[2] != 0, axis=0))  # the derivative's shorter window
+        held = slice(used[0], used[-1] + 1)
+        powers: Array = _powers(_places(size))[:, held]
+        mean[held] += _least(powers, _moments(raw[2], first, step) - powers @ mean[held])
+        return raw[:2], mean
+    nodes = _powers(_places(DEGREE + 1))
+    reach = DEGREE / 2
+    places: Array = (first + np.arange(size, dtype=np.float64)) / reach
+    on_nodes = _least(nodes, _powers(places) @ raw[0, 0])
+    none = np.zeros(len(on_nodes))
+    whole = _least(nodes, _moments(raw[2], first, step, reach))
+    return np.array([[on_nodes, none], [none, on_nodes]]), whole
+
+
+def _least(powers: Array, moments: Array) -> Array:
+    """The least weights with these moments."""
+    found: Array = np.linalg.lstsq(powers, moments, rcond=None)[0].astype(float, copy=False)
+    return found
+
+
+def fast_length(samples: int) -> int:
+    """The least 2^i 3^j 5^l that is not below samples: transforms of others are slow."""
+    best = 1 << math.ceil(math.log2(samples))
+    for factor in (3, 5, 9, 15, 25, 27, 45, 75, 135):
+        best = min(best, factor << max(math.ceil(math.log2(samples / factor)), 0))
+    return best
+
+
+def _places(size: int) -> Array:
+    return np.linspace(-1.0, 1.0, size)
+
+
+def _powers(places: Array) -> Array:
+    return np.vander(places, DEGREE + 1, increasing=True).T
+
+
+def _moments(acceleration: Array, first: float, step: float, reach: float = 0.0) -> Array:
+    """What the acceleration's weights (2, n) give where V' = t^j, t in units of the reach."""
+    reach = reach or (acceleration.shape[1] - 1) / 2
+    t: Array = (first + np.arange(acceleration.shape[1], dtype=np.float64)) / reach
+    scale = reach * step
+    j, powers = np.arange(DEGREE + 1), _powers(t)
+    by_velocity = powers @ (t * acceleration[1]) / (j + 1)
+    by_position = powers @ (t * t * acceleration[0]) / ((j + 1) * (j + 2))
+    moments: Array = scale * by_velocity + scale**2 * by_position
+    return moments

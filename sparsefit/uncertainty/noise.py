@@ -1,0 +1,84 @@
+"""The variance of U0, L and tau_w from the noise of a flight, carried through its filters.
+
+Errors of Phi are the raw noise after the filters: measured noise of position and velocity, and
+noise of the acceleration itself (Eq. 7), each with a spectrum that the filters fix. How much of
+either there is, is read from the residuals (Whittle's likelihood, 1953); what it does to an
+estimate sum c e, from c carried back through the filters to the raw samples, where noise is
+white: var = sigma^2 |F'c|^2. An autocovariance of the residuals, tapered, would need lags beyond
+the window, and then has few windows to average over.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.filters import Filters, fast_length
+from sparsefit.uncertainty.model import Fitted
+
+Array = NDArray[np.float64]
+Spectrum = NDArray[np.complex128]
+
+PASSED = 0.05  # of the power: below it the spectrum is leakage
+ROUNDS = 60  # of the multiplicative iteration; the level is stable to 1 % by then
+
+
+def variance(fitted: Fitted, filters: Filters, response_time: float, errors: Array) -> Array:
+    """Variances (3,) of U0, L and tau_w; errors (m, 2) the residuals [m/s], tau [s].
+
+    Where the derivative found the noise levels of position and velocity, their ratio is known and
+    measured noise has one level; elsewhere only velocity is noisy.
+    """
+    samples, window = len(errors), filters.raw.shape[2]
+    size = fast_length(samples + window)
+    place, velocity, acceleration = np.fft.rfft(filters.raw, size)
+    through = velocity + response_time * acceleration  # (2, frequencies): what raw noise is in Phi
+    mean = np.abs(np.fft.rfft(filters.kicks, size)) ** 2
+    influence = np.fft.rfft(fitted.influence, size, axis=1)
+    bent = np.fft.rfft(np.einsum("imt,tmf->imf", fitted.gradient, fitted.influence), size, axis=1)
+    steep = float(np.mean(np.sum(fitted.gradient**2, axis=0)))
+    twice = np.full(len(mean), 2.0 / size)  # of both signs but for 0 and the highest
+    twice[0] = 1.0 / size
+    if size % 2 == 0:
+        twice[-1] = 1.0 / size
+    shapes = [*(np.abs(through) ** 2 + steep * np.abs(place) ** 2), mean]
+    carried = [
+        _power(influence * a[:, None] - bent * b[:, None], twice)
+        for a, b in zip(through, place, strict=True)
+    ]
+    carried.append(_power(influence * np.sqrt(mean)[:, None], twice))
+    if math.isfinite(filters.sigma_position) and math.isfinite(filters.sigma_velocity):
+        levels = filters.sigma_position**2, filters.sigma_velocity**2
+        shapes = [levels[0] * shapes[0] + levels[1] * shapes[1], mean]
+        carried = [levels[0] * carried[0] + levels[1] * carried[1], carried[2]]
+    else:
+        shapes, carried = shapes[1:], carried[1:]
+    passed = mean > PASSED
+    observed = np.sum(np.abs(np.fft.rfft(errors, size, axis=0)) ** 2, axis=1) / (2 * samples)
+    level = _levels(np.array(shapes)[:, passed], observed[passed])
+    independent = 2 * np.count_nonzero(passed) * samples / size  # per component, of 17/2 used
+    found: Array = level @ np.array(carried) * independent / max(independent - 8.5, 1.0)
+    return found
+
+
+def _levels(shapes: Array, observed: Array) -> Array:
+    """Levels >= 0 of the spectra (n, q) that are likeliest given a periodogram (q,).
+
+    Multiplicative iteration for sum(log s + I/s), s = levels . shapes (Fevotte et al., 2009).
+    """
+    size = shapes.mean(axis=1)
+    size[size == 0] = 1.0
+    scaled = shapes / size[:, None]
+    levels = np.full(len(shapes), observed.mean() / len(shapes))
+    least = 1e-300 + 1e-12 * float(observed.max())
+    for _ in range(ROUNDS):
+        inverse = 1.0 / (levels @ scaled + least)
+        levels = levels * (scaled @ (observed * inverse**2)) / (scaled @ inverse)
+    found: Array = levels / size
+    return found
+
+
+def _power(spectrum: Spectrum, weight: Array) -> Array:
+    """Sum of squares in time (3,) of spectra (2, frequencies, 3)."""
+    total: Array = weight @ np.sum(spectrum.real**2 + spectrum.imag**2, axis=0)
+    return total
