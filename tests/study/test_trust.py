@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import norm
 from test_tables import STUDY, case, column, frame
 
-from sparsefit.bound import uncertainty
 from sparsefit.estimator import Estimator
 from sparsefit.study import Study, cells, read_cases
 from sparsefit.study.answers import ANSWERS
@@ -18,7 +17,7 @@ from sparsefit.study.execution import Outcome, run_flight
 from sparsefit.study.store import write_cases
 from sparsefit.study.tables import TABLES
 from sparsefit.study.yardsticks import intervals
-from sparsefit.uncertainty import Uncertainty
+from sparsefit.uncertainty import Uncertainty, uncertainty
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 
