@@ -36,7 +36,7 @@ timescale = 0.5
 length_scale = { uniform = [3.0, 6.0] }
 response_time = 0.5
 thrust_acceleration = [5.0, 3.0]
-duration = 1.0
+duration = 4.0
 sample_rate = 50.0
 [library]
 lower = 3.0
