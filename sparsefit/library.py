@@ -98,8 +98,8 @@ class Library:
         columns = len(scales) * len(CANDIDATES)
         large = held > STREAM_BYTES and len(source.time) > columns + target.shape[1]
         if samples.weak or self.unknown:
-            theta, target, rows = self._reduced(source, vehicle, target, large)
-            return self._problem(theta, target, rows, None)
+            theta, target, rows = self._reduced(source, vehicle, target, scales, large)
+            return self._problem(theta, target, scales, rows, None)
         if large:
             pieces = row_blocks(samples.position, target)
             triangle, count, _ = compressed(
@@ -110,21 +110,26 @@ class Library:
         else:
             theta, count = candidate_columns(samples.position, scales), len(target)
             position = samples.position
-        return self._problem(theta, target, count, position)
+        return self._problem(theta, target, scales, count, position)
 
     def _reduced(
-        self, source: Samples | WeakRows, vehicle: PointMassVehicle, target: Array, large: bool
+        self,
+        source: Samples | WeakRows,
+        vehicle: PointMassVehicle,
+        target: Array,
+        scales: Array,
+        large: bool,
     ) -> tuple[Array, Array, int | None]:
         """theta and target averaged by test functions, less what the unknown columns explain.
 
         Folding [Q, theta, target] into a triangle, Q a basis of those columns, and dropping the
         first rows and columns of it, takes the projection in the same pass.
         """
-        size = len(self.grid.scales) * len(CANDIDATES)
+        size = len(scales) * len(CANDIDATES)
         basis = np.zeros((len(target), 0))
         if self.unknown:
             basis = Nuisance(self.unknown, vehicle).basis(source.velocity)
-        pieces = _candidate_blocks(source, self.grid.scales)
+        pieces = _candidate_blocks(source, scales)
         if not large:
             theta = np.vstack([block for _, block in pieces])
             return (*project_out(basis, theta, target), None)
@@ -138,9 +143,13 @@ class Library:
         return left[:, :size].copy(), left[:, size:].copy(), count
 
     def _problem(
-        self, theta: Array, target: Array, count: int | None, position: Array | None
+        self,
+        theta: Array,
+        target: Array,
+        scales: Array,
+        count: int | None,
+        position: Array | None,
     ) -> RegressionProblem:
-        scales = self.grid.scales
         return RegressionProblem(
             theta,
             target,
