@@ -1,12 +1,12 @@
 """The grid of candidate length scales (paper Eq. 18), and the one that a flight resolves."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, positive, unknown
 from sparsefit.flight import Flight
 

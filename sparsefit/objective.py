@@ -9,11 +9,12 @@ Weights in the original units of theta are W = V / rms.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sparsefit.cached import cached_property
 
 Array = NDArray[np.float64]
 Products: TypeAlias = Callable[[Array, Array], tuple[Array, Array, Array]]

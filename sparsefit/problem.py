@@ -2,13 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from time import perf_counter
 from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.gram import products
 from sparsefit.objective import Statistics, accumulate, row_blocks

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.problems import Kind, Progress, Task
+from sparsefit.cached import cached_property
 from sparsefit.objective import duality_gaps
 
 Array: TypeAlias = NDArray[np.float64]

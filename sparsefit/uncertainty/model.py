@@ -6,11 +6,11 @@ The Jacobian of both components, stacked, is J (2m, 17) = [dC/dk w, blockdiag(C,
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, positive
 from sparsefit.readout import rms_mean_velocity
 from sparsefit.refine import DX, DX_SIGN, DY, DY_SIGN, centred, columns, project

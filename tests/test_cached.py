@@ -1,0 +1,35 @@
+"""The property that is worked out once, and never under a lock that other instances wait for."""
+
+import threading
+
+from sparsefit.cached import cached_property
+
+
+class Slow:
+    def __init__(self, meeting):
+        self.meeting, self.calls = meeting, 0
+
+    @cached_property
+    def value(self):
+        """What it is."""
+        self.calls += 1
+        self.meeting.wait(timeout=10)  # breaks unless both instances are inside at once
+        return self.calls
+
+
+def test_it_is_worked_out_once_and_kept_in_the_instance():
+    one = Slow(threading.Barrier(1))
+    assert (one.value, one.value, one.calls) == (1, 1, 1)
+    assert one.__dict__["value"] == 1
+    assert Slow.value.__doc__ == "What it is."
+
+
+def test_two_instances_are_worked_out_at_the_same_time():
+    meeting = threading.Barrier(2)
+    both = [Slow(meeting), Slow(meeting)]
+    threads = [threading.Thread(target=lambda each=each: each.value) for each in both]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [each.__dict__.get("value") for each in both] == [1, 1]
