@@ -39,7 +39,8 @@ class Fit:
     status ``ok``, ``inaccurate`` (certificate above tolerance), ``unidentifiable`` or ``error``,
     with its reason; seconds of the solve; ``repaired``: the certificate rejected the fast path's
     answer and this one is the referee's. ``penalty_choice``: how the back-end's alpha_fraction,
-    here the chosen number, was found where "auto" was asked for.
+    here the chosen number, was found where "auto" was asked for. ``shared_seconds``: the part of
+    seconds that an earlier fit spent, on a factorisation that this one uses.
     """
 
     weights: Array
@@ -52,6 +53,7 @@ class Fit:
     iterations: int | None = None
     repaired: bool = False
     penalty_choice: PenaltyChoice | None = field(default=None, repr=False, kw_only=True)
+    shared_seconds: float = field(default=0.0, repr=False, kw_only=True)
     problem: RegressionProblem = field(repr=False, kw_only=True)
 
     @property
@@ -268,6 +270,7 @@ def _judged(
         solution.solver_status,
         solution.iterations,
         problem=solution.problem or problem,
+        shared_seconds=solution.shared_seconds,
     )
 
 

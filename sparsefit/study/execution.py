@@ -59,6 +59,7 @@ class Outcome(ScaleColumns):
     certificate_kind: str = ""
     certificate: float = NAN
     seconds: float = NAN
+    shared_seconds: float = 0.0
     samples: int = 0
     columns: int = 0
     weights: tuple[tuple[float, float], ...] = ()
@@ -231,6 +232,7 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
         certificate_kind=certificate.kind if certificate else "",
         certificate=float(certificate.value) if certificate else NAN,
         seconds=float(fit.seconds),
+        shared_seconds=float(fit.shared_seconds),
         samples=int(prepared.problem.samples),
         columns=int(prepared.problem.columns),
         weights=tuple((float(scale), float(weight)) for scale, weight in weights),

@@ -126,11 +126,13 @@ def _finish(study: Study, folder: Path, processes: int, progress: Progress | Non
 
 
 def solver_seconds(rows: Iterable[Outcome], every: Sequence[Cell]) -> float:
-    """Seconds in back-ends: a fit that several cases read is counted once."""
+    """Seconds in back-ends: what several cases or fits share is counted once."""
     fits: dict[tuple[int, object], float] = {}
     for outcome in rows:
         if not np.isnan(outcome.seconds):
-            fits[outcome.flight, fit_key(every[outcome.cell])] = outcome.seconds
+            fits[outcome.flight, fit_key(every[outcome.cell])] = (
+                outcome.seconds - outcome.shared_seconds
+            )
     return float(sum(fits.values()))
 
 

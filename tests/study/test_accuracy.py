@@ -1,6 +1,7 @@
 """Efficiency, windows and grids by hand."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -238,6 +239,8 @@ class TestRows:
         fits = {fit_key(every[row.cell]): row.seconds for row in rows}
         assert len(fits) == len(rows) / 2
         assert solver_seconds(rows, every) == pytest.approx(sum(fits.values()))
+        lent = [replace(row, seconds=2.0, shared_seconds=1.5) for row in rows]
+        assert solver_seconds(lent, every) == pytest.approx(0.5 * len(fits))
 
     def test_columns_of_uncertainty_are_absent_numbers_where_there_is_none(self, ran):
         study, every, rows = ran
