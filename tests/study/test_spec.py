@@ -245,3 +245,17 @@ def test_split_counts_and_interleaves(tmp_path: Path, split: str, validate: int)
     assert parts.count("evaluate") == 6 - validate
     assert "evaluate" in parts[:3]
     assert "validate" in parts[3:]
+
+
+@pytest.mark.parametrize(
+    "other",
+    ['[derivative]\nmethod = "weak"', '[[protocols]]\nname = "w"\n"derivative.method" = "weak"'],
+)
+def test_what_no_estimator_can_combine_is_refused_before_the_first_case(
+    tmp_path: Path, other: str
+) -> None:
+    path = tmp_path / "s.toml"
+    section = '[readout]\nscales = "several"\n'
+    path.write_text(GOOD.split("[[protocols]]")[0] + section + other, encoding="utf-8")
+    with pytest.raises(InputError, match='scales "several" needs a known vehicle'):
+        Study.load(path)
