@@ -15,6 +15,8 @@ from sparsefit.vehicle import PointMassVehicle
 Array: TypeAlias = npt.NDArray[np.float64]
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
+# [s], [m] or [m/s], and one over it [s] of a time step: fourth powers neither over- nor underflow.
+LARGEST = 1e60
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +33,8 @@ class Flight:
         flow: the true flow where it is known; no estimate ever reads it.
 
     Raises:
-        InputError: naming the field and row, if the shapes differ, a value is not finite, the
-            time does not increase, or there are fewer than three samples.
+        InputError: naming the field and row, if the shapes differ, a value is not finite or
+            absurdly large, the time does not increase, or there are fewer than three samples.
     """
 
     time: Array
@@ -81,6 +83,10 @@ def _frozen(name: str, value: object, shape: tuple[str | int, ...]) -> Array:
         place = f"row {bad[0][0]}" + (f", {'xy'[bad[0][1]]}" if array.ndim == 2 else "")
         found = array[tuple(bad[0])]
         raise InputError(f"{name} must be finite: {place} is {found}; drop or repair that sample")
+    large = np.argwhere(np.abs(array) > LARGEST)
+    if len(large):
+        found = array[tuple(large[0])]
+        raise InputError(f"{name} is {found:g} in row {large[0][0]}: no flight; change the unit")
     array.flags.writeable = False
     return array
 
@@ -116,6 +122,9 @@ def _check_increasing(time: Array) -> None:
             f"time must increase strictly: row {row} (t={time[row]}) follows "
             f"t={time[row - 1]}; sort or drop repeated samples"
         )
+    least = float(np.diff(time).min())
+    if least < 1 / LARGEST:
+        raise InputError(f"time steps of {least:g} s: no flight; change the unit")
 
 
 def _check_kinds(vehicle: object, flow: object) -> None:
