@@ -15,8 +15,7 @@ from sparsefit.vehicle import PointMassVehicle
 Array: TypeAlias = npt.NDArray[np.float64]
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
-# [s], [m] or [m/s], and one over it [s] of a time step: fourth powers neither over- nor underflow.
-LARGEST = 1e60
+LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +121,6 @@ def _check_increasing(time: Array) -> None:
             f"time must increase strictly: row {row} (t={time[row]}) follows "
             f"t={time[row - 1]}; sort or drop repeated samples"
         )
-    least = float(np.diff(time).min())
-    if least < 1 / LARGEST:
-        raise InputError(f"time steps of {least:g} s: no flight; change the unit")
 
 
 def _check_kinds(vehicle: object, flow: object) -> None:
