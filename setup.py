@@ -3,6 +3,8 @@
 They are optional: without a C compiler the same algorithms run in Python, slower.
 """
 
+from glob import glob
+
 from setuptools import Extension, setup
 
 LOOPS = ("_homotopy", "_variational")  # sparsefit/backends/NAME.c
@@ -13,6 +15,7 @@ setup(
         Extension(
             f"sparsefit.{name}",
             [f"sparsefit/{name.replace('.', '/')}.c"],
+            depends=sorted(glob(f"sparsefit/{name.replace('.', '/')}_*.h")),
             define_macros=[("Py_LIMITED_API", "0x030b0000")],
             py_limited_api=True,
             optional=True,

@@ -48,6 +48,14 @@ class JointFit:
     moves: Array
 
 
+def extent_of(position: Array) -> float:
+    """The larger side of the bounding box of (m, 2) [m]; InputError where it is a point."""
+    extent = float(np.ptp(position, axis=0).max())
+    if not extent > 0:
+        raise InputError("the flight does not move: no length scale can be told; fly farther")
+    return extent
+
+
 def fit_at(position: Array, flow_velocity: Array, wavenumbers: Array) -> JointFit:
     """Fit Phi (m, 2) [m/s] at k (s,) [1/m]; position (m, 2) [m], centred; no scale: E = Phi."""
     k = np.asarray(wavenumbers, dtype=float)
@@ -137,8 +145,11 @@ class Lobes:
 
     @classmethod
     def of(cls, position: Array, bounds: tuple[float, float]) -> "Lobes":
-        """For position (m, 2) [m], centred, and bounds of k [1/m]. InputError: too many lobes."""
-        step = STEP / float(np.ptp(position, axis=0).max())
+        """For position (m, 2) [m], centred, and bounds of k [1/m].
+
+        InputError where there are too many lobes, or the flight does not move.
+        """
+        step = STEP / extent_of(position)
         first, last = max(1, math.floor(bounds[0] / step)), math.ceil(bounds[1] / step)
         if last > MAX_STEPS:
             raise InputError(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.fit import Fit
-from sparsefit.joint import Lobes, fit_at
+from sparsefit.joint import Lobes, extent_of, fit_at
 from sparsefit.readout import peak_mean_velocity, rms_mean_velocity
 from sparsefit.refine import centred
 from sparsefit.scale_search import MOST, SHARE, Found, Search, Window, doubt, gathered, pruned
@@ -82,7 +82,7 @@ def as_proposed(
     position (m, 2) [m], flow_velocity Phi (m, 2) [m/s]; on_grid as in `several`.
     """
     points, speed = centred(position), _speed(velocity)
-    lobe = 2 * math.pi / float(np.ptp(position, axis=0).max())
+    lobe = 2 * math.pi / extent_of(position)
     peaks = proposals(fit, lobe, (0.0, math.inf), on_grid=on_grid)[0][:MOST]
     every = fit_at(points, flow_velocity, np.array([one.wavenumber for one in peaks]))
     speeds = np.array([speed(own) for own in every.weights])

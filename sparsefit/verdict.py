@@ -6,9 +6,9 @@ import numpy as np
 
 from sparsefit.derivative import Samples
 from sparsefit.refine import FALSE_ALARM, Refinement
-from sparsefit.uncertainty import Assessment
+from sparsefit.uncertainty import LAGS, Assessment
 
-NEEDED = 34  # values of Phi: twice the 17 unknowns of a fit
+NEEDED = 2 * (LAGS + 1)  # values of Phi: of fewer, nothing is known of their errors
 RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
 
 

@@ -93,3 +93,15 @@ def test_bad_fields_are_named(changes, message):
 def test_too_short(rows):
     with pytest.raises(InputError, match=f"at least 3 samples; got {rows}"):
         flight_with(time=TIME[:rows], position=PLANE[:rows], velocity=PLANE[:rows])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"position": PLANE * 1e100}, "position is .* in row 0: no flight"),
+        ({"velocity": PLANE * -1e300}, "velocity is .* no flight"),
+    ],
+)
+def test_what_would_overflow_is_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        flight_with(**changes)

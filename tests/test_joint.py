@@ -142,3 +142,8 @@ def test_the_deepest_lobe_is_the_flow():
 def test_too_many_lobes_are_refused():
     with pytest.raises(InputError, match="raise the grid's lower bound"):
         Lobes.of(path(), (1.0, 1e6))
+
+
+def test_a_flight_that_stands_still_has_no_lobes():
+    with pytest.raises(InputError, match="does not move"):
+        Lobes.of(np.zeros((30, 2)), BOUNDS)

@@ -10,6 +10,7 @@ import pytest
 from problems import flight
 
 import sparsefit as sf
+from sparsefit.errors import InputError
 from sparsefit.estimator import Estimator
 from sparsefit.scale_search import Window
 from sparsefit.scales import proposals
@@ -171,3 +172,16 @@ def test_the_papers_velocity_cannot_part_several():
         sf.Readout(scales="several", mean_velocity="paper")
     with pytest.raises(sf.InputError, match="readout scales"):
         sf.Readout(scales="two")
+
+
+@pytest.mark.parametrize("refine", ["variable-projection", "none"])
+def test_a_flight_that_stands_still_is_refused(refine):
+    flight = sf.Flight(
+        time=np.arange(40) * 0.1,
+        position=np.full((40, 2), 0.7),
+        velocity=np.full((40, 2), 0.3),
+        vehicle=sf.PointMassVehicle(0.5),
+    )
+    readout = sf.Readout(scales="several", refine=refine)
+    with pytest.raises(InputError, match="does not move"):
+        sf.Estimator(readout=readout).estimate(flight)

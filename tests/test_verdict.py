@@ -74,7 +74,7 @@ def test_a_noisy_flight_within_one_cell_is_flagged():
         assert found.reason or right
 
 
-@pytest.mark.parametrize("samples", [3, 5, 12])
+@pytest.mark.parametrize("samples", [3, 5, 12, 18, 21])  # up to 20 of Phi
 def test_a_handful_of_samples_tells_nothing(samples):
     whole = flown()
     flight = sf.Flight(

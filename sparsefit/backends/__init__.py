@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, cast
 
 from sparsefit.backends.base import Backend, Solution, settings_of
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, SparsefitError, unknown
 
 __all__ = ["BACKENDS", "Backend", "Solution", "get", "known", "load", "settings_of"]
 
@@ -80,4 +80,20 @@ def get(name: str, **settings: Any) -> Backend:
     for key in settings:
         if key not in valid:
             raise unknown(f"setting of {name}", key, valid)
-    return backend(**settings)
+    if name in BACKENDS:
+        return backend(**settings)
+    return _plugin(name, backend, settings)
+
+
+def _plugin(name: str, backend: type[Backend], settings: Mapping[str, Any]) -> Backend:
+    """A plug-in with these settings: it may check none of them itself, or refuse in any words."""
+    for item in fields(cast(Any, backend)):
+        value = settings.get(item.name)
+        if item.type in (int, float, "int", "float") and isinstance(value, str):
+            raise InputError(f"{name}: {item.name} must be a number, not {value!r}")
+    try:
+        return backend(**settings)
+    except SparsefitError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f"back-end {name!r} refuses these settings: {error}") from None

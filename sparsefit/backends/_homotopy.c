@@ -404,7 +404,7 @@ static Outcome follow(Walk *walk, double alpha, double goal, Py_ssize_t limit, P
             }
         }
         double soonest = entry > exit ? entry : exit;
-        int arrived = soonest * (alpha - goal) <= 1.0;
+        int arrived = !(soonest * (alpha - goal) > 1.0); /* a NaN ends the walk too */
         double length = arrived ? alpha - goal : 1.0 / soonest;
         add(walk->n, length, walk->slope, walk->weights);
         add(k, -length, walk->descent, walk->correlation);
@@ -535,7 +535,7 @@ static Outcome settle(Walk *walk, double alpha, Py_ssize_t limit, Py_ssize_t *st
                     column = j;
                 }
             }
-            if (excess <= enough)
+            if (!(excess > enough && excess > 0.0)) /* none objects, NaN or alpha < 0 */
                 return FINE;
             double sign = walk->correlation[column] > 0.0 ? 1.0 : -1.0;
             outcome = enter(walk, column, sign);

@@ -178,6 +178,8 @@ static void bounded_minimum(const Dense *d, const Bounded *w, int n, const doubl
                             const double *drive, const double *lower, double *x)
 {
     int inside = 1;
+    if (n <= 0) /* LAPACK refuses an empty matrix aloud */
+        return;
     for (int i = 0; i < n; i++) {
         w->scale[i] = 1.0 / sqrt(fmax(hessian[(size_t)i * n + i], DBL_MIN));
         w->pull[i] = w->target[i] = drive[i] * w->scale[i];

@@ -99,7 +99,7 @@ def lasso_path(gram: Array, cross: Array, alphas: Array, loop: Loop | None = Non
     algorithm.  Raises ValueError if alphas ascend or are negative, ImportError if the compiled
     loop is asked for and was not built.
     """
-    if np.any(np.diff(alphas) > 0) or np.any(np.asarray(alphas) < 0):
+    if np.any(np.diff(alphas) > 0) or not np.all(np.asarray(alphas) >= 0):
         raise ValueError("alphas must descend and not be negative: sort them largest first")
     unit, height = _binary_unit(np.diagonal(gram)), _binary_unit(cross)
     scaled = gram if unit == 1.0 else gram / unit

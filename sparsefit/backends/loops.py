@@ -5,7 +5,8 @@ it is missing, the Python one runs, slower and with the same answers.
 """
 
 from collections.abc import Mapping
-from importlib.util import find_spec
+from functools import cache
+from importlib import import_module
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
@@ -19,4 +20,18 @@ def loop_of(backend: str) -> Loop | None:
     module = LOOPS.get(backend)
     if module is None:
         return None
-    return "python" if find_spec(f"{__package__}.{module}") is None else "compiled"
+    return "compiled" if _runs(module) else "python"
+
+
+@cache
+def _runs(module: str) -> bool:
+    """Whether the module was built, loads here and, where it needs scipy's BLAS, is content."""
+    if module == "_variational":
+        from sparsefit.backends.variational_compiled import compiled_loop
+
+        return compiled_loop()[0] is not None
+    try:
+        import_module(f"{__package__}.{module}")
+    except ImportError:
+        return False
+    return True

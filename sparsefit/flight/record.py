@@ -15,6 +15,7 @@ from sparsefit.vehicle import PointMassVehicle
 Array: TypeAlias = npt.NDArray[np.float64]
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
+LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +32,8 @@ class Flight:
         flow: the true flow where it is known; no estimate ever reads it.
 
     Raises:
-        InputError: naming the field and row, if the shapes differ, a value is not finite, the
-            time does not increase, or there are fewer than three samples.
+        InputError: naming the field and row, if the shapes differ, a value is not finite or
+            absurdly large, the time does not increase, or there are fewer than three samples.
     """
 
     time: Array
@@ -81,6 +82,10 @@ def _frozen(name: str, value: object, shape: tuple[str | int, ...]) -> Array:
         place = f"row {bad[0][0]}" + (f", {'xy'[bad[0][1]]}" if array.ndim == 2 else "")
         found = array[tuple(bad[0])]
         raise InputError(f"{name} must be finite: {place} is {found}; drop or repair that sample")
+    large = np.argwhere(np.abs(array) > LARGEST)
+    if len(large):
+        found = array[tuple(large[0])]
+        raise InputError(f"{name} is {found:g} in row {large[0][0]}: no flight; change the unit")
     array.flags.writeable = False
     return array
 

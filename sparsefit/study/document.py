@@ -6,6 +6,7 @@ import json
 import math
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -15,6 +16,7 @@ from typing import TypeAlias, cast
 from sparsefit.errors import InputError
 
 Table: TypeAlias = Mapping[str, object]
+CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,8 @@ def text(value: object, place: Place) -> str:
         raise place.error(f"must be text in quotes, not {shown(value)}")
     if not value.strip() or "\n" in value:
         raise place.error("must be one non-empty line of text")
+    if any(unicodedata.category(one) in CONTROL for one in value):
+        raise place.error(f"must not hold control characters: {shown(value)}")
     return value
 
 

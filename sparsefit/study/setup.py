@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
+from sparsefit.estimator import Estimator
 from sparsefit.library import LengthScaleGrid, Library
 from sparsefit.readout import Readout
 from sparsefit.study.document import Place, Table, integer, number, only, shown, suggestion
@@ -45,12 +46,16 @@ class Setup:
 
 def read_setup(sections: Sections, place: Place) -> Setup:
     """The setup of the four sections; `InputError` names the section and the key."""
-    return Setup(
+    setup = Setup(
         read_flight_rules(sections["flights"], place.within("flights")),
         read_record(Derivative, sections["derivative"], place.within("derivative")),
         _read_library(sections["library"], place.within("library")),
         read_record(Readout, sections["readout"], place.within("readout")),
     )
+    # What no estimator can combine is refused here, not in the first case.
+    made = {"derivative": setup.derivative, "library": setup.library, "readout": setup.readout}
+    _make(Estimator, made, place)
+    return setup
 
 
 def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:

@@ -298,6 +298,21 @@ def test_what_the_compiled_loop_cannot_read_is_refused() -> None:
         compiled.path(np.eye(2), np.ones(2), np.ones(1), frozen, done)
 
 
+@pytest.mark.parametrize("loop", BUILT)
+@pytest.mark.parametrize("alphas", [[np.nan], [0.5, np.nan], [-0.1]])
+def test_penalties_that_are_none_are_refused(loop: Loop, alphas: list[float]) -> None:
+    with pytest.raises(ValueError, match="alphas"):
+        lasso_path(np.eye(2), np.ones(2), np.array(alphas), loop)
+
+
+@pytest.mark.parametrize("alpha", [np.nan, -1.0])
+def test_the_compiled_loop_stops_at_penalties_that_are_none(alpha: float) -> None:
+    compiled = pytest.importorskip("sparsefit.backends._homotopy")
+    weights, complete = np.zeros((1, 2)), np.zeros(1, bool)
+    steps = compiled.path(np.eye(2), np.array([1.0, 0.5]), np.array([alpha]), weights, complete)
+    assert steps <= 4  # beyond, columns were entered again and again, past the end of arrays
+
+
 def test_without_the_compiled_loop_python_runs_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

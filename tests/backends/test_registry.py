@@ -116,6 +116,31 @@ def test_a_broken_plug_in_is_listed_and_says_why(plug_in, place, words):
     assert backends.get("lasso").name == "lasso"
 
 
+@dataclass(frozen=True)
+class Picky(Ridge):
+    """A plug-in that refuses in words of its own, and has a setting without a default."""
+
+    needed: int = None  # type: ignore[assignment]
+
+    def __post_init__(self):
+        if self.needed is None or self.needed < 0:
+            raise ValueError("needed must be given")
+
+
+@pytest.mark.parametrize(
+    ("place", "settings", "words"),
+    [
+        ("Ridge", {"amount": "abc"}, "amount must be a number, not 'abc'"),
+        ("Picky", {}, "needed must be given"),
+        ("Picky", {"needed": "1"}, "needed must be a number"),
+    ],
+)
+def test_settings_that_a_plug_in_cannot_take_are_bad_input(plug_in, place, settings, words):
+    plug_in(ridge=f"{__name__}:{place}")
+    with pytest.raises(InputError, match=words):
+        backends.get("ridge", **settings)
+
+
 @pytest.mark.parametrize("value", [0.0, 1, 0.5, np.float32(0.5), np.int64(1)])
 def test_numbers_within_bounds_are_taken(value):
     checked_number("owner", "name", value, low=0.0, high=1.0)

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.linear_model import Lasso
 
-from sparsefit.backends import variational
+from sparsefit.backends import loops, variational, variational_compiled
 from sparsefit.backends.variational import Engine, GroupPath, group_path
-from sparsefit.backends.variational_compiled import compiled_loop
+from sparsefit.backends.variational_compiled import compiled_loop, compiled_path
 from sparsefit.backends.variational_point import evaluate, normalise
 from sparsefit.bench.robustness import draw_problem
 
@@ -390,3 +390,26 @@ def test_a_curvature_that_cancels_is_small_and_positive() -> None:
     point = evaluate(normalise(gram, cross, [0, 0], [1.0])[0], np.array([4.0]), None)
     assert point is not None
     assert 0.0 < point.hessian[0, 0] < 1e-13 * 1e-6 / 4.0
+
+
+def test_a_loop_that_scipy_does_not_suit_is_not_said_to_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(variational_compiled, "compiled_loop", lambda: (None, "another scipy"))
+    loops._runs.cache_clear()
+    try:
+        assert loops.loop_of("group-lasso") == "python"
+    finally:
+        loops._runs.cache_clear()
+
+
+def test_a_penalty_that_is_none_ends_the_compiled_loop_quietly(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    loop, _ = compiled_loop()
+    if loop is None:
+        pytest.skip("not built")
+    problem = normalise(np.eye(2), np.array([[0.6], [0.3]]), [0, 1], [1.0, 1.0])[0]
+    weights, _, _ = compiled_path(loop, problem, np.array([np.nan]), 1e-9)
+    assert not weights.any()
+    assert capfd.readouterr() == ("", "")  # LAPACK complains of an empty matrix

@@ -245,3 +245,25 @@ def test_split_counts_and_interleaves(tmp_path: Path, split: str, validate: int)
     assert parts.count("evaluate") == 6 - validate
     assert "evaluate" in parts[:3]
     assert "validate" in parts[3:]
+
+
+@pytest.mark.parametrize(
+    "other",
+    ['[derivative]\nmethod = "weak"', '[[protocols]]\nname = "w"\n"derivative.method" = "weak"'],
+)
+def test_what_no_estimator_can_combine_is_refused_before_the_first_case(
+    tmp_path: Path, other: str
+) -> None:
+    path = tmp_path / "s.toml"
+    section = '[readout]\nscales = "several"\n'
+    path.write_text(GOOD.split("[[protocols]]")[0] + section + other, encoding="utf-8")
+    with pytest.raises(InputError, match='scales "several" needs a known vehicle'):
+        Study.load(path)
+
+
+@pytest.mark.parametrize("bad", ["\\u001b[31m", "\\u0007", "\\r", "\\u2028"])
+def test_control_characters_in_names_are_refused(tmp_path: Path, bad: str) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(GOOD.replace('"literal"', f'"a{bad}b"'), encoding="utf-8")
+    with pytest.raises(InputError, match="control characters"):
+        Study.load(path)
