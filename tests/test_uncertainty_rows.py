@@ -15,7 +15,7 @@ from sparsefit.refine import centred, project
 from sparsefit.rows import Rows
 from sparsefit.uncertainty import Fitted, VehicleUncertainty, assess_rows, assess_scales
 from sparsefit.uncertainty.assess_rows import _gradients
-from sparsefit.uncertainty.carried import _powers, lagged, overlap
+from sparsefit.uncertainty.carried import lagged, overlap, powers
 from sparsefit.uncertainty.noise import levels, variance
 from sparsefit.uncertainty.superposed import Superposed
 from sparsefit.vehicle import PointMassVehicle
@@ -80,7 +80,7 @@ def test_one_scale_of_plain_samples_is_the_plain_model():
     errors = phi - plain.flow
     pushed = errors + 0.1 * plain.bend
     np.testing.assert_allclose(model.score(pushed), plain.score(pushed), rtol=1e-6, atol=1e-9)
-    found = _powers(model, samples, filters, 0.5, influence)
+    found = powers(model, samples, filters, 0.5, influence)
     steep = float(np.mean(np.sum(plain.gradient**2, axis=0)))
     level = levels(filters, 0.5, errors, steep)
     np.testing.assert_allclose(level @ found, variance(plain, filters, 0.5, errors), rtol=1e-6)
@@ -106,7 +106,7 @@ def test_noise_reaches_the_rows_through_every_filter(method):
     none = np.zeros((2, len(mean), 0))
     model = Superposed(points, np.array([FLOW.wavenumber]), weights[None], none, operator)
     influence = np.random.default_rng(2).standard_normal((2, len(mean), 2))
-    found = _powers(model, samples, filters, 0.5, influence)
+    found = powers(model, samples, filters, 0.5, influence)
     steps, h = m + window - 2, 0.01
     time = np.arange(steps + 1) * h
     kicked = np.clip(time[:, None] - time[None, :-1], 0.0, h)  # velocity after a unit of V'
@@ -167,7 +167,8 @@ def test_intervals_hold_the_truth(method, unknown):
         rng = np.random.default_rng([seed, 23])
         scale, timescale = rng.uniform(3, 7), rng.uniform(0.2, 0.8)
         flow = sf.CellularFlow(scale / timescale, scale)
-        flight = flown(unknown, seed + 40, flow=flow, velocity_noise=0.2, position_noise=0.05)
+        noise = {"velocity_noise": 0.2, "position_noise": 0.05}
+        flight = flown(unknown, seed + 40, duration=14.0, flow=flow, **noise)
         found = estimator.estimate(flight)
         if found.status != "ok":
             continue

@@ -51,12 +51,14 @@ def assess_rows(samples: Samples, rows: Rows, wavenumber: float) -> Assessment |
     gradients = _gradients(model, vehicle)
     rest = own.target - model.averaged(model.flow) - (own.columns @ loose).T
     wind = np.array(vehicle.wind)
-    at_samples = rest
+    plain = model
     if samples.weak is not None:
-        at_samples = samples.flow_velocity(believed) - wind
-        if len(at_samples) == len(model.position):
-            at_samples = at_samples - model.flow
-    found = spreads(model, samples, tau, gradients, rest, at_samples)
+        free = np.zeros((2, len(samples.time), 0))
+        if vehicle.unknown:
+            free = own.nuisance.columns(samples.velocity)
+        plain = Superposed(centred(samples.position), k, weights[None], free)
+    at_samples = samples.flow_velocity(believed) - plain.flow - wind
+    found = spreads(model, plain, samples, tau, gradients, rest, at_samples)
     if found is None:
         return None
     if not model.whole:
@@ -87,7 +89,8 @@ def assess_scales(
     fit = fit_at(points, flow_velocity, wavenumbers)
     none = np.zeros((2, len(points), 0))
     model = Superposed(points, np.asarray(wavenumbers, dtype=float), fit.weights, none)
-    found = spreads(model, samples, response_time, model.gradients, fit.rest, fit.rest)
+    rest = fit.rest
+    found = spreads(model, model, samples, response_time, model.gradients, rest, rest)
     if found is None:
         return (None,) * s
     each = found.reshape(s, 3)
@@ -101,6 +104,7 @@ def assess_scales(
 
 def spreads(
     model: Superposed,
+    plain: Superposed,
     samples: Samples,
     response_time: float,
     gradients: Array,
@@ -109,7 +113,8 @@ def spreads(
 ) -> Array | None:
     """Standard errors (f,) of functions of theta, gradients (f, n); None with too few rows.
 
-    errors (q, 2): residuals of the rows; at_samples (m, 2): those of Phi at the samples [m/s].
+    plain: the model of the samples; errors (q, 2): residuals of the rows; at_samples (m, 2):
+    those of Phi at the samples [m/s].
     """
     weak, filters = samples.weak, Filters.of(samples)
     if weak is not None and len(samples.time) != len(model.position):
@@ -124,8 +129,10 @@ def spreads(
             return None
         variance = carried.lagged(influence, errors, lags, used)
     else:
-        variance = carried.variance(model, samples, filters, response_time, influence, at_samples)
-        for score in left_in.scores(model, samples, filters, response_time):
+        levels = carried.noise_levels(plain, filters, response_time, at_samples)
+        variance = levels @ carried.powers(model, samples, filters, response_time, influence)
+        kicks = float(levels[2])
+        for score in left_in.scores(model, samples, filters, response_time, kicks):
             doubt = np.hypot(doubt, gradients @ model.solved(score))
     square = float(np.sum(errors**2))
     if square <= EXACT**2 * float(np.sum(model.flow**2)):  # truncation adds up coherently

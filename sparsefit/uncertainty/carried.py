@@ -23,26 +23,18 @@ from sparsefit.uncertainty.superposed import Superposed
 Array = NDArray[np.float64]
 
 
-def variance(
-    model: Superposed,
-    samples: Samples,
-    filters: Filters,
-    response_time: float,
-    influence: Array,
-    errors: Array,
-) -> Array:
-    """Variances (f,) of functions of influence c (2, q, f); tau [s].
+def noise_levels(plain: Superposed, filters: Filters, response_time: float, errors: Array) -> Array:
+    """Variances (3,) as of `noise.levels`, from what a fit leaves of Phi at the samples (m, 2).
 
-    errors (m, 2) [m/s]: what the model leaves of Phi at the samples, weak rows or not: these
-    overlap, and a sample tells more of the noise's spectrum than an average does.
+    plain: the model of the samples, even where weak rows were fitted: these overlap, and a sample
+    tells more of the noise's spectrum than an average does.
     """
-    steep = float(np.mean(np.sum(model.gradient**2, axis=0)))
-    used = model.parameters / 2
-    found = levels(filters, response_time, errors, steep, used)
-    return found @ _powers(model, samples, filters, response_time, influence)
+    steep = float(np.mean(np.sum(plain.gradient**2, axis=0)))
+    size = fast_length(len(errors) + filters.raw.shape[2])
+    return levels(filters, response_time, errors, steep, plain.left(size))
 
 
-def _powers(
+def powers(
     model: Superposed, samples: Samples, filters: Filters, response_time: float, influence: Array
 ) -> Array:
     """What unit noise of raw position, velocity and tau times acceleration adds, (3, f)."""

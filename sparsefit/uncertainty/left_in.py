@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.derivative import Samples, WeakRows
-from sparsefit.filters import Filters
+from sparsefit.filters import Filters, kicks_through
 from sparsefit.uncertainty.bias import WAVES, truncation
 from sparsefit.uncertainty.model import along_x, along_y
 from sparsefit.uncertainty.superposed import Superposed
@@ -17,17 +17,29 @@ Array = NDArray[np.float64]
 
 
 def scores(
-    model: Superposed, samples: Samples, filters: Filters, response_time: float
+    model: Superposed, samples: Samples, filters: Filters, response_time: float, kicks: float
 ) -> list[Array]:
     """J'e (n,) of the truncation, and of the noise in what the columns are taken at, as known.
 
     The latter needs the noise levels; of weak averages it leaves out what the noise of the columns
-    shares with that of Phi.
+    shares with that of Phi. kicks: the variance of tau times the noise of the acceleration, which
+    the velocity after it holds: where the velocity has a column, errors and column are correlated,
+
+        E v'e = tau sigma^2 h sum_j p_j r_j,
+
+    p_j the weight of step j in the filtered acceleration and r_j in the filtered velocity.
     """
     lost, share = _lost(model, samples, filters, response_time)
     found = [share * model.score(lost)]
     if np.isfinite(filters.sigma_position) and np.isfinite(filters.sigma_velocity):
         found.append(_noisy_columns(model, samples, filters, response_time))
+    if model.nuisance.shape[2] % 2:  # v has a column, the first
+        step = float(np.mean(np.diff(samples.time)))
+        held = kicks_through(filters.raw[1], step)
+        score = np.zeros(model.parameters)
+        by_row = kicks / response_time * float(np.sum(filters.kicks * held))
+        score[17 * model.scales] = model.nuisance[..., 0].size * by_row
+        found.append(score)
     return found
 
 

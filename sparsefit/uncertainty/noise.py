@@ -43,14 +43,19 @@ def variance(fitted: Fitted, filters: Filters, response_time: float, errors: Arr
 
 
 def levels(
-    filters: Filters, response_time: float, errors: Array, steep: float, used: float = 8.5
+    filters: Filters,
+    response_time: float,
+    errors: Array,
+    steep: float,
+    left: Array | None = None,
 ) -> Array:
     """Variances (3,) of the raw position and velocity, and of tau times that of acceleration.
 
     errors (m, 2): residuals of Phi at the samples [m/s]; steep: the mean square of the flow's
-    gradient along an axis [1/s^2]; used: parameters fitted, per component. Where the derivative
-    found the noise levels of position and velocity, their ratio is known and measured noise has
-    one level; elsewhere only velocity is noisy.
+    gradient along an axis [1/s^2]; left: the share of noise's power that the fit leaves at each
+    frequency of a transform of fast_length(m + window), or None: all but 17/2 parameters per
+    component. Where the derivative found the noise levels of position and velocity, their ratio is
+    known and measured noise has one level; elsewhere only velocity is noisy.
     """
     samples = len(errors)
     size = fast_length(samples + filters.raw.shape[2])
@@ -64,11 +69,16 @@ def levels(
         squares = np.array([filters.sigma_position, filters.sigma_velocity]) ** 2
     shapes = [squares[0] * shapes[0] + squares[1] * shapes[1], mean]
     passed = mean > PASSED
+    if left is not None:
+        passed = passed & (left > PASSED)
+        shapes = [left * shape for shape in shapes]
     observed = np.sum(np.abs(np.fft.rfft(errors, size, axis=0)) ** 2, axis=1) / (2 * samples)
     level = _levels(np.array(shapes)[:, passed], observed[passed])
+    if left is not None:
+        return np.array([*(level[0] * squares), level[1]])
     independent = 2 * np.count_nonzero(passed) * samples / size  # per component
     found: Array = np.array([*(level[0] * squares), level[1]])
-    return found * independent / max(independent - used, 1.0)
+    return found * independent / max(independent - 8.5, 1.0)
 
 
 def frequency_weights(size: int) -> Array:

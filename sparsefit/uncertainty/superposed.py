@@ -115,6 +115,21 @@ class Superposed:
         """Whether the flight tells every weight: U0 grows along a null direction if it does not."""
         return bool(self._roots[2].all())
 
+    def left(self, size: int) -> Array:
+        """The share of white noise's power that a fit leaves at each frequency, of `size`.
+
+        1 - sum_n |F q_n|^2, q_n an orthonormal basis of J, over both components: what slow columns
+        take from the residuals is power of low frequencies, where smoothed noise has its own.
+        """
+        roots, vectors, kept, scale = self._roots
+        basis = vectors[:, kept] / scale[:, None] / np.sqrt(roots[kept])
+        taken = np.zeros(size // 2 + 1)
+        for block, place in zip(*self._blocks, strict=True):
+            spectrum = np.fft.rfft(block @ basis[place], size, axis=0)
+            taken += np.sum(spectrum.real**2 + spectrum.imag**2, axis=1)
+        found: Array = np.clip(1.0 - taken / (2 * len(self._blocks[0][0])), 0.0, 1.0)
+        return found
+
     def influence(self, gradients: Array) -> Array:
         """c (2, q, f): an error e of a row moves the functions of theta by sum c e."""
         by_theta = self.solved(gradients.T)
