@@ -190,7 +190,7 @@ class Estimator:
             chosen = as_proposed(found, position, phi, on_grid=on_grid, velocity=velocity)
         if refined and self.readout.mean_velocity == "rms":
             chosen = chosen.assessed(prepared.scales_assessed)
-        first, reason = chosen.scales[0], chosen.reason
+        first, reason = chosen.scales[0], chosen.reason or chosen.untold
         if refined and prepared.calm:
             reason = "no cellular flow detected: the air is still"
         status = "unidentifiable" if reason else found.status

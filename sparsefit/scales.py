@@ -49,6 +49,15 @@ class ScaleSet:
     reason: str = ""
     rival_length_scale: float = math.nan
 
+    @property
+    def untold(self) -> str:
+        """Which value of a scale the flight does not tell at all, in words; "" if it tells all."""
+        for one in self.scales:
+            known = one.uncertainty
+            if known is not None and not math.isfinite(known.mean_velocity + known.length_scale):
+                return known.wide((one.mean_velocity, one.length_scale, one.timescale))
+        return ""
+
     def assessed(
         self, assess: Callable[[tuple[float, ...]], tuple[Uncertainty | None, ...]]
     ) -> "ScaleSet":

@@ -249,6 +249,14 @@ def test_every_scale_has_its_spread():
     assert peak.estimate(flight).scales[0].uncertainty is None
 
 
+def test_a_scale_that_is_not_told_is_said():
+    estimator = sf.Estimator(readout=sf.Readout(scales="several"))
+    found = estimator.estimate(flown(seed=1, duration=0.4))
+    assert found.scales[0].uncertainty.mean_velocity == math.inf
+    assert found.status == "unidentifiable"
+    assert "does not tell" in found.reason
+
+
 def test_a_second_scale_costs_the_first_something():
     samples = Derivative()(flown(velocity_noise=0.2))
     phi, k = samples.flow_velocity(VEHICLE), FLOW.wavenumber
@@ -286,3 +294,28 @@ def test_the_record_of_a_vehicle_by_hand():
     found = VehicleUncertainty.around({"wind": (1.0, 2.0)}, {"wind": (0.1, math.inf)})
     assert math.isnan(found.response_time)
     assert found.wind_intervals[1] == (-math.inf, math.inf)
+
+
+def test_what_a_fit_leaves_of_a_spectrum():
+    # Errors of a known spectrum, projected off J by dense matrices; ends of the flight aside.
+    samples = Derivative()(flown(velocity_noise=0.1))
+    points, m, size = centred(samples.position), len(samples.time), 4 * len(samples.time)
+    weights = np.random.default_rng(3).standard_normal((1, 8, 2))
+    model = Superposed(points, np.array([FLOW.wavenumber]), weights, np.zeros((2, m, 0)))
+    shape = np.abs(np.fft.rfft(np.array([1.0, 0.6, 0.3]), size)) ** 2
+    tiled = np.fft.irfft(shape, size)[np.abs(np.subtract.outer(np.arange(m), np.arange(m)))]
+    covariance = np.kron(np.eye(2), tiled)
+    identity = np.eye(2 * m)
+    jacobian = np.stack([model.score(one.reshape(2, m).T) for one in identity])
+    off = identity - jacobian @ np.linalg.pinv(jacobian)
+    after = off @ covariance @ off
+    expected = np.zeros(size // 2 + 1)
+    for t in range(2):
+        own = after[t * m : (t + 1) * m, t * m : (t + 1) * m]
+        once = np.fft.rfft(own, size, axis=0)  # E F e e'F', its diagonal
+        turned = np.exp(-2j * np.pi * np.outer(np.arange(size // 2 + 1), np.arange(m)) / size)
+        expected += np.sum(once * turned.conj(), axis=1).real / (2 * m)
+    (found,) = model.left(shape[None], size)
+    assert np.abs(found - expected).max() < 0.05 * expected.max()
+    assert found.sum() == pytest.approx(expected.sum(), rel=1e-2)
+    assert (found < 0.9 * shape).any()

@@ -27,6 +27,8 @@ from sparsefit.vehicle import PointMassVehicle
 
 Array = NDArray[np.float64]
 
+QUADRATURE = 2.0  # of what residuals could add up to: most of a test function's error is fitted
+
 
 def assess_rows(samples: Samples, rows: Rows, wavenumber: float) -> Assessment | None:
     """Assess the fit of `Rows` where it is best in k [1/m]; None where it cannot be.
@@ -136,7 +138,8 @@ def spreads(
             doubt = np.hypot(doubt, gradients @ model.solved(score))
     square = float(np.sum(errors**2))
     if square <= EXACT**2 * float(np.sum(model.flow**2)):  # truncation adds up coherently
-        variance = variance + 0.25 * square * np.sum(influence**2, axis=(0, 1))
+        share = 0.25 if weak is None else QUADRATURE**2
+        variance = variance + share * square * np.sum(influence**2, axis=(0, 1))
     return np.where(model.lost(gradients), np.inf, np.sqrt(variance + doubt**2))
 
 

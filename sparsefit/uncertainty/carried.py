@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from sparsefit.derivative import Samples
 from sparsefit.filters import Filters, fast_length, kicks_through
 from sparsefit.uncertainty.model import LAGS
-from sparsefit.uncertainty.noise import frequency_weights, levels, power
+from sparsefit.uncertainty.noise import levels, power
+from sparsefit.uncertainty.spectra import frequency_weights
 from sparsefit.uncertainty.superposed import Superposed
 
 Array = NDArray[np.float64]
@@ -30,8 +31,7 @@ def noise_levels(plain: Superposed, filters: Filters, response_time: float, erro
     tells more of the noise's spectrum than an average does.
     """
     steep = float(np.mean(np.sum(plain.gradient**2, axis=0)))
-    size = fast_length(len(errors) + filters.raw.shape[2])
-    return levels(filters, response_time, errors, steep, plain.left(size))
+    return levels(filters, response_time, errors, steep, plain.left)
 
 
 def powers(

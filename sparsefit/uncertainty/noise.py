@@ -9,12 +9,14 @@ the window, and then has few windows to average over.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.filters import Filters, fast_length
 from sparsefit.uncertainty.model import Fitted
+from sparsefit.uncertainty.spectra import frequency_weights
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -47,15 +49,15 @@ def levels(
     response_time: float,
     errors: Array,
     steep: float,
-    left: Array | None = None,
+    left: Callable[[Array, int], Array] | None = None,
 ) -> Array:
     """Variances (3,) of the raw position and velocity, and of tau times that of acceleration.
 
     errors (m, 2): residuals of Phi at the samples [m/s]; steep: the mean square of the flow's
-    gradient along an axis [1/s^2]; left: the share of noise's power that the fit leaves at each
-    frequency of a transform of fast_length(m + window), or None: all but 17/2 parameters per
-    component. Where the derivative found the noise levels of position and velocity, their ratio is
-    known and measured noise has one level; elsewhere only velocity is noisy.
+    gradient along an axis [1/s^2]; left: what the fit leaves of spectra, given them and the size
+    of the transform, or None: all but 17/2 parameters per component. Where the derivative found
+    the noise levels of position and velocity, their ratio is known and measured noise has one
+    level; elsewhere only velocity is noisy.
     """
     samples = len(errors)
     size = fast_length(samples + filters.raw.shape[2])
@@ -70,8 +72,7 @@ def levels(
     shapes = [squares[0] * shapes[0] + squares[1] * shapes[1], mean]
     passed = mean > PASSED
     if left is not None:
-        passed = passed & (left > PASSED)
-        shapes = [left * shape for shape in shapes]
+        shapes = list(left(np.array(shapes), size))
     observed = np.sum(np.abs(np.fft.rfft(errors, size, axis=0)) ** 2, axis=1) / (2 * samples)
     level = _levels(np.array(shapes)[:, passed], observed[passed])
     if left is not None:
@@ -79,15 +80,6 @@ def levels(
     independent = 2 * np.count_nonzero(passed) * samples / size  # per component
     found: Array = np.array([*(level[0] * squares), level[1]])
     return found * independent / max(independent - 8.5, 1.0)
-
-
-def frequency_weights(size: int) -> Array:
-    """What each frequency of a real transform counts for in a sum of squares in time."""
-    twice = np.full(size // 2 + 1, 2.0 / size)  # of both signs but for 0 and the highest
-    twice[0] = 1.0 / size
-    if size % 2 == 0:
-        twice[-1] = 1.0 / size
-    return twice
 
 
 def _levels(shapes: Array, observed: Array) -> Array:

@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 
 from sparsefit.cached import cached_property
 from sparsefit.uncertainty.model import LOST, NULL, Fitted
+from sparsefit.uncertainty.spectra import frequency_weights
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
+
+LEFT = 0.02  # of a spectrum, at least: what is left of less is the ends of the flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,19 +118,27 @@ class Superposed:
         """Whether the flight tells every weight: U0 grows along a null direction if it does not."""
         return bool(self._roots[2].all())
 
-    def left(self, size: int) -> Array:
-        """The share of white noise's power that a fit leaves at each frequency, of `size`.
+    def left(self, shapes: Array, size: int) -> Array:
+        """Spectra (n, size/2 + 1) of what a fit leaves of errors with these spectra.
 
-        1 - sum_n |F q_n|^2, q_n an orthonormal basis of J, over both components: what slow columns
-        take from the residuals is power of low frequencies, where smoothed noise has its own.
+        With P = Q Q' the projection onto J, S the spectra and F the transform,
+
+            E |F (I - P) e|^2 = S (1 - 2 diag F P F') + diag F Q (Q'S Q) Q'F'.
+
+        Slow columns take power at low frequencies, where smoothed noise has its own.
         """
         roots, vectors, kept, scale = self._roots
         basis = vectors[:, kept] / scale[:, None] / np.sqrt(roots[kept])
-        taken = np.zeros(size // 2 + 1)
-        for block, place in zip(*self._blocks, strict=True):
-            spectrum = np.fft.rfft(block @ basis[place], size, axis=0)
-            taken += np.sum(spectrum.real**2 + spectrum.imag**2, axis=1)
-        found: Array = np.clip(1.0 - taken / (2 * len(self._blocks[0][0])), 0.0, 1.0)
+        blocks = zip(*self._blocks, strict=True)
+        spectra = [np.fft.rfft(block @ basis[at], size, axis=0) for block, at in blocks]
+        both, weight = 2 * len(self._blocks[0][0]), frequency_weights(size)
+        taken = sum(np.sum(one.real**2 + one.imag**2, axis=1) for one in spectra) / both
+        found = np.empty(shapes.shape)
+        for row, shape in zip(found, shapes, strict=True):
+            loaded = (weight * shape)[:, None]
+            inner = sum((one.conj().T @ (loaded * one)).real for one in spectra)
+            back = sum(np.sum((one @ inner) * one.conj(), axis=1).real for one in spectra) / both
+            row[:] = np.maximum(shape * (1 - 2 * taken) + back, LEFT * shape)
         return found
 
     def influence(self, gradients: Array) -> Array:
