@@ -6,7 +6,7 @@ from typing import Any
 
 from sparsefit.objective import Certificate
 from sparsefit.scales import ScaleEstimate
-from sparsefit.uncertainty import Uncertainty
+from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Estimate:
     scales: all cellular flows found, fastest first, where the readout asks for several: the
     parameters are those of the first. uncertainty: of a refined scale with the ``rms`` mean
     velocity, `unidentifiable` or not: it holds within the lobe that was chosen, and says nothing
-    of its rival; None with other readouts, several scales, the weak form or an unknown vehicle,
-    and below 21 samples.
+    of its rival; None with other readouts and below 21 samples; of several scales each has its
+    own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow.
     """
 
     mean_velocity: float
@@ -44,6 +44,7 @@ class Estimate:
     thrust_acceleration: tuple[float, float] | None = None
     wind: tuple[float, float] | None = None
     scales: tuple[ScaleEstimate, ...] = ()
+    vehicle_uncertainty: VehicleUncertainty | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

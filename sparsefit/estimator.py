@@ -21,7 +21,7 @@ from sparsefit.prepared import Prepared
 from sparsefit.readout import Readout
 from sparsefit.rows import Rows
 from sparsefit.scales import ScaleEstimate, as_proposed, several
-from sparsefit.uncertainty import Assessment
+from sparsefit.uncertainty import Assessment, Uncertainty
 from sparsefit.verdict import why_not
 
 FORMAT = "sparsefit-estimator/1"
@@ -130,8 +130,9 @@ class Estimator:
             found.problem.samples,
             found.problem.columns,
             place.rival_length_scale,
-            known.uncertainty if known else None,
+            place.uncertainty,
             scales=place.scales,
+            vehicle_uncertainty=known.vehicle_uncertainty if known else None,
             **place.unknown,
         )
 
@@ -169,7 +170,8 @@ class Estimator:
         doubt = why_not(best, known, prepared.samples, grid.lower, calm=prepared.calm)
         if doubt:
             status, reason = "unidentifiable", doubt
-        return _Place(scale, candidate, best.rival_length_scale, status, reason, known)
+        vehicle = known.vehicle if known else None
+        return _Place(scale, candidate, best.rival_length_scale, status, reason, known, vehicle)
 
     def _several(self, prepared: Prepared, found: Fit) -> "_Place":
         """All scales of a fit; the place is that of the fastest."""
@@ -186,7 +188,9 @@ class Estimator:
         else:
             position = prepared.samples.position
             chosen = as_proposed(found, position, phi, on_grid=on_grid, velocity=velocity)
-        first, reason = chosen.scales[0], chosen.reason
+        if refined and self.readout.mean_velocity == "rms":
+            chosen = chosen.assessed(prepared.scales_assessed)
+        first, reason = chosen.scales[0], chosen.reason or chosen.untold
         if refined and prepared.calm:
             reason = "no cellular flow detected: the air is still"
         status = "unidentifiable" if reason else found.status
@@ -254,6 +258,13 @@ class _Place:
     assessment: Assessment | None = None
     vehicle: VehicleEstimate | None = None
     scales: tuple[ScaleEstimate, ...] = ()
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """Of the scale, or of the first of several."""
+        if self.scales:
+            return self.scales[0].uncertainty
+        return self.assessment.uncertainty if self.assessment else None
 
     @property
     def possible(self) -> bool:

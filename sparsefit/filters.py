@@ -61,7 +61,7 @@ class Filters:
         if found is None:
             return None
         raw, first = found
-        kicks, path, mean = _kicks(raw[2], step), None, None
+        kicks, path, mean = kicks_through(raw[2], step), None, None
         if np.abs(steps - step).max() <= UNEVEN * step:
             path, mean = _on_samples(raw, kicks, first, step)
         chosen = samples.smoothing
@@ -90,7 +90,7 @@ def _kernels(found: Smoothing, step: float) -> tuple[Array, float] | None:
     return np.array([[value, none], [none, value], [none, slope]]), first
 
 
-def _kicks(acceleration: Array, step: float) -> Array:
+def kicks_through(acceleration: Array, step: float) -> Array:
     """Weights (n - 1,) of the mean of V' in each step, in the filtered acceleration (2, n).
 
     A kick u in step j adds h u to every later velocity, and h^2 (i - j - 1/2) u to position i.

@@ -10,7 +10,7 @@ from sparsefit.joint import Lobes
 from sparsefit.library import LengthScaleGrid, RegressionProblem
 from sparsefit.refine import CORRELATION, Refinement, centred, refine
 from sparsefit.rows import Rows
-from sparsefit.uncertainty import Assessment, assess
+from sparsefit.uncertainty import Assessment, Uncertainty, assess, assess_rows, assess_scales
 from sparsefit.vehicle import PointMassVehicle
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
@@ -73,12 +73,17 @@ class Prepared:
     def assessed(self, wavenumber: float, correct: bool) -> Assessment | None:
         """The assessment of a refined scale, k [1/m], done once.
 
-        None for too few samples, and where other rows than samples of Phi were fitted.
+        None for too few samples. Where other rows than samples of Phi were fitted, nothing is
+        corrected.
         """
-        if self.vehicle is None or self.rows is not None:
+        if self.vehicle is None:
             return None
         key = (wavenumber, correct)
-        if key not in self._assessed:
+        if key in self._assessed:
+            return self._assessed[key]
+        if self.rows is not None:
+            self._assessed[key] = assess_rows(self.samples, self.rows, wavenumber)
+        else:
             self._assessed[key] = assess(
                 self.samples,
                 self.flow_velocity,
@@ -87,3 +92,11 @@ class Prepared:
                 correct=correct,
             )
         return self._assessed[key]
+
+    def scales_assessed(self, length_scales: tuple[float, ...]) -> tuple[Uncertainty | None, ...]:
+        """How sure each of several refined scales [m] is."""
+        if self.vehicle is None:
+            return (None,) * len(length_scales)
+        k = math.pi / np.array(length_scales)
+        tau = self.vehicle.response_time
+        return assess_scales(self.samples, self.flow_velocity, k, tau)

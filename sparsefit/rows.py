@@ -101,6 +101,11 @@ class Rows:
         ratio = 1.0 - found[0] if self.nuisance.shared else 1.0
         return fit.weights / ratio
 
+    def solved(self, wavenumber: float) -> tuple[Array, Array]:
+        """W (8, 2) and b (p,) at one k [1/m], as fitted to Phi of the believed vehicle."""
+        fit, found = self._fit(wavenumber)
+        return fit.weights, found
+
     def _fit(self, wavenumber: float) -> tuple[Projection, Array]:
         value, slope = columns(self.position, wavenumber)
         if self.operator is not None:

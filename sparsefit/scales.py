@@ -8,7 +8,7 @@ comes from outside the windows: one that the back-end gave no weight is missed, 
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from sparsefit.joint import Lobes, extent_of, fit_at
 from sparsefit.readout import peak_mean_velocity, rms_mean_velocity
 from sparsefit.refine import centred
 from sparsefit.scale_search import MOST, SHARE, Found, Search, Window, doubt, gathered, pruned
+from sparsefit.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float]
@@ -28,12 +29,16 @@ PROPOSED = 0.02  # of the largest |W_g|: what is smaller proposes nothing
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """One cellular flow of several: U0 [m/s], L [m], L/U0 [s], and the candidate [m] behind it."""
+    """One cellular flow of several: U0 [m/s], L [m], L/U0 [s], and the candidate [m] behind it.
+
+    uncertainty: of a refined scale with the ``rms`` mean velocity, all scales fitted together.
+    """
 
     mean_velocity: float
     length_scale: float
     timescale: float
     grid_length_scale: float
+    uncertainty: Uncertainty | None = None
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,23 @@ class ScaleSet:
     scales: tuple[ScaleEstimate, ...]
     reason: str = ""
     rival_length_scale: float = math.nan
+
+    @property
+    def untold(self) -> str:
+        """Which value of a scale the flight does not tell at all, in words; "" if it tells all."""
+        for one in self.scales:
+            known = one.uncertainty
+            if known is not None and not math.isfinite(known.mean_velocity + known.length_scale):
+                return known.wide((one.mean_velocity, one.length_scale, one.timescale))
+        return ""
+
+    def assessed(
+        self, assess: Callable[[tuple[float, ...]], tuple[Uncertainty | None, ...]]
+    ) -> "ScaleSet":
+        """With the uncertainty of every scale, from all length scales [m]."""
+        known = assess(tuple(one.length_scale for one in self.scales))
+        pairs = zip(self.scales, known, strict=True)
+        return replace(self, scales=tuple(replace(one, uncertainty=own) for one, own in pairs))
 
 
 def several(

@@ -33,8 +33,12 @@ def test_no_vehicle_is_needed_where_it_is_unknown(capsys):
     out = printed(capsys, "bare.csv", *GRID, "--unknown", "response_time", "thrust_acceleration")
     lines = {line[:20].strip(): line[20:].split() for line in out.splitlines()}
     assert lines["vehicle"] == ["unknown"]
-    assert lines["response time  tau"] == ["0.5000", "s"]
-    assert lines["thrust         a"] == ["(5.0000,", "3.0000)", "m/s^2"]
+    value, unit, sign, spread = lines["response time  tau"][:4]
+    assert (round(float(value), 6), unit, sign) == (0.5, "s", "±")
+    assert 0 < float(spread) < 1e-4
+    assert lines["thrust         a"][2:4] == ["m/s^2", "±"]
+    thrust = [float(word.strip("(),")) for word in lines["thrust         a"] if word[0] == "("]
+    assert thrust[0] == pytest.approx(5.0, abs=1e-4)
     assert "wind" not in lines
 
 
@@ -44,6 +48,13 @@ def test_json_has_what_was_estimated_and_null_for_the_rest(capsys):
     assert found["wind"] == pytest.approx([1.0, -2.0], rel=1e-5)
     assert found["response_time"] == pytest.approx(0.5, rel=1e-5)
     assert found["thrust_acceleration"] is None
+    known = found["vehicle_uncertainty"]
+    assert known["thrust_acceleration"] is known["thrust_acceleration_intervals"] is None
+    low, high = known["response_time_interval"]
+    assert low < 0.5 < high
+    assert [low < 1 < high or low < -2 < high for low, high in known["wind_intervals"]] == [
+        True
+    ] * 2
 
 
 def test_an_estimator_file_may_leave_it_unknown(capsys):
@@ -52,7 +63,21 @@ def test_an_estimator_file_may_leave_it_unknown(capsys):
         file.write(Estimator(library=library).to_json())
     out = printed(capsys, "flight.csv", "--estimator", "estimator.json")
     assert "vehicle               thrust (5, 3) m/s^2\n" in out
-    assert "response time  tau       0.5000 s\n" in out
+    assert "response time  tau" in out
+    assert "0.5000" in out
+    assert "thrust         a" not in out
+
+
+def test_noise_is_told_with_the_response_time(capsys):
+    noisy = ("--velocity-noise", "0.2", "--position-noise", "0.05", "--seed", "3")
+    assert main([*SIMULATE, *noisy, "-o", "noisy.csv"]) == 0
+    out = printed(capsys, "noisy.csv", *GRID, "--unknown", "response_time", "wind")
+    lines = {line[:20].strip(): line[20:].split() for line in out.splitlines()}
+    _, unit, sign, spread, _, _, low, _, high = lines["response time  tau"]
+    assert (unit, sign) == ("s", "±")
+    assert float(high.rstrip(")")) - float(low) == pytest.approx(3.92 * float(spread), abs=2e-4)
+    assert lines["wind"][2:4] == ["m/s", "±"]
+    assert [float(one.strip("(),")) < 0.5 for one in lines["wind"][4:]] == [True, True]
 
 
 def test_refuses_what_cannot_be_told(capsys):

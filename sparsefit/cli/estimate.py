@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from sparsefit.estimate import Estimate
     from sparsefit.estimator import Estimator
     from sparsefit.flight import Flight
+    from sparsefit.scales import ScaleEstimate
 
 EXAMPLE = """\
   sparsefit estimate flight.csv
@@ -260,16 +261,31 @@ def _lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ..
 
 def _estimated(estimate: Estimate) -> list[tuple[str, str]]:
     """What was unknown beside the flow."""
-    rows = []
+    rows, known = [], estimate.vehicle_uncertainty
     if estimate.response_time == estimate.response_time:
-        rows.append(("response time  tau", _quantity(estimate.response_time, "s")))
-    for label, pair, unit in (
-        ("thrust         a", estimate.thrust_acceleration, "m/s^2"),
-        ("wind", estimate.wind, "m/s"),
+        given = (known.response_time, known.response_time_interval) if known else ()
+        rows.append(("response time  tau", _quantity(estimate.response_time, "s", *given)))
+    for label, name, unit in (
+        ("thrust         a", "thrust_acceleration", "m/s^2"),
+        ("wind", "wind", "m/s"),
     ):
+        pair = getattr(estimate, name)
         if pair is not None:
-            rows.append((label, f"({pair[0]:.4f}, {pair[1]:.4f}) {unit}"))
+            words = f"({pair[0]:.4f}, {pair[1]:.4f}) {unit}"
+            rows.append((label, words + _spread(getattr(known, name) if known else None)))
     return rows
+
+
+def _spread(pair: tuple[float, float] | None) -> str:
+    """Standard errors of a pair, to two digits and four decimals at least."""
+    if pair is None:
+        return ""
+    if not all(map(math.isfinite, pair)):
+        return "  ± unknown"
+    if min(pair) < FINEST:
+        return f"  ± ({pair[0]:.1e}, {pair[1]:.1e})"
+    places = max(4, 1 - math.floor(math.log10(min(pair))))
+    return f"  ± ({pair[0]:.{places}f}, {pair[1]:.{places}f})"
 
 
 def _scales(estimate: Estimate) -> list[tuple[str, str]]:
@@ -277,11 +293,27 @@ def _scales(estimate: Estimate) -> list[tuple[str, str]]:
     if not estimate.scales:
         return []
     head = f"{'U0 [m/s]':>9} {'L_w [m]':>9} {'tau_w [s]':>9}"
-    rows = [
-        (f"  {place}", f"{one.mean_velocity:>9.4f} {one.length_scale:>9.4f} {one.timescale:>9.4f}")
-        for place, one in enumerate(estimate.scales, start=1)
-    ]
+    if all(one.uncertainty is not None for one in estimate.scales):
+        head = f"{'U0 [m/s]':>9} {'±':<8} {'L_w [m]':>9} {'±':<8} {'tau_w [s]':>9} ±"
+    rows = [(f"  {i}", _flow(one)) for i, one in enumerate(estimate.scales, start=1)]
     return [(f"cellular flows  {len(rows)}", head), *rows, ("", "")]
+
+
+def _flow(one: ScaleEstimate) -> str:
+    """U0, L_w and tau_w of one cellular flow, each with its standard error where it is known."""
+    cells = []
+    for name in ("mean_velocity", "length_scale", "timescale"):
+        cells.append(f"{getattr(one, name):>9.4f}")
+        if one.uncertainty is not None:
+            cells.append(f"{_short(getattr(one.uncertainty, name)):<8}")
+    return " ".join(cells).rstrip()
+
+
+def _short(spread: float) -> str:
+    """A standard error in a column of a table."""
+    if not math.isfinite(spread):
+        return "unknown"
+    return f"{spread:.4f}" if spread >= 1e-4 else f"{spread:.1e}"
 
 
 def _parameters(estimate: Estimate) -> list[tuple[str, str]]:

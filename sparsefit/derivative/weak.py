@@ -47,6 +47,7 @@ class WeakRows:
         window: samples under a test function.
         order: p.
         correlation: rows over which errors of the velocity correlate, >= 1.
+        rate: the weights (q, m) of -int psi' dt, each row of sum 0.
     """
 
     operator: csr_array
@@ -58,6 +59,7 @@ class WeakRows:
     window: int
     order: int
     correlation: float
+    rate: csr_array
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """The averages of Phi [m/s], (q, 2), for a vehicle."""
@@ -121,6 +123,7 @@ def weak_rows(
         window,
         order,
         max(1.0, correlation(half, order) / stride),
+        rate,
     )
 
 

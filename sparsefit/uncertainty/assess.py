@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from sparsefit.derivative import Samples
 from sparsefit.filters import Filters
+from sparsefit.nuisance import VehicleEstimate
 from sparsefit.refine import centred, project
 from sparsefit.uncertainty import bias, noise
 from sparsefit.uncertainty.model import LAGS, Fitted, uncertainty
 from sparsefit.uncertainty.record import Uncertainty
+from sparsefit.uncertainty.vehicle import VehicleUncertainty
 
 Array = NDArray[np.float64]
 
@@ -24,12 +26,17 @@ EXACT = 1e-6  # residuals below this, relative: no noise but truncation, which a
 
 @dataclass(frozen=True)
 class Assessment:
-    """U0 [m/s], L [m] and tau_w [s], corrected where asked, and their uncertainty."""
+    """U0 [m/s], L [m] and tau_w [s], corrected where asked, and their uncertainty.
+
+    vehicle: the one found, with its uncertainty, where something of it was unknown.
+    """
 
     mean_velocity: float
     length_scale: float
     timescale: float
     uncertainty: Uncertainty
+    vehicle: VehicleEstimate | None = None
+    vehicle_uncertainty: VehicleUncertainty | None = None
 
     @property
     def wide(self) -> str:

@@ -21,13 +21,16 @@ from numpy.typing import NDArray
 
 from sparsefit.filters import Filters, fast_length
 from sparsefit.uncertainty.model import Fitted, along_x, along_y
+from sparsefit.uncertainty.superposed import Superposed
 
 Array = NDArray[np.float64]
 
 WAVES = np.array([1.0] * 4 + [2.0] * 4)[:, None]  # |kappa|^2 / k^2 of each candidate
 
 
-def truncation(fitted: Fitted, velocity: Array, filters: Filters) -> tuple[Array, float]:
+def truncation(
+    fitted: Fitted | Superposed, velocity: Array, filters: Filters
+) -> tuple[Array, float]:
     """b (m, 2) [m/s], 0 at the ends where samples lack; and samples over those that have it."""
     lost, path, mean = np.zeros(velocity.shape), filters.path, filters.mean
     samples = len(velocity)

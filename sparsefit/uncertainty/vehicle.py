@@ -1,0 +1,40 @@
+"""The record of how sure an estimated vehicle and wind are."""
+
+import math
+from dataclasses import dataclass
+
+from sparsefit.uncertainty.record import NORMAL_95
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class VehicleUncertainty:
+    """Standard errors and 95 % intervals of tau [s], a [m/s^2] and the wind [m/s].
+
+    NaN and None where a quantity was not estimated; pairs are (x, y).
+    """
+
+    response_time: float = math.nan
+    response_time_interval: Interval | None = None
+    thrust_acceleration: tuple[float, float] | None = None
+    thrust_acceleration_intervals: tuple[Interval, Interval] | None = None
+    wind: tuple[float, float] | None = None
+    wind_intervals: tuple[Interval, Interval] | None = None
+
+    @classmethod
+    def around(
+        cls, values: dict[str, tuple[float, ...]], spreads: dict[str, tuple[float, ...]]
+    ) -> "VehicleUncertainty":
+        """Intervals of +- 1.96 standard errors, of response_time (1) and pairs, by name."""
+        parts: dict[str, object] = {}
+        for name, own in values.items():
+            ends = tuple(_interval(*one) for one in zip(own, spreads[name], strict=True))
+            alone = name == "response_time"
+            parts[name] = spreads[name][0] if alone else spreads[name]
+            parts[f"{name}_interval" if alone else f"{name}_intervals"] = ends[0] if alone else ends
+        return cls(**parts)  # type: ignore[arg-type]
+
+
+def _interval(value: float, spread: float) -> Interval:
+    return value - NORMAL_95 * spread, value + NORMAL_95 * spread
