@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from sparsefit.score import score_scales as score_scales
     from sparsefit.vehicle import PointMassVehicle as PointMassVehicle
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {
     "CellularFlow": "flow",

@@ -222,6 +222,8 @@ class Estimator:
             record = json.loads(text)
         except json.JSONDecodeError as error:
             raise InputError(f"not an estimator: line {error.lineno}: {error.msg}") from None
+        except RecursionError:
+            raise InputError("not an estimator: too deep; write one with to_json") from None
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise InputError(f'not an estimator: no "format": "{FORMAT}"; write one with to_json')
         parts = {k: v for k, v in record.items() if k != "format"}

@@ -41,7 +41,7 @@ def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
         )
     for name in names:
         if name not in UNKNOWNS:
-            raise unknown("name in unknown", name, UNKNOWNS)
+            raise unknown("parameter of the vehicle", name, UNKNOWNS)
     found = tuple(name for name in UNKNOWNS if name in names)
     if {"thrust_acceleration", "wind"} <= set(found):
         raise InputError(

@@ -275,7 +275,9 @@ def test_bad_json_is_refused_in_one_line(change, words):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "null", '"lasso"', "{'format': 1}", "\ufeff{}"])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "[" * 100_000, "null", '"lasso"', "{'format': 1}", "\ufeff{}"]
+)
 def test_what_is_no_json_object_is_refused(text):
     with pytest.raises(InputError, match="not an estimator"):
         Estimator.from_json(text)
