@@ -9,6 +9,7 @@ import pandas as pd
 
 from sparsefit.study import accuracy_answers, paper_answers, scale_sets, trust_answers
 from sparsefit.study.methods import derivatives_answer, vehicle_answer
+from sparsefit.study.penalty_answer import penalty
 from sparsefit.study.summary import StudyRecord
 
 AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
@@ -21,6 +22,7 @@ ANSWERS: dict[str, AnswerFunction] = {
     "least-errors": paper_answers.least_errors,
     "readings": paper_answers.readings,
     "selection": paper_answers.selection,
+    "penalty": penalty,
     "completeness": paper_answers.completeness,
     "efficiency": accuracy_answers.efficiency,
     "windows": accuracy_answers.windows,

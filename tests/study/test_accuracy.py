@@ -1,5 +1,6 @@
 """Efficiency, windows and grids by hand."""
 
+import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -146,6 +147,15 @@ class TestPaperAnswers:
         rows = [row | {"split": "all"} for row in rows]
         said = ANSWERS["least-errors"](STUDY, frame(*rows))
         assert said.endswith("matched 20.0 % (stlsq).")
+
+    def test_rules_of_the_penalty_stand_beside_the_best_and_the_worst_fixed_one(self):
+        def row(fraction, size, **more):
+            settings = json.dumps({"alpha_fraction": fraction, **more})
+            return case(settings=settings, percent=(0.0, size)) | {"split": "all"}
+
+        rows = [row(0.1, 2.0), row(0.3, 5.0), row("auto", 3.0, selection="bic")]
+        said = ANSWERS["penalty"](STUDY, frame(*rows))
+        assert said.endswith("lasso bic 3.00 %, fixed 2.00 to 5.00 %.")
 
     def test_parameters_by_closeness(self):
         cases = frame(
