@@ -99,7 +99,7 @@ def _panel(
         axes.axhline(1.0, color="black", lw=1.0, zorder=4)
         axes.set_ylabel(f"{SYMBOLS[name]}: rms error/bound")
     else:
-        noise, values = _bound(pd.concat([line.cases for line in lines]), place)
+        noise, values = _bound([line.cases for line in lines], place)
         axes.plot(noise, values, color="black", lw=1.0, zorder=4)
         axes.set_ylabel(f"{SYMBOLS[name]}: rms error [%]")
     axes.set_yscale("log")
@@ -122,9 +122,14 @@ def _measure(cases: pd.DataFrame, *, relative: bool) -> FloatArray:
     return percent
 
 
-def _bound(cases: pd.DataFrame, place: int) -> tuple[FloatArray, FloatArray]:
-    """Rms bound [%] over the flights that any back-end called ok, each once."""
-    once = bounded(cases).drop_duplicates(["flight", NOISE])
+def _bound(lines: Sequence[pd.DataFrame], place: int) -> tuple[FloatArray, FloatArray]:
+    """Rms bound [%] over the flights that every line called ok, each once.
+
+    Those that a line gave up are the hardest: with them the bound would stand above its errors.
+    """
+    every = pd.concat([bounded(line) for line in lines])
+    shared = every.groupby(["flight", NOISE])[NOISE].transform("size") == len(lines)
+    once = every[shared].drop_duplicates(["flight", NOISE])
     levels = sorted(grouped(once, [NOISE]), key=lambda one: float(one.key[NOISE] or 0.0))
     noise = np.array([float(level.key[NOISE] or 0.0) for level in levels])
     return noise, np.array([rms(percent_of_truth(one.cases, "bound"))[place] for one in levels])
