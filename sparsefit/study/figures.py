@@ -79,8 +79,8 @@ CAPTIONS = {
     "middle level of the other swept factors, computed again from the study file.",
     "efficiency": "Rms error of L_w with the Cramér-Rao bound, and rms of error / bound, against "
     "the process noise, over flights with status ok, the bound over those that every line called "
-    "ok; a row per combination of the other swept "
-    "factors. First listed setting of each back-end. Lines that agree lie on each other.",
+    "ok; a row per combination of the other swept factors. First listed setting of each back-end. "
+    "Lines that agree lie on each other.",
     "windows": "Largest of the errors of U0, L_w and τ_w that the median flight, and 9 in 10 "
     "flights, keep after so many seconds; other swept factors are pooled. A failure counts as "
     "infinite: where the flight that a line stands for has no estimate, the line breaks.",
