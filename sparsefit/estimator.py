@@ -188,9 +188,11 @@ class Estimator:
         else:
             position = prepared.samples.position
             chosen = as_proposed(found, position, phi, on_grid=on_grid, velocity=velocity)
+        reason = chosen.reason
         if refined and self.readout.mean_velocity == "rms":
             chosen = chosen.assessed(prepared.scales_assessed)
-        first, reason = chosen.scales[0], chosen.reason or chosen.untold
+            reason = reason or chosen.untold
+        first = chosen.scales[0]
         if refined and prepared.calm:
             reason = "no cellular flow detected: the air is still"
         status = "unidentifiable" if reason else found.status

@@ -51,11 +51,19 @@ class ScaleSet:
 
     @property
     def untold(self) -> str:
-        """Which value of a scale the flight does not tell at all, in words; "" if it tells all."""
-        for one in self.scales:
+        """Why assessed scales are not to be believed, in words; "" if they are.
+
+        Every value must be told at all, and those of the fastest flow as well as those of one
+        flow alone; a weak flow beside it may be known less well, as its intervals say.
+        """
+        for place, one in enumerate(self.scales):
             known = one.uncertainty
-            if known is not None and not math.isfinite(known.mean_velocity + known.length_scale):
-                return known.wide((one.mean_velocity, one.length_scale, one.timescale))
+            if known is None:
+                return "too few samples for a standard error; fly longer, or sample faster"
+            if not place or not math.isfinite(known.mean_velocity + known.length_scale):
+                wide = known.wide((one.mean_velocity, one.length_scale, one.timescale))
+                if wide:
+                    return wide
         return ""
 
     def assessed(

@@ -188,3 +188,21 @@ def test_a_flight_that_stands_still_is_refused(refine):
     readout = sf.Readout(scales="several", refine=refine)
     with pytest.raises(InputError, match="does not move"):
         sf.Estimator(readout=readout).estimate(flight)
+
+
+@pytest.mark.parametrize("samples", [18, 24, 48])
+def test_a_flight_too_short_to_tell_is_never_ok_and_wrong(samples):
+    vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
+    for seed in range(4):
+        draw = np.random.default_rng([5, seed])
+        scale, timescale = draw.uniform(2, 10), draw.uniform(0.1, 1)
+        flow = sf.CellularFlow(scale / timescale, scale)
+        short = sf.simulate_flight(
+            flow, vehicle, duration=(samples - 1) / 50, sample_rate=50, seed=seed
+        )
+        found = Estimator(readout=SEVERAL).estimate(short)
+        if found.status == "ok":
+            assert found.length_scale == pytest.approx(scale, rel=0.05)
+            assert found.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.05)
+        else:
+            assert found.reason
