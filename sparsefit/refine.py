@@ -145,12 +145,6 @@ def project(position: Array, flow_velocity: Array, wavenumber: float) -> Project
     return Projection(wavenumber, float(np.sum(rest * rest)), weights, move)
 
 
-def residual_curve(position: Array, flow_velocity: Array, wavenumbers: Array) -> Array:
-    """RSS(k) (q,) at any wavenumbers (q,) [1/m]; `scan` is 25 times faster on a uniform grid."""
-    points = centred(position)
-    return np.array([project(points, flow_velocity, k).residual for k in wavenumbers.tolist()])
-
-
 def scan(
     position: Array,
     flow_velocity: Array,

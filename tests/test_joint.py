@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from references import residual_curve
 
 from sparsefit.errors import InputError
 from sparsefit.flow import CellularFlow
 from sparsefit.joint import Lobes, descend, fit_at
 from sparsefit.library import candidate_columns
-from sparsefit.refine import centred, refine, residual_curve, scan
+from sparsefit.refine import centred, refine, scan
 
 BOUNDS = (math.pi / 12, math.pi / 1)
 TRUTH = np.pi / np.array([3.1, 4.4])

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from references import residual_curve
 
 from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
@@ -9,7 +10,7 @@ from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flow import CellularFlow
 from sparsefit.library import candidate_columns
 from sparsefit.readout import rms_mean_velocity
-from sparsefit.refine import centred, columns, project, refine, residual_curve, scan
+from sparsefit.refine import centred, columns, project, refine, scan
 from sparsefit.vehicle import PointMassVehicle
 
 VEHICLES = PointMassVehicle(0.1, (20.0, 12.0)), PointMassVehicle(0.5, (5.0, 3.0))

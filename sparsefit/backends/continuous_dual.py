@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.library import RegressionProblem, candidate_columns
+from sparsefit.library import RegressionProblem
 from sparsefit.objective import Certificate
 from sparsefit.refine import fourier_sums, kernel_gain
 
@@ -32,7 +32,6 @@ Interval = tuple[float, float]
 STEP = 0.15  # of the scan, in 1/extent: peaks of |Z'R|^2 are met within 0.6 %
 SLACK = 0.02  # grid peaks this close to the highest may hold the supremum: three times that
 POINTS = 4_000_000  # of a scan: beyond it, memory
-CHUNK = 64  # wavenumbers per block of columns in the slow reference
 NEWTON = 30
 
 
@@ -92,23 +91,6 @@ def _candidates(position: Array, k: Array) -> Array:
             column[0], column[1] = a[0] * b[0], a[1] * b[0] + a[0] * b[1]
             column[2] = a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]
     return out
-
-
-def dual_certificate(
-    problem: RegressionProblem, residual: Array, alpha: float, wavenumbers: Array
-) -> Array:
-    """eta (q,) = |Z(k)'R|_F / (m alpha) at any wavenumbers (q,) [1/m], from the rows: the picture.
-
-    residual R (m, n). The slow, obvious reference of `scan`.
-    """
-    assert problem.position is not None
-    heights = []
-    for start in range(0, len(wavenumbers), CHUNK):
-        theta = candidate_columns(problem.position, np.pi / wavenumbers[start : start + CHUNK])
-        rms = np.sqrt(np.mean(theta * theta, axis=0))
-        found = theta.T @ residual / (np.where(rms > 0, rms, 1.0)[:, None] * len(theta))
-        heights.append(np.sqrt(np.sum(found.reshape(-1, 8 * residual.shape[1]) ** 2, axis=1)))
-    return np.concatenate(heights) / alpha
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from sparsefit.backends.base import Solution, checked_alpha_fraction
 from sparsefit.backends.continuous_dual import (
-    POINTS,
     Interval,
     Jet,
     Scanner,
     continuous_alpha_max,
     continuous_gap,
     gap_of,
-    scan_points,
 )
 from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
 from sparsefit.backends.sliding import Atoms, slide
@@ -63,18 +61,11 @@ class GridlessGroupLasso:
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights over the scales found, which the solution's own problem holds."""
-        refused = refusal(self.name, problem)
+        refused = refusal(self.name, problem, self.lower, self.upper)
         if refused is not None:
             return refused
         assert problem.position is not None
         bounds = interval(problem, self.lower, self.upper)
-        if scan_points(problem.position, bounds) > POINTS:
-            return Solution(
-                None,
-                "error",
-                f"{self.name}: the extent of the flight holds more than {POINTS} scan points "
-                "between the bounds; raise lower, or use fewer cells of the flight",
-            )
         atoms, rounds, done = _sliding_frank_wolfe(problem, self.alpha_fraction, bounds)
         order = np.argsort(-atoms.wavenumbers)
         found = columns_at(problem, math.pi / atoms.wavenumbers[order])

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.backends.base import Solution
+from sparsefit.backends.continuous_dual import POINTS, Interval, scan_points
 from sparsefit.errors import InputError
 from sparsefit.library import CANDIDATES, RegressionProblem, candidate_columns
 
@@ -34,8 +35,13 @@ def found_by(solution: Solution) -> tuple[Array, Array]:
     return solution.problem.group_scales, solution.weights
 
 
-def refusal(name: str, problem: RegressionProblem) -> Solution | None:
-    """The error of a back-end that makes its own columns, where rows have no position."""
+def refusal(
+    name: str, problem: RegressionProblem, lower: float | None, upper: float | None
+) -> Solution | None:
+    """Why a back-end that makes its own columns cannot search [lower, upper] [m]; None if it can.
+
+    Rows without a position, a flight that stands still, more scan points than memory holds.
+    """
     if problem.position is None or problem.group_scales is None:
         return Solution(
             None,
@@ -46,6 +52,13 @@ def refusal(name: str, problem: RegressionProblem) -> Solution | None:
         )
     if not np.ptp(problem.position, axis=0).max() > 0:
         return Solution(None, "unidentifiable", f"{name}: the flight stands still: no extent")
+    if scan_points(problem.position, interval(problem, lower, upper)) > POINTS:
+        return Solution(
+            None,
+            "error",
+            f"{name}: the extent of the flight holds more than {POINTS} scan points "
+            "between the bounds; raise lower, or use fewer cells of the flight",
+        )
     return None
 
 
@@ -58,9 +71,7 @@ def checked_bounds(name: str, lower: float | None, upper: float | None) -> None:
         raise InputError(f"{name}: lower ({lower:g} m) is above upper ({upper:g} m); swap them")
 
 
-def interval(
-    problem: RegressionProblem, lower: float | None, upper: float | None
-) -> tuple[float, float]:
+def interval(problem: RegressionProblem, lower: float | None, upper: float | None) -> Interval:
     """[pi/upper, pi/lower] [1/m]; where a bound is None, that of the problem's scales."""
     assert problem.group_scales is not None
     low = float(problem.group_scales.min()) if lower is None else lower

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.backends.base import Solution
-from sparsefit.backends.continuous_dual import MODES, POINTS, Scanner, climb, scan_points
+from sparsefit.backends.continuous_dual import MODES, Scanner, climb
 from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
 from sparsefit.errors import InputError
 from sparsefit.library import CANDIDATES, TARGET_NAMES, RegressionProblem
@@ -48,7 +48,7 @@ class ParametricNLS:
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """U0 on ``sin x cos y`` of w_x and -U0 on ``cos x sin y`` of w_y, at the scale found."""
-        refused = refusal(self.name, problem)
+        refused = refusal(self.name, problem, self.lower, self.upper)
         if refused is not None:
             return refused
         assert problem.position is not None
@@ -61,10 +61,6 @@ class ParametricNLS:
             )
         position, phi = problem.position, problem.target
         bounds = interval(problem, self.lower, self.upper)
-        if scan_points(position, bounds) > POINTS:
-            return Solution(
-                None, "error", f"{self.name}: too many lobes between the bounds; raise lower"
-            )
         starts, step = _starts(position, phi, bounds, self.starts)
         if not len(starts):
             return Solution(None, "unidentifiable", "no cellular flow of Eq. 1 fits with U0 > 0")

@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.backends.continuous_dual import Scanner
+from sparsefit.backends.gridless import GridlessGroupLasso
+from sparsefit.backends.off_grid import interval
 from sparsefit.errors import InputError
 from sparsefit.flow import Flow
-from sparsefit.study.choices import make_backend
 from sparsefit.study.design import Cell, cells
 from sparsefit.study.drawing import COLOURS, GREY, panels
 from sparsefit.study.execution import estimator_for
@@ -21,7 +22,6 @@ from sparsefit.study.flights import SIMULATION, stream
 from sparsefit.study.spec import Study
 from sparsefit.study.summary import FloatArray, StudyRecord
 
-BACKEND = "gridless-group-lasso"
 FLIGHT = 0
 PANELS = 4
 ALONG = "flights.duration"
@@ -54,7 +54,8 @@ def certificate_figure(
     chosen = _chosen(study) if isinstance(study, Study) else []
     if not isinstance(study, Study) or not chosen:
         raise InputError(
-            f'{study.name} lists no {BACKEND}: drop the figure "dual-certificate" from [outputs]'
+            f"{study.name} lists no {GridlessGroupLasso.name}: "
+            'drop the figure "dual-certificate" from [outputs]'
         )
     curves = [_curve(study, cell) for cell in chosen]
     figure, grid = panels(len(curves), 1, height=0.8 + 1.55 * len(curves))
@@ -74,7 +75,7 @@ def _chosen(study: Study) -> list[Cell]:
     found: dict[object, Cell] = {}
     for cell in cells(study):
         fixed = all(cell.levels[key] == level for key, level in middle.items())
-        if cell.backend == BACKEND and fixed:
+        if cell.backend == GridlessGroupLasso.name and fixed:
             found.setdefault(cell.levels.get(ALONG), cell)
     return list(found.values())[:PANELS]
 
@@ -93,13 +94,12 @@ def _curve(study: Study, cell: Cell) -> Curve:
         raise InputError(f"{study.name}: no certificate to draw: {found.status}: {found.reason}")
     rms = np.sqrt(np.mean(found.problem.theta**2, axis=0))[:, None]
     sizes = np.sqrt(np.sum((found.weights * rms).reshape(len(scales), -1) ** 2, axis=1))
-    grid = cell.setup.library.grid
-    backend = make_backend(cell.backend, cell.settings)
-    low = math.pi / (getattr(backend, "upper", None) or grid.upper)
-    high = math.pi / (getattr(backend, "lower", None) or grid.lower)
+    backend = found.backend
+    assert isinstance(backend, GridlessGroupLasso)
+    low, high = interval(prepared.problem, backend.lower, backend.upper)
     scanner = Scanner.of(position, (low, high))
     residual = target - found.problem.theta @ found.weights
-    alpha = backend.alpha_fraction * scanner.peaks(target)[0].height  # type: ignore[attr-defined]
+    alpha = backend.alpha_fraction * scanner.peaks(target)[0].height
     inside = (scanner.wavenumbers >= low) & (scanner.wavenumbers <= high)
     largest = max(part.length_scale for part in draw.flow.components)
     return Curve(

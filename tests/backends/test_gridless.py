@@ -11,7 +11,6 @@ from sparsefit.backends.continuous_dual import (
     Scanner,
     continuous_alpha_max,
     continuous_gap,
-    dual_certificate,
 )
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.backends.group_lasso import GroupLasso
@@ -22,6 +21,7 @@ from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
 from sparsefit.objective import Penalty, duality_gaps
 from sparsefit.refine import centred
 from tests.problems import VEHICLE, flight, flight_problem
+from tests.references import dual_certificate
 
 GRID = LengthScaleGrid()
 BOUNDS = (math.pi / 12, math.pi / 1)
