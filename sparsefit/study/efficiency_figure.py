@@ -29,6 +29,7 @@ from sparsefit.study.summary import (
 
 NOISE = "flights.process_noise"
 STYLES = ("-", "--", ":", "-.")
+LEGIBLE = 8  # rows: with more, nobody reads the picture unless the study asks for it
 WORDS = {"flights.duration": "{:g} s flown", "flights.sample_rate": "{:g} Hz"}
 PANELS = (("length_scale", False), ("length_scale", True), ("mean_velocity", True))
 
@@ -68,6 +69,14 @@ def efficiency_figure(
         axes.set_xlabel("process noise [m/s²]")
     _legend(figure, backends, protocols)
     return figure
+
+
+def legible(cases: pd.DataFrame) -> bool:
+    """Whether there is a bound over a swept process noise, in no more rows than can be read."""
+    if NOISE not in numeric_factors(cases) or bounded(cases).empty:
+        return False
+    others = [name for name in factors(cases) if name != NOISE]
+    return not others or len(grouped(cases, others)) <= LEGIBLE
 
 
 def _words(facet: Group) -> str:

@@ -13,8 +13,7 @@ from sparsefit.study.certificate_figure import certificate_figure
 from sparsefit.study.confidence import has_intervals
 from sparsefit.study.coverage_figure import coverage_figure
 from sparsefit.study.drawing import STYLE
-from sparsefit.study.efficiency import bounded
-from sparsefit.study.efficiency_figure import NOISE, efficiency_figure
+from sparsefit.study.efficiency_figure import efficiency_figure, legible
 from sparsefit.study.error_figures import errors, numeric_factors, sweep
 from sparsefit.study.grids_figure import grids_figure
 from sparsefit.study.methods_figure import has_methods, methods_figure
@@ -102,7 +101,7 @@ def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:
         "methods": not single and has_methods(cases),
         "scales": not single and has_scales(cases) and bool(numeric_factors(cases)),
         "dual-certificate": False,  # it repeats a fit: for studies that ask for it
-        "efficiency": NOISE in numeric_factors(cases) and not bounded(cases).empty,
+        "efficiency": legible(cases),
         "windows": not single and many_durations(cases),
         "coverage": has_intervals(cases),
         "grids": False,  # its protocols have to be grids, which only the study's author knows

@@ -352,3 +352,19 @@ def test_a_failed_first_panel_hides_no_legend():
     figure = FIGURES["weights"](study(), cases, weights_of(cases))
     assert figure.axes[0].get_title(loc="right") == "no scale chosen, error"
     assert "chosen scale" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_an_efficiency_picture_of_many_rows_is_drawn_only_when_asked_for():
+    few = bounded(synthetic(2, PROCESS_NOISES))
+    many = bounded(
+        synthetic(
+            2,
+            tuple(
+                {"flights.process_noise": noise, "flights.duration": float(seconds)}
+                for noise in (0.1, 1.0)
+                for seconds in range(1, 10)
+            ),
+        )
+    )
+    assert "efficiency" in figures_for(few, None)
+    assert "efficiency" not in figures_for(many, None)
