@@ -8,7 +8,7 @@ from glob import glob
 from setuptools import Extension, setup
 
 LOOPS = ("_homotopy", "_variational")  # sparsefit/backends/NAME.c
-KERNELS = ("_gram",)  # sparsefit/NAME.c
+KERNELS = ("_gram",)  # sparsefit/regression/NAME.c
 
 setup(
     ext_modules=[
@@ -20,7 +20,10 @@ setup(
             py_limited_api=True,
             optional=True,
         )
-        for name in (*(f"backends.{loop}" for loop in LOOPS), *KERNELS)
+        for name in (
+            *(f"backends.{loop}" for loop in LOOPS),
+            *(f"regression.{kernel}" for kernel in KERNELS),
+        )
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -12,36 +12,36 @@ if TYPE_CHECKING:
     from sparsefit.derivative import Derivative as Derivative
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
-    from sparsefit.estimate import Estimate as Estimate
-    from sparsefit.estimator import Estimator as Estimator
-    from sparsefit.fit import Fit as Fit
-    from sparsefit.fit import Path as Path
-    from sparsefit.fit import fit as fit
-    from sparsefit.fit import path as path
+    from sparsefit.estimator import Estimate as Estimate
+    from sparsefit.estimator.estimator import Estimator as Estimator
+    from sparsefit.estimator.scales import ScaleEstimate as ScaleEstimate
     from sparsefit.flight import Flight as Flight
     from sparsefit.flight import read_flight as read_flight
     from sparsefit.flight import simulate_flight as simulate_flight
     from sparsefit.flight import write_flight as write_flight
-    from sparsefit.flow import CellularFlow as CellularFlow
-    from sparsefit.flow import SuperposedFlow as SuperposedFlow
+    from sparsefit.flight.flow import CellularFlow as CellularFlow
+    from sparsefit.flight.flow import SuperposedFlow as SuperposedFlow
+    from sparsefit.flight.vehicle import PointMassVehicle as PointMassVehicle
     from sparsefit.library import LengthScaleGrid as LengthScaleGrid
     from sparsefit.library import Library as Library
-    from sparsefit.library import RegressionProblem as RegressionProblem
-    from sparsefit.objective import Certificate as Certificate
-    from sparsefit.readout import Readout as Readout
-    from sparsefit.scales import ScaleEstimate as ScaleEstimate
+    from sparsefit.modes import Readout as Readout
+    from sparsefit.regression import Certificate as Certificate
+    from sparsefit.regression import Fit as Fit
+    from sparsefit.regression import Path as Path
+    from sparsefit.regression import RegressionProblem as RegressionProblem
+    from sparsefit.regression import fit as fit
+    from sparsefit.regression import path as path
     from sparsefit.score import ScalesScore as ScalesScore
     from sparsefit.score import Score as Score
     from sparsefit.score import score as score
     from sparsefit.score import score_scales as score_scales
-    from sparsefit.vehicle import PointMassVehicle as PointMassVehicle
 
 __version__ = "0.2.0"
 
 _HOMES = {
-    "CellularFlow": "flow",
-    "SuperposedFlow": "flow",
-    "PointMassVehicle": "vehicle",
+    "CellularFlow": "flight.flow",
+    "SuperposedFlow": "flight.flow",
+    "PointMassVehicle": "flight.vehicle",
     "Flight": "flight",
     "simulate_flight": "flight",
     "read_flight": "flight",
@@ -49,16 +49,16 @@ _HOMES = {
     "Derivative": "derivative",
     "LengthScaleGrid": "library",
     "Library": "library",
-    "RegressionProblem": "library",
-    "Certificate": "objective",
-    "Fit": "fit",
-    "Path": "fit",
-    "fit": "fit",
-    "path": "fit",
-    "Readout": "readout",
-    "Estimate": "estimate",
+    "RegressionProblem": "regression",
+    "Certificate": "regression",
+    "Fit": "regression",
+    "Path": "regression",
+    "fit": "regression",
+    "path": "regression",
+    "Readout": "modes",
+    "Estimate": "estimator",
     "Estimator": "estimator",
-    "ScaleEstimate": "scales",
+    "ScaleEstimate": "estimator.scales",
     "ScalesScore": "score",
     "Score": "score",
     "score": "score",

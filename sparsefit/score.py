@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.errors import InputError
-from sparsefit.estimate import Estimate
-from sparsefit.flow import CellularFlow, Flow
-from sparsefit.scales import ScaleEstimate
+from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.scales import ScaleEstimate
+from sparsefit.flight.flow import CellularFlow, Flow
 
 TOLERANCE = 0.05  # relative, of the wavenumber: nearer than this, a scale counts as detected
 

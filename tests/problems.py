@@ -5,7 +5,9 @@ from functools import cache
 import numpy as np
 
 import sparsefit as sf
-from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.problem import RegressionProblem
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 SMALL_GRID = LengthScaleGrid(2.0, 7.0, step=0.5)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sparsefit.library import candidate_columns
-from sparsefit.refine import centred, project
+from sparsefit.library.builder import candidate_columns
+from sparsefit.modes.refine import centred, project
 
 CHUNK = 64  # wavenumbers per block of columns
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.estimate import Estimate
+from sparsefit.estimator.estimate import Estimate
 from sparsefit.score import strongest
 
 FLOW = sf.CellularFlow(mean_velocity=10.0, length_scale=4.0)  # timescale 0.4 s

@@ -12,8 +12,8 @@ from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, cast
 
-from sparsefit.backends.base import Backend, Solution, settings_of
 from sparsefit.errors import InputError, SparsefitError, unknown
+from sparsefit.regression.backend import Backend, Solution, settings_of
 
 __all__ = ["BACKENDS", "Backend", "Solution", "get", "known", "load", "settings_of"]
 

@@ -12,10 +12,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution, checked_number
 from sparsefit.backends.group_fit import DOUBT, explained, fit_on, residual_square
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind
+from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 

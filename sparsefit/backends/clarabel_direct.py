@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from sparsefit.backends.base import Solution, SolutionStatus
-from sparsefit.objective import Penalty, Statistics, alpha_max
+from sparsefit.regression.backend import Solution, SolutionStatus
+from sparsefit.regression.objective import Penalty, Statistics, alpha_max
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution, SolutionStatus
 from sparsefit.backends.clarabel_direct import solve_clarabel
 from sparsefit.errors import InputError, unknown
-from sparsefit.objective import Penalty, Statistics, alpha_max
+from sparsefit.regression.backend import Solution, SolutionStatus
+from sparsefit.regression.objective import Penalty, Statistics, alpha_max
 
 Array = NDArray[np.float64]
 

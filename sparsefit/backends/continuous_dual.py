@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import Certificate
-from sparsefit.refine import fourier_sums, kernel_gain
+from sparsefit.modes.refine import fourier_sums, kernel_gain
+from sparsefit.regression.objective import Certificate
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

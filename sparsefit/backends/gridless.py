@@ -16,7 +16,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution, checked_alpha_fraction
 from sparsefit.backends.continuous_dual import (
     Interval,
     Jet,
@@ -28,8 +27,9 @@ from sparsefit.backends.continuous_dual import (
 from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
 from sparsefit.backends.sliding import Atoms, slide
 from sparsefit.backends.variational import group_path
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import Certificate, CertificateKind
+from sparsefit.regression.backend import Solution, checked_alpha_fraction
+from sparsefit.regression.objective import Certificate, CertificateKind
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 

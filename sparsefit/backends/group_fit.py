@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.library import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]

@@ -7,7 +7,10 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import (
+from sparsefit.backends.conic import check_solver, solve_conic
+from sparsefit.backends.variational import GroupPath, group_path
+from sparsefit.errors import InputError, unknown
+from sparsefit.regression.backend import (
     AlphaFraction,
     Selection,
     Solution,
@@ -15,11 +18,8 @@ from sparsefit.backends.base import (
     checked_selection,
     numeric_fraction,
 )
-from sparsefit.backends.conic import check_solver, solve_conic
-from sparsefit.backends.variational import GroupPath, group_path
-from sparsefit.errors import InputError, unknown
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind, Penalty, alpha_max
+from sparsefit.regression.objective import CertificateKind, Penalty, alpha_max
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 GroupWeights = Literal["unit", "sqrt-size"]

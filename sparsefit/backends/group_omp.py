@@ -14,11 +14,11 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution, checked_number
 from sparsefit.backends.group_fit import explained, fit_on, residual_square
 from sparsefit.errors import InputError, unknown
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind
+from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]

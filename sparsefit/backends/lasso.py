@@ -6,7 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sparsefit.backends.base import (
+from sparsefit.backends.conic import check_solver, solve_conic
+from sparsefit.backends.homotopy import lasso_path
+from sparsefit.regression.backend import (
     AlphaFraction,
     Selection,
     Solution,
@@ -14,10 +16,8 @@ from sparsefit.backends.base import (
     checked_selection,
     numeric_fraction,
 )
-from sparsefit.backends.conic import check_solver, solve_conic
-from sparsefit.backends.homotopy import lasso_path
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind, Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.objective import CertificateKind, Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.problem import RegressionProblem
 
 EXACT = "homotopy"
 

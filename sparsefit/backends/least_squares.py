@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sparsefit.backends.base import Solution, checked_number
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind
+from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.problem import RegressionProblem
 
 
 @dataclass(frozen=True)

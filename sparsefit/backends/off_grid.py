@@ -5,10 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution
 from sparsefit.backends.continuous_dual import POINTS, Interval, scan_points
 from sparsefit.errors import InputError
-from sparsefit.library import CANDIDATES, RegressionProblem, candidate_columns
+from sparsefit.library.builder import CANDIDATES, candidate_columns
+from sparsefit.regression.backend import Solution
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.backends.base import Solution
 from sparsefit.backends.continuous_dual import MODES, Scanner, climb
 from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
 from sparsefit.errors import InputError
-from sparsefit.library import CANDIDATES, TARGET_NAMES, RegressionProblem
-from sparsefit.objective import Certificate, CertificateKind
+from sparsefit.library.builder import CANDIDATES, TARGET_NAMES
+from sparsefit.regression.backend import Solution
+from sparsefit.regression.objective import Certificate, CertificateKind
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 Columns = tuple[Array, Array, Array]

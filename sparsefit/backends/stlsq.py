@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
-from sparsefit.backends.base import Solution, checked_number
 from sparsefit.errors import InputError, unknown
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import CertificateKind
+from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.problem import RegressionProblem
 
 Array = NDArray[np.float64]
 Support = NDArray[np.bool_]

@@ -16,7 +16,7 @@ from sparsefit.bench.measure import compare, warm_up
 from sparsefit.bench.problems import NAMED, QUICK_GRID, Progress, Task
 from sparsefit.bench.result import BenchResult, ProblemSize
 from sparsefit.bench.robustness import Robustness, robustness
-from sparsefit.library import LengthScaleGrid
+from sparsefit.library.grid import LengthScaleGrid
 
 __all__ = ["FOLDER", "BenchResult", "Robustness", "robustness", "run", "write"]
 

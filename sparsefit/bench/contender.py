@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.bench.problems import KINDS, Kind, Task
-from sparsefit.objective import Statistics, accumulate, row_blocks
+from sparsefit.regression.objective import Statistics, accumulate, row_blocks
 
 Array: TypeAlias = NDArray[np.float64]
 Solve: TypeAlias = Callable[[Task, Array, float], Array]

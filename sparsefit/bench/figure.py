@@ -17,7 +17,7 @@ from sparsefit.bench.ours import OURS, VARIANTS
 from sparsefit.bench.problems import KINDS, Kind
 from sparsefit.bench.report import TITLES
 from sparsefit.bench.result import BenchResult
-from sparsefit.study.drawing import COLOURS, GREY, STYLE, panels
+from sparsefit.study.report.drawing import COLOURS, GREY, STYLE, panels
 
 FLOOR = 1e-16
 SHAPES = ("o", "s", "D", "v", "P", "X", "^", "<", ">", "h", "p")

@@ -11,9 +11,9 @@ from pathlib import Path
 from sparsefit.bench.figure import time_against_gap
 from sparsefit.bench.report import TITLES, tables
 from sparsefit.bench.result import BenchResult
-from sparsefit.study.drawing import to_png, to_svg
-from sparsefit.study.manifest import git_commit, versions
-from sparsefit.study.render import to_csv, to_latex, to_markdown
+from sparsefit.study.report.drawing import to_png, to_svg
+from sparsefit.study.report.render import to_csv, to_latex, to_markdown
+from sparsefit.study.run.manifest import git_commit, versions
 
 FOLDER = "solvers"
 PEERS = ("scikit-learn", "celer", "skglm", "spams-bin", "pysindy", "numba")

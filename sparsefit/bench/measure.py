@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.problems import Kind, Progress, Task
 from sparsefit.cached import cached_property
-from sparsefit.objective import duality_gaps
+from sparsefit.regression.objective import duality_gaps
 
 Array: TypeAlias = NDArray[np.float64]
 LEVELS = (1e-4, 1e-6, 1e-8)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sparsefit.bench.contender import Contender, gram_form
 from sparsefit.bench.problems import Task
-from sparsefit.fit import path
+from sparsefit.regression.fit import path
 
 Array: TypeAlias = NDArray[np.float64]
 OURS = "sparsefit"

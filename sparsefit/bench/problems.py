@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit import backends
-from sparsefit.backends.base import PathBackend
 from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import unknown
 from sparsefit.flight import simulate_flight
-from sparsefit.flow import CellularFlow
-from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
-from sparsefit.objective import Penalty, alpha_max
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.backend import PathBackend
+from sparsefit.regression.objective import Penalty, alpha_max
+from sparsefit.regression.problem import RegressionProblem
 
 Array: TypeAlias = NDArray[np.float64]
 Kind = Literal["lasso", "group-lasso", "joint-group-lasso"]

@@ -11,7 +11,7 @@ from sparsefit.bench.problems import KINDS, Kind
 from sparsefit.bench.result import BenchResult, geometric_mean
 from sparsefit.bench.scaling import Scaling, exponent
 from sparsefit.bench.targets import judged
-from sparsefit.study.table import Cell, Column, Table, significant
+from sparsefit.study.evidence.table import Cell, Column, Table, significant
 
 TITLES: dict[Kind, str] = {
     "lasso": "LASSO, one target",

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.bench.problems import KINDS, Kind, NamedFlight, Progress, task
-from sparsefit.fit import path
-from sparsefit.library import LengthScaleGrid, RegressionProblem
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.fit import path
+from sparsefit.regression.problem import RegressionProblem
 
 Array: TypeAlias = NDArray[np.float64]
 Alter: TypeAlias = Callable[[Array, Array, np.random.Generator], tuple[Array, Array]]

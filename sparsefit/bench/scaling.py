@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from sparsefit.backends.homotopy import lasso_path
 from sparsefit.bench.problems import LOWEST, NAMED, VEHICLE, Kind, NamedFlight, Progress, task
-from sparsefit.flow import CellularFlow
-from sparsefit.library import LengthScaleGrid, Library, candidate_columns
-from sparsefit.objective import Statistics, accumulate, duality_gaps
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.library.builder import Library, candidate_columns
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.objective import Statistics, accumulate, duality_gaps
 
 Array: TypeAlias = NDArray[np.float64]
 BASE = NAMED[3]

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from sparsefit.backends.stlsq import STLSQ
 from sparsefit.bench.problems import NamedFlight, Task
-from sparsefit.library import LengthScaleGrid, RegressionProblem, candidate_columns
-from sparsefit.objective import duality_gaps
+from sparsefit.library.builder import candidate_columns
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.objective import duality_gaps
+from sparsefit.regression.problem import RegressionProblem
 
 Array: TypeAlias = NDArray[np.float64]
 

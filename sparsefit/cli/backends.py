@@ -107,12 +107,13 @@ def run_check(args: argparse.Namespace) -> int:
     from sparsefit.backends.conic import installed_solvers
     from sparsefit.backends.loops import loop_of
     from sparsefit.derivative import Derivative
-    from sparsefit.estimator import Estimator
+    from sparsefit.estimator.estimator import Estimator
     from sparsefit.flight import simulate_flight
-    from sparsefit.flow import CellularFlow
-    from sparsefit.gram import product_loop
-    from sparsefit.library import LengthScaleGrid, Library
-    from sparsefit.vehicle import PointMassVehicle
+    from sparsefit.flight.flow import CellularFlow
+    from sparsefit.flight.vehicle import PointMassVehicle
+    from sparsefit.library.builder import Library
+    from sparsefit.library.grid import LengthScaleGrid
+    from sparsefit.regression.gram import product_loop
 
     backend = backends.get(args.name, **collected(args.setting))
     truth = CellularFlow(mean_velocity=15.0, length_scale=4.0)

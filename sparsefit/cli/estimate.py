@@ -12,10 +12,10 @@ from sparsefit.cli.output import duration, print_json
 from sparsefit.cli.parser import Verbs, collected, key_value, number, shown, verb, whole
 
 if TYPE_CHECKING:
-    from sparsefit.estimate import Estimate
-    from sparsefit.estimator import Estimator
+    from sparsefit.estimator.estimate import Estimate
+    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.estimator.scales import ScaleEstimate
     from sparsefit.flight import Flight
-    from sparsefit.scales import ScaleEstimate
 
 EXAMPLE = """\
   sparsefit estimate flight.csv
@@ -155,9 +155,10 @@ def _estimator(args: argparse.Namespace) -> Estimator:
 def _built(args: argparse.Namespace) -> Estimator:
     from sparsefit import backends
     from sparsefit.derivative import Derivative
-    from sparsefit.estimator import Estimator
-    from sparsefit.library import LengthScaleGrid, Library
-    from sparsefit.readout import Readout
+    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.library.builder import Library
+    from sparsefit.library.grid import LengthScaleGrid
+    from sparsefit.modes.readout import Readout
 
     # A window or an order is one of savgol: the automatic choice has none to be told.
     told = args.window is not None or args.order is not None
@@ -187,7 +188,7 @@ def _given(**options: Any) -> dict[str, Any]:
 
 def _read_estimator(path: str) -> Estimator:
     from sparsefit.errors import InputError
-    from sparsefit.estimator import Estimator
+    from sparsefit.estimator.estimator import Estimator
 
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -206,7 +207,7 @@ def _flight(args: argparse.Namespace, unknown: tuple[str, ...]) -> Flight:
     from sparsefit.errors import InputError
     from sparsefit.flight import read_flight
     from sparsefit.flight.files import FORMATS
-    from sparsefit.vehicle import PointMassVehicle
+    from sparsefit.flight.vehicle import PointMassVehicle
 
     given = _given(
         response_time=args.response_time, thrust_ax=args.thrust_ax, thrust_ay=args.thrust_ay

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sparsefit.study.table import Table
+    from sparsefit.study.evidence.table import Table
 
 
 def print_json(record: object) -> None:

@@ -17,10 +17,10 @@ from sparsefit.cli.output import (
 from sparsefit.cli.parser import Verbs, number, verb
 
 if TYPE_CHECKING:
-    from sparsefit.estimator import Estimator
-    from sparsefit.selection import Selection
-    from sparsefit.study.design import Cell
-    from sparsefit.study.spec import Study
+    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.study.evidence.selection import Selection
+    from sparsefit.study.spec.design import Cell
+    from sparsefit.study.spec.study import Study
 
 EXAMPLE = """\
   sparsefit select studies/NAME.toml
@@ -74,11 +74,11 @@ def add(verbs: Verbs) -> None:
 def run(args: argparse.Namespace) -> int:
     """Choose, write, and show the evidence."""
     refuse_existing(args.output, force=args.force)
-    from sparsefit.selection import CRITERIA, select
-    from sparsefit.study import runner
-    from sparsefit.study.report import write_table
-    from sparsefit.study.spec import Study
-    from sparsefit.study.store import read_cases
+    from sparsefit.study.evidence.selection import CRITERIA, select
+    from sparsefit.study.report.pages import write_table
+    from sparsefit.study.run import runner
+    from sparsefit.study.run.store import read_cases
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     folder = runner.status(study, args.results).folder  # refuses the results of another study
@@ -100,14 +100,14 @@ def run(args: argparse.Namespace) -> int:
 
 def estimator_of(study: Study, chosen: Selection) -> Estimator:
     """The estimator that the chosen cases used."""
-    from sparsefit.study.design import cells
-    from sparsefit.study.execution import estimator_for
+    from sparsefit.study.run.execution import estimator_for
+    from sparsefit.study.spec.design import cells
 
     return estimator_for(study, next(one for one in cells(study) if _is(one, chosen)))
 
 
 def _is(cell: Cell, chosen: Selection) -> bool:
-    from sparsefit.study.document import canonical_json
+    from sparsefit.study.spec.document import canonical_json
 
     fixed = (cell.protocol, cell.backend, cell.label, cell.canonical_settings)
     if fixed != (chosen.protocol, chosen.backend, chosen.label, chosen.settings):
@@ -140,7 +140,7 @@ def _record(chosen: Selection, output: str) -> dict[str, object]:
 
 
 def _lines(chosen: Selection, output: str) -> list[str]:
-    from sparsefit.study.render import to_text
+    from sparsefit.study.report.render import to_text
 
     return [
         to_text(chosen.table, width=terminal_width()),

@@ -81,8 +81,8 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
     refuse_existing(args.output, force=args.force)
     from sparsefit.flight import simulate_flight, write_flight
-    from sparsefit.flow import CellularFlow, SuperposedFlow
-    from sparsefit.vehicle import PointMassVehicle
+    from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+    from sparsefit.flight.vehicle import PointMassVehicle
 
     cells = CellularFlow(args.mean_velocity, args.length_scale)
     flight = simulate_flight(

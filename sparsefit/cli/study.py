@@ -66,7 +66,7 @@ def _no_action(args: argparse.Namespace) -> int:
 
 def check(args: argparse.Namespace) -> int:
     """Exit 0 if the study file is valid."""
-    from sparsefit.study.spec import Study
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     if args.json:
@@ -78,8 +78,8 @@ def check(args: argparse.Namespace) -> int:
 
 def plan(args: argparse.Namespace) -> int:
     """What will be simulated, fitted and written."""
-    from sparsefit.study.design import counts
-    from sparsefit.study.spec import Study
+    from sparsefit.study.spec.design import counts
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     counted = counts(study)

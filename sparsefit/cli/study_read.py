@@ -14,8 +14,8 @@ from sparsefit.cli.study_run import by_status, write_pages
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.study.runner import RunStatus
-    from sparsefit.study.spec import Study
+    from sparsefit.study.run.runner import RunStatus
+    from sparsefit.study.spec.study import Study
 
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 
@@ -41,8 +41,8 @@ def add_options(show: Parser) -> None:
 
 def status(args: argparse.Namespace) -> int:
     """Planned, done, and by status."""
-    from sparsefit.study import runner
-    from sparsefit.study.spec import Study
+    from sparsefit.study.run import runner
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     found = runner.status(study, args.results)
@@ -89,9 +89,9 @@ def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
 def show(args: argparse.Namespace) -> int:
     """The tables of the study, or those asked for."""
     from sparsefit.errors import unknown
-    from sparsefit.study.render import to_text
-    from sparsefit.study.report import render_show
-    from sparsefit.study.tables import TABLES, tables_for
+    from sparsefit.study.evidence.tables import TABLES, tables_for
+    from sparsefit.study.report.pages import render_show
+    from sparsefit.study.report.render import to_text
 
     for name in args.table or ():
         if name not in TABLES:
@@ -113,10 +113,10 @@ def show(args: argparse.Namespace) -> int:
 def report(args: argparse.Namespace) -> int:
     """Tables, figures and report anew; the cases stay as they are."""
     from sparsefit.errors import InputError
-    from sparsefit.study import runner
-    from sparsefit.study.answers import sentences
-    from sparsefit.study.spec import Study
-    from sparsefit.study.store import read_cases
+    from sparsefit.study.evidence.answers import sentences
+    from sparsefit.study.run import runner
+    from sparsefit.study.run.store import read_cases
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     found = runner.status(study, args.results)
@@ -134,9 +134,9 @@ RUNS: dict[str, Run] = {"status": status, "errors": errors, "show": show, "repor
 def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
     from sparsefit.errors import InputError
-    from sparsefit.study import partial, runner, store
-    from sparsefit.study.design import cells
-    from sparsefit.study.spec import Study
+    from sparsefit.study.run import partial, runner, store
+    from sparsefit.study.spec.design import cells
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     found = runner.status(study, args.results)

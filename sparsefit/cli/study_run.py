@@ -15,8 +15,8 @@ from sparsefit.cli.progress import Bar, Lines
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.study.runner import RunSummary
-    from sparsefit.study.spec import Study
+    from sparsefit.study.run.runner import RunSummary
+    from sparsefit.study.spec.study import Study
 
 STOPPED = "stopped; run the same command again to continue"
 STOPPED_FRESH = "stopped; run the same command without --fresh to continue"
@@ -36,8 +36,8 @@ def add_options(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run to the end; write and print what came out."""
-    from sparsefit.study import runner
-    from sparsefit.study.spec import Study
+    from sparsefit.study.run import runner
+    from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     if args.fresh:
@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
-    from sparsefit.study.answers import sentences
-    from sparsefit.study.store import read_cases
+    from sparsefit.study.evidence.answers import sentences
+    from sparsefit.study.run.store import read_cases
 
     cases = read_cases(summary.folder)
     written = write_pages(study, args.results, cases)
@@ -75,8 +75,8 @@ def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
 
 def write_pages(study: Study, results: str, cases: pd.DataFrame) -> list[Path]:
     """Tables, figures and README of the stored cases; the files written, README last."""
-    from sparsefit.study.report import write_report
-    from sparsefit.study.store import WEIGHTS, read_weights
+    from sparsefit.study.report.pages import write_report
+    from sparsefit.study.run.store import WEIGHTS, read_weights
 
     folder = Path(results) / study.name
     weights = read_weights(folder) if (folder / WEIGHTS).exists() else None
@@ -84,8 +84,8 @@ def write_pages(study: Study, results: str, cases: pd.DataFrame) -> list[Path]:
 
 
 def _main_table(study: Study, cases: pd.DataFrame) -> str:
-    from sparsefit.study.render import to_text
-    from sparsefit.study.tables import TABLES, tables_for
+    from sparsefit.study.evidence.tables import TABLES, tables_for
+    from sparsefit.study.report.render import to_text
 
     first = (*study.tables, *tables_for(cases))[0]
     return to_text(TABLES[first](study, cases), width=terminal_width())
@@ -105,7 +105,7 @@ def _what_was_done(summary: RunSummary) -> str:
 
 def by_status(statuses: Mapping[str, int]) -> str:
     """`93 ok, 2 unidentifiable`, in the order of the vocabulary."""
-    from sparsefit.study.summary import STATUSES
+    from sparsefit.study.evidence.summary import STATUSES
 
     order = [name for name in STATUSES if name in statuses]
     return ", ".join(f"{statuses[name]} {name}" for name in order) or "none"

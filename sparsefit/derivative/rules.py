@@ -13,7 +13,7 @@ from sparsefit.derivative.smoothing import SHARE, SHORTEST, Channels, Smoothing,
 from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
 from sparsefit.errors import InputError, unknown
 from sparsefit.flight import Flight
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle
 
 Array: TypeAlias = npt.NDArray[np.float64]
 # time (m,), state (m, 4), its rate (m, 4), how they were smoothed

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparsefit.errors import InputError
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -11,7 +11,7 @@ from sparsefit.errors import InputError, unknown
 from sparsefit.flight import csv_file, parquet_file
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle
 
 FORMATS: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sparsefit.errors import InputError
-from sparsefit.flow import CellularFlow, Flow, SuperposedFlow
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
+from sparsefit.flight.vehicle import PointMassVehicle
 
 Array: TypeAlias = npt.NDArray[np.float64]
 

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from scipy.integrate import ode
 
 from sparsefit.errors import InputError, non_negative, pair, positive
+from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight
-from sparsefit.flow import CellularFlow, Flow, SuperposedFlow
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle
 
 Array: TypeAlias = npt.NDArray[np.float64]
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.errors import InputError
+from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.record import Flight
-from sparsefit.flow import CellularFlow, Flow, SuperposedFlow
-from sparsefit.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle
 
 COLUMNS = ("time", "x", "y", "vx", "vy")  # s, m, m, m/s, m/s
 KEYS = ("response_time", "thrust_ax", "thrust_ay", "mean_velocity", "length_scale")

@@ -1,9 +1,9 @@
 """Studies: one TOML file, every planned case a row, and results that are written by the program."""
 
-from sparsefit.study.design import Case, Cell, Counts, cells, counts, plan
-from sparsefit.study.runner import RunStatus, RunSummary, run, status
-from sparsefit.study.spec import Study
-from sparsefit.study.store import read_cases, read_weights
+from sparsefit.study.run.runner import RunStatus, RunSummary, run, status
+from sparsefit.study.run.store import read_cases, read_weights
+from sparsefit.study.spec.design import Case, Cell, Counts, cells, counts, plan
+from sparsefit.study.spec.study import Study
 
 __all__ = [
     "Case",

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.derivative import Samples
-from sparsefit.filters import Filters
-from sparsefit.nuisance import VehicleEstimate
-from sparsefit.refine import centred, project
+from sparsefit.derivative.filters import Filters
+from sparsefit.library.nuisance import VehicleEstimate
+from sparsefit.modes.refine import centred, project
 from sparsefit.uncertainty import bias, noise
 from sparsefit.uncertainty.model import LAGS, Fitted, uncertainty
 from sparsefit.uncertainty.record import Uncertainty

@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.derivative import Samples
-from sparsefit.filters import Filters
-from sparsefit.joint import fit_at
-from sparsefit.nuisance import VehicleEstimate
-from sparsefit.refine import centred
-from sparsefit.rows import Rows
+from sparsefit.derivative.filters import Filters
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.nuisance import VehicleEstimate
+from sparsefit.modes.joint import fit_at
+from sparsefit.modes.refine import centred
+from sparsefit.modes.rows import Rows
 from sparsefit.uncertainty import carried, left_in
 from sparsefit.uncertainty.assess import EXACT, Assessment
 from sparsefit.uncertainty.model import LAGS
 from sparsefit.uncertainty.record import Uncertainty
 from sparsefit.uncertainty.superposed import Superposed
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
-from sparsefit.vehicle import PointMassVehicle
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """What smoothing and noisy positions take from the weights, to first order.
 
-Truncation. Phi is read through the filters of `sparsefit.filters`: along the path, with
+Truncation. Phi is read through the filters of `sparsefit.derivative.filters`: along the path, with
 V' = (w - v)/tau + a, it is away from w by
 
     b = (P - 1)(w - v) + (S - 1) v - grad w . (X_s - x),
@@ -19,7 +19,7 @@ path leaves a combination of columns ill determined (Carroll et al., 2006).
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.filters import Filters, fast_length
+from sparsefit.derivative.filters import Filters, fast_length
 from sparsefit.uncertainty.model import Fitted, along_x, along_y
 from sparsefit.uncertainty.superposed import Superposed
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.derivative import Samples
-from sparsefit.filters import Filters, fast_length, kicks_through
+from sparsefit.derivative.filters import Filters, fast_length, kicks_through
 from sparsefit.uncertainty.model import LAGS
 from sparsefit.uncertainty.noise import levels, power
 from sparsefit.uncertainty.spectra import frequency_weights

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.derivative import Samples, WeakRows
-from sparsefit.filters import Filters, kicks_through
+from sparsefit.derivative.filters import Filters, kicks_through
 from sparsefit.uncertainty.bias import WAVES, truncation
 from sparsefit.uncertainty.model import along_x, along_y
 from sparsefit.uncertainty.superposed import Superposed

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, positive
-from sparsefit.readout import rms_mean_velocity
-from sparsefit.refine import DX, DX_SIGN, DY, DY_SIGN, centred, columns, project
+from sparsefit.modes.readout import rms_mean_velocity
+from sparsefit.modes.refine import DX, DX_SIGN, DY, DY_SIGN, centred, columns, project
 from sparsefit.uncertainty.record import Uncertainty
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit.filters import Filters, fast_length
+from sparsefit.derivative.filters import Filters, fast_length
 from sparsefit.uncertainty.model import Fitted
 from sparsefit.uncertainty.spectra import frequency_weights
 

@@ -11,7 +11,9 @@ from sparsefit.backends.best_scale import BestScale
 from sparsefit.backends.group_fit import explained
 from sparsefit.backends.group_omp import GroupOMP
 from sparsefit.backends.parametric_nls import ParametricNLS
-from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.problem import RegressionProblem
 from tests.problems import (
     DEGENERATE_KINDS,
     VEHICLE,

@@ -11,7 +11,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.backends import conic
 from sparsefit.errors import InputError
-from sparsefit.library import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem
 
 FOUND = {name.lower() for name in cvxpy.installed_solvers()}
 SOLVERS = {

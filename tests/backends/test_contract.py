@@ -11,10 +11,10 @@ from problems import GENERAL, flight_problem, orthonormal, regular
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.backends.base import PathBackend, PenalisedBackend
 from sparsefit.errors import InputError
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import alpha_max
+from sparsefit.regression.backend import PathBackend, PenalisedBackend
+from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.problem import RegressionProblem
 
 FOUND = {name.lower() for name in cvxpy.installed_solvers()}
 BY_SOLVER = [

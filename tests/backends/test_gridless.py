@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.backends.base import Solution
 from sparsefit.backends.continuous_dual import (
     Scanner,
     continuous_alpha_max,
@@ -16,10 +15,13 @@ from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.backends.group_lasso import GroupLasso
 from sparsefit.backends.off_grid import columns_at
 from sparsefit.backends.sliding import Atoms, derivatives
-from sparsefit.joint import descend
-from sparsefit.library import LengthScaleGrid, Library, RegressionProblem
-from sparsefit.objective import Penalty, duality_gaps
-from sparsefit.refine import centred
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.modes.joint import descend
+from sparsefit.modes.refine import centred
+from sparsefit.regression.backend import Solution
+from sparsefit.regression.objective import Penalty, duality_gaps
+from sparsefit.regression.problem import RegressionProblem
 from tests.problems import VEHICLE, flight, flight_problem
 from tests.references import dual_certificate
 

@@ -12,8 +12,8 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.backends import variational
 from sparsefit.errors import InputError
-from sparsefit.library import RegressionProblem
-from sparsefit.objective import alpha_max
+from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.problem import RegressionProblem
 
 PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01]
 

@@ -10,7 +10,7 @@ from sklearn.linear_model import Lasso
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from sparsefit.objective import alpha_max, lasso_penalty
+from sparsefit.regression.objective import alpha_max, lasso_penalty
 
 PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01, 1e-3]
 

@@ -9,7 +9,7 @@ from problems import flight_problem, regular
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from sparsefit.library import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem
 
 
 def fitted(problem, rcond=None, tolerance=1e-8):

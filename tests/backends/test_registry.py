@@ -11,8 +11,8 @@ from problems import regular
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.backends.base import Solution, checked_number
 from sparsefit.errors import InputError
+from sparsefit.regression.backend import Solution, checked_number
 
 
 @dataclass(frozen=True)

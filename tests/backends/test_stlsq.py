@@ -10,7 +10,7 @@ from problems import flight_problem, regular
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from sparsefit.library import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem
 
 
 def fixture():

@@ -10,18 +10,18 @@ import pandas as pd
 import pytest
 from test_tables import STUDY, case, column, frame
 
-from sparsefit.bound import cramer_rao
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells
-from sparsefit.study.answers import ANSWERS, sentences
-from sparsefit.study.design import fit_key
-from sparsefit.study.execution import Outcome, run_flight
-from sparsefit.study.flights import SIMULATION, stream
-from sparsefit.study.runner import solver_seconds
-from sparsefit.study.sentence import extremes, listed, some
-from sparsefit.study.store import cases_table
-from sparsefit.study.tables import TABLES
-from sparsefit.study.windows import seconds_to
+from sparsefit.study.evidence.answers import ANSWERS, sentences
+from sparsefit.study.evidence.sentence import extremes, listed, some
+from sparsefit.study.evidence.tables import TABLES
+from sparsefit.study.evidence.windows import seconds_to
+from sparsefit.study.run.execution import Outcome, run_flight
+from sparsefit.study.run.runner import solver_seconds
+from sparsefit.study.run.store import cases_table
+from sparsefit.study.spec.design import fit_key
+from sparsefit.study.spec.flights import SIMULATION, stream
+from sparsefit.uncertainty.bound import cramer_rao
 
 GROUP = "rms of error/bound"
 

@@ -9,8 +9,8 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells, counts, plan
-from sparsefit.study.design import grouped
-from sparsefit.study.flights import SIMULATION, Draw, stream
+from sparsefit.study.spec.design import grouped
+from sparsefit.study.spec.flights import SIMULATION, Draw, stream
 
 HEAD = """
 name = "d"

@@ -11,11 +11,11 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study
-from sparsefit.study.drawing import to_png, to_svg
-from sparsefit.study.error_figures import quartiles
-from sparsefit.study.figures import CAPTIONS, FIGURES, figures_for
-from sparsefit.study.report import render_show, write_report
-from sparsefit.study.scatter_figure import Frame, first_listed
+from sparsefit.study.report.drawing import to_png, to_svg
+from sparsefit.study.report.error_figures import quartiles
+from sparsefit.study.report.figures import CAPTIONS, FIGURES, figures_for
+from sparsefit.study.report.pages import render_show, write_report
+from sparsefit.study.report.scatter_figure import Frame, first_listed
 
 BACKENDS = {"least-squares": 0.5, "lasso": 0.05, "a $name_{x}$ & 100 %": 0.02}
 

@@ -8,9 +8,9 @@ import pytest
 from test_tables import case
 
 from sparsefit.errors import InputError
-from sparsefit.study.answers import ANSWERS
-from sparsefit.study.figures import FIGURES
-from sparsefit.study.methods import NOISE, lines, median_size, methods, noise_label
+from sparsefit.study.evidence.answers import ANSWERS
+from sparsefit.study.evidence.methods import NOISE, lines, median_size, methods, noise_label
+from sparsefit.study.report.figures import FIGURES
 
 STUDY = SimpleNamespace(name="demo")
 QUIET, LOUD = "[0,0]", "[0.5,0.1]"

@@ -18,7 +18,7 @@ import pytest
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.study import Study, read_cases, run, status
-from sparsefit.study.worker import Worker
+from sparsefit.study.run.worker import Worker
 
 ROOT = Path(__file__).parents[2]
 PLUGIN = '''
@@ -27,7 +27,7 @@ import os, time
 from dataclasses import dataclass
 from typing import ClassVar
 import numpy as np
-from sparsefit.backends.base import Solution
+from sparsefit.regression.backend import Solution
 
 
 @dataclass(frozen=True)

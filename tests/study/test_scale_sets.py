@@ -13,15 +13,15 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.estimate import Estimate
+from sparsefit.estimator.estimate import Estimate
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.certificate_figure import certificate_figure
-from sparsefit.study.execution import Outcome, run_flight
-from sparsefit.study.figures import FIGURES, figures_for
-from sparsefit.study.flights import STREAMS
-from sparsefit.study.scale_columns import ScaleColumns, scale_columns
-from sparsefit.study.scale_sets import Regime, answer, has_scales, scales
-from sparsefit.study.tables import tables_for
+from sparsefit.study.evidence.scale_columns import ScaleColumns, scale_columns
+from sparsefit.study.evidence.scale_sets import Regime, answer, has_scales, scales
+from sparsefit.study.evidence.tables import tables_for
+from sparsefit.study.report.certificate_figure import certificate_figure
+from sparsefit.study.report.figures import FIGURES, figures_for
+from sparsefit.study.run.execution import Outcome, run_flight
+from sparsefit.study.spec.flights import STREAMS
 
 TEXT = """
 name = "two"

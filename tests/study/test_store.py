@@ -12,12 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.study import Study, cells, partial, plan, read_cases, read_weights, run
-from sparsefit.study.execution import Outcome, Stage, run_flight
-from sparsefit.study.manifest import git_commit, read_manifest
-from sparsefit.study.pace import Pace
-from sparsefit.study.store import COLUMNS, write_cases
-from sparsefit.study.tables import TABLES
+from sparsefit.study import Study, cells, plan, read_cases, read_weights, run
+from sparsefit.study.evidence.tables import TABLES
+from sparsefit.study.run import partial
+from sparsefit.study.run.execution import Outcome, Stage, run_flight
+from sparsefit.study.run.manifest import git_commit, read_manifest
+from sparsefit.study.run.pace import Pace
+from sparsefit.study.run.store import COLUMNS, write_cases
 
 TEXT = """
 name = "s"

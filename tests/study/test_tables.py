@@ -10,12 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sparsefit.study import paper
-from sparsefit.study.escape import escape_markdown, escape_tex
-from sparsefit.study.readings import distance
-from sparsefit.study.render import to_csv, to_latex, to_markdown, to_text
-from sparsefit.study.summary import by_setting, estimated, hits, percent_errors
-from sparsefit.study.table import (
+from sparsefit.study.evidence import paper
+from sparsefit.study.evidence.readings import distance
+from sparsefit.study.evidence.summary import by_setting, estimated, hits, percent_errors
+from sparsefit.study.evidence.table import (
     SIGNIFICANT,
     Column,
     Table,
@@ -24,7 +22,9 @@ from sparsefit.study.table import (
     plain,
     significant,
 )
-from sparsefit.study.tables import TABLES, tables_for
+from sparsefit.study.evidence.tables import TABLES, tables_for
+from sparsefit.study.report.escape import escape_markdown, escape_tex
+from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
 
 STUDY = SimpleNamespace(
     name="demo",

@@ -9,14 +9,14 @@ import pytest
 from scipy.stats import norm
 from test_tables import STUDY, case, column, frame
 
-from sparsefit.estimator import Estimator
+from sparsefit.estimator.estimator import Estimator
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.answers import ANSWERS
-from sparsefit.study.confidence import Share, held
-from sparsefit.study.execution import Outcome, run_flight
-from sparsefit.study.store import write_cases
-from sparsefit.study.tables import TABLES
-from sparsefit.study.yardsticks import intervals
+from sparsefit.study.evidence.answers import ANSWERS
+from sparsefit.study.evidence.confidence import Share, held
+from sparsefit.study.evidence.tables import TABLES
+from sparsefit.study.evidence.yardsticks import intervals
+from sparsefit.study.run.execution import Outcome, run_flight
+from sparsefit.study.run.store import write_cases
 from sparsefit.uncertainty import Uncertainty, uncertainty
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")

@@ -1,0 +1,6 @@
+"""From a flight to the flow's parameters."""
+
+from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.estimator import Estimator
+
+__all__ = ["Estimate", "Estimator"]

@@ -1,0 +1,63 @@
+"""What comes of a flight: the parameters, how sure they are, and how they came about."""
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from sparsefit.estimator.scales import ScaleEstimate
+from sparsefit.regression.objective import Certificate
+from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
+
+    status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
+    grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
+    length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
+    refinement found the best other lobe of the residual [m]; response_time [s],
+    thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown;
+    scales: all cellular flows found, fastest first, where the readout asks for several: the
+    parameters are those of the first. uncertainty: of a refined scale with the ``rms`` mean
+    velocity, `unidentifiable` or not: it holds within the lobe that was chosen, and says nothing
+    of its rival; None with other readouts and below 21 samples; of several scales each has its
+    own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow.
+    """
+
+    mean_velocity: float
+    length_scale: float
+    timescale: float
+    status: str
+    reason: str
+    backend: str
+    settings: dict[str, Any]
+    certificate: Certificate | None = None
+    grid_length_scale: float = math.nan
+    weights_by_scale: dict[float, float] = field(default_factory=dict, repr=False)
+    seconds: float = math.nan
+    samples: int = 0
+    columns: int = 0
+    rival_length_scale: float = math.nan
+    uncertainty: Uncertainty | None = None
+    response_time: float = math.nan
+    thrust_acceleration: tuple[float, float] | None = None
+    wind: tuple[float, float] | None = None
+    scales: tuple[ScaleEstimate, ...] = ()
+    vehicle_uncertainty: VehicleUncertainty | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The estimate as JSON-ready values; NaN becomes None."""
+        values = asdict(self)
+        values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
+        values["scales"] = [asdict(one) for one in self.scales]
+        cleaned: dict[str, Any] = _without_nan(values)
+        return cleaned
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

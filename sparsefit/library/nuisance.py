@@ -1,0 +1,162 @@
+"""What is not known beside the flow: the vehicle's parameters and a steady wind, never penalised.
+
+With the parameters tau_0, a_0 that the vehicle is believed to have, Phi_0 = tau_0 (v' - a_0) + v,
+and v' = (C W + wind - v)/tau + a gives
+
+    Phi_0 = (tau_0/tau) C W + (1 - tau_0/tau) v + [tau_0 (a - a_0) + (tau_0/tau) wind]:
+
+linear in a coefficient of v and a constant per component. These columns N join the regression
+without a penalty: minimising over them first leaves the same problem in (I - P_N) C and
+(I - P_N) Phi_0 (Frisch and Waugh, 1933; Lovell, 1963), exactly, for every back-end. The answer
+does not depend on tau_0, nor on a_0 where it is sought: both only rescale or shift Phi_0 along N.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.errors import InputError, unknown
+from sparsefit.flight.vehicle import PointMassVehicle
+
+Array = NDArray[np.float64]
+
+UNKNOWNS = ("response_time", "thrust_acceleration", "wind")
+RANK = 1e-10  # singular values of N below this, relative, are dropped
+SPANNED = 1e-9  # of a candidate's norm; what is left of it beside N is rounding
+
+
+def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
+    """The names in the order of `UNKNOWNS`; InputError on any other, or a pair that none can tell.
+
+    A constant thrust and a steady wind act alike, as a + wind/tau.
+    """
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise InputError(
+            f"unknown must be a list of names such as ('response_time',); got {names!r}"
+        )
+    for name in names:
+        if name not in UNKNOWNS:
+            raise unknown("parameter of the vehicle", name, UNKNOWNS)
+    found = tuple(name for name in UNKNOWNS if name in names)
+    if {"thrust_acceleration", "wind"} <= set(found):
+        raise InputError(
+            "thrust_acceleration and wind cannot both be unknown: a flight only tells "
+            "a + wind/tau; give one of them"
+        )
+    if found and target != "flow-velocity":
+        raise InputError(
+            f"unknown {found[0]!r} needs the target 'flow-velocity', not {target!r}; leave one out"
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class VehicleEstimate:
+    """tau [s], a [m/s^2] and the wind [m/s], believed or estimated, and what was estimated."""
+
+    response_time: float
+    thrust_acceleration: tuple[float, float]
+    wind: tuple[float, float]
+    unknown: tuple[str, ...]
+
+    @property
+    def possible(self) -> bool:
+        """Whether tau is above 0 and all are finite."""
+        values = (self.response_time, *self.thrust_acceleration, *self.wind)
+        return self.response_time > 0 and all(map(math.isfinite, values))
+
+    def flow_velocity(self, velocity: Array, acceleration: Array) -> Array:
+        """Phi less the wind [m/s], (..., 2)."""
+        vehicle = PointMassVehicle(self.response_time, self.thrust_acceleration)
+        flow: Array = vehicle.flow_velocity(velocity, acceleration) - np.array(self.wind)
+        return flow
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """The columns of what is unknown, one shared coefficient of v and a constant per component."""
+
+    unknown: tuple[str, ...]
+    believed: PointMassVehicle
+
+    @property
+    def shared(self) -> bool:
+        """Whether v has a column: tau is unknown."""
+        return "response_time" in self.unknown
+
+    @property
+    def constant(self) -> bool:
+        """Whether there is a constant: thrust or wind is unknown."""
+        return bool({"thrust_acceleration", "wind"} & set(self.unknown))
+
+    @property
+    def pairs(self) -> list[tuple[int | None, int | None]]:
+        """Which of `series` each unknown coefficient multiplies in the x and in the y component."""
+        offset = 2 * self.shared
+        constants: list[tuple[int | None, int | None]] = [(offset, None), (None, offset)]
+        return [(0, 1)] * self.shared + constants * self.constant
+
+    def series(self, velocity: Array) -> Array:
+        """v_x and v_y, then 1, as far as they are needed: (j, m), from v (m, 2)."""
+        rows = [*(velocity.T if self.shared else ()), *([np.ones(len(velocity))] * self.constant)]
+        stacked: Array = np.array(rows).reshape(-1, len(velocity))
+        return stacked
+
+    def columns(self, velocity: Array) -> Array:
+        """N (2, m, p): the columns of the p coefficients in either component."""
+        series, zero = self.series(velocity), np.zeros(len(velocity))
+        both = (
+            [zero if index is None else series[index] for index in pair]
+            for pair in zip(*self.pairs, strict=True)
+        )
+        return np.array([np.stack(one, axis=1) for one in both])
+
+    def basis(self, velocity: Array) -> Array:
+        """An orthonormal basis (m, r) of the span of `series`.
+
+        A back-end shares one theta between the components, so that each has coefficients of its
+        own here, of v_x and v_y; the refinement and the readout share the one of v.
+        """
+        left, roots, _ = np.linalg.svd(self.series(velocity).T, full_matrices=False)
+        kept: Array = left[:, roots > RANK * roots[0]]
+        return kept
+
+    def read(self, coefficients: Array) -> VehicleEstimate:
+        """The parameters from the coefficients (p,) of `columns`."""
+        tau, thrust = self.believed.response_time, self.believed.thrust_acceleration
+        ratio = 1.0 - float(coefficients[0]) if self.shared else 1.0
+        shift = coefficients[-2:] if self.constant else np.zeros(2)
+        wind = np.zeros(2)
+        if "thrust_acceleration" in self.unknown:
+            x, y = (np.array(thrust) + shift / tau).tolist()
+            thrust = (x, y)
+        else:
+            wind = shift / ratio if ratio else np.full(2, math.nan)
+        east, north = wind.tolist()
+        found = tau / ratio if ratio else math.inf
+        return VehicleEstimate(found, thrust, (east, north), self.unknown)
+
+
+def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
+    """(I - Q Q') theta and target, Q (m, r): what the penalised problem is left with.
+
+    Raises:
+        InputError: if a candidate is a combination of the unknown columns.
+    """
+    left = theta - basis @ (basis.T @ theta)
+    refuse_spanned(np.linalg.norm(left, axis=0), np.linalg.norm(theta, axis=0))
+    return left, target - basis @ (basis.T @ target)
+
+
+def refuse_spanned(left: Array, norms: Array) -> None:
+    """InputError if nothing is left of a candidate, norms (k,) before and after."""
+    if (left <= SPANNED * norms).any():
+        raise InputError(
+            "a candidate is a combination of the velocity and a constant: the flight is too "
+            "straight to tell what is unknown; turn, or give the vehicle"
+        )

@@ -1,0 +1,155 @@
+"""Parameters read from weights: the length scale (Eq. 21), the mean velocity (Eqs. 22-24)."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.errors import InputError, unknown
+from sparsefit.library.builder import candidate_columns
+from sparsefit.regression.problem import RegressionProblem
+
+if TYPE_CHECKING:
+    from sparsefit.modes.rows import Rows
+
+Array = NDArray[np.float64]
+LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
+MeanVelocityReadout = Literal["paper", "rms", "peak"]
+Eq24 = Literal["mean-ratio", "pseudo-inverse"]
+Refine = Literal["none", "variable-projection"]
+Scales = Literal["one", "several"]
+Correction = Literal["none", "first-order"]
+CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
+
+
+@dataclass(frozen=True)
+class Readout:
+    """How weights become parameters.
+
+    length_scale: the scale with the largest sum of weights (``signed-sum``, Eq. 21 to the
+    letter), of their absolute values (``absolute-sum``) or the largest Euclidean norm of its
+    block (``group-norm``).
+    mean_velocity, after a refit on the 8 columns of that scale: ``paper`` (Eqs. 22-24, whose last
+    step is read as the mean of element-wise ratios, ``mean-ratio``, which has poles, or as the
+    least-squares coefficient, ``pseudo-inverse``), ``rms`` over the cell in closed form, or the
+    ``peak`` of |w| over the cell.
+    refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
+    the 8-column fit between the grid's bounds; ``none`` reports the candidate itself.
+    scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
+    flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
+    (`sparsefit.estimator.scales`). Its peaks are those of the Euclidean norm always.
+    correction: ``first-order`` takes from a refined ``rms`` readout what smoothing, differencing
+    and noisy positions are known to do to it; ``none`` leaves it.
+    """
+
+    length_scale: LengthScaleReadout = "group-norm"
+    mean_velocity: MeanVelocityReadout = "rms"
+    eq24: Eq24 = "pseudo-inverse"
+    refine: Refine = "variable-projection"
+    scales: Scales = "one"
+    correction: Correction = "first-order"
+
+    def __post_init__(self) -> None:
+        for key, valid in (
+            ("length_scale", get_args(LengthScaleReadout)),
+            ("mean_velocity", get_args(MeanVelocityReadout)),
+            ("eq24", get_args(Eq24)),
+            ("refine", get_args(Refine)),
+            ("scales", get_args(Scales)),
+            ("correction", get_args(Correction)),
+        ):
+            if getattr(self, key) not in valid:
+                raise unknown(f"readout {key}", str(getattr(self, key)), valid)
+        if self.scales == "several" and self.mean_velocity == "paper":
+            raise InputError(
+                "readout: mean_velocity 'paper' (Eq. 22) scales one field to its range and cannot "
+                "part several; use 'rms' or 'peak', or scales 'one'"
+            )
+
+    def scale_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """The weight of each group (g,), by the length-scale readout, from weights (k, n)."""
+        groups = int(problem.groups.max()) + 1
+        rows = {
+            "signed-sum": weights.sum(axis=1),
+            "absolute-sum": np.abs(weights).sum(axis=1),
+            "group-norm": np.square(weights).sum(axis=1),
+        }[self.length_scale]
+        sums = np.bincount(problem.groups, weights=rows, minlength=groups).astype(float)
+        return np.sqrt(sums) if self.length_scale == "group-norm" else sums
+
+    def velocity(
+        self,
+        position: Array,
+        flow_velocity: Array,
+        target: Array,
+        length_scale: float,
+        rows: "Rows | None" = None,
+    ) -> float:
+        """U0 [m/s] at a length scale [m]; NaN where the readout has no finite answer.
+
+        position, flow_velocity Phi (m, 2); target (m, n) is what the library was regressed on,
+        its last two columns the velocity components: Eq. 22 normalises its refit.
+        rows: refitted in their place, but for ``paper``, which compares sample by sample.
+        """
+        columns = candidate_columns(position, np.array([length_scale]))
+        if self.mean_velocity == "paper":
+            field = columns @ _refit(columns, target[:, -2:])
+            return paper_mean_velocity(field, flow_velocity, self.eq24)
+        weights = _refit(columns, flow_velocity) if rows is None else rows.weights(length_scale)
+        return (
+            rms_mean_velocity(weights)
+            if self.mean_velocity == "rms"
+            else peak_mean_velocity(weights)
+        )
+
+
+def _refit(columns: Array, target: Array) -> Array:
+    return np.linalg.lstsq(columns, target, rcond=None)[0].astype(float, copy=False)
+
+
+def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
+    """Eqs. 22-24: normalise the fitted field (m, 2) to a range of sqrt(2), then scale it to Phi.
+
+    Eq. 22 gives each component an amplitude of sqrt(2)/2; that of Eq. 1 is 1, so U0 comes out up
+    to sqrt(2) too large once the flight covers a cell.
+    """
+    high, low = field.max(axis=0), field.min(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        normal = math.sqrt(2.0) * (field - 0.5 * (high + low)) / (high - low)
+        if eq24 == "mean-ratio":
+            return float(np.mean(flow_velocity / normal))
+        return float(np.sum(flow_velocity * normal) / np.sum(normal * normal))
+
+
+def rms_mean_velocity(weights: Array) -> float:
+    """U0 = sqrt(2 <|w|^2>) over the cell, in closed form.
+
+    weights (8, 2) in the order of CANDIDATES: a single has mean square 1/2, a product 1/4; the
+    cellular flow of Eq. 1 has <|w|^2> = U0^2 / 2.
+    """
+    return float(np.sqrt(2 * (0.5 * np.sum(weights[:4] ** 2) + 0.25 * np.sum(weights[4:] ** 2))))
+
+
+def peak_mean_velocity(weights: Array) -> float:
+    """Largest |w| over the cell, for weights (8, 2): U0 for the cellular flow of Eq. 1."""
+    from scipy.optimize import minimize
+
+    def speed_square(phases: Array) -> Array:
+        velocity = candidate_columns(phases, np.array([np.pi])) @ weights
+        square: Array = np.sum(velocity**2, axis=1)
+        return square
+
+    axis = np.linspace(0, 2 * np.pi, CELL_POINTS, endpoint=False)
+    cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    squares = speed_square(cell)
+    top = float(squares.max())
+    if not top > 0:
+        return top
+
+    def loss(phase: Array) -> float:
+        return -float(speed_square(phase[None, :])[0]) / top
+
+    best = minimize(loss, cell[int(squares.argmax())], tol=1e-14)
+    return float(np.sqrt(-best.fun * top))

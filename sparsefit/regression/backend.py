@@ -1,0 +1,160 @@
+"""What a back-end is: frozen settings and a pure ``solve``."""
+
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.errors import InputError, unknown
+from sparsefit.regression.objective import Certificate, CertificateKind, Penalty
+from sparsefit.regression.problem import RegressionProblem
+
+Array = NDArray[np.float64]
+SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
+AlphaFraction = float | Literal["auto"]
+Selection = Literal["ebic", "bic", "cross-validation", "stability"]
+"""The rules by which `fit` chooses an alpha_fraction of "auto"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What a back-end answers: weights (k, n) in original units, or the reason why not.
+
+    ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
+    verbatim. Weights are None where there is no solution, never zeros. ``problem``: the columns
+    that the weights belong to, where the back-end found its own (scales off the grid).
+    ``shared_seconds``: what a factorisation cost that this answer needs and an earlier one made.
+    """
+
+    weights: Array | None
+    status: SolutionStatus = "ok"
+    reason: str = ""
+    solver_status: str = ""
+    iterations: int | None = None
+    problem: RegressionProblem | None = None
+    shared_seconds: float = 0.0
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """A sparse regression back-end: a frozen dataclass whose fields are its settings.
+
+    ``certificate_kind`` says what the caller verifies: ``duality_gap`` back-ends also have
+    ``alpha_fraction`` and ``penalty(problem)``, ``normal_equations`` ones ``rcond``, and
+    ``fixed_point`` ones ``next_support(problem, weights)``.
+    """
+
+    name: ClassVar[str]
+    certificate_kind: ClassVar[CertificateKind]
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """Weights for the problem; pure, and never zeros for a failure."""
+        ...
+
+
+@runtime_checkable
+class OffGridBackend(Backend, Protocol):
+    """A back-end that finds its own length scales, whose optimality is over a continuum."""
+
+    def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
+        """The certificate of a solution, from the rows and the scales found alone."""
+        ...
+
+
+@runtime_checkable
+class PenalisedBackend(Backend, Protocol):
+    """A convex back-end: 1/(2m)|Y - ZV|^2 + alpha * penalty, alpha = fraction * alpha_max."""
+
+    @property
+    def alpha_fraction(self) -> AlphaFraction:
+        """alpha / alpha_max, in (0, 1], or "auto" where the back-end is a ChoosingBackend."""
+        ...
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """The penalty of this back-end on the columns of the problem."""
+        ...
+
+
+@runtime_checkable
+class PathBackend(PenalisedBackend, Protocol):
+    """A convex back-end that solves a path of penalties for little more than one costs."""
+
+    def solve_path(
+        self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
+    ) -> tuple[Solution, ...]:
+        """Solutions at descending penalties, each warm-started by the one before."""
+        ...
+
+    def referee(self) -> "PathBackend | None":
+        """The slower, independent solver of the same problem; None where this is it."""
+        ...
+
+
+@runtime_checkable
+class ChoosingBackend(PathBackend, Protocol):
+    """A path back-end whose penalty `fit` can choose: ``alpha_fraction = "auto"``."""
+
+    @property
+    def selection(self) -> Selection:
+        """The rule that chooses it."""
+        ...
+
+
+def checked_number(
+    owner: str,
+    name: str,
+    value: Any,
+    *,
+    low: float,
+    high: float = np.inf,
+    meaning: str = "",
+    open_low: bool = False,
+) -> None:
+    """Raise InputError unless value is a real number in [low, high] (or (low, high])."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(
+        value, bool
+    )
+    within = number and np.isfinite(value) and (low < value if open_low else low <= value)
+    if within and value <= high:
+        return
+    bracket = "(" if open_low else "["
+    upper = f"{high:g}]" if np.isfinite(high) else "inf)"
+    raise InputError(
+        f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {value!r}"
+        + (f"; {meaning}" if meaning else "")
+    )
+
+
+ALPHA_MEANING = "it is the penalty as a fraction of the smallest one whose solution is zero"
+
+
+def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> None:
+    """Raise InputError unless value is a penalty fraction in (0, 1], or "auto" where it may be."""
+    if auto and isinstance(value, str) and value == "auto":
+        return
+    meaning = ALPHA_MEANING + (', or "auto", to be chosen from the flight' if auto else "")
+    checked_number(
+        owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=meaning
+    )
+
+
+def numeric_fraction(owner: str, value: AlphaFraction) -> float:
+    """The penalty fraction where one is needed. Raises InputError on "auto"."""
+    if isinstance(value, str):
+        raise InputError(
+            f'{owner}: alpha_fraction "{value}" is chosen by sparsefit.fit; solve needs a number'
+        )
+    return value
+
+
+def checked_selection(owner: str, value: Any) -> None:
+    """Raise InputError unless value is a rule that chooses a penalty."""
+    if value not in get_args(Selection):
+        raise unknown(f"selection of {owner}", str(value), get_args(Selection))
+
+
+def settings_of(backend: Any) -> dict[str, Any]:
+    """The settings of a back-end, JSON-ready, in the order of its fields."""
+    values = {item.name: getattr(backend, item.name) for item in fields(backend)}
+    return {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}

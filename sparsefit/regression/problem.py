@@ -1,0 +1,212 @@
+"""The regression problem that every back-end solves, from a library or from any design matrix."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sparsefit.cached import cached_property
+from sparsefit.errors import InputError
+from sparsefit.regression.gram import products
+from sparsefit.regression.objective import Statistics, accumulate, row_blocks
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """theta = U diag(s) V': singular_values (r,), right_vectors V' (r, k), projected U'Y (r, n).
+
+    seconds: what it took, so that every fit that uses it can be charged.
+    """
+
+    singular_values: Array
+    right_vectors: Array
+    projected: Array
+    seconds: float = 0.0
+
+    def retained(self, rcond: float | None, samples: int) -> NDArray[np.bool_]:
+        """Singular values above rcond * s_max; None is the rounding level eps * max(m, k)."""
+        if rcond is None:
+            rcond = float(np.finfo(float).eps * max(samples, self.right_vectors.shape[1]))
+        kept: NDArray[np.bool_] = self.singular_values > rcond * self.singular_values[0]
+        return kept
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionProblem:
+    """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
+
+    theta and target are finite and no column of theta is zero. ``groups`` (k,) numbers the
+    group of each column from 0; ``group_scales`` (g,) gives its length scale [m] where it has one.
+    ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
+    the m original ones (`from_blocks`). ``position`` (m, 2) [m]: where theta's rows were taken, for
+    back-ends that make columns of their own; None where it is not known row by row.
+    """
+
+    theta: Array
+    target: Array
+    groups: NDArray[np.intp]
+    names: tuple[str, ...]
+    target_names: tuple[str, ...]
+    group_scales: Array | None = None
+    sample_count: int | None = None
+    position: Array | None = None
+
+    def __post_init__(self) -> None:
+        _check_shapes(self)
+        squares = np.einsum("ij,ij->j", self.theta, self.theta)
+        _refuse_columns(
+            ~np.isfinite(squares),
+            self.names,
+            "holds NaN, infinity or values whose "
+            "squares overflow; clean the data or change the unit",
+        )
+        _refuse_columns(
+            squares == 0,
+            self.names,
+            "is zero in every sample (or so small that its "
+            "square underflows); drop it or change the unit",
+        )
+        squares = np.einsum("ij,ij->j", self.target, self.target)
+        _refuse_columns(
+            ~np.isfinite(squares),
+            self.target_names,
+            "of the target holds NaN, infinity or values whose squares overflow",
+        )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        theta: ArrayLike,
+        target: ArrayLike,
+        groups: ArrayLike | None = None,
+        names: Sequence[str] | None = None,
+    ) -> "RegressionProblem":
+        """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
+
+        ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
+        them every column is a group of its own. Raises InputError on shapes that do not match,
+        values that are not finite and columns of zeros.
+        """
+        design = _floats(theta, "theta")
+        values = _floats(target, "target")
+        values = values[:, None] if values.ndim == 1 else values
+        if design.ndim != 2 or values.ndim != 2:
+            raise InputError(
+                f"theta must have shape (m, k) and target (m,) or (m, n), not {design.shape} and "
+                f"{values.shape}"
+            )
+        labels = np.arange(design.shape[1]) if groups is None else np.asarray(groups)
+        if labels.shape != (design.shape[1],):
+            raise InputError(
+                f"groups must have one label per column: {design.shape[1]} columns, groups of "
+                f"shape {labels.shape}"
+            )
+        numbers = np.unique(labels, return_inverse=True)[1].astype(np.intp)
+        columns = tuple(names) if names is not None else tuple(map(str, range(design.shape[1])))
+        targets = tuple(map(str, range(values.shape[1])))
+        return cls(design, values, numbers, columns, targets)
+
+    @classmethod
+    def from_blocks(
+        cls,
+        blocks: Iterable[tuple[Array, Array]],
+        groups: ArrayLike | None = None,
+        names: Sequence[str] | None = None,
+    ) -> "RegressionProblem":
+        """A problem from blocks of rows (theta, target), in memory of order k^2 + a block.
+
+        Each block is folded into the triangle of a QR decomposition of [theta, target]. QR, and
+        not Z'Z, because the certificate takes residuals of these rows: orthogonal
+        transformations keep them to rounding, where Z'Z would lose half the digits.
+        """
+        triangle, count, columns = compressed(blocks)
+        plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
+        return replace(plain, sample_count=count)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples m."""
+        return self.sample_count or int(self.theta.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Number of columns k."""
+        return int(self.theta.shape[1])
+
+    @property
+    def targets(self) -> int:
+        """Number of targets n."""
+        return int(self.target.shape[1])
+
+    @cached_property
+    def statistics(self) -> Statistics:
+        """Sufficient statistics in scaled columns, formed once and shared by all back-ends."""
+        blocks = row_blocks(self.theta, self.target)
+        return accumulate(blocks, count=self.samples, products=products)
+
+    @cached_property
+    def compressed(self) -> tuple[Array, Array]:
+        """(theta, target) in at most k + n rows, by QR: every least-squares problem is the same."""
+        if len(self.theta) <= self.columns + self.targets:
+            return self.theta, self.target
+        triangle = cast(Array, np.linalg.qr(np.hstack([self.theta, self.target]), mode="r"))
+        return triangle[:, : self.columns], triangle[:, self.columns :]
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """Singular values of theta, by QR first: the tall matrix is read once."""
+        start = perf_counter()
+        rows, target = self.compressed
+        left, singular_values, right = np.linalg.svd(rows, full_matrices=False)
+        projected = left.T @ target
+        return Spectrum(singular_values, right, projected, perf_counter() - start)
+
+
+def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
+    """(triangle, m, k): R (at most k + n rows) of a QR of the rows [theta, target], in blocks."""
+    triangle: Array | None = None
+    count = columns = 0
+    for theta, target in blocks:
+        rows = np.hstack([theta, target])
+        count, columns = count + len(rows), theta.shape[1]
+        stacked = rows if triangle is None else np.vstack([triangle, rows])
+        triangle = cast(Array, np.linalg.qr(stacked, mode="r"))
+    if triangle is None:
+        raise InputError("no blocks: a regression problem needs at least one")
+    return triangle, count, columns
+
+
+def _floats(values: ArrayLike, name: str) -> Array:
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError("it is complex")
+        return np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be an array of real numbers: {error}") from None
+
+
+def _check_shapes(problem: RegressionProblem) -> None:
+    (m, k), rows = problem.theta.shape, problem.target.shape[0]
+    if rows != m:
+        raise InputError(
+            f"theta {problem.theta.shape} and target {problem.target.shape} must have the same "
+            "number of rows"
+        )
+    if m == 0 or k == 0 or problem.target.shape[1] == 0:
+        raise InputError(
+            f"theta {problem.theta.shape} and target {problem.target.shape} must not be empty"
+        )
+    if len(problem.names) != k:
+        raise InputError(f"names must have one name per column: {k}, not {len(problem.names)}")
+
+
+def _refuse_columns(bad: NDArray[np.bool_], names: Sequence[str], what: str) -> None:
+    found = np.flatnonzero(bad)
+    if len(found):
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        raise InputError(f"column {names[found[0]]!r}{more} {what}")

@@ -1,0 +1,1 @@
+"""What the rows say: errors, intervals, comparisons, a selection."""

@@ -1,0 +1,198 @@
+"""From a finished study to one chosen estimator, with the evidence.
+
+Chosen on the flights of split `validate`, scored once on those of split `evaluate`. A case
+without an estimate counts as an error of 100 %: giving no answer is never better than an answer
+that is less than 100 % off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pandas as pd
+
+from sparsefit.errors import InputError, unknown
+from sparsefit.study.evidence.candidates import (
+    CRITERIA,
+    MISS,
+    RESAMPLES,
+    Candidate,
+    Limits,
+    candidates_of,
+    paired_interval,
+)
+from sparsefit.study.evidence.summary import StudyRecord
+from sparsefit.study.evidence.table import SIGNIFICANT, Cell, Column, Table
+
+__all__ = ["CRITERIA", "Limits", "Selection", "select"]
+
+RUNNERS_UP_SHOWN = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The winner, and the table that shows why.
+
+    `settings` is the back-end's canonical JSON and `factors` the swept values, dotted names, as
+    they stand in the winner's rows. `validate` and `evaluate` are the criterion [%].
+    """
+
+    study: str
+    criterion: str
+    protocol: str
+    backend: str
+    label: str
+    settings: str
+    factors: Mapping[str, Cell]
+    validate: float
+    evaluate: float
+    failure_rate: float
+    seconds: float
+    candidates: int
+    eligible: int
+    table: Table
+
+
+def select(
+    study: StudyRecord,
+    cases: pd.DataFrame,
+    *,
+    criterion: str = CRITERIA[0],
+    max_failure_rate: float | None = None,
+    max_seconds: float | None = None,
+    seed: int = 0,
+) -> Selection:
+    """Choose the candidate with the smallest criterion on `validate`, within the limits.
+
+    A candidate is a protocol, back-end, setting and level of every swept factor that belongs to
+    the estimator; factors of the flights are conditions, and all of them count. Of equals (to
+    six digits) the faster wins, then the first listed. The table gives, on `evaluate`, every
+    runner-up's criterion minus the winner's, with its paired bootstrap 95 % interval over
+    flights.
+
+    Args:
+        criterion: one of `CRITERIA`.
+        max_failure_rate: largest share of `validate` cases without an estimate.
+        max_seconds: largest median time of a `validate` case [s].
+        seed: of the bootstrap.
+
+    Raises:
+        InputError: if the criterion is unknown, the study has no split or is unfinished, or no
+            candidate keeps the limits (the closest is named).
+    """
+    if criterion not in CRITERIA:
+        raise unknown("criterion", criterion, CRITERIA)
+    limits = Limits(max_failure_rate, max_seconds)
+    _check_finished(study, cases)
+    candidates = candidates_of(cases, criterion)
+    eligible = [one for one in candidates if one.excess(limits) == 0.0]
+    if not eligible:
+        raise _none_within(candidates, limits)
+    # Rounding must not decide between equals: to six digits the same, the faster wins.
+    ranked = sorted(eligible, key=lambda one: (float(f"{one.validate:.6g}"), one.seconds))
+    table = _evidence(study, ranked, len(candidates), criterion, seed)
+    return _selection(study, ranked[0], criterion, len(candidates), len(eligible), table)
+
+
+def _selection(
+    study: StudyRecord,
+    winner: Candidate,
+    criterion: str,
+    candidates: int,
+    eligible: int,
+    table: Table,
+) -> Selection:
+    key = winner.group.key
+    return Selection(
+        study=study.name,
+        criterion=criterion,
+        protocol=str(key["protocol"]),
+        backend=str(key["backend"]),
+        label=str(key["label"]),
+        settings=str(key["settings"]),
+        factors=winner.factors,
+        validate=winner.validate,
+        evaluate=winner.evaluate,
+        failure_rate=winner.failure_rate,
+        seconds=winner.seconds,
+        candidates=candidates,
+        eligible=eligible,
+        table=table,
+    )
+
+
+def _check_finished(study: StudyRecord, cases: pd.DataFrame) -> None:
+    """Refuse what would compare candidates on unequal evidence."""
+    if len(cases) < study.planned or cases.empty:
+        raise InputError(
+            f"{study.name} is unfinished, {len(cases)} of {study.planned} planned cases have a "
+            "row: finish it first (sparsefit study run)"
+        )
+    if cases["case_id"].duplicated().any():
+        raise InputError(f"{study.name} has a case twice: run it afresh (--fresh)")
+    if cases["status"].isna().any() or (cases["status"] == "").any():
+        raise InputError(f"{study.name} has cases without a status: run it afresh (--fresh)")
+    missing = {"validate", "evaluate"} - set(cases["split"])
+    if missing:
+        raise InputError(
+            f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "
+            "give the study file a [split] with validate and evaluate"
+        )
+    both = cases.groupby("flight")["split"].nunique()
+    if (both > 1).any():
+        raise InputError(
+            f"{study.name} has flight {both.idxmax()} in both splits: it cannot judge a choice "
+            "that it helped to make"
+        )
+
+
+def _none_within(candidates: list[Candidate], limits: Limits) -> InputError:
+    closest = min(candidates, key=lambda one: (one.excess(limits), one.validate))
+    return InputError(
+        f"none of the {len(candidates)} candidates keeps the limits; the closest is "
+        f"{closest.title}, with a failure rate of {closest.failure_rate:.3g} and a median of "
+        f"{closest.seconds:.3g} s: raise max_failure_rate or max_seconds"
+    )
+
+
+def _evidence(
+    study: StudyRecord, ranked: list[Candidate], candidates: int, criterion: str, seed: int
+) -> Table:
+    winner = ranked[0]
+    names = list(winner.factors)
+    rows = tuple(_row(place, one, winner, criterion, seed) for place, one in enumerate(ranked))
+    columns = (
+        Column("rank", format="d"),
+        *(Column(name, align="left") for name in ("protocol", "backend", "setting", *names)),
+        Column("criterion", "%", SIGNIFICANT, group="validate"),
+        Column("failures", "%", ".1f", group="validate"),
+        Column("median", "s", SIGNIFICANT, group="validate"),
+        Column("criterion", "%", SIGNIFICANT, group="evaluate"),
+        Column("minus winner", "pp", SIGNIFICANT, group="evaluate"),
+        Column("95 % from", "pp", SIGNIFICANT, group="evaluate"),
+        Column("to", "pp", SIGNIFICANT, group="evaluate"),
+    )
+    notes = (
+        f"Criterion: {criterion}; a case without an estimate counts as {MISS:g} %. "
+        f"Chosen on validate, scored once on evaluate ({len(winner.losses)} flights). Of equals, "
+        "to six digits, the faster ranks first.",
+        f"{len(ranked)} of {candidates} candidates keep the limits. Minus winner: positive is "
+        f"worse than the winner; 95 % interval by paired bootstrap over flights, {RESAMPLES} "
+        f"resamples, seed {seed}. An interval that holds 0 does not tell the two apart.",
+    )
+    title = f"Selected estimator and its runners-up ({study.name})"
+    return Table(title, columns, rows, notes, 1 + RUNNERS_UP_SHOWN)
+
+
+def _row(
+    place: int, one: Candidate, winner: Candidate, criterion: str, seed: int
+) -> tuple[Cell, ...]:
+    key = one.group.key
+    against: tuple[Cell, ...] = (None, None, None)
+    if one is not winner:
+        interval = paired_interval(one.losses, winner.losses, criterion, seed)
+        against = (one.evaluate - winner.evaluate, *interval)
+    named = (key["protocol"], key["backend"], one.group.setting, *one.factors.values())
+    scores = (one.validate, 100.0 * one.failure_rate, one.seconds, one.evaluate)
+    return (place + 1, *named, *scores, *against)

@@ -1,0 +1,144 @@
+"""The pages of a study: its tables and figures as files, and a README that shows them."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+
+from sparsefit.errors import InputError
+from sparsefit.study.evidence import paper
+from sparsefit.study.evidence.answers import sentences
+from sparsefit.study.evidence.summary import STATUSES, StudyRecord
+from sparsefit.study.evidence.table import Table
+from sparsefit.study.evidence.tables import TABLES, tables_for
+from sparsefit.study.report.drawing import to_png, to_svg
+from sparsefit.study.report.escape import escape_markdown
+from sparsefit.study.report.figures import CAPTIONS, FIGURES, figures_for
+from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.spec.document import canonical_json
+
+
+def write_report(
+    study: StudyRecord,
+    results_dir: str | Path,
+    cases: pd.DataFrame,
+    weights: pd.DataFrame | None = None,
+) -> list[Path]:
+    """Write `results_dir/<study>/`: every table as .md .tex .csv, every figure as .svg .png.
+
+    The tables and figures are those of the study's [outputs], or else all that apply. The same
+    cases give the same bytes. Each file is replaced in one step.
+
+    Returns:
+        The files written, README.md last.
+
+    Raises:
+        InputError: if there are no cases, a figure cannot be drawn of them, or the folder
+            cannot be written.
+    """
+    _refuse_empty(study, cases)
+    tables = _tables(study, cases)
+    figures = list(study.figures) or figures_for(cases, weights)
+    files = dict(_table_files(study, tables))
+    for name in figures:
+        figure = FIGURES[name](study, cases, weights)
+        files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
+    files["README.md"] = readme(study, cases, tables, figures).encode()
+    return _write(Path(results_dir) / study.name, files)
+
+
+def write_table(study: StudyRecord, folder: Path, name: str, table: Table) -> list[Path]:
+    """Write one table as `name`.md, .tex and .csv into the results folder of the study."""
+    return _write(folder, dict(_table_files(study, {name: table})))
+
+
+def render_show(study: StudyRecord, cases: pd.DataFrame, *, width: int = 100) -> str:
+    """Return the study's tables for a terminal `width` columns wide, its question first."""
+    _refuse_empty(study, cases)
+    tables = _tables(study, cases).values()
+    answers = sentences(study, cases)
+    head = [f"{study.name}: {study.question}", *answers, _progress(study, cases)]
+    return "\n".join(["\n".join(head), "", *(to_text(table, width=width) for table in tables)])
+
+
+def readme(
+    study: StudyRecord, cases: pd.DataFrame, tables: dict[str, Table], figures: list[str]
+) -> str:
+    """Return the report as Markdown, its figures linked as files beside it."""
+    parts = [
+        f"# {escape_markdown(study.name)}",
+        f"**{escape_markdown(study.question)}**",
+        *(escape_markdown(sentence) for sentence in sentences(study, cases)),
+        f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
+        "Written by `sparsefit study report`; do not edit.",
+        *(f"![{name}]({name}.svg)\n\n*{CAPTIONS[name]}*" for name in figures),
+        *(_section(name, table) for name, table in tables.items()),
+        *_unprinted(study),
+    ]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _section(name: str, table: Table) -> str:
+    links = ", ".join(f"[{suffix}]({name}.{suffix})" for suffix in ("csv", "tex"))
+    return f"{to_markdown(table)}\nThis table: {links}."
+
+
+def _unprinted(study: StudyRecord) -> list[str]:
+    """List the settings that a reproduction has to choose, and what this study chose."""
+    lines = [
+        f"- {words}: `{canonical_json(study.sections['flights'][key])}`"
+        for key, words in paper.UNPRINTED.items()
+        if key in study.sections.get("flights", {})
+    ]
+    lines += [
+        f"- {section}.{key}: `{canonical_json(value)}`"
+        for section in ("derivative", "library", "readout")
+        for key, value in study.sections.get(section, {}).items()
+    ]
+    if not lines:
+        return []
+    intro = "Chosen here; swept factors and protocols in the tables override them."
+    return ["### Settings the paper does not print", intro, "\n".join(lines)]
+
+
+def _progress(study: StudyRecord, cases: pd.DataFrame) -> str:
+    counted = Counter(cases["status"])
+    statuses = ", ".join(f"{counted[name]} {name}" for name in STATUSES if counted[name])
+    return f"{len(cases)} of {study.planned} planned cases: {statuses}."
+
+
+def _refuse_empty(study: StudyRecord, cases: pd.DataFrame) -> None:
+    if cases.empty:
+        raise InputError(f"{study.name} has no cases yet: run it first (sparsefit study run)")
+
+
+def _tables(study: StudyRecord, cases: pd.DataFrame) -> dict[str, Table]:
+    names = list(study.tables) or tables_for(cases)
+    return {name: TABLES[name](study, cases) for name in names}
+
+
+def _table_files(study: StudyRecord, tables: dict[str, Table]) -> Iterator[tuple[str, bytes]]:
+    for name, table in tables.items():
+        yield f"{name}.md", to_markdown(table).encode()
+        yield f"{name}.tex", to_latex(table, label=f"tab:{study.name}-{name}").encode()
+        yield f"{name}.csv", to_csv(table).encode()
+
+
+def _write(folder: Path, files: dict[str, bytes]) -> list[Path]:
+    """Write beside, then rename: a reader sees the old file or the new one."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            beside = folder / f".{name}.writing"
+            beside.write_bytes(content)
+            os.replace(beside, folder / name)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(
+            f"{folder}: cannot be written: {reason}: choose another results folder"
+        ) from None
+    return [folder / name for name in files]

@@ -1,0 +1,1 @@
+"""Every planned case becomes a row."""

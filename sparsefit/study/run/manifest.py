@@ -1,0 +1,110 @@
+"""`manifest.json`: what made these results, and what came out, in one small file."""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+import sparsefit
+from sparsefit.study.spec.study import Study
+
+MANIFEST = "manifest.json"
+PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
+
+
+def write_manifest(
+    study: Study,
+    folder: Path,
+    *,
+    statuses: Mapping[str, int],
+    wall_seconds: float,
+    solver_seconds: float,
+    processes: int,
+    resumed: int,
+) -> None:
+    """Write the manifest of a finished run; `resumed` rows came from an earlier, broken-off one.
+
+    wall_seconds of all `processes` at once; solver_seconds, their sum in back-ends, is of this
+    run's rows only too.
+    """
+    content = {
+        "study": study.name,
+        "study_hash": study.hash,
+        "seed": study.seed,
+        "cases": study.planned,
+        "statuses": dict(sorted(statuses.items())),
+        "wall_seconds": round(wall_seconds, 3),
+        "solver_seconds": round(solver_seconds, 3),
+        "resumed_cases": resumed,
+        "processes": processes,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "git_commit": git_commit(),
+    }
+    beside = folder / (MANIFEST + ".writing")
+    beside.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    beside.replace(folder / MANIFEST)
+
+
+def read_manifest(folder: Path) -> dict[str, object] | None:
+    """The manifest of a results folder; None where there is none that can be read."""
+    try:
+        content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of sparsefit, Python and what computes; None for what is not installed."""
+    return {
+        "sparsefit": sparsefit_version(),
+        "python": platform.python_version(),
+        **{name: _version(name) for name in PACKAGES},
+    }
+
+
+def sparsefit_version() -> str:
+    """The version of the package that runs, installed or not."""
+    return str(getattr(sparsefit, "__version__", None) or _version("sparsefit") or "unknown")
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def git_commit() -> str | None:
+    """The commit of the checkout that holds this package, `+changes` if it was edited since."""
+    package = Path(sparsefit.__file__).resolve().parent
+    top = _git(package, "rev-parse", "--show-toplevel")
+    # An installed copy may lie inside a checkout of something else.
+    if not top or Path(top).resolve() != package.parent:
+        return None
+    commit = _git(package, "rev-parse", "--verify", "HEAD")
+    changed = _git(package, "status", "--porcelain", "--", ".")
+    return f"{commit}+changes" if commit and changed else commit
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    """What git answers; None where git, the checkout or the answer is missing."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            check=True,
+            text=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None

@@ -1,0 +1,272 @@
+"""Run a study: resume what is there, do what is missing, and leave finished results behind."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from sparsefit.errors import InputError
+from sparsefit.study.run import partial, store
+from sparsefit.study.run.execution import Outcome
+from sparsefit.study.run.lock import locked
+from sparsefit.study.run.manifest import MANIFEST, read_manifest, sparsefit_version, write_manifest
+from sparsefit.study.run.pace import Pace
+from sparsefit.study.run.pool import outcomes
+from sparsefit.study.run.worker import Job
+from sparsefit.study.spec.design import Cell, cells, fit_key, grouped
+from sparsefit.study.spec.study import Study
+
+Progress: TypeAlias = Callable[[int, int, float | None], None]
+Publish: TypeAlias = Callable[[Study, Path], None]
+Outcomes: TypeAlias = dict[tuple[int, int], Outcome]
+
+PROGRESS_SECONDS = 0.2
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What a run did: `resumed` rows were there before; `statuses` counts all rows.
+
+    `solver_seconds` of `processes` times `seconds` were spent in the back-ends.
+    """
+
+    folder: Path
+    planned: int
+    resumed: int
+    statuses: Mapping[str, int]
+    seconds: float
+    solver_seconds: float = 0.0
+    processes: int = 1
+
+    @property
+    def nothing_to_do(self) -> bool:
+        """Whether the study was finished before."""
+        return self.resumed == self.planned
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """How far a study is, finished or not: counts of its rows by status."""
+
+    folder: Path
+    planned: int
+    done: int
+    finished: bool
+    statuses: Mapping[str, int]
+
+
+def run(
+    study: Study,
+    results_dir: str | Path = "results",
+    *,
+    processes: int | None = None,
+    progress: Progress | None = None,
+    fresh: bool = False,
+    publish: Publish | None = None,
+) -> RunSummary:
+    """Run `study` into `results_dir/<name>`; interrupted, it goes on from there the next time.
+
+    Args:
+        processes: worker processes; as many as there are processors when None.
+        progress: called with (cases done, cases planned, seconds left or None).
+        fresh: start over, whatever the folder holds.
+        publish: called with the study and its folder once all rows are there, be it from now or
+            from before: what draws tables and figures from them.
+
+    Raises:
+        InputError: if the folder cannot be written, is in use, or is another study's.
+    """
+    workers = _checked_processes(processes)
+    folder = _folder(study, results_dir)
+    with locked(folder):
+        if fresh:
+            _clear(folder)
+        _refuse_foreign(study, folder)
+        if _finished(folder):
+            statuses = Counter(store.read_cases(folder)["status"])
+            summary = RunSummary(folder, study.planned, study.planned, statuses, 0.0)
+        else:
+            summary = _finish(study, folder, workers, progress)
+        if publish:
+            publish(study, folder)
+    return summary
+
+
+def _finish(study: Study, folder: Path, processes: int, progress: Progress | None) -> RunSummary:
+    """Do what is missing; only when all of it is written are the unfinished rows let go."""
+    begun = time.monotonic()
+    every = cells(study)
+    known = _resume(study, folder, every)
+    done = _work(study, folder, every, dict(known), processes, progress)
+    seconds = time.monotonic() - begun
+    statuses = Counter(outcome.status for outcome in done.values())
+    fresh = [outcome for key, outcome in done.items() if key not in known]
+    solving = solver_seconds(fresh, every)
+    store.write_cases(study, done.values(), folder)
+    write_manifest(
+        study,
+        folder,
+        statuses=statuses,
+        wall_seconds=seconds,
+        solver_seconds=solving,
+        processes=processes,
+        resumed=len(known),
+    )
+    partial.discard(folder)
+    counted = (study.planned, len(known), statuses, seconds)
+    return RunSummary(folder, *counted, solver_seconds=solving, processes=processes)
+
+
+def solver_seconds(rows: Iterable[Outcome], every: Sequence[Cell]) -> float:
+    """Seconds in back-ends: what several cases or fits share is counted once."""
+    fits: dict[tuple[int, object], float] = {}
+    for outcome in rows:
+        if not np.isnan(outcome.seconds):
+            fits[outcome.flight, fit_key(every[outcome.cell])] = (
+                outcome.seconds - outcome.shared_seconds
+            )
+    return float(sum(fits.values()))
+
+
+def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
+    """How far `study` is in `results_dir/<name>`; changes nothing, also while it runs."""
+    folder = Path(results_dir) / study.name
+    _refuse_foreign(study, folder)
+    if _finished(folder):
+        statuses = Counter(store.read_cases(folder)["status"])
+        return RunStatus(folder, study.planned, study.planned, True, statuses)
+    rows = partial.read_rows(folder)
+    statuses = Counter(outcome.status for outcome in rows.values())
+    return RunStatus(folder, study.planned, len(rows), False, statuses)
+
+
+def _work(
+    study: Study,
+    folder: Path,
+    every: tuple[Cell, ...],
+    done: Outcomes,
+    processes: int,
+    progress: Progress | None,
+) -> Outcomes:
+    """Everything that is not in `done`; each row is on the disk before the next is waited for."""
+    left = np.full(len(every), study.count, np.int64)
+    for _, cell in done:
+        left[cell] -= 1
+    pace = Pace.start(left, processes)
+    report = _Report(study.planned, progress)
+    report.say(len(done), pace)
+    todo = jobs(study, every, done)
+    with (
+        partial.appending(folder) as rows,
+        closing(outcomes(study, todo, min(processes, max(len(todo), 1)))) as arriving,
+    ):
+        for outcome, seconds in arriving:
+            rows.append(outcome)
+            done[outcome.flight, outcome.cell] = outcome
+            pace.note(outcome.cell, seconds)
+            report.say(len(done), pace)
+    return done
+
+
+def jobs(study: Study, every: tuple[Cell, ...], done: Outcomes) -> list[Job]:
+    """What is missing, one job per flight and variant of it: nothing is simulated twice."""
+    variants = [[cell.index for cell in group] for group in grouped(every, "flight")]
+    missing = (
+        Job(flight, tuple(index for index in variant if (flight, index) not in done))
+        for flight in range(study.count)
+        for variant in variants
+    )
+    return [job for job in missing if job.cells]
+
+
+@dataclass
+class _Report:
+    """Tells how far the run is, not more often than an eye can follow."""
+
+    planned: int
+    progress: Progress | None
+    last: float = float("-inf")
+
+    def say(self, done: int, pace: Pace) -> None:
+        now = time.monotonic()
+        if self.progress and (done == self.planned or now - self.last > PROGRESS_SECONDS):
+            self.last = now
+            self.progress(done, self.planned, pace.eta)
+
+
+def _checked_processes(processes: int | None) -> int:
+    if processes is None:
+        return _processors()
+    if isinstance(processes, bool) or not isinstance(processes, int) or processes < 1:
+        raise InputError(f"processes must be a whole number of at least 1, not {processes!r}")
+    return processes
+
+
+def _processors() -> int:
+    """Those this process may use, which in a container are fewer than there are."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _folder(study: Study, results_dir: str | Path) -> Path:
+    folder = Path(results_dir) / study.name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made: {error.strerror}: choose another results folder"
+        ) from None
+    return folder
+
+
+def _clear(folder: Path) -> None:
+    partial.discard(folder)
+    for name in (store.CASES, store.WEIGHTS, MANIFEST):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _refuse_foreign(study: Study, folder: Path) -> None:
+    """Rows of another study, or of another version, are never mixed with these."""
+    header = partial.read_header(folder)
+    for made in (header, read_manifest(folder)):
+        if made is not None and made.get("study_hash") != study.hash:
+            short = str(made.get("study_hash"))[:12]
+            raise InputError(
+                f"{folder} was made by a different study (hash {short}): "
+                "use --fresh to start over, or rename this study"
+            )
+    if header is not None and header.get("sparsefit") != sparsefit_version():
+        raise InputError(
+            f"{folder} was begun by sparsefit {header.get('sparsefit')}, this is "
+            f"{sparsefit_version()}: use --fresh to start over, or go on with that version"
+        )
+    if header is None and (folder / store.CASES).exists() and read_manifest(folder) is None:
+        raise InputError(
+            f"{folder} holds cases of an unknown study: use --fresh to start over, or rename"
+        )
+
+
+def _finished(folder: Path) -> bool:
+    done = partial.read_header(folder) is None and read_manifest(folder) is not None
+    return done and (folder / store.CASES).exists()
+
+
+def _resume(study: Study, folder: Path, every: tuple[Cell, ...]) -> Outcomes:
+    """The rows that are there; without a header there is nothing to trust, and all begins anew."""
+    if partial.read_header(folder) is None:
+        versions = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
+        partial.begin(folder, {**versions, "study": study.name, "planned": study.planned})
+        return {}
+    rows = partial.read_rows(folder)
+    return {
+        key: row for key, row in rows.items() if row.flight < study.count and row.cell < len(every)
+    }

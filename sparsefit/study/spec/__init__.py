@@ -1,0 +1,1 @@
+"""What a study asks: one TOML file, resolved into cases."""

@@ -1,0 +1,420 @@
+"""The verbs on flights: what they print, what they write, and how they refuse."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from sparsefit.cli import main
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.flight import read_flight
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
+
+SIMULATE = ("simulate", "--mean-velocity", "15.43", "--length-scale", "4.21", "--seed", "7")
+COARSE = ("--grid-lower", "3.2", "--grid-upper", "5.2")
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def flight():
+    assert main([*SIMULATE, "--duration", "5", "-o", "flight.csv"]) == 0
+    return "flight.csv"
+
+
+def run(capsys, *argv):
+    """Exit code, stdout and stderr of a verb; argparse leaves by SystemExit."""
+    capsys.readouterr()
+    try:
+        code = main([str(word) for word in argv])
+    except SystemExit as left:
+        code = left.code
+    return (code, *capsys.readouterr())
+
+
+def refused(capsys, *argv):
+    """The one line on stderr of a verb that exits 2 and writes nothing."""
+    before = sorted(os.listdir())
+    code, out, err = run(capsys, *argv)
+    assert (code, out) == (2, "")
+    assert err.startswith("sparsefit: error: ")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert sorted(os.listdir()) == before
+    return err
+
+
+def edited(name, change):
+    lines = read_lines("flight.csv")
+    with open(name, "w") as file:
+        file.writelines(change(lines))
+    return name
+
+
+def read_lines(name):
+    with open(name) as file:
+        return file.readlines()
+
+
+# --- simulate
+
+
+@pytest.mark.parametrize("name", ["flight.csv", "flight.parquet"])
+def test_simulate_writes_the_flight_it_was_asked_for(capsys, name):
+    options = ("--response-time", "0.25", "--thrust", "-1e-3", "3", "--initial-position", "1", "2")
+    code, out, _ = run(capsys, *SIMULATE, *options, "--duration", "2", "-o", name)
+    assert code == 0
+    assert out.startswith(f"{name}: 201 samples over 2 s")
+    flight = read_flight(name)
+    assert flight.flow.mean_velocity == 15.43
+    assert flight.vehicle.response_time == 0.25
+    assert flight.vehicle.thrust_acceleration == (-1e-3, 3.0)
+    assert flight.position[0].tolist() == [1.0, 2.0]
+
+
+def test_simulate_overwrites_only_with_force(capsys, flight):
+    before = read_lines(flight)
+    err = refused(capsys, *SIMULATE, "--duration", "3", "-o", flight)
+    assert "exists; add --force" in err
+    assert read_lines(flight) == before
+    assert run(capsys, *SIMULATE, "--duration", "3", "--force", "-o", flight)[0] == 0
+    assert read_lines(flight) != before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--duration", "5min"), '"5min" is not a number; give it in s, without the unit'),
+        (("--duration", "1_0"), "is not a number"),
+        (("--duration", "nan"), "duration must be a finite number above 0 [s]"),
+        (("--duration", "0.001"), "fly longer or sample faster"),
+        (("--response-time", "0"), "response_time must be"),
+        (("--position-noise", "-1"), "position_noise must be"),
+        (("--thrust", "5"), "expected 2 arguments"),
+        (("--seed", "1.5"), "not a whole number"),
+        (("--seed", "-1"), "seed must be"),
+        (("--sed", "1"), "unrecognized arguments: --sed 1; see sparsefit simulate --help"),
+        (("-o", "flight.txt"), 'unknown file type ".txt"'),
+        (("-o", "nowhere/flight.csv"), "nowhere/flight.csv"),
+    ],
+)
+def test_simulate_refuses(capsys, options, words):
+    output = () if "-o" in options else ("-o", "flight.csv")
+    assert words in refused(capsys, *SIMULATE, *options, *output)
+
+
+# --- estimate
+
+
+def test_estimate_prints_standard_errors_and_intervals(capsys, tmp_path):
+    path = tmp_path / "noisy.csv"
+    of_flow = ("--mean-velocity", "15.43", "--length-scale", "4.21", "--velocity-noise", "0.1")
+    assert run(capsys, "simulate", *of_flow, "--seed", "7", "-o", path)[0] == 0
+    code, out, _ = run(capsys, "estimate", path)
+    assert code == 0
+    line = next(line for line in out.splitlines() if line.startswith("length scale"))
+    value, spread, low, high = (float(n) for n in re.findall(r"\d+\.\d+", line))
+    assert low < 4.21 < high
+    assert high - value == pytest.approx(1.96 * spread, rel=0.02)
+    code, out, _ = run(capsys, "estimate", path, "--json")
+    assert json.loads(out)["uncertainty"]["length_scale"] == pytest.approx(spread, rel=0.1)
+    assert "±" not in run(capsys, "estimate", path, "--refine", "none")[1]
+
+
+def test_estimate_prints_parameters_with_units(capsys, flight):
+    code, out, err = run(capsys, "estimate", flight)
+    assert (code, err) == (0, "")
+    for words in (" m/s  ± ", "status                ok", "group-lasso  alpha_fraction=0.1"):
+        assert words in out
+    assert "duality_gap" in out
+
+
+def test_estimate_json_is_one_object(capsys, flight):
+    code, out, _ = run(capsys, "estimate", flight, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["length_scale"] == pytest.approx(4.21, abs=0.11)
+    assert found["timescale"] == pytest.approx(found["length_scale"] / found["mean_velocity"])
+    assert (found["status"], found["reason"], found["backend"]) == ("ok", "", "group-lasso")
+    assert found["certificate"]["kind"] == "duality_gap"
+    assert found["weights_by_scale"][0] == [1.0, 0.0]
+
+
+def test_estimate_that_is_not_ok_exits_1_and_is_printed_all_the_same(capsys, flight):
+    options = ("--backend", "stlsq", "--setting", "threshold=50", *COARSE)
+    code, out, err = run(capsys, "estimate", flight, *options, "--json")
+    assert code == 1
+    assert json.loads(out)["status"] == "unidentifiable"
+    assert json.loads(out)["length_scale"] is None
+    assert err.startswith("sparsefit: unidentifiable: ")
+    code, out, _ = run(capsys, "estimate", flight, *options)
+    assert code == 1
+    assert "length scale   L_w            – m" in out
+
+
+def test_settings_are_read_as_toml_scalars(capsys, flight):
+    words = ("alpha_fraction=0.2", "separate=true", 'group_weights="sqrt-size"', "solver=clarabel")
+    pairs = [item for word in words for item in ("--setting", word)]
+    code, out, _ = run(capsys, "estimate", flight, *COARSE, *pairs, "--json")
+    assert code == 0
+    settings = json.loads(out)["settings"]
+    assert {key: settings[key] for key in settings if key != "selection"} == {
+        "alpha_fraction": 0.2,
+        "separate": True,
+        "group_weights": "sqrt-size",
+        "solver": "clarabel",
+    }
+
+
+def test_options_of_the_estimator_reach_it(capsys, flight):
+    options = ("--grid-lower", "3", "--grid-upper", "5", "--grid-step", "0.5")
+    options += ("--derivative", "savgol", "--window", "7", "--order", "3", "--target")
+    options += ("acceleration", "--length-scale-readout", "absolute-sum")
+    _, out, _ = run(
+        capsys, "estimate", flight, *options, "--mean-velocity-readout", "peak", "--json"
+    )
+    found = json.loads(out)
+    assert [scale for scale, _ in found["weights_by_scale"]] == [3.0, 3.5, 4.0, 4.5, 5.0]
+    assert found["samples"] == 501 - 6
+
+
+def test_vehicle_of_the_command_line_replaces_only_what_it_names(capsys, flight):
+    _, out, _ = run(capsys, "estimate", flight, *COARSE, "--thrust-ax", "1")
+    assert "response time 0.5 s, thrust (1, 3) m/s^2" in out
+    bare = edited("bare.csv", lambda lines: [line for line in lines if line[0] != "#"])
+    assert "give --response-time" in refused(capsys, "estimate", bare)
+    assert "give --response-time too" in refused(capsys, "estimate", bare, "--thrust-ax", "1")
+    _, out, _ = run(capsys, "estimate", bare, *COARSE, "--response-time", "0.5")
+    assert "response time 0.5 s, thrust (0, 0) m/s^2" in out
+
+
+def test_estimator_file_is_used(capsys, flight):
+    estimator = Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0)), backend="lasso")
+    with open("estimator.json", "w") as file:
+        file.write(estimator.to_json())
+    _, out, _ = run(capsys, "estimate", flight, "--estimator", "estimator.json", "--json")
+    assert json.loads(out)["backend"] == "lasso"
+    assert json.loads(out)["columns"] == 24
+    err = refused(capsys, "estimate", flight, "--estimator", "estimator.json", "--window", "7")
+    assert "--window and --estimator cannot both be given" in err
+
+
+CHANGES = {
+    "no column x": lambda lines: [line.replace("time,x,", "time,q,") for line in lines],
+    "line 20, column vy: 'abc'": lambda lines: _cell(lines, "abc"),
+    "line 20, column vy: 'nan'": lambda lines: _cell(lines, "nan"),
+    "line 20, column vy: '1 m'": lambda lines: _cell(lines, "1 m"),
+    "row 14": lambda lines: [*lines[:20], lines[19], *lines[20:]],
+    "follows t=5.0; sort": lambda lines: [*lines[:6], *lines[:5:-1]],
+    "at least 3 samples; got 2": lambda lines: lines[:8],
+    "found nothing": lambda lines: [],
+    'unknown key "thrust_az"': lambda lines: ["# thrust_az=1\n", *lines],
+    "response_time: '500 ms'": lambda lines: ["# response_time=500 ms\n", *lines[1:]],
+}
+
+
+def _cell(lines, text):
+    return [*lines[:19], lines[19].rpartition(",")[0] + f",{text}\n", *lines[20:]]
+
+
+@pytest.mark.parametrize("words", CHANGES)
+def test_estimate_refuses_a_flight_that_is_none(capsys, flight, words):
+    err = refused(capsys, "estimate", edited("bad.csv", CHANGES[words]), "--json")
+    assert "bad.csv: " in err
+    assert words in err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--backend", "laso"), 'unknown back-end "laso": did you mean "lasso"?'),
+        (("--setting", "solver=mosk"), "solver"),
+        (("--setting", "alpha=1"), 'unknown setting of group-lasso "alpha"'),
+        (("--setting", "alpha_fraction=0"), "must be a number in (0, 1], not 0"),
+        (("--setting", "alpha_fraction=2"), "must be a number in (0, 1], not 2"),
+        (("--setting", "alpha_fraction=x"), "must be a number in (0, 1], not 'x'"),
+        (("--setting", "alpha_fraction=nan"), "must be a number in (0, 1]"),
+        (("--setting", "alpha_fraction"), "is not key=value"),
+        (("--setting", "separate=1", "--setting", "separate=0"), "given twice"),
+        (("--grid-lower", "0"), "lower must be"),
+        (("--grid-lower", "-1e-3"), "lower must be"),
+        (("--grid-lower", "13"), "upper (12 m) is below lower"),
+        (("--grid-step", "1e-6"), "more than the 2048 that can be held"),
+        (("--grid-step", "4cm"), "give it in m, without the unit"),
+        (("--derivative", "foward"), 'did you mean "forward"?'),
+        (("--window", "4"), "window must be"),
+        (("--window", "5001"), "longer than the flight"),
+        (("--target", "flow"), "unknown target"),
+        (("--mean-velocity-readout", "rsm"), 'did you mean "rms"?'),
+        (("--response-time", "-1"), "response_time must be"),
+        (("--estimator", "missing.json"), "cannot read missing.json"),
+        (("--estimator", "flight.csv"), "not an estimator"),
+        (("--estimator", "."), "cannot read ."),
+    ],
+)
+def test_estimate_refuses_an_option(capsys, flight, options, words):
+    assert words in refused(capsys, "estimate", flight, *options)
+
+
+def test_files_that_are_no_text_are_refused(capsys, flight):
+    with open("binary.csv", "wb") as file:
+        file.write(bytes(range(128, 256)))
+    assert "not a text file" in refused(capsys, "estimate", "binary.csv")
+    assert "not UTF-8" in refused(capsys, "estimate", flight, "--estimator", "binary.csv")
+    assert "cannot read missing.csv" in refused(capsys, "estimate", "missing.csv")
+    os.mkdir("folder.csv")
+    assert "cannot read folder.csv" in refused(capsys, "estimate", "folder.csv")
+
+
+def test_memory_that_is_not_there_is_no_traceback(capsys, flight, monkeypatch):
+    def starve(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(Estimator, "estimate", starve)
+    assert "not enough memory; use fewer" in refused(capsys, "estimate", flight)
+
+
+def test_a_bug_of_ours_is_not_dressed_up_as_bad_input(flight, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Estimator, "estimate", broken)
+    with pytest.raises(ZeroDivisionError):
+        main(["estimate", flight])
+
+
+# --- backends
+
+
+def test_backends_are_listed_with_settings_and_certificate(capsys):
+    code, out, _ = run(capsys, "backends")
+    assert code == 0
+    assert "group-lasso\n  Group-LASSO (Yuan & Lin 2006)" in out
+    assert "certificate: duality_gap\n  settings: alpha_fraction=0.1" in out
+    assert "solvers that cvxpy finds here: clarabel" in out
+    for argv in (("backends", "--json"), ("backends", "list", "--json")):
+        listed = json.loads(run(capsys, *argv)[1])
+        assert [one["name"] for one in listed["backends"]][:2] == ["least-squares", "stlsq"]
+        assert "osqp" in listed["cvxpy_solvers"]
+
+
+def test_a_broken_plug_in_is_listed_with_its_error(capsys, monkeypatch):
+    from importlib.metadata import EntryPoint
+
+    from sparsefit import backends
+
+    broken = EntryPoint("broken", "no_such_module:Thing", "sparsefit.backends")
+    monkeypatch.setattr(backends, "_plugins", lambda: {"broken": broken})
+    code, out, _ = run(capsys, "backends")
+    assert code == 0
+    assert "broken\n  broken: back-end 'broken'" in out
+    assert "cannot be loaded" in refused(capsys, "backends", "check", "broken")
+
+
+@pytest.mark.parametrize("name", ["least-squares", "stlsq", "lasso", "group-lasso"])
+def test_every_back_end_passes_its_check(capsys, name):
+    code, out, _ = run(capsys, "backends", "check", name)
+    assert code == 0
+    assert out.startswith(f"{name}: ok")
+    code, out, _ = run(capsys, "backends", "--json", "check", name)
+    assert json.loads(out)["length_scale"] == pytest.approx(4.0, rel=1e-6)
+
+
+def test_check_refuses_what_it_does_not_know(capsys):
+    assert "unknown back-end" in refused(capsys, "backends", "check", "laso")
+    assert "alpha_fraction" in refused(
+        capsys, "backends", "check", "lasso", "--setting", "alpha_fraction=2"
+    )
+    assert run(capsys, "backends", "check", "stlsq", "--setting", "threshold=50")[0] == 1
+
+
+# --- the program as a whole
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ("simulate",),
+        ("estimate",),
+        *(("study", action) for action in ("check", "plan", "run", "status", "errors", "show")),
+        ("study", "report"),
+        ("study",),
+        ("select",),
+        ("backends",),
+        ("backends", "list"),
+        ("backends", "check"),
+    ],
+)
+def test_every_verb_has_help_with_an_example(capsys, verb):
+    code, out, _ = run(capsys, *verb, "--help")
+    assert code == 0
+    assert "example:\n  sparsefit " + verb[0] in out
+
+
+@pytest.mark.parametrize("argv", [(), ("estimat",), ("study",), ("backends", "foo"), ("estimate",)])
+def test_bad_usage_is_one_line(capsys, argv):
+    assert "--help" in refused(capsys, *argv)
+
+
+def test_version(capsys):
+    from sparsefit import __version__
+
+    assert run(capsys, "--version")[:2] == (0, f"sparsefit {__version__}\n")
+
+
+PROGRAM = "import sys; from sparsefit.cli import main; sys.exit(main())"
+
+
+def command(*argv):
+    return [sys.executable, "-c", PROGRAM, *argv]
+
+
+def test_help_needs_no_numpy():
+    script = (
+        "import sys; from sparsefit.cli import parser; parser().format_help(); "
+        "sys.exit('numpy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script]).returncode == 0
+
+
+def test_refusals_of_the_program_itself(flight):
+    done = subprocess.run(command("estimate", "no.csv"), capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_a_reader_that_leaves_early_is_no_error(flight):
+    with subprocess.Popen(
+        command("estimate", flight, "--json"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait() == 141
+
+
+def test_ctrl_c_is_130_without_traceback(capsys, flight, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Estimator, "estimate", interrupted)
+    assert run(capsys, "estimate", flight) == (130, "", "\nstopped\n")
+
+
+def test_bench_refuses_bad_input_and_what_it_would_overwrite(capsys, tmp_path):
+    where = ("--results", str(tmp_path))
+    assert "unknown" in refused(capsys, "bench", "--quick", "--problems", "nosuch", *where)
+    (tmp_path / "solvers").mkdir(exist_ok=True)
+    (tmp_path / "solvers" / "times.md").write_text("mine")
+    assert "--force" in refused(capsys, "bench", "--quick", *where)
+    assert (tmp_path / "solvers" / "times.md").read_text() == "mine"

@@ -1,0 +1,310 @@
+"""The verbs on studies, on one small study that is run once."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from sparsefit.cli import main
+from sparsefit.cli.progress import Lines
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.study.run import partial, runner
+
+STUDY = """
+name = "small"
+question = "Does it run?"
+seed = 1
+[flights]
+count = 4
+timescale = { linspace = [0.2, 1.0] }
+length_scale = { uniform = [3.0, 5.0] }
+response_time = 0.5
+thrust_acceleration = [5.0, 3.0]
+duration = 2.0
+sample_rate = 50.0
+[readout]
+refine = "none"
+[library]
+lower = 3.0
+upper = 5.0
+step = 0.5
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.01, 0.1]
+[[backends]]
+name = "stlsq"
+threshold = 50
+[[protocols]]
+name = "default"
+[[protocols]]
+name = "paper"
+"derivative.method" = "forward"
+[sweep]
+"flights.velocity_noise" = [0.0, 0.1]
+"library.target" = ["flow-velocity", "acceleration"]
+[split]
+validate = 2
+evaluate = 2
+[outputs]
+tables = ["errors", "times"]
+figures = ["scatter"]
+answers = ["completeness"]
+"""
+PLANNED = 4 * 2 * 4 * 3
+ANSWER = (
+    "Not wholly: 96 of 96 planned cases ended as rows, 64 of them with an estimate "
+    "(64 ok, 32 unidentifiable)."
+)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("home")
+    (folder / "small.toml").write_text(STUDY)
+    options = ["--results", str(folder / "results"), "--processes", "1"]
+    assert main(["study", "run", str(folder / "small.toml"), *options]) == 0
+    return folder
+
+
+@pytest.fixture
+def finished(home, tmp_path, monkeypatch):
+    shutil.copytree(home, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return "small.toml"
+
+
+@pytest.fixture
+def fresh(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(STUDY)
+    return "small.toml"
+
+
+@pytest.fixture
+def half(finished):
+    """The same study, stopped on the way."""
+    study = runner.Study.load(finished)
+    cases = runner.store.read_cases("results/small")
+    Path("results/small/cases.parquet").unlink()
+    Path("results/small/manifest.json").unlink()
+    folder = Path("results/small")
+    versions = {"study_hash": study.hash, "sparsefit": runner.sparsefit_version()}
+    partial.begin(folder, {**versions, "study": study.name, "planned": study.planned})
+    with partial.appending(folder) as rows:
+        for index in range(12):
+            row = cases.iloc[index]
+            rows.append(runner.Outcome(0, index, row["status"], row["reason"]))
+    return finished
+
+
+def run(capsys, *argv):
+    capsys.readouterr()
+    try:
+        code = main([str(word) for word in argv])
+    except SystemExit as left:
+        code = left.code
+    return (code, *capsys.readouterr())
+
+
+def refused(capsys, *argv):
+    before = sorted(map(str, Path().rglob("*")))
+    code, out, err = run(capsys, *argv)
+    assert (code, out) == (2, "")
+    assert err.startswith("sparsefit: error: ")
+    assert err.count("\n") == 1
+    assert sorted(map(str, Path().rglob("*"))) == before
+    return err
+
+
+def test_check_says_on_one_line_what_is_planned(capsys, fresh):
+    code, out, _ = run(capsys, "study", "check", fresh)
+    assert (code, out) == (0, f"small.toml: ok, study small plans {PLANNED} cases\n")
+    assert json.loads(run(capsys, "study", "check", fresh, "--json")[1])["cases"] == PLANNED
+
+
+def test_plan_counts(capsys, fresh):
+    _, out, _ = run(capsys, "study", "plan", fresh)
+    assert "sweep library.target" in out
+    assert "2 settings, 64 cases" in out
+    assert "8 simulations, 32 regression problems, 96 fits" in out
+    found = json.loads(run(capsys, "study", "plan", fresh, "--json")[1])
+    assert found["cases"] == PLANNED
+    assert found["tables"] == ["errors", "times"]
+    assert found["answers"] == ["completeness"]
+    assert "answers " in out
+
+
+def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
+    code, out, err = run(capsys, "study", "run", finished)
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{ANSWER}\n\nSigned mean errors (small)")
+    assert f"\n\n{ANSWER}\n\n" in Path("results/small/README.md").read_text()
+    assert f"nothing to run: all {PLANNED} cases were there (64 ok, 32 unidentifiable)" in out
+    assert "start with results/small/README.md" in out
+    for name in ("README.md", "errors.tex", "scatter.svg", "cases.parquet", "manifest.json"):
+        assert Path("results/small", name).is_file()
+
+
+def test_run_goes_on_where_it_was_stopped(capsys, half):
+    code, out, err = run(capsys, "study", "run", half, "--processes", "1", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert (found["cases"], found["resumed"]) == (PLANNED, 12)
+    assert found["answers"][0].startswith("Not wholly: 96 of 96 planned")
+    manifest = json.loads(Path("results/small/manifest.json").read_text())
+    assert manifest["solver_seconds"] == pytest.approx(found["solver_seconds"], abs=1e-3)
+    assert 0 < found["solver_seconds"] < found["seconds"]  # one process
+    assert err.startswith(f"12/{PLANNED} cases, 12 %\n")
+    assert err.endswith(f"{PLANNED}/{PLANNED} cases, 100 %\n")
+
+
+@pytest.mark.parametrize("fresh_run", [False, True])
+def test_ctrl_c_says_how_to_go_on(capsys, fresh, monkeypatch, fresh_run):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "run", interrupted)
+    code, _, err = run(capsys, "study", "run", fresh, *["--fresh"] * fresh_run)
+    again = "without --fresh to continue" if fresh_run else "again to continue"
+    assert code == 130
+    assert err.strip().startswith("stopped; run the same command")
+    assert err.strip().endswith(again)
+
+
+def test_lines_are_few_and_truthful(capsys, monkeypatch):
+    clock = iter([0.0, 1.0, 4.9, 5.1, 6.0])
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    lines = Lines()
+    for done, left in ((0, None), (10, 200.0), (20, 150.0), (30, 130.0), (100, 0.0)):
+        lines(done, 100, left)
+    assert capsys.readouterr().err.splitlines() == [
+        "0/100 cases, 0 %",
+        "30/100 cases, 30 %, about 2 min 10 s left",
+        "100/100 cases, 100 %",
+    ]
+
+
+def test_status(capsys, fresh):
+    assert "small: not begun, 0 of 96 cases" in run(capsys, "study", "status", fresh)[1]
+
+
+def test_status_of_a_finished_and_of_a_stopped_study(capsys, half):
+    _, out, _ = run(capsys, "study", "status", half)
+    assert out == "small: not finished, 12 of 96 cases (8 ok, 4 unidentifiable) in results/small\n"
+    found = json.loads(run(capsys, "study", "status", half, "--json")[1])
+    assert (found["finished"], found["done"]) == (False, 12)
+
+
+def test_errors_are_grouped_by_reason(capsys, finished):
+    code, out, _ = run(capsys, "study", "errors", finished)
+    assert code == 0
+    assert out.startswith("small: 32 of 96 cases are not ok\n\n32 x unidentifiable, stlsq\n")
+    (group,) = json.loads(run(capsys, "study", "errors", finished, "--json")[1])["groups"]
+    assert group["first_case"].startswith("0000-")
+
+
+def test_errors_and_tables_of_a_stopped_study(capsys, half):
+    assert "4 of 12 cases are not ok (not finished" in run(capsys, "study", "errors", half)[1]
+    assert "12 of 96 planned cases" in run(capsys, "study", "show", half)[1]
+
+
+def test_show_prints_the_tables(capsys, finished):
+    code, out, _ = run(capsys, "study", "show", finished)
+    assert code == 0
+    assert out.startswith(f"small: Does it run?\n{ANSWER}\n96 of 96 planned cases")
+    assert "Times, certificates and statuses (small)" in out
+    _, out, _ = run(capsys, "study", "show", finished, "--table", "errors-absolute")
+    assert out.startswith("Sizes of the percentage errors (small)")
+    tables = json.loads(run(capsys, "study", "show", finished, "--json")[1])
+    assert list(tables) == ["errors", "times"]
+    assert 'did you mean "errors"?' in refused(capsys, "study", "show", finished, "--table", "eror")
+
+
+def test_report_writes_the_same_again(capsys, finished):
+    before = Path("results/small/errors.md").read_text()
+    os.remove("results/small/errors.md")
+    code, out, _ = run(capsys, "study", "report", finished)
+    assert code == 0
+    assert out.splitlines()[0] == ANSWER
+    assert out.splitlines()[-1] == "results/small/README.md"
+    assert Path("results/small/errors.md").read_text() == before
+
+
+def test_select_writes_the_estimator_of_the_winner(capsys, finished):
+    code, out, _ = run(capsys, "select", finished)
+    assert code == 0
+    assert out.startswith("Selected estimator and its runners-up (small)")
+    assert "use it: sparsefit estimate FLIGHT --estimator estimator.json" in out
+    text = Path("estimator.json").read_text()
+    _, out, _ = run(capsys, "select", finished, "--force", "--json")
+    found, estimator = json.loads(out), Estimator.from_json(text)
+    assert Path("estimator.json").read_text() == text
+    assert estimator.backend.name == found["backend"] == "lasso"
+    assert estimator.backend.alpha_fraction == found["settings"]["alpha_fraction"]
+    assert estimator.library.target == found["factors"]["library.target"]
+    assert (
+        estimator.derivative.method == {"default": "savgol", "paper": "forward"}[found["protocol"]]
+    )
+    assert estimator.library.grid.step == 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--criterion", "mean"), "unknown criterion"),
+        (("--max-failure-rate", "2"), "max_failure_rate must be"),
+        (("--max-failure-rate", "2%"), '"2%" is not a number'),
+        (("--max-seconds", "1e-9"), "keeps the limits"),
+        (("-o", "small.toml"), "small.toml exists; add --force"),
+        (("-o", "nowhere/e.json"), "cannot write nowhere/e.json"),
+        (("-o", "small.toml/e.json"), "cannot write small.toml/e.json"),
+        (("--results", "elsewhere"), "run the study first"),
+    ],
+)
+def test_select_refuses(capsys, finished, options, words):
+    assert words in refused(capsys, "select", finished, *options)
+
+
+def test_what_needs_a_finished_study_refuses_another(capsys, half):
+    assert "run" in refused(capsys, "select", half)
+    assert "12 of 96 cases are there" in refused(capsys, "study", "report", half)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name = ", "bad.toml:1: not TOML"),
+        ("\x00", "bad.toml:1: not TOML"),
+        (STUDY.replace('"lasso"', '"laso"'), 'did you mean "lasso"?'),
+        (STUDY.replace("threshold", "treshold"), 'did you mean "threshold"?'),
+        (STUDY.replace("0.01, 0.1", "0, 0.1"), "must be a number in (0, 1], not 0"),
+        (STUDY.replace("lower = 3.0", "lower = 0"), "[library]"),
+        (STUDY.replace("sample_rate", "sampling_rate"), 'did you mean "sample_rate"?'),
+        (STUDY.replace("duration = 2.0", 'duration = "2 s"'), 'key "duration"'),
+    ],
+)
+@pytest.mark.parametrize("action", ["check", "run"])
+def test_study_files_that_are_none_are_refused(capsys, fresh, action, text, words):
+    Path("bad.toml").write_text(text)
+    assert words in refused(capsys, "study", action, "bad.toml")
+
+
+@pytest.mark.parametrize("name", ["missing.toml", "."])
+def test_study_files_that_cannot_be_read_are_refused(capsys, fresh, name):
+    assert name in refused(capsys, "study", "check", name)
+
+
+@pytest.mark.parametrize("action", ["run", "status", "errors", "show", "report"])
+def test_results_of_another_study_are_refused(capsys, finished, action):
+    Path(finished).write_text(STUDY.replace("seed = 1", "seed = 2"))
+    assert "made by a different study" in refused(capsys, "study", action, finished)
+    assert "made by a different study" in refused(capsys, "select", finished)
+
+
+def test_a_results_folder_that_cannot_be_written_is_refused(capsys, fresh):
+    Path("file").write_text("")
+    err = refused(capsys, "study", "run", fresh, "--results", "file")
+    assert "choose another results folder" in err
+    assert "at least 1" in refused(capsys, "study", "run", fresh, "--processes", "0")

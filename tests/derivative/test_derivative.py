@@ -1,0 +1,212 @@
+import numpy as np
+import pytest
+
+from sparsefit.derivative import METHODS, Derivative, Smoothing
+from sparsefit.errors import InputError
+from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+
+VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
+UNEVEN = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6, 0.9, 1.0])
+
+
+def flight_of(time, position, velocity):
+    return Flight(time=time, position=position, velocity=velocity, vehicle=VEHICLE)
+
+
+def waves(time):
+    """Return a flight of sines, its states and rates known in closed form."""
+    position = np.column_stack([np.sin(2 * time), np.cos(3 * time)])
+    velocity = np.column_stack([np.sin(4 * time), np.cos(time)])
+    return flight_of(time, position, velocity)
+
+
+def exact_rates(time):
+    return np.column_stack(
+        [2 * np.cos(2 * time), -3 * np.sin(3 * time), 4 * np.cos(4 * time), -np.sin(time)]
+    )
+
+
+def rates_of(samples):
+    return np.hstack([samples.position_rate, samples.acceleration])
+
+
+@pytest.mark.parametrize("method", ["forward", "central", "midpoint"])
+def test_straight_lines_are_exact_on_uneven_steps(method):
+    line = np.column_stack([2.0 * UNEVEN + 1.0, -3.0 * UNEVEN])
+    samples = Derivative(method)(flight_of(UNEVEN, line, 2 * line))
+    np.testing.assert_allclose(samples.position_rate, np.tile([2.0, -3.0], (len(samples.time), 1)))
+    np.testing.assert_allclose(samples.acceleration, 2 * samples.position_rate)
+    np.testing.assert_allclose(samples.position[:, 1], -3.0 * samples.time, atol=1e-15)
+
+
+def test_central_is_exact_for_parabolas_on_uneven_steps():
+    curve = np.column_stack([UNEVEN**2, 3 * UNEVEN - UNEVEN**2])
+    samples = Derivative("central")(flight_of(UNEVEN, curve, curve))
+    expected = np.column_stack([2 * UNEVEN, 3 - 2 * UNEVEN])[1:-1]
+    np.testing.assert_allclose(samples.acceleration, expected, atol=1e-13)
+
+
+def test_savgol_is_exact_for_polynomials_of_its_order_up_to_the_kept_edges():
+    time = np.arange(20) / 10.0
+    curve = np.column_stack([time**4 - time, time**3])
+    samples = Derivative("savgol", window=7, order=4)(flight_of(time, curve, curve))
+    inner = time[3:-3]
+    np.testing.assert_array_equal(samples.time, inner)
+    np.testing.assert_allclose(samples.velocity, curve[3:-3], atol=1e-12)
+    np.testing.assert_allclose(
+        samples.acceleration, np.column_stack([4 * inner**3 - 1, 3 * inner**2]), atol=1e-11
+    )
+
+
+def test_forward_is_equation_15():
+    flight = waves(UNEVEN)
+    samples = Derivative("forward")(flight)
+    np.testing.assert_array_equal(samples.time, UNEVEN[:-1])
+    np.testing.assert_array_equal(samples.position, flight.position[:-1])
+    by_hand = (flight.velocity[3] - flight.velocity[2]) / (UNEVEN[3] - UNEVEN[2])
+    np.testing.assert_array_equal(samples.acceleration[2], by_hand)
+
+
+def test_midpoint_by_hand():
+    flight = waves(UNEVEN)
+    samples = Derivative("midpoint")(flight)
+    assert samples.time[1] == pytest.approx(0.175)
+    np.testing.assert_allclose(samples.position[1], (flight.position[1] + flight.position[2]) / 2)
+    np.testing.assert_allclose(
+        samples.acceleration[1], (flight.velocity[2] - flight.velocity[1]) / 0.15
+    )
+
+
+def test_savgol_5_4_weights_are_the_classical_ones():
+    time = np.arange(5) / 2.0
+    flight = waves(time)
+    samples = Derivative("savgol")(flight)
+    weights = np.array([1, -8, 0, 8, -1]) / 12 / 0.5
+    np.testing.assert_allclose(samples.acceleration[0], weights @ flight.velocity, atol=1e-13)
+    np.testing.assert_allclose(samples.position, flight.position[2:3], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("settings", "order"),
+    [
+        ({"method": "forward"}, 1),
+        ({"method": "central"}, 2),
+        ({"method": "midpoint"}, 2),
+        ({"method": "savgol", "window": 5, "order": 4}, 4),
+        ({"method": "savgol", "window": 7, "order": 2}, 2),
+    ],
+)
+def test_order_of_convergence(settings, order):
+    errors = []
+    for count in (101, 201):
+        samples = Derivative(**settings)(waves(np.linspace(0.0, 2.0, count)))
+        errors.append(np.abs(rates_of(samples) - exact_rates(samples.time)).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+
+
+def test_savgol_smooths_noise():
+    time = np.arange(2000) / 100.0
+    noise = np.random.default_rng(3).standard_normal((2000, 2))
+    samples = Derivative("savgol", window=21, order=2)(flight_of(time, noise, noise))
+    assert samples.velocity.std() < 0.4
+    assert samples.acceleration.std() < 0.1 * np.diff(noise, axis=0).std() * 100
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_columns_share_their_rows_and_dropped_samples(method):
+    samples = Derivative(method)(waves(np.linspace(0.0, 1.0, 11)))
+    kept = {"forward": 10, "central": 9, "midpoint": 10, "savgol": 7, "auto": 10, "weak": 10}[
+        method
+    ]
+    assert samples.time.shape == (kept,)
+    for name in ("position", "velocity", "position_rate", "acceleration"):
+        assert getattr(samples, name).shape == (kept, 2)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_flight_is_not_changed(method):
+    flight = waves(np.linspace(0.0, 1.0, 11))
+    before = flight.velocity.copy()
+    Derivative(method)(flight)
+    np.testing.assert_array_equal(flight.velocity, before)
+
+
+@pytest.mark.parametrize(("method", "rtol"), [("central", 2e-3), ("savgol", 2e-6)])
+def test_flow_velocity_is_read_off_a_flight(method, rtol):
+    flow = CellularFlow(6.0, 4.0)
+    flight = simulate_flight(flow, VEHICLE, duration=5.0, sample_rate=100.0, seed=1)
+    samples = Derivative(method)(flight)
+    truth = flow.velocity(samples.position[:, 0], samples.position[:, 1])
+    np.testing.assert_allclose(samples.flow_velocity(VEHICLE), truth, atol=rtol * 6.0)
+    np.testing.assert_allclose(samples.position_rate, samples.velocity, atol=rtol * 6.0)
+
+
+def test_savgol_refuses_uneven_steps_by_name():
+    with pytest.raises(InputError, match=r"savgol needs uniform time steps.*row 5.*use central or"):
+        Derivative("savgol")(waves(UNEVEN))
+
+
+def test_savgol_takes_rounded_clocks_and_clocks_that_count_from_1970():
+    steps = np.arange(100) / 100.0
+    rounded = waves(np.round(steps, 2))
+    assert Derivative("savgol")(rounded).time.shape == (96,)
+    assert Derivative("savgol")(waves(1.7e9 + steps)).time.shape == (96,)
+    late = steps.copy()
+    late[50] += 1e-6
+    with pytest.raises(InputError, match="uniform"):
+        Derivative("savgol")(waves(late))
+
+
+def test_savgol_window_longer_than_the_flight():
+    with pytest.raises(InputError, match="window 11 is longer than the flight of 8 samples"):
+        Derivative("savgol", window=11)(waves(np.arange(8.0)))
+
+
+@pytest.mark.parametrize("bad", [4, 1, 0, -3, 5.0, True, "5"])
+def test_bad_window(bad):
+    with pytest.raises(InputError, match="window must be an odd integer"):
+        Derivative("savgol", window=bad, order=1)
+
+
+@pytest.mark.parametrize("bad", [5, 0, -1, 2.0])
+def test_bad_order(bad):
+    with pytest.raises(InputError, match="order must be an integer from 1 to window - 1 = 4"):
+        Derivative("savgol", window=5, order=bad)
+
+
+@pytest.mark.parametrize("method", ["auto", "forward", "central", "midpoint"])
+@pytest.mark.parametrize("setting", [{"window": 7}, {"order": 2}])
+def test_a_window_where_there_is_none_is_refused_not_ignored(method, setting):
+    with pytest.raises(InputError, match="has no window and no order"):
+        Derivative(method, **setting)
+
+
+def test_unknown_method_names_the_nearest():
+    with pytest.raises(InputError, match='unknown derivative "centrl": did you mean "central"'):
+        Derivative("centrl")
+    with pytest.raises(InputError, match="unknown derivative"):
+        Derivative(None)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"method": "forward"}, Smoothing("forward", rate_window=2)),
+        ({"method": "central"}, Smoothing("central", rate_window=3)),
+        ({"method": "midpoint"}, Smoothing("midpoint", window=2, rate_window=2)),
+        (
+            {"method": "savgol", "window": 7, "order": 2},
+            Smoothing("savgol", window=7, rate_window=7, order=2),
+        ),
+    ],
+)
+def test_samples_tell_how_they_were_smoothed(settings, expected):
+    found = Derivative(**settings)(waves(np.linspace(0.0, 1.0, 11))).smoothing
+    assert repr(found) == repr(expected)  # NaN is not equal to itself
+
+
+def test_settings_compare_equal():
+    assert Derivative("savgol") == Derivative("savgol", 5, 4)
+    assert METHODS == ("forward", "central", "midpoint", "savgol", "auto", "weak")

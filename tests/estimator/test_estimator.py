@@ -1,0 +1,300 @@
+"""From a flight to the parameters, and the estimator as JSON."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import SMALL_GRID, VEHICLE, flight
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.estimator import FORMAT, Estimator
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.regression.objective import Certificate
+
+SMALL = Library(SMALL_GRID)
+
+
+@pytest.mark.parametrize("backend", ["lasso", "group-lasso"])
+@pytest.mark.parametrize(("length_scale", "speed"), [(4.2, 15.0), (2.6, 8.0), (7.0, 20.0)])
+def test_a_noise_free_flight_gives_its_grid_scale_and_its_flow(backend, length_scale, speed):
+    flown = flight(length_scale, speed)
+    found = Estimator(backend=backend).estimate(flown)
+    assert (found.status, found.reason) == ("ok", "")
+    assert found.grid_length_scale == length_scale
+    assert found.length_scale == pytest.approx(length_scale, rel=1e-3)
+    assert found.mean_velocity == pytest.approx(speed, rel=1e-3)
+    assert found.timescale == pytest.approx(length_scale / speed, rel=1e-3)
+    assert found.certificate.value <= 1e-8
+    assert max(found.weights_by_scale, key=found.weights_by_scale.get) == length_scale
+    assert found.backend == backend
+    assert found.settings["alpha_fraction"] == 0.1
+    assert sf.score(found, flown.flow, LengthScaleGrid().scales).hit
+
+
+@pytest.mark.parametrize("target", ["flow-velocity", "acceleration", "state-derivative"])
+@pytest.mark.parametrize("derivative", ["forward", "central", "midpoint", "savgol"])
+def test_every_derivative_and_target_ends_in_an_estimate(derivative, target):
+    found = Estimator(derivative, Library(SMALL_GRID, target)).estimate(flight())
+    assert found.status in ("ok", "inaccurate", "unidentifiable")
+    assert found.columns == 8 * SMALL_GRID.size
+    assert found.samples > 900
+
+
+@pytest.mark.parametrize("backend", list(backends.BACKENDS))
+def test_every_back_end_ends_in_an_estimate(backend):
+    found = Estimator(library=SMALL, backend=backend).estimate(flight())
+    assert found.backend == backend
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["backend"] == backend
+
+
+def test_the_stages_are_the_whole():
+    estimator = Estimator(library=SMALL)
+    prepared = estimator.prepare(flight())
+    staged = estimator.read(prepared, estimator.fit(prepared))
+    whole = estimator.estimate(flight())
+    assert staged.mean_velocity == whole.mean_velocity
+    assert staged.length_scale == whole.length_scale
+    assert staged.weights_by_scale == whole.weights_by_scale
+
+
+def test_the_truth_in_the_flight_is_not_read():
+    flown = flight()
+    blind = sf.Flight(flown.time, flown.position, flown.velocity, VEHICLE)
+    estimator = Estimator(library=SMALL)
+    assert estimator.estimate(blind).length_scale == estimator.estimate(flown).length_scale
+
+
+def test_all_weights_zero_are_unidentifiable():
+    found = Estimator(library=SMALL, backend=backends.get("lasso", alpha_fraction=1.0)).estimate(
+        flight()
+    )
+    assert found.status == "unidentifiable"
+    assert "no length scale" in found.reason
+    assert math.isnan(found.length_scale)
+    assert math.isnan(found.mean_velocity)
+    assert math.isnan(found.timescale)
+
+
+def test_an_empty_support_is_unidentifiable_and_says_why():
+    backend = backends.get("stlsq", threshold=1e6)
+    found = Estimator(library=SMALL, backend=backend).estimate(flight())
+    assert (found.status, found.weights_by_scale) == ("unidentifiable", {})
+    assert "empty support" in found.reason
+    assert math.isnan(found.length_scale)
+
+
+def test_an_error_of_the_back_end_is_the_estimates_error():
+    short = sf.simulate_flight(
+        sf.CellularFlow(15.0, 4.2), VEHICLE, duration=0.5, sample_rate=100.0, seed=1
+    )
+    found = Estimator(backend="least-squares").estimate(short)
+    assert found.status == "error"
+    assert "Section V.B" in found.reason
+    assert math.isnan(found.length_scale)
+
+
+def test_a_mean_velocity_without_sense_is_unidentifiable():
+    readout = sf.Readout(mean_velocity="paper", eq24="mean-ratio")
+    statuses = set()
+    for seed in range(6):
+        found = Estimator(library=SMALL, readout=readout).estimate(flight(seed=seed))
+        statuses.add(found.status)
+        if not found.mean_velocity > 0:
+            assert found.status == "unidentifiable"
+            assert "mean velocity" in found.reason
+    assert statuses <= {"ok", "inaccurate", "unidentifiable"}
+
+
+def numbers_of(value):
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return [n for item in value for n in numbers_of(item)]
+    return [value] if isinstance(value, float) else []
+
+
+@pytest.mark.parametrize("fraction", [0.1, 1.0])
+def test_to_dict_is_json_without_nan(fraction):
+    backend = backends.get("group-lasso", alpha_fraction=fraction)
+    found = Estimator(library=SMALL, backend=backend).estimate(flight())
+    record = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    keys = {"mean_velocity", "length_scale", "timescale", "status", "reason", "backend"}
+    assert keys | {"certificate"} <= set(record)
+    assert np.isfinite(numbers_of(record)).all()
+    assert (record["length_scale"] is None) == (fraction == 1.0)
+    assert len(record["weights_by_scale"]) == SMALL_GRID.size
+
+
+def test_to_dict_turns_infinity_and_certificates_without_a_dual_into_none():
+    found = Estimate(math.inf, 4.0, 0.0, "ok", "", "stlsq", {}, Certificate("fixed_point", 0.0))
+    record = found.to_dict()
+    assert record["mean_velocity"] is None
+    assert record["certificate"]["dual"] is None
+    assert record["certificate"]["value"] == 0.0
+
+
+positive = st.floats(1e-6, 1e6)
+fractions = st.floats(1e-9, 1.0)
+derivatives = st.one_of(
+    st.builds(sf.Derivative, st.sampled_from(["auto", "forward", "central", "midpoint"])),
+    st.builds(
+        lambda half, order: sf.Derivative("savgol", 2 * half + 1, min(order, 2 * half)),
+        st.integers(1, 9),
+        st.integers(1, 6),
+    ),
+)
+grids = st.one_of(
+    st.builds(
+        lambda low, width, step: LengthScaleGrid(low, low + width, step=step),
+        st.floats(0.1, 9.0),
+        st.floats(0.0, 9.0),
+        st.floats(0.01, 3.0),
+    ),
+    st.builds(
+        lambda low, count, spacing: LengthScaleGrid(low, low + 5.0, count=count, spacing=spacing),
+        st.floats(0.1, 9.0),
+        st.integers(1, 99),
+        st.sampled_from(["length-scale", "wavenumber"]),
+    ),
+)
+libraries = st.builds(
+    Library, grids, st.sampled_from(["flow-velocity", "acceleration", "state-derivative"])
+)
+solvers = st.one_of(
+    st.builds(backends.load("least-squares"), st.none() | st.floats(0.0, 1.0)),
+    st.builds(
+        lambda threshold, ridge, unbias, count, normalize: backends.get(
+            "stlsq",
+            mode="pysindy",
+            threshold=threshold,
+            ridge=ridge,
+            unbias=unbias,
+            max_iterations=count,
+            normalize_columns=normalize,
+        ),
+        st.floats(0.0, 1e9),
+        st.floats(0.0, 1e9),
+        st.booleans(),
+        st.integers(1, 99),
+        st.booleans(),
+    ),
+    st.builds(backends.load("lasso"), fractions, st.sampled_from(["homotopy", "clarabel", "osqp"])),
+    st.builds(
+        backends.load("group-lasso"),
+        fractions,
+        st.booleans(),
+        st.sampled_from(["unit", "sqrt-size"]),
+        st.sampled_from(["variational", "clarabel"]),
+    ),
+)
+readouts = st.builds(
+    sf.Readout,
+    st.sampled_from(["signed-sum", "absolute-sum", "group-norm"]),
+    st.sampled_from(["paper", "rms", "peak"]),
+    st.sampled_from(["mean-ratio", "pseudo-inverse"]),
+)
+estimators = st.builds(
+    lambda d, lib, b, r, tolerance: Estimator(
+        derivative=d, library=lib, backend=b, readout=r, tolerance=tolerance
+    ),
+    derivatives,
+    libraries,
+    solvers,
+    readouts,
+    st.floats(0.0, 1.0),
+)
+
+
+@given(estimators)
+@settings(max_examples=150)
+def test_json_round_trip(estimator):
+    text = estimator.to_json()
+    assert Estimator.from_json(text) == estimator
+    assert Estimator.from_json(text).to_json() == text
+    json.loads(text, parse_constant=pytest.fail)
+
+
+def test_settings_given_as_numpy_numbers_are_json_too():
+    backend = backends.get("lasso", alpha_fraction=np.float64(0.25))
+    assert Estimator.from_json(Estimator(backend=backend).to_json()).backend == backend
+    backend = backends.get("stlsq", max_iterations=np.int64(7))
+    assert Estimator.from_json(Estimator(backend=backend).to_json()).backend == backend
+
+
+def test_names_stand_for_default_settings():
+    estimator = Estimator(derivative="forward", backend="lasso")
+    assert estimator.derivative == sf.Derivative("forward")
+    assert estimator.backend == backends.get("lasso")
+
+
+def test_what_is_left_out_of_the_json_is_the_default():
+    assert Estimator.from_json(json.dumps({"format": FORMAT})) == Estimator()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "other/1"}, "not an estimator"),
+        ({"format": None}, "not an estimator"),
+        ({"backends": {}}, 'did you mean "backend"'),
+        ({"backend": "lasso"}, "must be an object"),
+        ({"backend": {"name": "laso"}}, 'did you mean "lasso"'),
+        ({"backend": {}}, "unknown back-end"),
+        ({"backend": {"name": "lasso", "alpha": 0.1}}, "setting of lasso"),
+        ({"backend": {"name": "lasso", "alpha_fraction": 2.0}}, "alpha_fraction"),
+        ({"backend": {"name": "lasso", "alpha_fraction": "0.1"}}, "alpha_fraction"),
+        ({"backend": {"name": "lasso", "alpha_fraction": None}}, "alpha_fraction"),
+        ({"backend": {"name": "lasso", "solver": "clarabell"}}, 'did you mean "clarabel"'),
+        ({"backend": {"name": "stlsq", "max_iterations": 2.5}}, "integer"),
+        ({"backend": {"name": "stlsq", "mode": ["scaled"]}}, "mode"),
+        ({"library": {"grid": "paper"}}, "estimator"),
+        ({"library": {"grid": {"lower": "one"}}}, "lower"),
+        ({"library": {"grid": {"lower": -1}}}, "lower"),
+        ({"library": {"grid": {"count": 2.0}}}, "integer"),
+        ({"library": {"targets": 1}}, "estimator"),
+        ({"library": {"target": ["acceleration"]}}, "estimator|target"),
+        ({"derivative": {"method": "backward"}}, "derivative"),
+        ({"derivative": {"windows": 5}}, "estimator"),
+        ({"readout": {"length_scale": "sum"}}, "readout"),
+        ({"readout": None}, "must be an object"),
+        ({"tolerance": -1.0}, "tolerance"),
+        ({"tolerance": "tight"}, "tolerance"),
+        ({"tolerance": None}, "tolerance"),
+    ],
+)
+def test_bad_json_is_refused_in_one_line(change, words):
+    text = json.dumps({"format": FORMAT, **change})
+    with pytest.raises(InputError, match=words) as error:
+        Estimator.from_json(text)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "[" * 100_000, "null", '"lasso"', "{'format': 1}", "\ufeff{}"]
+)
+def test_what_is_no_json_object_is_refused(text):
+    with pytest.raises(InputError, match="not an estimator"):
+        Estimator.from_json(text)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"derivative": 5},
+        {"library": SMALL_GRID},
+        {"backend": None},
+        {"readout": "rms"},
+        {"tolerance": math.nan},
+        {"tolerance": -1.0},
+    ],
+)
+def test_parts_of_the_wrong_kind_are_refused(arguments):
+    with pytest.raises(InputError, match="estimator: "):
+        Estimator(**arguments)

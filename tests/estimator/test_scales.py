@@ -1,0 +1,208 @@
+"""Sets of scales: what is proposed, what the flight bears out, and what is said of the rest."""
+
+import json
+import math
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from problems import flight
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.estimator.scales import proposals
+from sparsefit.modes.scale_search import Window
+from sparsefit.score import score_scales
+
+SEVERAL = sf.Readout(scales="several")
+VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(20.0, 11.3))
+
+
+@cache
+def flown(*parts, seed=3, noise=0.05, duration=12.0):
+    flow = sf.SuperposedFlow(tuple(sf.CellularFlow(*part) for part in parts))
+    return sf.simulate_flight(
+        flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed, velocity_noise=noise
+    )
+
+
+def weighted(scales, strengths):
+    """A fit whose groups have these norms: one column in use, of one target."""
+    weights = np.zeros((8 * len(scales), 2))
+    weights[::8, 1] = strengths
+    groups = np.repeat(np.arange(len(scales)), 8)
+    problem = SimpleNamespace(group_scales=np.array(scales), groups=groups)
+    return SimpleNamespace(problem=problem, weights=weights)
+
+
+def test_peaks_and_windows_of_a_grid():
+    fit = weighted([1.0, 2.0, 3.0, 4.0, 5.0], [0.001, 0.5, 3.0, 0.0, 2.0])
+    limits = (math.pi / 5, math.pi)
+    peaks, windows = proposals(fit, 1e-3, limits, on_grid=True)
+    third = Window(math.pi / 3, math.pi / 4, math.pi / 2)
+    fifth = Window(math.pi / 5, math.pi / 5, math.pi / 4)
+    assert peaks == (third, fifth)  # 2 m is the flank of 3 m; 1 m is below a fiftieth
+    assert set(windows) == {third, fifth, Window(math.pi / 2, math.pi / 3, math.pi)}
+
+
+def test_windows_are_never_narrower_than_a_lobe_either_side():
+    fit = weighted([3.0, 3.01, 3.02], [1.0, 2.0, 1.0])
+    (peak,), _ = proposals(fit, 0.1, (0.1, 3.0), on_grid=True)
+    k = math.pi / 3.01
+    assert (peak.low, peak.high) == pytest.approx((k - 0.1, k + 0.1))
+
+
+def test_scales_a_back_end_placed_are_their_own_windows_and_one_per_lobe():
+    fit = weighted([2.0, 3.0, 3.05], [1.0, 2.0, 1.5])
+    peaks, windows = proposals(fit, 0.1, (0.1, 3.0), on_grid=False)
+    assert [one.wavenumber for one in peaks] == pytest.approx([math.pi / 3, math.pi / 2])
+    assert len(windows) == 3
+    assert peaks[1].high - peaks[1].low == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("backend", ["group-lasso", "lasso", "gridless-group-lasso"])
+def test_two_flows_are_found_with_their_velocities(backend):
+    flight_ = flown((10.0, 3.1), (4.0, 4.4))
+    found = Estimator(backend=backend, readout=SEVERAL).estimate(flight_)
+    scored = score_scales(found, flight_.flow)
+    assert found.status == "ok"
+    assert (scored.detected, scored.spurious) == (2, 0)
+    assert scored.max_length_scale_error < 0.1
+    assert scored.max_mean_velocity_error < 1.0
+    assert [one.mean_velocity for one in found.scales] == sorted(
+        (one.mean_velocity for one in found.scales), reverse=True
+    )
+    first = found.scales[0]
+    headline = (found.mean_velocity, found.length_scale, found.timescale, found.grid_length_scale)
+    assert headline == (
+        first.mean_velocity,
+        first.length_scale,
+        first.timescale,
+        first.grid_length_scale,
+    )
+
+
+def test_three_flows():
+    flight_ = flown((10.0, 3.0), (6.0, 4.1), (4.0, 6.3), duration=20.0)
+    found = Estimator(backend="gridless-group-lasso", readout=SEVERAL).estimate(flight_)
+    scored = score_scales(found, flight_.flow)
+    assert found.status == "ok"
+    assert scored.within(1.0)
+    assert scored.spurious == 0
+
+
+def test_a_back_end_that_proposes_one_gets_one_and_is_told():
+    flight_ = flown((10.0, 3.1), (8.0, 4.4))
+    found = Estimator(backend="best-scale", readout=SEVERAL).estimate(flight_)
+    assert len(found.scales) == 1
+    assert found.status == "unidentifiable"
+    assert "did not propose" in found.reason
+
+
+@pytest.mark.parametrize("backend", ["group-lasso", "gridless-group-lasso", "best-scale"])
+def test_one_flow_is_one_scale_and_the_same_as_before(backend):
+    several = Estimator(backend=backend, readout=SEVERAL).estimate(flight())
+    one = Estimator(backend=backend).estimate(flight())
+    assert several.status == one.status == "ok"
+    assert len(several.scales) == 1
+    assert several.length_scale == pytest.approx(one.length_scale, rel=1e-9)
+    assert several.mean_velocity == pytest.approx(one.mean_velocity, rel=1e-7)
+    assert one.scales == ()
+
+
+def test_unrefined_scales_are_candidates_of_the_grid():
+    flight_ = flown((10.0, 3.0), (8.0, 5.0))
+    readout = sf.Readout(scales="several", refine="none")
+    found = Estimator(backend="group-lasso", readout=readout).estimate(flight_)
+    assert {3.0, 5.0} <= {round(one.length_scale, 9) for one in found.scales}
+    for one in found.scales:
+        assert one.length_scale == pytest.approx(one.grid_length_scale)
+        assert np.min(np.abs(sf.LengthScaleGrid().scales - one.length_scale)) < 1e-9
+    scored = score_scales(found, flight_.flow)
+    assert scored.max_length_scale_error < 1e-9
+    assert scored.max_mean_velocity_error < 10.0
+
+
+def test_rms_and_peak_agree_on_cellular_flows():
+    flight_ = flown((10.0, 3.1), (4.0, 4.4), noise=0.0)
+    rms = Estimator(readout=SEVERAL).estimate(flight_)
+    peak = Estimator(readout=sf.Readout(scales="several", mean_velocity="peak")).estimate(flight_)
+    for one, other in zip(rms.scales, peak.scales, strict=True):
+        assert one.length_scale == other.length_scale
+        assert one.mean_velocity == pytest.approx(other.mean_velocity, rel=1e-2)
+
+
+def test_nothing_is_found_in_noise():
+    rng = np.random.default_rng(5)
+    t = np.arange(800) / 100.0
+    velocity = np.array([6.0, 3.5]) + 0.3 * rng.normal(size=(800, 2))
+    position = np.outer(t, [6.0, 3.5])
+    still = sf.Flight(t, position, velocity, sf.PointMassVehicle(0.5, (12.0, 7.0)))
+    found = Estimator(readout=SEVERAL).estimate(still)
+    assert found.status == "unidentifiable"
+    assert "no cellular flow" in found.reason
+
+
+def test_all_weights_zero_are_no_scales():
+    backend = sf.backends.get("group-lasso", alpha_fraction=1.0)
+    found = Estimator(backend=backend, readout=SEVERAL).estimate(flight())
+    assert (found.status, found.scales) == ("unidentifiable", ())
+
+
+def test_a_scale_at_the_edge_of_the_search_is_flagged():
+    library = sf.Library(sf.LengthScaleGrid(3.5, 12.0))
+    found = Estimator(library=library, readout=SEVERAL).estimate(flown((10.0, 3.45), noise=0.0))
+    assert found.status == "unidentifiable"
+
+
+def test_json_has_every_scale_and_the_estimator_comes_back():
+    estimator = Estimator(readout=SEVERAL)
+    assert Estimator.from_json(estimator.to_json()) == estimator
+    record = json.loads(json.dumps(estimator.estimate(flight()).to_dict(), allow_nan=False))
+    (scale,) = record["scales"]
+    assert scale["length_scale"] == record["length_scale"]
+    values = {"mean_velocity", "length_scale", "timescale"}
+    assert set(scale) == values | {"grid_length_scale", "uncertainty"}
+    assert set(scale["uncertainty"]) == values | {f"{name}_interval" for name in values}
+    assert scale["uncertainty"] == record["uncertainty"]
+    assert Estimator().estimate(flight()).to_dict()["scales"] == []
+
+
+def test_the_papers_velocity_cannot_part_several():
+    with pytest.raises(sf.InputError, match="cannot part several"):
+        sf.Readout(scales="several", mean_velocity="paper")
+    with pytest.raises(sf.InputError, match="readout scales"):
+        sf.Readout(scales="two")
+
+
+@pytest.mark.parametrize("refine", ["variable-projection", "none"])
+def test_a_flight_that_stands_still_is_refused(refine):
+    flight = sf.Flight(
+        time=np.arange(40) * 0.1,
+        position=np.full((40, 2), 0.7),
+        velocity=np.full((40, 2), 0.3),
+        vehicle=sf.PointMassVehicle(0.5),
+    )
+    readout = sf.Readout(scales="several", refine=refine)
+    with pytest.raises(InputError, match="does not move"):
+        sf.Estimator(readout=readout).estimate(flight)
+
+
+@pytest.mark.parametrize("samples", [18, 24, 48])
+def test_a_flight_too_short_to_tell_is_never_ok_and_wrong(samples):
+    vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
+    for seed in range(4):
+        draw = np.random.default_rng([5, seed])
+        scale, timescale = draw.uniform(2, 10), draw.uniform(0.1, 1)
+        flow = sf.CellularFlow(scale / timescale, scale)
+        short = sf.simulate_flight(
+            flow, vehicle, duration=(samples - 1) / 50, sample_rate=50, seed=seed
+        )
+        found = Estimator(readout=SEVERAL).estimate(short)
+        if found.status == "ok":
+            assert found.length_scale == pytest.approx(scale, rel=0.05)
+            assert found.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.05)
+        else:
+            assert found.reason

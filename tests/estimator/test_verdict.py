@@ -1,0 +1,134 @@
+"""What a flight cannot tell is never answered with a number that looks fine."""
+
+import math
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.modes.refine import concentration
+
+VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
+FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
+
+
+def flown(flow=FLOW, duration=10.0, rate=100.0, seed=7, **noise):
+    return sf.simulate_flight(
+        flow, VEHICLE, duration=duration, sample_rate=rate, seed=seed, **noise
+    )
+
+
+def estimate(flight, lower=1.0, upper=12.0):
+    library = sf.Library(sf.LengthScaleGrid(lower, upper))
+    return sf.Estimator(library=library).estimate(flight)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [(1.0, 3.0), (1.0, 4.0), (1.9, 2.3), (5.0, 12.0), (4.4, 12.0), (8.0, 9.0)],
+)
+def test_bounds_that_exclude_the_truth_are_flagged(lower, upper, seed):
+    # L/2 = 2.105 m and 2L = 8.42 m, the harmonics, are within some of them.
+    for noise in (0.0, 0.3):
+        found = estimate(flown(seed=seed, velocity_noise=noise), lower, upper)
+        assert found.status == "unidentifiable"
+        assert found.reason
+
+
+def test_samples_too_far_apart_are_named_with_the_remedy():
+    found = estimate(flown(rate=5.0, duration=20.0))
+    assert found.status == "unidentifiable"
+    assert "from sample to sample" in found.reason
+    assert "Hz or more" in found.reason
+
+
+def test_sampling_as_the_reason_says_is_enough():
+    reason = estimate(flown(rate=5.0, duration=20.0)).reason
+    rate = float(reason.split("sample at ")[1].split(" Hz")[0])
+    found = estimate(flown(rate=2 * math.ceil(rate), duration=20.0))
+    assert found.status == "ok"
+    assert found.mean_velocity == pytest.approx(15.43, rel=0.05)
+
+
+def test_low_rates_are_right_or_flagged():
+    for seed in range(12):
+        rate = (4.0, 8.0, 16.0, 32.0)[seed % 4]
+        found = estimate(flown(rate=rate, duration=20.0, seed=seed))
+        if found.status == "ok":
+            assert found.mean_velocity == pytest.approx(15.43, rel=0.05)
+            assert found.length_scale == pytest.approx(4.21, rel=0.05)
+
+
+def test_a_noisy_flight_within_one_cell_is_flagged():
+    flow = sf.CellularFlow(mean_velocity=6.0, length_scale=10.0)
+    for seed in range(4):
+        flight = flown(flow, duration=2.0, seed=seed, velocity_noise=0.5, position_noise=0.1)
+        assert flight.extent < 10.0
+        found = estimate(flight)
+        right = (
+            abs(found.length_scale / 10.0 - 1) < 0.05 and abs(found.mean_velocity / 6 - 1) < 0.05
+        )
+        assert found.status == "unidentifiable" or right
+        assert found.reason or right
+
+
+@pytest.mark.parametrize("samples", [3, 5, 12, 18, 21])  # up to 20 of Phi
+def test_a_handful_of_samples_tells_nothing(samples):
+    whole = flown()
+    flight = sf.Flight(
+        time=whole.time[:samples],
+        position=whole.position[:samples],
+        velocity=whole.velocity[:samples],
+        vehicle=VEHICLE,
+    )
+    found = estimate(flight)
+    assert found.status == "unidentifiable"
+    assert "samples are too few" in found.reason
+
+
+def test_two_samples_holes_and_standstills_are_refused():
+    time = np.arange(200) * 0.01
+    with pytest.raises(InputError, match="at least 3 samples"):
+        sf.Flight(
+            time=time[:2], position=np.ones((2, 2)), velocity=np.ones((2, 2)), vehicle=VEHICLE
+        )
+    holed = np.ones((200, 2))
+    holed[17, 1] = math.nan
+    with pytest.raises(InputError, match="row 17"):
+        sf.Flight(time=time, position=holed, velocity=np.ones((200, 2)), vehicle=VEHICLE)
+    still = sf.Flight(
+        time=time, position=np.full((200, 2), 3.0), velocity=np.zeros((200, 2)), vehicle=VEHICLE
+    )
+    with pytest.raises(InputError, match="does not move"):
+        estimate(still)
+
+
+def test_still_air_flown_slowly_with_noisy_instruments_is_no_flow():
+    # Long windows leave few independent errors: their correlation is read from their spectrum.
+    time = np.arange(2001) * 0.01
+    vehicle = sf.PointMassVehicle(0.5, (1.0, 0.6))
+    end, decay = 0.5 * np.array([1.0, 0.6]), np.exp(-time / 0.5)[:, None]
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        position = end * (time[:, None] - 0.5 * (1 - decay)) + 1.0
+        flight = sf.Flight(
+            time=time,
+            position=position + 0.1 * rng.standard_normal(position.shape),
+            velocity=end * (1 - decay) + 0.5 * rng.standard_normal(position.shape),
+            vehicle=vehicle,
+        )
+        found = sf.Estimator().estimate(flight)
+        assert found.status == "unidentifiable"
+        assert "no cellular flow" in found.reason
+        assert "false alarm" in found.reason
+
+
+def test_concentration_of_white_and_of_smoothed_errors():
+    noise = np.random.default_rng(0).standard_normal((4000, 2))
+    assert 1.0 < concentration(noise) < 2.0
+    kernel = np.ones(25) / 25
+    smoothed = np.column_stack([np.convolve(column, kernel, "valid") for column in noise.T])
+    assert 15 < concentration(smoothed) < 40  # |sum|^2 / sum of squares is 25
+    assert concentration(np.zeros((50, 2))) == 1.0

@@ -1,0 +1,107 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.flight import Flight
+from sparsefit.flight.vehicle import PointMassVehicle
+
+VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
+TIME = np.array([0.0, 0.1, 0.2, 0.3])
+PLANE = np.arange(8.0).reshape(4, 2)
+
+
+def flight_with(**changes):
+    fields = {"time": TIME, "position": PLANE, "velocity": PLANE, "vehicle": VEHICLE}
+    return Flight(**(fields | changes))
+
+
+def test_properties():
+    flight = flight_with(time=TIME + 5.0, position=[[0, 1], [3, -2], [1, 5], [2, 0]])
+    assert flight.samples == 4
+    assert flight.duration == pytest.approx(0.3)
+    assert flight.extent == 7.0
+    assert flight.flow is None
+
+
+def test_arrays_are_read_only_copies():
+    source = PLANE.copy()
+    flight = flight_with(position=source)
+    source[0, 0] = 99.0
+    assert flight.position[0, 0] == 0.0
+    assert flight.position.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        flight.velocity[0, 0] = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        flight.time = TIME
+
+
+def test_lists_and_integers_are_taken():
+    assert flight_with(time=[0, 1, 2, 3]).time.dtype == np.float64
+
+
+def test_repeated_time_names_both_rows():
+    time = np.arange(30) / 100.0
+    time[[16, 17]] = time[[17, 16]]
+    message = (
+        r"^time must increase strictly: row 17 \(t=0\.16\) follows t=0\.17; "
+        r"sort or drop repeated samples$"
+    )
+    with pytest.raises(InputError, match=message):
+        flight_with(time=time, position=np.zeros((30, 2)), velocity=np.zeros((30, 2)))
+    with pytest.raises(InputError, match=r"row 2 \(t=0\.1\) follows t=0\.1"):
+        flight_with(time=[0.0, 0.1, 0.1, 0.2])
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_values_must_be_finite(bad):
+    velocity = PLANE.copy()
+    velocity[2, 1] = bad
+    with pytest.raises(InputError, match=f"velocity must be finite: row 2, y is {bad}"):
+        flight_with(velocity=velocity)
+    with pytest.raises(InputError, match=f"time must be finite: row 3 is {bad}"):
+        flight_with(time=[0.0, 0.1, 0.2, bad])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"time": TIME[:, None]}, r"time must have shape \(m,\); got \(4, 1\)"),
+        ({"time": 3.0}, r"time must have shape \(m,\); got \(\)"),
+        ({"position": PLANE.T}, r"position must have shape \(m, 2\); got \(2, 4\)"),
+        ({"velocity": np.zeros((4, 3))}, r"velocity must have shape \(m, 2\)"),
+        ({"velocity": np.zeros(4)}, r"velocity must have shape \(m, 2\)"),
+        ({"velocity": np.zeros((5, 2))}, "4 times, 4 positions and 5 velocities"),
+        ({"time": ["a", "b", "c", "d"]}, "time must be an array of real numbers"),
+        ({"time": [0.0, None, 1.0, 2.0]}, "time must be an array of real numbers"),
+        ({"position": PLANE * 1j}, "position must be an array of real numbers"),
+        ({"position": [[1.0], [1.0, 2.0]]}, "position must be an array of numbers; its rows"),
+        ({"time": np.ma.masked_greater(TIME, 0.2)}, "masked"),
+        ({"time": TIME.astype("M8[s]")}, "time must be an array of real numbers"),
+        ({"vehicle": None}, "vehicle must be a PointMassVehicle"),
+        ({"flow": 3.0}, "flow must be a CellularFlow"),
+    ],
+)
+def test_bad_fields_are_named(changes, message):
+    with pytest.raises(InputError, match=message):
+        flight_with(**changes)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_too_short(rows):
+    with pytest.raises(InputError, match=f"at least 3 samples; got {rows}"):
+        flight_with(time=TIME[:rows], position=PLANE[:rows], velocity=PLANE[:rows])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"position": PLANE * 1e100}, "position is .* in row 0: no flight"),
+        ({"velocity": PLANE * -1e300}, "velocity is .* no flight"),
+    ],
+)
+def test_what_would_overflow_is_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        flight_with(**changes)

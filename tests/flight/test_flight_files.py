@@ -1,0 +1,266 @@
+import math
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight import Flight, parquet_file, read_flight, simulate_flight, write_flight
+from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+
+VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
+FLOW = CellularFlow(15.43, 4.21)
+TWO = SuperposedFlow((FLOW, CellularFlow(3.0, 1.7)))
+
+TIME = np.array([0.0, 0.1, 0.2, 0.3])
+PLANE = np.arange(8.0).reshape(4, 2)
+
+
+def flight_with(**changes):
+    fields = {"time": TIME, "position": PLANE, "velocity": PLANE, "vehicle": VEHICLE}
+    return Flight(**(fields | changes))
+
+
+def assert_same(a, b):
+    for name in ("time", "position", "velocity"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert (a.vehicle, a.flow) == (b.vehicle, b.flow)
+
+
+NUMBERS = st.floats(-1e6, 1e6)
+POSITIVE = st.floats(1e-6, 1e6)
+CELLULAR = st.builds(CellularFlow, POSITIVE, POSITIVE)
+FLOWS = st.one_of(
+    st.none(),
+    CELLULAR,
+    st.builds(
+        SuperposedFlow,
+        st.lists(CELLULAR, min_size=1, max_size=3).map(tuple),
+        st.one_of(st.just((0.0, 0.0)), st.tuples(NUMBERS, NUMBERS)),
+    ),
+)
+
+
+@st.composite
+def flights(draw):
+    time = sorted(draw(st.sets(st.floats(-1e3, 1e9), min_size=3, max_size=6)))
+    plane = st.lists(st.tuples(NUMBERS, NUMBERS), min_size=len(time), max_size=len(time))
+    vehicle = PointMassVehicle(draw(POSITIVE), draw(st.tuples(NUMBERS, NUMBERS)))
+    return Flight(time, draw(plane), draw(plane), vehicle, draw(FLOWS))
+
+
+HEADER = "# response_time=0.5\ntime,x,y,vx,vy\n"
+ROWS = "0.0,1,2,3,4\n0.1,1,2,3,4\n0.2,1,2,3,4\n"
+
+
+@pytest.fixture
+def csv_of(tmp_path):
+    def write(text):
+        path = tmp_path / "flight.csv"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@settings(max_examples=40, deadline=None)
+@given(flight=flights())
+def test_round_trip_is_exact(tmp_path_factory, suffix, flight):
+    path = tmp_path_factory.mktemp("trip") / f"flight{suffix}"
+    write_flight(flight, path)
+    assert_same(read_flight(path), flight)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".CSV"])
+@pytest.mark.parametrize("flow", [FLOW, TWO])
+def test_a_simulated_flight_comes_back(tmp_path, suffix, flow):
+    flight = simulate_flight(flow, VEHICLE, duration=1.0, sample_rate=100.0, seed=7)
+    write_flight(flight, str(tmp_path / f"a{suffix}"))
+    assert_same(read_flight(str(tmp_path / f"a{suffix}")), flight)
+
+
+def test_csv_is_as_documented(tmp_path):
+    write_flight(flight_with(flow=TWO), tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").read_text().splitlines() == [
+        "# response_time=0.5",
+        "# thrust_ax=5.0",
+        "# thrust_ay=3.0",
+        "# mean_velocity_1=15.43",
+        "# length_scale_1=4.21",
+        "# mean_velocity_2=3.0",
+        "# length_scale_2=1.7",
+        "time,x,y,vx,vy",
+        "0.0,0.0,1.0,0.0,1.0",
+        "0.1,2.0,3.0,2.0,3.0",
+        "0.2,4.0,5.0,4.0,5.0",
+        "0.3,6.0,7.0,6.0,7.0",
+    ]
+
+
+def test_column_order_extra_columns_quotes_comments_and_line_ends_do_not_matter(csv_of):
+    text = (
+        '\ufeff# logged by hand, gain = 3\r\n# a comment\r\n"vy", vx ,y,x,note,time\r\n'
+        '4,3,2,1,"a, b",0.0\r\n#response_time = 0.5 \r\n\r\n4,3,2,1,,0.1\r\n4,3,2,1,c,0.2\r\n'
+    )
+    flight = read_flight(csv_of(text))
+    np.testing.assert_array_equal(flight.time, [0.0, 0.1, 0.2])
+    np.testing.assert_array_equal(flight.position[1], [1.0, 2.0])
+    np.testing.assert_array_equal(flight.velocity[2], [3.0, 4.0])
+    assert flight.vehicle == PointMassVehicle(0.5, (0.0, 0.0))
+    assert flight.flow is None
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_the_vehicle_given_replaces_the_one_in_the_file(tmp_path, suffix):
+    write_flight(flight_with(), tmp_path / f"a{suffix}")
+    other = PointMassVehicle(2.0)
+    assert read_flight(tmp_path / f"a{suffix}", vehicle=other).vehicle == other
+
+
+def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
+    path = csv_of("time,x,y,vx,vy\n" + ROWS)
+    assert read_flight(path, vehicle=VEHICLE).vehicle == VEHICLE
+    message = r"no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
+    with pytest.raises(InputError, match=message):
+        read_flight(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no column time, x, y, vx, vy; found nothing"),
+        ("# response_time=0.5\n", "found nothing"),
+        ("# response_time=1\ntime,x,y,vx\n0,1,2,3\n", "no column vy; found time, x, y, vx"),
+        ("Time,x,y,vx,vy\n" + ROWS, "no column time; found Time, .*; rename or add it"),
+        ("time;x;y;vx;vy\n", "no column time, x, y, vx, vy; found time;x;y;vx;vy"),
+        (ROWS, "no column"),
+        ("time,x,x,y,vx,vy\n", "column x appears more than once"),
+        (HEADER, "at least 3 samples; got 0"),
+        (HEADER + "0,1,2,3,4\n1,1,2,3,4\n", "at least 3 samples; got 2"),
+        (HEADER + "0,1,2,3,4\n1,1,abc,3,4\n", "line 4, column y: 'abc' is not a finite number"),
+        (HEADER + "0,1,2,3,4\n\n1,1,2,,4\n", "line 5, column vx: '' is not"),
+        (HEADER + "0,1,2,3,nan\n", "line 3, column vy: 'nan' is not a finite number"),
+        (HEADER + "0,1,2,inf,1\n", "line 3, column vx: 'inf' is not"),
+        (HEADER + "0,1_0,2,3,4\n", "line 3, column x: '1_0' is not"),
+        (HEADER + "0,1,2,3\n", "line 3 has 4 cells, the header has 5"),
+        (HEADER + "0,1,2,3,4,5\n", "line 3 has 6 cells, the header has 5"),
+        (HEADER + ROWS + "0.2,1,2,3,4\n", r"row 3 \(t=0\.2\) follows t=0\.2; sort or drop"),
+        (HEADER + ROWS + "0.1,1,2,3,4\n", r"row 3 \(t=0\.1\) follows t=0\.2; sort or drop"),
+        ("# respons_time=1\n" + HEADER + ROWS, 'line 1: unknown key .*mean "response_time"'),
+        ("# response_time=1\n" + HEADER + ROWS, "line 2: response_time is given twice"),
+        ("# thrust_ax=fast\n" + HEADER + ROWS, "line 1, thrust_ax: 'fast' is not a finite"),
+        ("# response_time=-1\ntime,x,y,vx,vy\n" + ROWS, "response_time must be .* above 0"),
+        ("# mean_velocity=1\n" + HEADER + ROWS, "mean_velocity is given without length_scale"),
+        ("# length_scale_1=1\n" + HEADER + ROWS, "given without mean_velocity_1"),
+        ("# length_scale_2=1\n" + HEADER + ROWS, "numbered _1, _2"),
+        ("# length_scale=1\n# mean_velocity_1=1\n" + HEADER + ROWS, "numbered _1, _2"),
+        ("# length_scale=0\n# mean_velocity=1\n" + HEADER + ROWS, "length_scale must be"),
+        (bytes(range(256)) * 4, "not a text file"),
+        ("\x00\x01\x02" * 50, "no column|not a CSV"),
+        (HEADER + "0,1,2,3," + "4" * 200_000 + "\n", "field larger than field limit"),
+    ],
+)
+def test_bad_csv_is_one_line_that_names_the_place(csv_of, text, message):
+    path = csv_of(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_flight(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.drop_columns(["vx"]), "no column vx; found time, x, y, vy"),
+        (lambda t: t.append_column("x", t["y"]), "column x appears more than once"),
+        (
+            lambda t: t.set_column(1, "x", pa.array(["1", "2", "3", "4"])),
+            "column x holds string; it must hold numbers",
+        ),
+        (
+            lambda t: t.set_column(1, "x", pa.array([1.0, None, 3, 4])),
+            "row 1, column x is empty",
+        ),
+        (lambda t: t.set_column(3, "vx", pa.array([1, 2, math.nan, 4])), "row 2, x is nan"),
+        (lambda t: t.slice(0, 2), "at least 3 samples"),
+        (lambda t: t.replace_schema_metadata({"pandas": "{}"}), "no vehicle"),
+        (lambda t: t.replace_schema_metadata({"response_time": "a"}), "metadata response_time"),
+    ],
+)
+def test_bad_parquet_is_named(tmp_path, change, message):
+    path = tmp_path / "a.parquet"
+    write_flight(flight_with(), path)
+    pq.write_table(change(pq.read_table(path)), path)
+    with pytest.raises(InputError, match=message) as caught:
+        read_flight(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_parquet_of_other_writers(tmp_path):
+    path = tmp_path / "a.parquet"
+    columns = {name: pa.array([0, 1, 2], pa.int32()) for name in ("vy", "x", "y", "vx", "time")}
+    metadata = {"response_time": "0.5", "pandas": "{}", b"\xff": b"\xff"}
+    pq.write_table(pa.table({**columns, "note": ["a", "b", "c"]}, metadata=metadata), path)
+    assert read_flight(path).vehicle == PointMassVehicle(0.5)
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"junk" * 100, b"PAR1" + b"\0" * 99 + b"PAR1"])
+def test_junk_is_not_parquet(tmp_path, content):
+    path = tmp_path / "a.parquet"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not a Parquet file, or a damaged one"):
+        read_flight(path)
+
+
+def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
+    def absent(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr(parquet_file, "import_module", absent)
+    with pytest.raises(MissingExtra, match=r"sparsefit\[parquet\]"):
+        write_flight(flight_with(), tmp_path / "a.parquet")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a", "a.csvv", "a.csv.gz"])
+def test_unknown_file_type(tmp_path, name):
+    with pytest.raises(InputError, match=r"unknown file type .*\(known: \.csv, \.parquet\)"):
+        read_flight(tmp_path / name)
+    with pytest.raises(InputError, match="unknown file type"):
+        write_flight(flight_with(), tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["absent.csv", "absent.parquet", "absent/flight.csv"])
+def test_missing_file(tmp_path, name):
+    with pytest.raises(InputError, match=r"cannot read .*No such file.*check the path"):
+        read_flight(tmp_path / name)
+
+
+def test_a_folder_is_not_a_file(tmp_path):
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(InputError, match=r"cannot read"):
+        read_flight(tmp_path / "a.csv")
+    with pytest.raises(InputError, match=r"cannot write"):
+        write_flight(flight_with(), tmp_path / "a.csv", overwrite=True)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_writing_refuses_to_overwrite_unless_told(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("precious")
+    with pytest.raises(InputError, match="exists; pass overwrite=True"):
+        write_flight(flight_with(), path)
+    assert path.read_text() == "precious"
+    write_flight(flight_with(), path, overwrite=True)
+    assert read_flight(path).samples == 4
+
+
+def test_writing_into_no_folder(tmp_path):
+    with pytest.raises(InputError, match=r"cannot write .*check the folder"):
+        write_flight(flight_with(), tmp_path / "absent" / "a.csv")

@@ -1,0 +1,195 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sparsefit.errors import InputError
+from sparsefit.flight import simulate_flight
+from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+
+VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
+FLOW = CellularFlow(15.43, 4.21)
+TWO = SuperposedFlow((FLOW, CellularFlow(3.0, 1.7)))
+WINDY = SuperposedFlow((FLOW,), (4.0, -1.0))
+STILL = CellularFlow(1e-15, 4.0)  # slower than rounding: still air
+
+
+def fly(flow=FLOW, vehicle=VEHICLE, **changes):
+    return simulate_flight(
+        flow, vehicle, **({"duration": 1.0, "sample_rate": 100.0, "seed": 7} | changes)
+    )
+
+
+def assert_same(a, b):
+    for name in ("time", "position", "velocity"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert (a.vehicle, a.flow) == (b.vehicle, b.flow)
+
+
+def test_without_a_flow_the_air_is_still():
+    flight = fly(None)
+    assert flight.flow is None
+    np.testing.assert_array_equal(flight.position[0], [0.0, 0.0])
+    limit = 0.5 * np.array([5.0, 3.0])  # tau a
+    expected = limit * (1 - np.exp(-flight.time[:, None] / 0.5))
+    np.testing.assert_allclose(flight.velocity, expected, atol=1e-12)
+    same = fly(STILL, initial_position=(0.0, 0.0))
+    np.testing.assert_allclose(flight.position, same.position, atol=1e-12)
+
+
+def test_still_air_follows_the_analytic_solution():
+    tau, a = 0.5, np.array([5.0, 3.0])
+    flight = fly(STILL, duration=5.0, initial_position=(0.0, 0.0))
+    t = flight.time[:, None]
+    velocity = a * tau * (1 - np.exp(-t / tau))
+    position = a * tau * (t - tau * (1 - np.exp(-t / tau)))
+    np.testing.assert_allclose(flight.velocity, velocity, atol=1e-10)
+    np.testing.assert_allclose(flight.position, position, atol=1e-10)
+
+
+def test_a_wind_carries_the_vehicle_along():
+    flight = fly(SuperposedFlow((STILL,), (1.0, -2.0)), duration=20.0)
+    np.testing.assert_allclose(flight.velocity[-1], [1.0 + 2.5, -2.0 + 1.5], atol=1e-10)
+
+
+@pytest.mark.parametrize("flow", [CellularFlow(84.2, 4.21), TWO, WINDY, CellularFlow(4.0, 4.0)])
+def test_each_sample_follows_from_the_last_by_the_slow_reference(flow):
+    flight = fly(flow)
+    states = np.hstack([flight.position, flight.velocity])
+
+    def slow(_, s):
+        return np.hstack([s[2:], VEHICLE.acceleration(s[2:], flow.velocity(s[0], s[1]))])
+
+    for row in range(0, 100, 20):
+        span = flight.time[[row, row + 1]]
+        step = solve_ivp(slow, span, states[row], method="DOP853", rtol=1e-13, atol=1e-14)
+        np.testing.assert_allclose(states[row + 1], step.y[:, -1], atol=2e-12)
+
+
+def test_sampled_velocity_is_smooth():
+    # Between two sampling rates only the sampling differs: step-end error would show here.
+    coarse, fine = fly(sample_rate=100.0), fly(sample_rate=400.0)
+    np.testing.assert_allclose(fine.velocity[::4], coarse.velocity, atol=1e-11)
+    bend = np.diff(coarse.velocity, n=2, axis=0)
+    np.testing.assert_allclose(np.diff(fine.velocity[::4], n=2, axis=0), bend, atol=1e-11)
+
+
+def test_a_particle_at_rest_in_a_stagnation_point_stays():
+    flight = fly(FLOW, PointMassVehicle(0.5), initial_position=(0.0, 0.0))
+    np.testing.assert_array_equal(flight.position, 0.0)
+
+
+def test_samples():
+    flight = fly(duration=10.0)
+    assert flight.samples == 1001
+    np.testing.assert_array_equal(flight.time, np.arange(1001) / 100.0)
+    assert fly(duration=0.299, sample_rate=10.0).samples == 4
+    assert flight.flow == FLOW
+    assert flight.vehicle == VEHICLE
+
+
+def test_starts():
+    given_start = fly(initial_position=[1.0, 2.0], initial_velocity=np.array([3.0, 4.0]))
+    np.testing.assert_array_equal(given_start.position[0], [1.0, 2.0])
+    np.testing.assert_array_equal(given_start.velocity[0], [3.0, 4.0])
+    np.testing.assert_array_equal(fly().velocity[0], [0.0, 0.0])
+
+
+def test_drawn_starts_fill_one_period_of_the_largest_scale():
+    starts = np.array([fly(TWO, seed=seed, duration=0.02).position[0] for seed in range(200)])
+    assert starts.min() >= 0.0
+    assert 0.95 * 8.42 < starts.max() < 8.42
+    assert starts.mean() == pytest.approx(4.21, abs=0.5)
+
+
+def test_same_seed_same_flight():
+    noise = {"process_noise": 0.1, "position_noise": 0.1, "velocity_noise": 0.1}
+    assert_same(fly(**noise), fly(**noise))
+    assert not np.array_equal(fly(seed=8).position, fly().position)
+
+
+def test_a_seed_sequence_is_its_integer_and_is_left_as_it_was():
+    sequence = np.random.SeedSequence(7)
+    assert_same(fly(seed=sequence), fly(seed=sequence))
+    assert_same(fly(seed=sequence), fly(seed=7))
+    assert sequence.n_children_spawned == 0
+    first, second = sequence.spawn(2)
+    assert not np.array_equal(fly(seed=first).position, fly(seed=second).position)
+
+
+@pytest.mark.parametrize("field", ["position", "velocity"])
+def test_noise_levels_share_one_draw(field):
+    truth = getattr(fly(), field)
+    one = getattr(fly(**{f"{field}_noise": 0.1}), field) - truth
+    two = getattr(fly(**{f"{field}_noise": 0.2}), field) - truth
+    np.testing.assert_allclose(two, 2 * one, atol=1e-13)
+    assert one.std() == pytest.approx(0.1, rel=0.2)
+
+
+def test_each_noise_has_its_own_stream():
+    truth, noisy = fly(), fly(position_noise=0.1)
+    np.testing.assert_array_equal(noisy.velocity, truth.velocity)
+    both = fly(position_noise=0.1, velocity_noise=0.3)
+    np.testing.assert_array_equal(both.position, noisy.position)
+    pushed = fly(process_noise=0.1, position_noise=0.1)
+    clean = fly(process_noise=0.1)
+    np.testing.assert_allclose(
+        pushed.position - clean.position, noisy.position - truth.position, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("substeps", [1, 10])
+def test_process_noise_is_the_spread_of_the_mean_derivative(substeps):
+    heavy = PointMassVehicle(1e9)  # drag vanishes: v' is the noise alone
+    flight = fly(STILL, heavy, duration=20.0, process_noise=0.7, substeps=substeps)
+    rate = np.diff(flight.velocity, axis=0) * 100.0
+    assert rate.std() == pytest.approx(0.7, rel=0.05)
+    assert rate.mean() == pytest.approx(0.0, abs=4 * 0.7 / math.sqrt(4000))
+    assert abs(np.corrcoef(rate[:-1, 0], rate[1:, 0])[0, 1]) < 0.1
+
+
+def test_process_noise_vanishes_continuously():
+    truth = fly()
+    one = fly(process_noise=1e-6).velocity - truth.velocity
+    two = fly(process_noise=2e-6).velocity - truth.velocity
+    assert 0.0 < np.abs(one).max() < 1e-5
+    np.testing.assert_allclose(two, 2 * one, atol=1e-10)
+
+
+def test_substeps_do_not_matter_without_process_noise():
+    assert_same(fly(substeps=3), fly())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"duration": 0.0}, r"duration must be a finite number above 0 \[s\]"),
+        ({"duration": math.inf}, "duration"),
+        ({"sample_rate": -1.0}, "sample_rate"),
+        ({"duration": 0.01}, "gives 2 samples, a flight needs 3: fly longer or sample faster"),
+        ({"duration": 1e12}, "keep it below 1e9"),
+        ({"seed": -1}, "seed must be an integer"),
+        ({"seed": None}, "seed must be an integer"),
+        ({"seed": 1.5}, "seed must be an integer"),
+        ({"process_noise": -0.1}, "process_noise"),
+        ({"position_noise": math.nan}, "position_noise"),
+        ({"velocity_noise": "a"}, "velocity_noise"),
+        ({"substeps": 0}, "substeps must be an integer, 1 or above"),
+        ({"substeps": 2.0}, "substeps"),
+        ({"initial_position": (1.0,)}, "initial_position must be two numbers"),
+        ({"initial_velocity": (1.0, math.inf)}, r"initial_velocity\[1\]"),
+        ({"flow": "cellular"}, "flow must be"),
+        ({"vehicle": 0.5}, "vehicle must be"),
+    ],
+)
+def test_bad_arguments_are_named(changes, message):
+    with pytest.raises(InputError, match=message):
+        fly(**changes)
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_equation_too_stiff_is_refused():
+    with pytest.raises(InputError, match="too stiff or too fast; raise response_time"):
+        fly(vehicle=PointMassVehicle(1e-9))

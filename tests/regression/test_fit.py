@@ -1,0 +1,256 @@
+"""The front door: paths, statuses, repairs, and back-ends that misbehave."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import flight_problem, regular
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.backends.lasso import Lasso
+from sparsefit.errors import InputError
+from sparsefit.regression.backend import Solution
+from sparsefit.regression.objective import lasso_penalty
+from sparsefit.regression.problem import RegressionProblem
+
+PROBLEM = regular()
+FRACTIONS = (0.9, 0.5, 0.2, 0.05, 0.01)
+NAN, ZERO = np.full((12, 2), np.nan), np.zeros((12, 2))
+SOME_NAN = np.where(np.arange(24).reshape(12, 2) == 5, np.nan, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Double:
+    """A convex back-end that answers whatever it is told to."""
+
+    name: ClassVar[str] = "double"
+    certificate_kind: ClassVar[str] = "duality_gap"
+    alpha_fraction: float = 0.1
+    answer: Solution = dataclasses.field(default_factory=lambda: Solution(None))
+
+    def solve(self, problem):
+        return self.answer
+
+    def penalty(self, problem):
+        return lasso_penalty(problem.columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Plain:
+    """The same without a penalty, with the certificate of a fixed point."""
+
+    name: ClassVar[str] = "plain"
+    certificate_kind: ClassVar[str] = "fixed_point"
+    answer: Solution = dataclasses.field(default_factory=lambda: Solution(None))
+
+    def solve(self, problem):
+        return self.answer
+
+    def next_support(self, problem, weights):
+        return weights != 0
+
+
+@dataclass(frozen=True)
+class WrongFastPath(Lasso):
+    """Its fast path answers ``wrong`` instead of the solution; its referee is right."""
+
+    wrong: str = "zeros"
+
+    def solve_path(self, problem, alpha_fractions):
+        zeros = np.zeros((problem.columns, problem.targets))
+        answer = {
+            "zeros": Solution(zeros),
+            "nan": Solution(zeros * np.nan),
+            "none": Solution(None, "error", "gave up"),
+            "failed zeros": Solution(zeros, "error", "gave up"),
+        }[self.wrong]
+        return (answer,) * len(alpha_fractions)
+
+    def referee(self):
+        return Lasso(self.alpha_fraction, solver="clarabel")
+
+
+@dataclass(frozen=True)
+class WrongReferee(Lasso):
+    """Right at once, but asked for more than rounding allows; its referee knows nothing."""
+
+    def referee(self):
+        return WrongFastPath(self.alpha_fraction, solver="clarabel", wrong="none")
+
+
+@pytest.mark.parametrize(
+    ("solution", "reason"),
+    [
+        (Solution(None, "error", "out of memory"), "out of memory"),
+        (Solution(None), "no finite weights"),
+        (Solution(None, "inaccurate"), "no finite weights"),
+        (Solution(NAN), "no finite weights"),
+        (Solution(SOME_NAN), "no finite weights"),
+        (Solution(SOME_NAN * np.inf), "no finite weights"),
+        (Solution(ZERO, "error", "infeasible"), "infeasible"),
+        (Solution(np.ones((12, 2)), "error", "infeasible"), "infeasible"),
+    ],
+)
+@pytest.mark.parametrize("double", [Double, Plain])
+def test_a_failed_solver_is_an_error_with_nan_weights_and_never_zeros(double, solution, reason):
+    found = sf.fit(PROBLEM, double(answer=solution))
+    assert found.status == "error"
+    assert reason in found.reason
+    assert found.weights.shape == (12, 2)
+    assert np.isnan(found.weights).all()
+    assert found.certificate is None
+    assert found.support.size == 0
+
+
+def test_zeros_that_claim_to_be_a_solution_are_found_out():
+    found = sf.fit(PROBLEM, Double(answer=Solution(ZERO, "ok")))
+    assert found.status == "inaccurate"
+    assert found.certificate.value > 0.1
+    assert "duality_gap" in found.reason
+
+
+def test_the_certificate_and_not_the_solvers_word_decides():
+    exact = backends.get("lasso", alpha_fraction=0.1).solve(PROBLEM).weights
+    modest = Solution(exact, "inaccurate", "almost solved", "AlmostSolved")
+    found = sf.fit(PROBLEM, Double(answer=modest))
+    assert (found.status, found.solver_status) == ("ok", "AlmostSolved")
+    boastful = Solution(exact * 1.01, "ok", "", "Solved")
+    found = sf.fit(PROBLEM, Double(answer=boastful))
+    assert found.status == "inaccurate"
+    assert found.certificate.value > 1e-8
+
+
+def test_a_solution_that_is_not_identifiable_keeps_its_word():
+    found = sf.fit(PROBLEM, Plain(answer=Solution(None, "unidentifiable", "empty support")))
+    assert (found.status, found.reason) == ("unidentifiable", "empty support")
+    assert np.isnan(found.weights).all()
+
+
+@pytest.mark.parametrize("wrong", ["zeros", "nan", "none", "failed zeros"])
+def test_the_referee_repairs_a_wrong_fast_path(wrong):
+    backend = WrongFastPath(0.1, wrong=wrong)
+    found = sf.fit(PROBLEM, backend)
+    assert (found.status, found.repaired) == ("ok", True)
+    assert found.backend is backend or found.backend == backend
+    expected = sf.fit(PROBLEM, backends.get("lasso", alpha_fraction=0.1))
+    assert found.weights == pytest.approx(expected.weights, abs=1e-4)
+    along = sf.path(PROBLEM, backend, [0.5, 0.1])
+    assert along.repaired == 2
+    assert [f.status for f in along.fits] == ["ok", "ok"]
+
+
+def test_the_fast_path_stays_where_the_referee_is_no_better():
+    found = sf.fit(PROBLEM, WrongReferee(0.1), tolerance=0.0)
+    exact = backends.get("lasso", alpha_fraction=0.1).solve(PROBLEM).weights
+    assert found.status in ("ok", "inaccurate")
+    assert found.certificate.value <= 1e-12
+    assert not found.repaired
+    assert np.array_equal(found.weights, exact)
+
+
+def test_nothing_is_repaired_where_nothing_is_wrong():
+    for name in ("lasso", "group-lasso"):
+        assert sf.path(PROBLEM, backends.get(name), FRACTIONS).repaired == 0
+
+
+@pytest.mark.parametrize("name", ["lasso", "group-lasso"])
+@pytest.mark.parametrize("problem", [regular, flight_problem])
+def test_a_path_is_its_points(name, problem):
+    problem = problem()
+    along = sf.path(problem, backends.get(name), FRACTIONS)
+    peak = np.abs(along.weights).max()
+    for fraction, found in zip(FRACTIONS, along.fits, strict=True):
+        point = sf.fit(problem, backends.get(name, alpha_fraction=fraction))
+        assert found.backend == point.backend
+        assert found.status == point.status == "ok"
+        null = problem.statistics.null_objective
+        assert found.certificate.primal == pytest.approx(point.certificate.primal, abs=1e-8 * null)
+        if problem is not flight_problem():  # unique weights
+            assert found.weights == pytest.approx(point.weights, abs=1e-5 * peak)  # gap 1e-11
+
+
+@given(order=st.permutations(FRACTIONS), name=st.sampled_from(["lasso", "group-lasso"]))
+@settings(max_examples=20)
+def test_a_path_takes_fractions_in_any_order(order, name):
+    descending = sf.path(PROBLEM, backends.get(name), FRACTIONS)
+    shuffled = sf.path(PROBLEM, backends.get(name), order)
+    assert shuffled.alpha_fractions.tolist() == list(order)
+    assert shuffled.alpha_max == descending.alpha_max
+    for fraction, found in zip(order, shuffled.fits, strict=True):
+        expected = descending.fits[FRACTIONS.index(fraction)]
+        assert found.backend.alpha_fraction == fraction
+        assert np.array_equal(found.weights, expected.weights)
+
+
+def test_a_path_of_repeated_fractions_or_of_one():
+    along = sf.path(PROBLEM, backends.get("lasso"), [0.3, 0.3])
+    assert along.weights[0] == pytest.approx(along.weights[1], rel=1e-12)
+    assert sf.path(PROBLEM, backends.get("lasso"), 0.3).weights.shape == (1, 12, 2)
+    assert along.gaps.shape == (2,)
+    assert along.seconds > 0
+
+
+def test_a_back_end_without_a_path_of_its_own_is_run_point_by_point():
+    exact = backends.get("lasso", alpha_fraction=0.2).solve(PROBLEM)
+    along = sf.path(PROBLEM, Double(answer=exact), [0.1, 0.2, 0.4])
+    assert [f.status for f in along.fits] == ["inaccurate", "ok", "inaccurate"]
+    assert [f.backend.alpha_fraction for f in along.fits] == [0.1, 0.2, 0.4]
+    broken = sf.path(PROBLEM, Double(), [0.1, 0.2])
+    assert np.isnan(broken.gaps).all()
+
+
+@pytest.mark.parametrize("name", ["least-squares", "stlsq"])
+def test_a_path_needs_a_penalty(name):
+    with pytest.raises(InputError, match="no penalty"):
+        sf.path(PROBLEM, backends.get(name), FRACTIONS)
+
+
+@pytest.mark.parametrize("fractions", [[], [0.0], [-0.1], [1.1], [0.1, np.nan], [[0.1, 0.2]]])
+def test_bad_fractions_are_refused(fractions):
+    with pytest.raises(InputError, match="alpha_fraction"):
+        sf.path(PROBLEM, backends.get("lasso"), fractions)
+
+
+@pytest.mark.parametrize("tolerance", [-1e-9, np.nan, np.inf, "1e-8", None, True])
+def test_bad_tolerances_are_refused(tolerance):
+    with pytest.raises(InputError, match="tolerance"):
+        sf.fit(PROBLEM, backends.get("lasso"), tolerance=tolerance)
+
+
+def test_what_is_not_a_problem_or_a_back_end_is_refused():
+    with pytest.raises(InputError, match="RegressionProblem"):
+        sf.fit(PROBLEM.theta, backends.get("lasso"))
+    with pytest.raises(InputError, match=r"backends\.get"):
+        sf.fit(PROBLEM, "lasso")
+
+
+@pytest.mark.parametrize("name", ["lasso", "group-lasso"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tolerance_that_rounding_may_not_reach_keeps_the_best_weights(name, seed):
+    problem = flight_problem(seed=seed, velocity_noise=0.3)
+    found = sf.fit(problem, backends.get(name, alpha_fraction=0.01), tolerance=0.0)
+    assert found.status == ("ok" if found.certificate.value == 0 else "inaccurate")
+    assert ("above tolerance" in found.reason) == (found.status == "inaccurate")
+    assert np.isfinite(found.weights).all()
+    assert found.certificate.value <= 1e-9
+
+
+def test_a_fit_reports_the_problem_and_the_support():
+    found = sf.fit(PROBLEM, backends.get("lasso", alpha_fraction=0.5))
+    assert (found.samples, found.columns, found.rank) == (60, 12, 12)
+    assert found.support.tolist() == np.flatnonzero(found.weights.any(axis=1)).tolist()
+    assert found.seconds > 0
+    assert found.problem is PROBLEM
+
+
+def test_a_zero_target_is_fitted_by_zeros():
+    problem = RegressionProblem.from_arrays(PROBLEM.theta, np.zeros((60, 2)), PROBLEM.groups)
+    for name in ("least-squares", "stlsq", "lasso", "group-lasso"):
+        found = sf.fit(problem, backends.get(name))
+        assert found.status == "ok", name
+        assert not found.weights.any()

@@ -1,0 +1,325 @@
+"""alpha_fraction = "auto": the choice is told from the data alone, and is what it says it is."""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from problems import SMALL_GRID, degenerate, flight, flight_problem, regular
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.backends.lasso import Lasso
+from sparsefit.errors import InputError
+from sparsefit.library.builder import Library
+from sparsefit.regression.backend import ChoosingBackend, Solution
+from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.penalty_choice import (
+    FRACTIONS,
+    RULES,
+    degrees_of_freedom,
+    effective_samples,
+)
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.study import Study, read_cases, run
+
+NAMES = ("lasso", "group-lasso")
+every = pytest.mark.parametrize("selection", RULES)
+both = pytest.mark.parametrize("name", NAMES)
+STUDY = """
+name = "auto"
+question = "?"
+seed = 11
+[flights]
+count = 1
+timescale = 0.5
+length_scale = { uniform = [3.0, 6.0] }
+response_time = 0.5
+thrust_acceleration = [5.0, 3.0]
+duration = 4.0
+sample_rate = 50.0
+[library]
+lower = 3.0
+upper = 6.0
+step = 1.0
+[[backends]]
+name = "lasso"
+alpha_fraction = ["auto", 0.3, 0.1]
+[[backends]]
+name = "group-lasso"
+alpha_fraction = "auto"
+selection = ["ebic", "stability"]
+"""
+
+
+def auto(name="lasso", selection="ebic", **more):
+    return backends.get(name, alpha_fraction="auto", selection=selection, **more)
+
+
+def noisy(seed=3):
+    return flight_problem(seed=seed, velocity_noise=0.1)
+
+
+@dataclass(frozen=True)
+class Failing(Lasso):
+    """Solves nothing below ``least``."""
+
+    least: float = 0.0
+
+    def solve_path(self, problem, alpha_fractions):
+        good = super().solve_path(problem, alpha_fractions)
+        gave_up = Solution(None, "error", "gave up")
+        return tuple(
+            s if f >= self.least else gave_up for s, f in zip(good, alpha_fractions, strict=True)
+        )
+
+    def referee(self):
+        return None
+
+
+def test_the_path_has_thirty_points_over_three_decades():
+    assert len(FRACTIONS) == 30
+    assert FRACTIONS[0] == 1.0
+    assert pytest.approx(1e-3) == FRACTIONS[-1]
+    assert list(FRACTIONS) == sorted(FRACTIONS, reverse=True)
+
+
+@every
+@both
+def test_auto_is_the_point_fit_at_the_fraction_it_chose(name, selection):
+    problem = regular(2)
+    found = sf.fit(problem, auto(name, selection))
+    choice = found.penalty_choice
+    assert choice.selection == selection
+    assert found.backend.alpha_fraction == choice.fraction == choice.fractions[choice.index]
+    assert choice.fractions.tolist() == list(FRACTIONS)
+    assert choice.criterion.shape == (30,)
+    point = sf.fit(problem, found.backend)
+    assert found.status == point.status == "ok"
+    assert found.reason == ""
+    assert point.penalty_choice is None
+    assert found.weights == pytest.approx(point.weights, abs=1e-5 * np.abs(point.weights).max())
+    assert found.seconds > 0
+
+
+@every
+@both
+def test_the_choice_does_not_depend_on_units_or_on_when_it_is_made(name, selection):
+    problem = noisy()
+    choice = sf.fit(problem, auto(name, selection)).penalty_choice
+    again = sf.fit(problem, auto(name, selection)).penalty_choice
+    assert np.array_equal(again.criterion, choice.criterion)
+    units = np.geomspace(1e-3, 1e3, problem.columns)
+    scaled = dataclasses.replace(
+        problem, theta=problem.theta * units, target=problem.target * 1024.0
+    )
+    moved = sf.fit(scaled, auto(name, selection)).penalty_choice
+    assert moved.index == choice.index
+    assert moved.criterion == pytest.approx(choice.criterion, rel=1e-4, abs=1e-4)
+
+
+@every
+@both
+@pytest.mark.parametrize("velocity_noise", [0.0, 0.1])
+def test_the_scale_of_a_flight_is_found_and_the_settings_say_how(name, selection, velocity_noise):
+    estimator = sf.Estimator(library=Library(SMALL_GRID), backend=auto(name, selection))
+    estimate = estimator.estimate(flight(4.5, velocity_noise=velocity_noise))
+    assert estimate.status == "ok"
+    assert estimate.grid_length_scale == 4.5
+    assert estimate.settings["selection"] == selection
+    assert estimate.settings["alpha_fraction"] in FRACTIONS
+    json.dumps(estimate.to_dict(), allow_nan=False)
+    assert sf.Estimator.from_json(estimator.to_json()) == estimator
+
+
+@both
+def test_the_information_criterion_is_minimised_and_its_extension_is_no_weaker(name):
+    bic, ebic = (sf.fit(noisy(), auto(name, rule)).penalty_choice for rule in ("bic", "ebic"))
+    for choice in (bic, ebic):
+        assert choice.index == np.argmin(choice.criterion)
+        assert 2.0 <= choice.effective_samples <= noisy().samples
+    assert ebic.index <= bic.index
+    assert np.all(ebic.criterion >= bic.criterion - 1e-9)
+
+
+@both
+def test_cross_validation_takes_the_strongest_penalty_within_a_standard_error(name):
+    choice = sf.fit(noisy(), auto(name, "cross-validation")).penalty_choice
+    best = int(np.argmin(choice.criterion))
+    excess = choice.criterion - choice.criterion[best]
+    assert choice.index <= best
+    assert choice.index == np.flatnonzero(excess <= choice.errors + 1e-15)[0]
+    assert choice.errors[best] == 0
+    assert choice.criterion[0] == pytest.approx(1.0, rel=1e-3)  # nothing explained
+
+
+@both
+def test_stability_selection_bounds_what_is_selected_falsely(name):
+    choice = sf.fit(noisy(), auto(name, "stability")).penalty_choice
+    assert choice.criterion[0] == 0
+    assert np.all(np.diff(choice.criterion) >= 0)
+    assert choice.criterion[choice.index] <= 1
+    assert np.all(choice.criterion[choice.index + 1 :] > 1)
+
+
+@pytest.mark.parametrize("selection", ["bic", "ebic", "stability"])
+@both
+def test_noise_without_a_signal_is_left_unexplained(name, selection):
+    rng = np.random.default_rng(5)
+    chosen = []
+    for _ in range(20):
+        theta, target = rng.normal(size=(200, 30)), rng.normal(size=(200, 2))
+        problem = RegressionProblem.from_arrays(theta, target, np.repeat(np.arange(10), 3))
+        found = sf.fit(problem, auto(name, selection))
+        chosen.append(len(np.unique(problem.groups[found.support])))
+    assert np.mean(chosen) <= (2.5 if selection == "stability" else 0.5)
+
+
+def divergence(problem, penalty, name, alpha, **more):
+    """sum_it d(fit_it)/d(Y_it) at a fixed alpha, by central differences."""
+
+    def fitted(target):
+        moved = dataclasses.replace(problem, target=target)
+        fraction = alpha / alpha_max(moved.statistics.cross, penalty)
+        weights = backends.get(name, alpha_fraction=fraction, **more).solve(moved).weights
+        return problem.theta @ weights
+
+    step, total = 1e-4, 0.0
+    for place in np.ndindex(problem.target.shape):
+        bump = np.zeros(problem.target.shape)
+        bump[place] = step
+        difference = fitted(problem.target + bump) - fitted(problem.target - bump)
+        total += difference[place] / (2 * step)
+    return total
+
+
+@pytest.mark.parametrize("fraction", [0.6, 0.2, 0.03])
+@pytest.mark.parametrize(
+    ("name", "more"), [("lasso", {}), ("group-lasso", {}), ("group-lasso", {"separate": True})]
+)
+def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
+    problem = regular(5, samples=24)
+    backend = backends.get(name, alpha_fraction=fraction, **more)
+    penalty = backend.penalty(problem)
+    alpha = fraction * alpha_max(problem.statistics.cross, penalty)
+    scaled = backend.solve(problem).weights * problem.statistics.rms[:, None]
+    found = degrees_of_freedom(problem.statistics.gram, scaled, alpha, penalty)
+    assert found == pytest.approx(divergence(problem, penalty, name, alpha, **more), abs=2e-3)
+
+
+def test_degrees_of_freedom_of_nothing_and_of_everything():
+    gram = regular().statistics.gram
+    joint = Penalty(np.repeat(np.arange(4), 3), np.ones(4), joint=True)
+    assert degrees_of_freedom(gram, np.zeros((12, 2)), 0.1, joint) == 0
+    full = np.random.default_rng(0).normal(size=(12, 2))
+    assert degrees_of_freedom(gram, full, 1e-12, joint) == pytest.approx(24, abs=1e-6)
+    assert degrees_of_freedom(gram, full, 0.1, lasso_penalty(12)) == 24
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_effective_samples_of_an_autoregression(correlation):
+    rng = np.random.default_rng(1)
+    residual = rng.normal(size=(20_000, 2))
+    for i in range(1, len(residual)):
+        residual[i] += correlation * residual[i - 1]
+    expected = 20_000 * (1 - correlation) / (1 + correlation)
+    assert effective_samples(residual) == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize("residual", [np.zeros((9, 2)), np.ones((3, 1))])
+def test_effective_samples_where_there_is_nothing_to_correlate(residual):
+    assert effective_samples(residual) == len(residual)
+
+
+def test_samples_that_hang_together_count_for_less():
+    assert effective_samples(np.ones((100, 1))) < 10
+    assert effective_samples(np.cumsum(np.ones((1000, 1)), axis=0) - 500.0) < 20
+
+
+def test_compressed_samples_are_chosen_for_by_information_only():
+    problem = regular(samples=80)
+    blocks = [(problem.theta[:40], problem.target[:40]), (problem.theta[40:], problem.target[40:])]
+    packed = RegressionProblem.from_blocks(blocks, problem.groups)
+    assert sf.fit(packed, auto("group-lasso")).penalty_choice.effective_samples == 80
+    for selection in ("cross-validation", "stability"):
+        with pytest.raises(InputError, match=r'compressed; use selection "ebic"'):
+            sf.fit(packed, auto("group-lasso", selection))
+
+
+@pytest.mark.parametrize("selection", ["cross-validation", "stability"])
+def test_what_cannot_be_cut_up_is_refused(selection):
+    with pytest.raises(InputError, match=r"needs at least 1[02] samples, not 8"):
+        sf.fit(regular(samples=8), auto(selection=selection))
+    theta = np.random.default_rng(0).normal(size=(40, 2))
+    theta[1:, 1] = 0.0  # the second column is zero but for the first sample
+    problem = RegressionProblem.from_arrays(theta, theta[:, 0])
+    with pytest.raises(InputError, match=r"part of the flight, column '1' is zero.*ebic") as caught:
+        sf.fit(problem, auto(selection=selection))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["duplicate", "wide", "perfect", "one sample", "low rank"])
+@pytest.mark.parametrize("selection", ["bic", "ebic"])
+@both
+def test_degenerate_problems_are_chosen_for(name, selection, kind):
+    found = sf.fit(degenerate(kind, 0), auto(name, selection), tolerance=1e-6)
+    assert found.status == "ok"
+    assert np.isfinite(found.penalty_choice.criterion).all()
+
+
+@every
+@both
+def test_a_zero_target_is_fitted_by_zeros(name, selection):
+    problem = regular()
+    problem = dataclasses.replace(problem, target=np.zeros_like(problem.target))
+    found = sf.fit(problem, auto(name, selection))
+    assert found.status == "ok"
+    assert not found.weights.any()
+
+
+@every
+def test_points_without_a_solution_are_not_chosen(selection):
+    failing = Failing("auto", selection=selection, least=0.2)
+    found = sf.fit(regular(), failing)
+    assert found.status == "ok"
+    assert found.penalty_choice.fraction >= 0.2
+    assert np.isnan(found.penalty_choice.criterion[-1])
+    nothing = sf.fit(regular(), Failing("auto", selection=selection, least=2.0))
+    assert (nothing.status, nothing.reason) == ("error", "gave up")
+    assert np.isnan(nothing.penalty_choice.criterion).all()
+
+
+@pytest.mark.parametrize("value", ["x", "Auto", "", "0.1", None, True])
+@both
+def test_other_words_are_refused_in_one_line(name, value):
+    with pytest.raises(InputError, match=r'alpha_fraction must be a number.*or "auto"') as caught:
+        backends.get(name, alpha_fraction=value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["aic", "Bic", None, 3])
+@both
+def test_unknown_rules_are_refused(name, value):
+    with pytest.raises(InputError, match=f"selection of {name}"):
+        backends.get(name, selection=value)
+
+
+@both
+def test_only_fit_chooses(name):
+    assert isinstance(auto(name), ChoosingBackend)
+    with pytest.raises(InputError, match="solve needs a number"):
+        auto(name).solve(regular())
+    along = sf.path(regular(), auto(name), [0.3, 0.1])
+    assert [f.backend.alpha_fraction for f in along.fits] == [0.3, 0.1]
+
+
+def test_a_study_may_ask_for_auto_beside_numbers(tmp_path):
+    path = tmp_path / "auto.toml"
+    path.write_text(STUDY)
+    study = Study.load(path)
+    cases = read_cases(run(study, tmp_path, processes=1).folder)
+    assert len(cases) == 5
+    assert set(cases["status"]) == {"ok"}, cases["reason"].tolist()
+    asked = [json.loads(text)["alpha_fraction"] for text in cases["settings"]]
+    assert asked == ["auto", 0.3, 0.1, "auto", "auto"]

@@ -1,0 +1,152 @@
+import math
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.modes.readout import rms_mean_velocity
+from sparsefit.modes.refine import centred, columns, project, refine
+from sparsefit.uncertainty import uncertainty
+from sparsefit.uncertainty.bound import cramer_rao, parametric_jacobian, semiparametric
+
+FLOW = CellularFlow(12.0, 4.0)
+VEHICLE = PointMassVehicle(0.5)
+
+
+def wander(seed=0, samples=1200):
+    """A path that drifts across cells and loops in them."""
+    t, rng = np.linspace(0, 12, samples), np.random.default_rng(seed)
+    phases = rng.uniform(0, 2 * np.pi, 2)
+    loops = np.column_stack([np.sin(2.1 * t + phases[0]), np.cos(1.3 * t + phases[1])])
+    return t[:, None] * [2.5, 1.7] + 2.0 * loops
+
+
+def estimates(position, phi):
+    found = refine(position, phi, lower=3.0, upper=5.0)
+    weights = project(centred(position), phi, found.wavenumber).weights
+    speed = rms_mean_velocity(weights)
+    return speed, found.length_scale, found.length_scale / speed
+
+
+def test_parametric_jacobian_is_the_finite_difference():
+    position, h = wander(), 1e-5
+    jacobian = parametric_jacobian(position, FLOW)
+
+    def phi(speed, scale):
+        return CellularFlow(speed, scale).velocity(*position.T).T.ravel()
+
+    by_speed = (phi(12.0 + h, 4.0) - phi(12.0 - h, 4.0)) / (2 * h)
+    by_scale = (phi(12.0, 4.0 + h) - phi(12.0, 4.0 - h)) / (2 * h)
+    np.testing.assert_allclose(jacobian, np.column_stack([by_speed, by_scale]), atol=1e-6)
+
+
+def test_semiparametric_jacobian_and_gradients_are_the_finite_differences():
+    position, k = wander(), 0.8
+    weights = np.random.default_rng(3).standard_normal((8, 2))
+    jacobian, gradients = semiparametric(position, weights, k)
+
+    def split(theta):
+        return theta[0], theta[1:].reshape(2, 8).T
+
+    def phi(theta):
+        wavenumber, w = split(theta)
+        return (columns(position, wavenumber)[0] @ w).T.ravel()
+
+    def parameters(theta):
+        wavenumber, w = split(theta)
+        speed, scale = rms_mean_velocity(w), math.pi / wavenumber
+        return np.array([speed, scale, scale / speed])
+
+    theta, h = np.concatenate([[k], weights.T.ravel()]), 1e-6
+    for j, step in enumerate(h * np.eye(17)):
+        difference = (phi(theta + step) - phi(theta - step)) / (2 * h)
+        np.testing.assert_allclose(jacobian[:, j], difference, atol=1e-6)
+        difference = (parameters(theta + step) - parameters(theta - step)) / (2 * h)
+        np.testing.assert_allclose(gradients[:, j], difference, atol=1e-7)
+
+
+def test_hand_derived_case():
+    # At (L/2, 0): f = (1, 0), df/dL = 0. At (L, 0): f = (0, 0), df/dL = pi/L (1, 0).
+    # Fisher matrix diag(1, (U0 pi/L)^2) / (tau sigma)^2, so the two are uncorrelated.
+    position = np.array([[2.0, 0.0], [4.0, 0.0]])
+    bound = cramer_rao(position, FLOW, VEHICLE, process_noise=0.2)
+    by_scale = 0.1 * 4.0 / (12.0 * math.pi)
+    assert bound.mean_velocity == pytest.approx(0.1)
+    assert bound.length_scale == pytest.approx(by_scale)
+    expected = (4.0 / 12.0) * math.hypot(0.1 / 12.0, by_scale / 4.0)
+    assert bound.timescale == pytest.approx(expected)
+
+
+def test_bound_scales_with_the_noise_and_vanishes_without():
+    one = cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0)
+    three = cramer_rao(wander(), FLOW, VEHICLE, process_noise=3.0)
+    assert three.length_scale == pytest.approx(3 * one.length_scale)
+    assert cramer_rao(wander(), FLOW, VEHICLE, process_noise=0.0).timescale == 0.0
+
+
+def test_free_weights_never_help():
+    known = cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0)
+    free = cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametric")
+    assert free.length_scale > known.length_scale
+    assert free.mean_velocity > known.mean_velocity
+
+
+def test_semiparametric_bound_does_not_move_by_periods():
+    near = cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametric")
+    far = cramer_rao(wander() + 80.0, FLOW, VEHICLE, process_noise=1.0, model="semiparametric")
+    assert far.length_scale == pytest.approx(near.length_scale, rel=1e-6)
+    assert far.mean_velocity == pytest.approx(near.mean_velocity, rel=1e-6)
+
+
+def test_what_the_path_cannot_tell_is_infinite():
+    standing = cramer_rao(np.zeros((9, 2)), FLOW, VEHICLE, process_noise=1.0)  # w = 0 there
+    assert standing.mean_velocity == standing.length_scale == standing.timescale == math.inf
+    diagonal = np.linspace(0, 40, 900)[:, None] * [1.0, 1.0]
+    free = cramer_rao(diagonal, FLOW, VEHICLE, process_noise=1.0, model="semiparametric")
+    assert free.mean_velocity == math.inf
+
+
+def test_refuses_bad_arguments():
+    with pytest.raises(InputError, match="semiparametric"):
+        cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametrc")
+    with pytest.raises(InputError):
+        cramer_rao(wander(), FLOW, VEHICLE, process_noise=-1.0)
+    with pytest.raises(InputError, match="samples"):
+        uncertainty(wander()[:20], wander()[:20], 4.0)
+
+
+def test_refinement_attains_the_bound_and_its_intervals_cover():
+    sigma, runs = 3.0, 250
+    position = wander(5)
+    phi, rng = FLOW.velocity(*position.T), np.random.default_rng(11)
+    truth = np.array([FLOW.mean_velocity, FLOW.length_scale, FLOW.timescale])
+    errors, spreads, covered = [], [], []
+    for _ in range(runs):
+        noisy = phi + 0.5 * sigma * rng.standard_normal(phi.shape)
+        found = np.array(estimates(position, noisy))
+        known = uncertainty(position, noisy, found[1])
+        intervals = np.array(
+            [known.mean_velocity_interval, known.length_scale_interval, known.timescale_interval]
+        )
+        errors.append(found - truth)
+        spreads.append([known.mean_velocity, known.length_scale, known.timescale])
+        covered.append((intervals[:, 0] < truth) & (truth < intervals[:, 1]))
+    bound = cramer_rao(position, FLOW, VEHICLE, process_noise=sigma, model="semiparametric")
+    least = np.array([bound.mean_velocity, bound.length_scale, bound.timescale])
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / least
+    assert (ratio > 0.85).all()
+    assert (ratio < 1.15).all()
+    np.testing.assert_allclose(np.mean(spreads, axis=0), least, rtol=0.12)
+    assert (np.mean(covered, axis=0) > 0.88).all()
+
+
+def test_errors_that_cancel_in_time_are_recognised():
+    # Differenced noise: white variance would overstate the standard error several times.
+    position, rng = wander(), np.random.default_rng(2)
+    phi = FLOW.velocity(*position.T)
+    noise = np.diff(rng.standard_normal((len(phi) + 1, 2)), axis=0)
+    white = math.sqrt(2) * rng.standard_normal(phi.shape)
+    cancelling = uncertainty(position, phi + noise, 4.0)
+    assert cancelling.length_scale < 0.5 * uncertainty(position, phi + white, 4.0).length_scale
