@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.scales import ScaleEstimate
@@ -47,7 +47,7 @@ def strongest(flow: Flow) -> CellularFlow:
     return max(flow.components, key=lambda part: part.mean_velocity)
 
 
-def score(estimate: Estimate, flow: Flow, scales: NDArray[np.float64]) -> Score:
+def score(estimate: Estimate, flow: Flow, scales: Array) -> Score:
     """Score an estimate against the true flow; scales (g,) [m] are the candidates it had.
 
     Of several flows superposed, against the strongest.

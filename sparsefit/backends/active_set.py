@@ -10,13 +10,10 @@ Source: Golub and Van Loan, Matrix Computations, 4th ed., 2013, sections 2.1.4 a
 """
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
-Indices: TypeAlias = NDArray[np.intp]
+from sparsefit.arrays import Array, IntArray
 
 REFINE_ABOVE = 1e-11  # error of a direction on the active rows that is worth one refinement
 STALE_ABOVE = 1e-8  # error at which M is rebuilt, but not more often than every STALE_AGE updates:
@@ -49,7 +46,7 @@ class ActiveSet:
     gram: Array
     rows: Array = field(repr=False)  # (k, k), the first n in use: sign * gram[column]
     inverse: Array = field(repr=False)  # (k, k), leading n x n block in use: M
-    index: Indices = field(repr=False)  # (k,) columns, in no particular order
+    index: IntArray = field(repr=False)  # (k,) columns, in no particular order
     sign: Array = field(repr=False)  # (k,)
     tally: list[int] = field(repr=False)  # [n, updates since the last rebuild]
 
@@ -66,7 +63,7 @@ class ActiveSet:
         return self.tally[0]
 
     @property
-    def columns(self) -> Indices:
+    def columns(self) -> IntArray:
         """Active columns (n,), in no particular order."""
         return self.index[: self.tally[0]]
 

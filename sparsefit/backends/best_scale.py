@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends.group_fit import DOUBT, explained, fit_on, residual_square
 from sparsefit.regression.backend import Solution, checked_number
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -42,9 +40,9 @@ class BestScale:
             return Solution(None, "unidentifiable", f"{self.name}: the target is zero throughout")
         return Solution(self._best(problem))
 
-    def next_support(self, problem: RegressionProblem, weights: Array) -> NDArray[np.bool_]:
+    def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
         """The support of the choice made again, for the fixed-point certificate."""
-        support: NDArray[np.bool_] = self._best(problem) != 0
+        support: BoolArray = self._best(problem) != 0
         return support
 
     def _best(self, problem: RegressionProblem) -> Array:

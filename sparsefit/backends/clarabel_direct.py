@@ -8,14 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.backend import Solution, SolutionStatus
 from sparsefit.regression.objective import Penalty, Statistics, alpha_max
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 STATUS: dict[str, SolutionStatus] = {
     "Solved": "ok",
@@ -33,7 +30,7 @@ ROUNDS = 60
 class _Blocks:
     """Coefficients (in the order of V.T.ravel(), target by target) and the block of each."""
 
-    block: Ints
+    block: IntArray
     weights: Array
 
     @classmethod
@@ -72,7 +69,7 @@ def solve_clarabel(
 
 
 def _solve_one(
-    gram: Array, cross: Array, blocks: _Blocks, fraction: float, chosen: NDArray[np.bool_]
+    gram: Array, cross: Array, blocks: _Blocks, fraction: float, chosen: BoolArray
 ) -> tuple[Array | None, str, int]:
     """Solve on the chosen blocks, add the worst violators to ``chosen``, until there are none."""
     targets = len(cross) // len(gram)
@@ -97,7 +94,7 @@ def _solve_one(
     return values, status, iterations
 
 
-def _cone_program(gram: Array, cross: Array, blocks: _Blocks, fraction: float, on: Ints) -> Any:
+def _cone_program(gram: Array, cross: Array, blocks: _Blocks, fraction: float, on: IntArray) -> Any:
     """Clarabel's solution over the coefficients ``on``: x = (their values, a bound per block)."""
     import clarabel
 

@@ -9,14 +9,12 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.backends.clarabel_direct import solve_clarabel
 from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import Solution, SolutionStatus
 from sparsefit.regression.objective import Penalty, Statistics, alpha_max
-
-Array = NDArray[np.float64]
 
 STATUS: dict[str, SolutionStatus] = {
     "optimal": "ok",

@@ -20,13 +20,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.modes.refine import fourier_sums, kernel_gain
 from sparsefit.regression.objective import Certificate
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
 Interval = tuple[float, float]
 
 STEP = 0.15  # of the scan, in 1/extent: peaks of |Z'R|^2 are met within 0.6 %
@@ -225,7 +224,7 @@ class FourierSums:
     centred: Array
     centre: Array
     step: float
-    numbers: NDArray[np.intp]
+    numbers: IntArray
     gain: Array
     size: int
 
@@ -238,11 +237,11 @@ class FourierSums:
             position - centre, centre, step, np.arange(first, last + 1, dtype=np.intp), gain, size
         )
 
-    def __call__(self, mode: Array, loads: Array) -> NDArray[np.complex128]:
+    def __call__(self, mode: Array, loads: Array) -> ComplexArray:
         """(1 + n, q): for w = 1 and for each row of loads (n, m)."""
         sums = fourier_sums(self.centred @ mode, loads, self.step, self.size)
         phase = np.exp(-1j * float(self.centre @ mode) * self.step * self.numbers)
-        turned: NDArray[np.complex128] = sums[:, self.numbers] * (phase / self.gain)
+        turned: ComplexArray = sums[:, self.numbers] * (phase / self.gain)
         return turned
 
 

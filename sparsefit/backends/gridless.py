@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import (
     Interval,
     Jet,
@@ -30,8 +30,6 @@ from sparsefit.backends.variational import group_path
 from sparsefit.regression.backend import Solution, checked_alpha_fraction
 from sparsefit.regression.objective import Certificate, CertificateKind
 from sparsefit.regression.problem import RegressionProblem
-
-Array = NDArray[np.float64]
 
 ROUNDS = 60
 STOP = 1e-10  # relative duality gap, below any tolerance the certificate is asked to meet

@@ -1,12 +1,10 @@
 """Least squares on a few groups of columns, safe where they are rank deficient."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
 DOUBT = 1e-6  # of |Y|^2: residuals this close in Gram space are settled on the rows
 
@@ -42,7 +40,7 @@ def explained(
 
 
 def _explained_by_rows(
-    problem: RegressionProblem, columns: Ints, weights: Array | None, rcond: float | None
+    problem: RegressionProblem, columns: IntArray, weights: Array | None, rcond: float | None
 ) -> float:
     """|P_g R|^2 / m by the singular value decomposition of the group's scaled columns."""
     residual = problem.target if weights is None else residual_of(problem, weights)
@@ -53,7 +51,7 @@ def _explained_by_rows(
     return float(np.sum((left.T @ residual) ** 2)) / problem.samples
 
 
-def fit_on(problem: RegressionProblem, columns: Ints, rcond: float | None = None) -> Array:
+def fit_on(problem: RegressionProblem, columns: IntArray, rcond: float | None = None) -> Array:
     """Weights (k, n), the minimum-norm least squares on these columns in unit rms, by the rows."""
     rms = problem.statistics.rms[columns]
     values = np.linalg.lstsq(problem.theta[:, columns] / rms, problem.target, rcond=rcond)[0]

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sparsefit.backends.conic import check_solver, solve_conic
 from sparsefit.backends.variational import GroupPath, group_path
@@ -21,7 +20,6 @@ from sparsefit.regression.backend import (
 from sparsefit.regression.objective import CertificateKind, Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
 GroupWeights = Literal["unit", "sqrt-size"]
 EXACT = "variational"
 STOP = 1e-11  # the solver's own stop, far below any tolerance the certificate is asked to meet

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends.group_fit import explained, fit_on, residual_square
 from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import Solution, checked_number
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 Stop = Literal["decrease", "bic"]
 MOST = 64  # groups, whatever the rule says
 
@@ -61,10 +59,10 @@ class GroupOMP:
             weights, steps = larger, steps + 1
         return Solution(weights, iterations=steps)
 
-    def next_support(self, problem: RegressionProblem, weights: Array) -> NDArray[np.bool_]:
+    def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
         """The support after one more step, for the fixed-point certificate."""
         following = self._step(problem, weights)
-        support: NDArray[np.bool_] = (weights if following is None else following) != 0
+        support: BoolArray = (weights if following is None else following) != 0
         return support
 
     def _step(self, problem: RegressionProblem, weights: Array) -> Array | None:

@@ -19,9 +19,9 @@ and Ng, NIPS 19 (2006) 801-808.
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sparsefit.backends.active_set import DEPENDENT_BELOW, ActiveSet, Array, SingularBlockError
+from sparsefit.arrays import Array, BoolArray
+from sparsefit.backends.active_set import DEPENDENT_BELOW, ActiveSet, SingularBlockError
 from sparsefit.backends.loops import Loop, loop_of
 
 BACKEND = "lasso"  # whose loop this is
@@ -45,7 +45,7 @@ class HomotopyPath:
 
     weights: Array
     steps: int
-    complete: NDArray[np.bool_]
+    complete: BoolArray
     loop: Loop
 
 
@@ -123,7 +123,7 @@ def _binary_unit(values: Array) -> float:
 
 
 def _visit_compiled(
-    gram: Array, cross: Array, alphas: Array, weights: Array, complete: NDArray[np.bool_]
+    gram: Array, cross: Array, alphas: Array, weights: Array, complete: BoolArray
 ) -> int:
     from sparsefit.backends import _homotopy
 
@@ -131,9 +131,7 @@ def _visit_compiled(
     return _homotopy.path(square, signal, np.ascontiguousarray(alphas), weights, complete)
 
 
-def _visit(
-    gram: Array, cross: Array, alphas: Array, weights: Array, complete: NDArray[np.bool_]
-) -> int:
+def _visit(gram: Array, cross: Array, alphas: Array, weights: Array, complete: BoolArray) -> int:
     """The path on scaled data, into weights (p, k) and complete (p,); the steps it took."""
     walk, known = _Walk.start(gram, cross), np.zeros(len(cross))
     alpha, steps = float(np.max(np.abs(cross), initial=0.0)), 0

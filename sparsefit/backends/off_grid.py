@@ -3,15 +3,13 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import POINTS, Interval, scan_points
 from sparsefit.errors import InputError
 from sparsefit.library.builder import CANDIDATES, candidate_columns
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.problem import RegressionProblem
-
-Array = NDArray[np.float64]
 
 
 def columns_at(problem: RegressionProblem, scales: Array) -> RegressionProblem:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import MODES, Scanner, climb
 from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
 from sparsefit.errors import InputError
@@ -23,7 +23,6 @@ from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import Certificate, CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
 Columns = tuple[Array, Array, Array]
 
 

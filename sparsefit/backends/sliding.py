@@ -16,12 +16,11 @@ Source: Denoyelle, Duval, Peyre and Soubies, "The sliding Frank-Wolfe algorithm"
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.backends.continuous_dual import Interval, Jet
 
-Array = NDArray[np.float64]
 ITERATIONS = 60
 REACH = 0.5  # the largest move of a wavenumber in one step, in 1/extent: within a lobe
 FLAT = 1e-9  # curvatures below this, relative, are raised to it: the gradient vanishes there too
@@ -121,7 +120,7 @@ def derivatives(atoms: Atoms, alpha: float, extent: float) -> tuple[Array, Array
     return np.concatenate([gradient_k, gradient_v.ravel()]), hessian
 
 
-def _free(atoms: Atoms, gradient: Array, bounds: Interval) -> NDArray[np.intp]:
+def _free(atoms: Atoms, gradient: Array, bounds: Interval) -> IntArray:
     """Variables that may move: not the wavenumbers that press against a bound."""
     k = atoms.wavenumbers
     pressed = (k <= bounds[0]) & (gradient[: len(k)] > 0)

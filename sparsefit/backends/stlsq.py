@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import Solution, checked_number
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
-Support = NDArray[np.bool_]
 Mode = Literal["scaled", "pysindy"]
 UNBIAS_RCOND = 1e-6
 DEFAULT_THRESHOLD = {"scaled": 0.03, "pysindy": 0.1}
@@ -100,13 +98,13 @@ class STLSQ:
         note = f"support of {', '.join(empty)} is empty" if empty else ""
         return Solution(weights, reason=note, iterations=iteration)
 
-    def next_support(self, problem: RegressionProblem, weights: Array) -> Support:
+    def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
         """The support that one more iteration would leave, for the fixed-point certificate."""
         return self._step(problem, _System.of(problem, self), weights != 0)[1]
 
     def _step(
-        self, problem: RegressionProblem, system: "_System", support: Support
-    ) -> tuple[Array, Support]:
+        self, problem: RegressionProblem, system: "_System", support: BoolArray
+    ) -> tuple[Array, BoolArray]:
         values = np.zeros(support.shape)
         for targets in _alike(support):
             on = np.flatnonzero(support[:, targets[0]])
@@ -146,7 +144,7 @@ def _threshold(settings: STLSQ) -> float:
     return settings.threshold
 
 
-def _alike(support: Support) -> list[list[int]]:
+def _alike(support: BoolArray) -> list[list[int]]:
     """Targets by their support: those that share one, as all do at first, share a factor."""
     found: dict[bytes, list[int]] = {}
     for t in range(support.shape[1]):
@@ -154,14 +152,14 @@ def _alike(support: Support) -> list[list[int]]:
     return list(found.values())
 
 
-def _square(gram: Array, on: NDArray[np.intp]) -> Array:
+def _square(gram: Array, on: IntArray) -> Array:
     """Rows and columns ``on``: whole rows first, which is five times faster than at once."""
     block: Array = gram.take(on, 0).take(on, 1)
     return block
 
 
 def _ridge_solve(
-    problem: RegressionProblem, system: _System, on: NDArray[np.intp], targets: list[int]
+    problem: RegressionProblem, system: _System, on: IntArray, targets: list[int]
 ) -> Array:
     full = len(on) == len(system.gram)
     block = system.gram.copy() if full else _square(system.gram, on)
@@ -181,7 +179,7 @@ def _ridge_solve(
     return least
 
 
-def _least_squares_on(problem: RegressionProblem, system: _System, support: Support) -> Array:
+def _least_squares_on(problem: RegressionProblem, system: _System, support: BoolArray) -> Array:
     """Ordinary least squares of each target on its own support, in the units of theta.
 
     Singular values below UNBIAS_RCOND of the largest count as zero, as scikit-learn's

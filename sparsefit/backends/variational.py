@@ -24,9 +24,10 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpotrs
 
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.backends.variational_compiled import compiled_loop, compiled_path
 from sparsefit.backends.variational_point import (
     Point,
@@ -39,8 +40,6 @@ from sparsefit.backends.variational_point import (
 )
 from sparsefit.backends.variational_step import bounded_minimum
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.intp]
 Engine: TypeAlias = Literal["compiled", "python"]
 
 _NEW_GROUPS = 8  # more violators at once only make the subproblem larger: most do not stay
@@ -58,10 +57,10 @@ class GroupPath:
     engine: the loop that ran, compiled or this module's.
     """
 
-    weights: Floats
-    iterations: Ints
-    gaps: Floats
-    complete: NDArray[np.bool_]
+    weights: Array
+    iterations: IntArray
+    gaps: Array
+    complete: BoolArray
     engine: Engine
 
 
@@ -70,8 +69,8 @@ class _Candidate:
     """Weights on the columns of the support, their exact correlation and relative duality gap."""
 
     support: Support
-    weights: Floats
-    correlation: Floats
+    weights: Array
+    correlation: Array
     gap: float
 
 
@@ -151,7 +150,7 @@ def _minimise(
 
 
 def _candidate(
-    problem: Problem, support: Support, weights: Floats, correlation: Floats, alpha: float
+    problem: Problem, support: Support, weights: Array, correlation: Array, alpha: float
 ) -> _Candidate:
     """Relative duality gap of W with dual point s R: (1-s)^2 R'R + 2 (alpha |W| - s <C, W>)."""
     top = np.sqrt(np.max(problem.squares(correlation)))
@@ -164,16 +163,14 @@ def _candidate(
     return _Candidate(support, weights, correlation, max(gap, 0.0))
 
 
-def _drive(square: Floats, alpha: float, *, secular: bool) -> Floats:
+def _drive(square: Array, alpha: float, *, secular: bool) -> Array:
     """Right-hand side of the Newton system for 1/||C|| = 1/alpha, or of the gradient of f."""
     if secular:
         return square * (np.sqrt(square) / alpha - 1.0)
     return 0.5 * (square - alpha**2)
 
 
-def _predict(
-    problem: Problem, point: Point, alpha: float, goal: float
-) -> tuple[Floats, _Candidate]:
+def _predict(problem: Problem, point: Point, alpha: float, goal: float) -> tuple[Array, _Candidate]:
     """Newton step on the support, then chord steps on the same factor while they pay.
 
     From an approximate C and its defect rho = B - G D C - C (exact, a product with G):
@@ -206,7 +203,7 @@ def _predict(
     return eta, best
 
 
-def _violators(correlation: Floats, problem: Problem, point: Point, alpha: float) -> Ints:
+def _violators(correlation: Array, problem: Problem, point: Point, alpha: float) -> IntArray:
     """Groups at eta = 0 whose correlation exceeds alpha, the worst few, ascending."""
     square = np.where(point.eta > 0, 0.0, problem.squares(correlation))
     new = np.flatnonzero(square > alpha**2)
@@ -215,7 +212,9 @@ def _violators(correlation: Floats, problem: Problem, point: Point, alpha: float
     return new
 
 
-def _enlarged(problem: Problem, point: Point, new: Ints, alpha: float, *, secular: bool) -> Floats:
+def _enlarged(
+    problem: Problem, point: Point, new: IntArray, alpha: float, *, secular: bool
+) -> Array:
     """eta after the bounded Newton step on the support and the `new` groups together."""
     groups = np.concatenate([point.support.groups, new])
     hessian = bordered(problem, point, new) if new.size else point.hessian
@@ -226,14 +225,16 @@ def _enlarged(problem: Problem, point: Point, new: Ints, alpha: float, *, secula
     return _moved(problem, point.eta, groups, point.eta[groups] + step)
 
 
-def _moved(problem: Problem, eta: Floats, groups: Ints, values: Floats) -> Floats:
+def _moved(problem: Problem, eta: Array, groups: IntArray, values: Array) -> Array:
     """eta with new values on `groups`; what rounding left just above the bound is zero."""
     moved = eta.copy()
     moved[groups] = np.where(values * problem.power[groups] > _NEGLIGIBLE, values, 0.0)
     return moved
 
 
-def _accept(problem: Problem, point: Point, eta: Floats, new: Ints, alpha: float) -> Point | None:
+def _accept(
+    problem: Problem, point: Point, eta: Array, new: IntArray, alpha: float
+) -> Point | None:
     """The point at eta if f does not rise there, else at a halved plain Newton step."""
     price = 0.5 * alpha**2
     bound = point.value + price * float(point.eta.sum())

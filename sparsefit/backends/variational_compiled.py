@@ -8,14 +8,12 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.backends.variational_point import Problem
-
-Floats: TypeAlias = NDArray[np.float64]
 
 
 @cache
@@ -37,8 +35,8 @@ def _routines() -> tuple[Any, Any]:
 
 
 def compiled_path(
-    loop: ModuleType, problem: Problem, alphas: Floats, tolerance: float
-) -> tuple[Floats, NDArray[np.intp], Floats]:
+    loop: ModuleType, problem: Problem, alphas: Array, tolerance: float
+) -> tuple[Array, IntArray, Array]:
     """Weights (p, k, n) on the problem's columns, factorisations (p,), relative gaps (p,)."""
     columns, targets = problem.cross.shape
     weights = np.zeros((alphas.size, targets, columns))

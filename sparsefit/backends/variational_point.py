@@ -6,14 +6,12 @@ Notation and source in `variational`: D holds eta, C = B - G W, W_g = eta_g C_g.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.intp]
+from sparsefit.arrays import Array, IntArray
 
 _LOST = 1e-14  # of the terms of a curvature, which may cancel: a negative one sends eta to infinity
 
@@ -22,20 +20,20 @@ _LOST = 1e-14  # of the terms of a curvature, which may cancel: a negative one s
 class Problem:
     """Statistics with contiguous groups, unit penalty weights, |Y|^2/m = 1; power = tr G_gg."""
 
-    gram: Floats
-    cross: Floats
-    starts: Ints
-    sizes: Ints
-    columns: tuple[Ints, ...]
-    power: Floats
+    gram: Array
+    cross: Array
+    starts: IntArray
+    sizes: IntArray
+    columns: tuple[IntArray, ...]
+    power: Array
 
-    def columns_of(self, groups: Ints) -> Ints:
+    def columns_of(self, groups: IntArray) -> IntArray:
         """Columns of the groups given, group by group."""
         if not groups.size:
             return np.zeros(0, np.intp)
         return np.concatenate([self.columns[g] for g in groups])
 
-    def squares(self, matrix: Floats) -> Floats:
+    def squares(self, matrix: Array) -> Array:
         """Squared Frobenius norm of every group's rows, (k, n) -> (g,)."""
         return np.add.reduceat(np.einsum("ij,ij->i", matrix, matrix), self.starts)
 
@@ -44,32 +42,32 @@ class Problem:
 class Support:
     """The groups with eta > 0, their columns and the rows of the Gram matrix they need."""
 
-    groups: Ints
-    columns: Ints
-    label: Ints
-    rows: Floats
-    block: Floats
+    groups: IntArray
+    columns: IntArray
+    label: IntArray
+    rows: Array
+    block: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
     """Everything known at one eta: a factorisation of I + D^1/2 G D^1/2 and what follows."""
 
-    eta: Floats
+    eta: Array
     support: Support
-    root: Floats
-    factor: Floats
-    inner: Floats
-    correlation: Floats
-    weights: Floats
-    half: Floats
-    hessian: Floats
+    root: Array
+    factor: Array
+    inner: Array
+    correlation: Array
+    weights: Array
+    half: Array
+    hessian: Array
     value: float
 
 
 def normalise(
-    gram: ArrayLike, cross: Floats, groups: ArrayLike, omega: ArrayLike
-) -> tuple[Problem, Ints, Floats]:
+    gram: ArrayLike, cross: Array, groups: ArrayLike, omega: ArrayLike
+) -> tuple[Problem, IntArray, Array]:
     """Make groups contiguous and penalty weights one: z_j / omega_g has the weight w_j omega_g."""
     labels, square = np.asarray(groups), np.asarray(gram, dtype=float)
     order = np.argsort(labels, kind="stable")
@@ -86,7 +84,7 @@ def normalise(
     return problem, order, scale
 
 
-def evaluate(problem: Problem, eta: Floats, previous: Support | None) -> Point | None:
+def evaluate(problem: Problem, eta: Array, previous: Support | None) -> Point | None:
     """Objective, residual correlation and Hessian at eta; None if the factorisation fails.
 
     With A = I + D^1/2 G D^1/2 = LL': C = D^-1/2 A^-1 D^1/2 B on the support, and its Hessian
@@ -128,7 +126,7 @@ def evaluate(problem: Problem, eta: Floats, previous: Support | None) -> Point |
     )
 
 
-def _support(problem: Problem, groups: Ints, previous: Support | None) -> Support:
+def _support(problem: Problem, groups: IntArray, previous: Support | None) -> Support:
     if previous is not None and np.array_equal(previous.groups, groups):
         return previous
     columns = problem.columns_of(groups)
@@ -137,7 +135,7 @@ def _support(problem: Problem, groups: Ints, previous: Support | None) -> Suppor
     return Support(groups, columns, label, rows, rows[:, columns])
 
 
-def bordered(problem: Problem, point: Point, new: Ints) -> Floats:
+def bordered(problem: Problem, point: Point, new: IntArray) -> Array:
     """Hessian on support and new groups: K = G - V'V there, V = L^-1 D^1/2 G."""
     columns = problem.columns_of(new)
     label = np.repeat(np.arange(new.size), problem.sizes[new])
@@ -158,21 +156,21 @@ def bordered(problem: Problem, point: Point, new: Ints) -> Floats:
     return hessian
 
 
-def _spread(matrix: Floats, label: Ints) -> Floats:
+def _spread(matrix: Array, label: IntArray) -> Array:
     """Block-diagonal (c, n, groups) array of the rows of each group: one column a group."""
     spread = np.zeros((label.size, matrix.shape[1], int(label[-1]) + 1), order="F")
     spread[np.arange(label.size), :, label] = matrix
     return spread
 
 
-def _half(factor: Floats, columns: Floats) -> Floats:
+def _half(factor: Array, columns: Array) -> Array:
     """L^-1 applied to (c, n, s), targets stacked below one another: (c n, s)."""
     flat = columns.reshape(columns.shape[0], -1, order="F")
-    solved: Floats = dtrtrs(factor, flat, lower=1, overwrite_b=1)[0]
+    solved: Array = dtrtrs(factor, flat, lower=1, overwrite_b=1)[0]
     return solved.reshape(-1, columns.shape[2], order="F")
 
 
-def group_squares(matrix: Floats, label: Ints) -> Floats:
+def group_squares(matrix: Array, label: IntArray) -> Array:
     """Squared norm of the rows of each label, which are ascending: (c, n) -> (labels,)."""
-    sums: Floats = np.bincount(label, np.einsum("ij,ij->i", matrix, matrix))  # type: ignore[assignment]
+    sums: Array = np.bincount(label, np.einsum("ij,ij->i", matrix, matrix))  # type: ignore[assignment]
     return sums

@@ -5,17 +5,13 @@ Source: Nocedal and Wright, "Numerical Optimization" (2006), section 16.5.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-Floats: TypeAlias = NDArray[np.float64]
-Ints: TypeAlias = NDArray[np.intp]
+from sparsefit.arrays import Array, BoolArray, IntArray
 
 
-def bounded_minimum(hessian: Floats, drive: Floats, lower: Floats) -> Floats:
+def bounded_minimum(hessian: Array, drive: Array, lower: Array) -> Array:
     """Minimise x'Hx/2 - drive'x over x >= lower (lower <= 0) by an active set from x = 0.
 
     Unit diagonal and a ridge of rounding size: duplicated groups make H singular.
@@ -31,7 +27,7 @@ def bounded_minimum(hessian: Floats, drive: Floats, lower: Floats) -> Floats:
     return _active_set(unit, pull, floor, inner) * scale
 
 
-def _active_set(hessian: Floats, drive: Floats, lower: Floats, free: NDArray[np.bool_]) -> Floats:
+def _active_set(hessian: Array, drive: Array, lower: Array, free: BoolArray) -> Array:
     """Primal active set: move towards each face's minimiser, stop at the first bound met."""
     x = np.zeros_like(drive)
     slack = 1e-13 * float(np.max(np.abs(drive)))
@@ -57,9 +53,7 @@ def _active_set(hessian: Floats, drive: Floats, lower: Floats, free: NDArray[np.
     return x
 
 
-def _face(
-    hessian: Floats, drive: Floats, x: Floats, free: NDArray[np.bool_], inside: Ints
-) -> Floats:
+def _face(hessian: Array, drive: Array, x: Array, free: BoolArray, inside: IntArray) -> Array:
     """Minimiser over the free coordinates, the others fixed; a larger ridge where singular."""
     if not inside.size:
         return np.zeros(0)

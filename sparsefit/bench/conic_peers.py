@@ -5,16 +5,15 @@ from __future__ import annotations
 import contextlib
 import warnings
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from sparsefit.arrays import Array
 from sparsefit.bench.contender import Contender, gram_form
 from sparsefit.bench.problems import Task
 
-Array: TypeAlias = NDArray[np.float64]
 TIME_LIMIT = 60.0  # s per point: OSQP would otherwise take minutes on a long flight
 DIRECT_SETTINGS: dict[str, Any] = {
     "verbose": False,

@@ -9,12 +9,11 @@ from importlib.util import find_spec
 from typing import TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.bench.problems import KINDS, Kind, Task
 from sparsefit.regression.objective import Statistics, accumulate, row_blocks
 
-Array: TypeAlias = NDArray[np.float64]
 Solve: TypeAlias = Callable[[Task, Array, float], Array]
 """(task, penalty fractions (p,), tolerance setting) -> weights (p, k, n) in original units."""
 

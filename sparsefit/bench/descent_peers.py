@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import warnings
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.bench.contender import LADDER, Contender, gram_form, rows_form
 from sparsefit.bench.problems import Task
 
-Array: TypeAlias = NDArray[np.float64]
 EPOCHS = 100_000  # a solver may stop by its tolerance, not by its patience
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import warnings
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.bench.contender import Contender, gram_form, interpolated
 from sparsefit.bench.problems import Task
 
-Array: TypeAlias = NDArray[np.float64]
 STEPS_PER_COLUMN = 10
 
 

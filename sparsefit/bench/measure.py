@@ -8,17 +8,15 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.problems import Kind, Progress, Task
 from sparsefit.cached import cached_property
 from sparsefit.regression.objective import duality_gaps
 
-Array: TypeAlias = NDArray[np.float64]
 LEVELS = (1e-4, 1e-6, 1e-8)
 TOO_LONG = 3.0  # s: no tighter setting of a solver is tried after a run that took longer
 REPEATED = 1.5  # s: runs longer than this are timed once
@@ -114,7 +112,7 @@ def _one(contender: Contender, task: Task, setting: float, bounds: Array) -> Run
     return Run(*name, (seconds,), gap, sub, contender.timed)
 
 
-def _points(contender: Contender, count: int) -> NDArray[np.intp]:
+def _points(contender: Contender, count: int) -> IntArray:
     """The points that are solved: all, or a few spread over the path, alpha_max left out."""
     if not 0 < contender.timed < count:
         return np.arange(count)
@@ -122,7 +120,7 @@ def _points(contender: Contender, count: int) -> NDArray[np.intp]:
 
 
 def timed(
-    contender: Contender, task: Task, setting: float, points: NDArray[np.intp]
+    contender: Contender, task: Task, setting: float, points: IntArray
 ) -> tuple[float, Array]:
     """CPU seconds of the whole path and the weights at the points that were solved."""
     fractions, count = task.fractions[points], len(task.fractions)
@@ -148,9 +146,7 @@ def _clocked(
     return float(np.median(taken)), weights
 
 
-def _accuracy(
-    task: Task, weights: Array, points: NDArray[np.intp], bounds: Array
-) -> tuple[float, float]:
+def _accuracy(task: Task, weights: Array, points: IntArray, bounds: Array) -> tuple[float, float]:
     if not np.isfinite(weights).all():
         return float("inf"), float("inf")
     problem = task.problem

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.bench.contender import Contender, gram_form
 from sparsefit.bench.problems import Task
 from sparsefit.regression.fit import path
 
-Array: TypeAlias = NDArray[np.float64]
 OURS = "sparsefit"
 CERTIFIED = "sparsefit, with certificates"
 NUMPY_GRAM = "sparsefit, Z'Z by numpy"

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sparsefit import backends
+from sparsefit.arrays import Array
 from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import unknown
 from sparsefit.flight import simulate_flight
@@ -23,7 +23,6 @@ from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
 
-Array: TypeAlias = NDArray[np.float64]
 Kind = Literal["lasso", "group-lasso", "joint-group-lasso"]
 Progress: TypeAlias = Callable[[str], None]
 KINDS: tuple[Kind, ...] = get_args(Kind)

@@ -8,14 +8,13 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.bench.problems import KINDS, Kind, NamedFlight, Progress, task
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.fit import path
 from sparsefit.regression.problem import RegressionProblem
 
-Array: TypeAlias = NDArray[np.float64]
 Alter: TypeAlias = Callable[[Array, Array, np.random.Generator], tuple[Array, Array]]
 TOLERANCE = 1e-8
 

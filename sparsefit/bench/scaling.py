@@ -6,11 +6,10 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.backends.homotopy import lasso_path
 from sparsefit.bench.problems import LOWEST, NAMED, VEHICLE, Kind, NamedFlight, Progress, task
 from sparsefit.flight.flow import CellularFlow
@@ -18,7 +17,6 @@ from sparsefit.library.builder import Library, candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.objective import Statistics, accumulate, duality_gaps
 
-Array: TypeAlias = NDArray[np.float64]
 BASE = NAMED[3]
 ROWS = 8192
 GRIDS = (56, 280, 1120)

@@ -10,19 +10,17 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.backends.stlsq import STLSQ
 from sparsefit.bench.problems import NamedFlight, Task
 from sparsefit.library.builder import candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.objective import duality_gaps
 from sparsefit.regression.problem import RegressionProblem
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.derivative.smoothing import Channels, Smoothing, polynomial_kernels
-
-Array: TypeAlias = npt.NDArray[np.float64]
 
 DEGREE = 10  # of the polynomials that the weights on samples keep exact: the smoother's own
 UNEVEN = 1e-3  # relative: beyond it weights for even steps mean nothing

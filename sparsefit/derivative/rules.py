@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from sparsefit.arrays import Array
 from sparsefit.derivative.smoothing import SHARE, SHORTEST, Channels, Smoothing, smooth
 from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
 from sparsefit.errors import InputError, unknown
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 
-Array: TypeAlias = npt.NDArray[np.float64]
 # time (m,), state (m, 4), its rate (m, 4), how they were smoothed
 Rates: TypeAlias = tuple[Array, Array, Array, Smoothing]
 

@@ -13,18 +13,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Array: TypeAlias = npt.NDArray[np.float64]
 
 ORDER = 8  # p; 4 needs windows of 60 samples for an error of tau_w of 1e-4 %, 8 of 21
 SHORTEST = 21  # samples: below it, the quadrature errs by more than 1e-5 % of tau_w

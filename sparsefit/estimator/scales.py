@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.modes.joint import Lobes, extent_of, fit_at
 from sparsefit.modes.readout import peak_mean_velocity, rms_mean_velocity
 from sparsefit.modes.refine import centred
@@ -21,7 +21,6 @@ from sparsefit.modes.scale_search import MOST, SHARE, Found, Search, Window, dou
 from sparsefit.regression.fit import Fit
 from sparsefit.uncertainty import Uncertainty
 
-Array = NDArray[np.float64]
 Bounds = tuple[float, float]
 
 PROPOSED = 0.02  # of the largest |W_g|: what is smaller proposes nothing

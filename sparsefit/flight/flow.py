@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, pair, positive
-
-Array: TypeAlias = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class CellularFlow:
         """No steady wind [m/s]: a cellular flow has none of its own."""
         return (0.0, 0.0)
 
-    def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+    def velocity(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at positions x, y [m] (Eq. 1)."""
         east, north = np.broadcast_arrays(
             self.wavenumber * np.asarray(x, dtype=np.float64),
@@ -98,7 +97,7 @@ class SuperposedFlow:
             )
         object.__setattr__(self, "components", parts)
 
-    def velocity(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+    def velocity(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m]."""
         shape = np.broadcast_shapes(np.shape(x), np.shape(y))
         total: Array = np.zeros((*shape, 2)) + self.wind

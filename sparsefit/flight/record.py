@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-
-Array: TypeAlias = npt.NDArray[np.float64]
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
 LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow

@@ -9,15 +9,14 @@ from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import ode
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, non_negative, pair, positive
 from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 
-Array: TypeAlias = npt.NDArray[np.float64]
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
 TOLERANCE = 1e-13  # relative and absolute; leaves a defect below 1e-12 m/s per sample

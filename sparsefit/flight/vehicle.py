@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
+from sparsefit.arrays import Array
 from sparsefit.errors import pair, positive
-
-Array: TypeAlias = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,13 +33,13 @@ class PointMassVehicle:
         object.__setattr__(self, "response_time", response)
         object.__setattr__(self, "thrust_acceleration", thrust)
 
-    def acceleration(self, velocity: npt.ArrayLike, flow_velocity: npt.ArrayLike) -> Array:
+    def acceleration(self, velocity: ArrayLike, flow_velocity: ArrayLike) -> Array:
         """Return v' [m/s^2], shape (..., 2), from v and w [m/s], shape (..., 2) (Eq. 12)."""
         drift = np.asarray(flow_velocity, np.float64) - np.asarray(velocity, np.float64)
         rate: Array = drift / self.response_time + np.array(self.thrust_acceleration)
         return rate
 
-    def flow_velocity(self, velocity: npt.ArrayLike, acceleration: npt.ArrayLike) -> Array:
+    def flow_velocity(self, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
         """Return Phi = tau (v' - a) + v [m/s], shape (..., 2): Eq. 12 solved for the flow.
 
         Args:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.errors import InputError, unknown
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -19,7 +19,6 @@ from sparsefit.library.nuisance import Nuisance, checked_unknowns, project_out, 
 from sparsefit.regression.objective import row_blocks
 from sparsefit.regression.problem import RegressionProblem, compressed
 
-Array = NDArray[np.float64]
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
 
 CANDIDATES = (

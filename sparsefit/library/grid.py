@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, positive, unknown
 from sparsefit.flight import Flight
 
-Array = NDArray[np.float64]
 Spacing = Literal["length-scale", "wavenumber", "flight"]
 
 MAX_SCALES = 2_048  # k = 16 384 columns: Z'Z alone is 2 GiB

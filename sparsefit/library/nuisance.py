@@ -18,12 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, unknown
 from sparsefit.flight.vehicle import PointMassVehicle
-
-Array = NDArray[np.float64]
 
 UNKNOWNS = ("response_time", "thrust_acceleration", "wind")
 RANK = 1e-10  # singular values of N below this, relative, are dropped

@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.modes.refine import (
     DIRECTIONS,
@@ -28,7 +28,6 @@ from sparsefit.modes.refine import (
     kernel_gain,
 )
 
-Array = NDArray[np.float64]
 ITERATIONS = 60
 HALVINGS = 12
 END = 1e-14  # of k: moves below it are rounding

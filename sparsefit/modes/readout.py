@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, unknown
 from sparsefit.library.builder import candidate_columns
 from sparsefit.regression.problem import RegressionProblem
@@ -14,7 +14,6 @@ from sparsefit.regression.problem import RegressionProblem
 if TYPE_CHECKING:
     from sparsefit.modes.rows import Rows
 
-Array = NDArray[np.float64]
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]

@@ -19,14 +19,13 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.errors import InputError, positive
 
 if TYPE_CHECKING:
     from sparsefit.modes.rows import Rows
 
-Array = NDArray[np.float64]
 
 DIRECTIONS = np.array([(1, 0), (0, 1), (1, 1), (1, -1)])  # s = p x + q y of the four plane waves
 DX, DX_SIGN = [2, 0, 0, 0, 6, 7, 4, 5], np.array([[1.0, 0, -1, 0, 1, 1, -1, -1]]).T  # dC/dx
@@ -187,7 +186,7 @@ def scan(
     return curve
 
 
-def _real_gram(minus: NDArray[np.complex128], plus: NDArray[np.complex128]) -> Array:
+def _real_gram(minus: ComplexArray, plus: ComplexArray) -> Array:
     """Gram (q, 8, 8) of cos, sin of the plane waves, from sums (4, 4, q) at a - b and a + b."""
     cos_cos, sin_sin = (plus + minus).real, (minus - plus).real
     sin_cos, cos_sin = (plus + minus).imag, (plus - minus).imag
@@ -195,7 +194,7 @@ def _real_gram(minus: NDArray[np.complex128], plus: NDArray[np.complex128]) -> A
     return np.ascontiguousarray(0.5 * np.concatenate(rows, 0).transpose(2, 0, 1))
 
 
-def fourier_sums(points: Array, loads: Array, step: float, size: int) -> NDArray[np.complex128]:
+def fourier_sums(points: Array, loads: Array, step: float, size: int) -> ComplexArray:
     """Sum_i w_i exp(-1j j step points[i]), j = 0..size/2, times the gain; w = 1 and each of loads.
 
     NUFFT of type 1 with the kernel exp(beta sqrt(1 - z^2)) (Barnett et al., 2019).
@@ -309,7 +308,7 @@ def _vertex(curve: Array, j: int) -> float:
     return 0.5 * (before - after) / bow if bow > 0 else 0.0
 
 
-def _minima(curve: Array) -> NDArray[np.intp]:
+def _minima(curve: Array) -> IntArray:
     """Indices of the local minima, edges included, deepest first."""
     padded = np.concatenate([[np.inf], curve, [np.inf]])
     found = np.flatnonzero((curve <= padded[:-2]) & (curve <= padded[2:]))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
@@ -22,8 +22,6 @@ from sparsefit.modes.refine import RANK, Projection, centred, columns
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

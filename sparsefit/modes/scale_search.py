@@ -18,13 +18,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.modes.joint import JointFit, Lobes, descend, fit_at
 from sparsefit.modes.readout import rms_mean_velocity
 from sparsefit.modes.refine import FALSE_ALARM, ROUGH, SIGNIFICANCE, STEP, columns
 
-Array = NDArray[np.float64]
 Bounds = tuple[float, float]
 
 MOST = 6  # scales

@@ -4,13 +4,12 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, unknown
 from sparsefit.regression.objective import Certificate, CertificateKind, Penalty
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
 AlphaFraction = float | Literal["auto"]
 Selection = Literal["ebic", "bic", "cross-validation", "stability"]

@@ -9,8 +9,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import (
     Backend,
@@ -27,7 +27,6 @@ from sparsefit.regression.objective import Certificate, alpha_max, duality_gaps
 from sparsefit.regression.penalty_choice import FRACTIONS, PenaltyChoice, choose_penalty
 from sparsefit.regression.problem import RegressionProblem
 
-Array = NDArray[np.float64]
 TOLERANCE = 1e-8
 
 
@@ -57,7 +56,7 @@ class Fit:
     problem: RegressionProblem = field(repr=False, kw_only=True)
 
     @property
-    def support(self) -> NDArray[np.intp]:
+    def support(self) -> IntArray:
         """Columns with a weight that is not zero for some target."""
         return np.flatnonzero(np.any((self.weights != 0) & np.isfinite(self.weights), axis=1))
 

@@ -9,11 +9,10 @@ from importlib import import_module
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.regression.objective import block_products
 
-Array = NDArray[np.float64]
 _KERNEL = "sparsefit.regression._gram"  # compiled; absent where there was no compiler
 
 

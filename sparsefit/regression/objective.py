@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 
-Array = NDArray[np.float64]
 Products: TypeAlias = Callable[[Array, Array], tuple[Array, Array, Array]]
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
 
@@ -120,12 +119,12 @@ class Penalty:
     not joint: the LASSO.
     """
 
-    groups: NDArray[np.intp]
+    groups: IntArray
     weights: Array
     joint: bool
 
     @cached_property
-    def _layout(self) -> tuple[NDArray[np.intp] | None, NDArray[np.intp]]:
+    def _layout(self) -> tuple[IntArray | None, IntArray]:
         """Columns in group order (None where they are already) and the start of each group."""
         order = np.argsort(self.groups, kind="stable")
         starts = np.searchsorted(self.groups[order], np.arange(len(self.weights)))

@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import ChoosingBackend, Selection
 from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
-
-Array = NDArray[np.float64]
 
 FRACTIONS = tuple(np.geomspace(1.0, 1e-3, 30).tolist())
 FOLDS = 5  # of cross-validation: each a fifth of the flight, in one piece
@@ -217,7 +215,7 @@ def _compressed(problem: RegressionProblem) -> bool:
     return problem.sample_count is not None and problem.position is None
 
 
-def _pieces(problem: RegressionProblem, count: int, selection: str) -> list[NDArray[np.intp]]:
+def _pieces(problem: RegressionProblem, count: int, selection: str) -> list[IntArray]:
     remedy = 'use selection "ebic"'
     if _compressed(problem):
         raise InputError(
@@ -231,9 +229,7 @@ def _pieces(problem: RegressionProblem, count: int, selection: str) -> list[NDAr
     return list(np.array_split(np.arange(problem.samples), count))
 
 
-def _path_on(
-    problem: RegressionProblem, backend: ChoosingBackend, pieces: list[NDArray[np.intp]]
-) -> Array:
+def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[IntArray]) -> Array:
     """Weights (p, k, n) of the path on these pieces, NaN where there is no solution."""
     rows = np.concatenate(pieces)
     try:

@@ -6,14 +6,13 @@ from time import perf_counter
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.gram import products
 from sparsefit.regression.objective import Statistics, accumulate, row_blocks
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +27,11 @@ class Spectrum:
     projected: Array
     seconds: float = 0.0
 
-    def retained(self, rcond: float | None, samples: int) -> NDArray[np.bool_]:
+    def retained(self, rcond: float | None, samples: int) -> BoolArray:
         """Singular values above rcond * s_max; None is the rounding level eps * max(m, k)."""
         if rcond is None:
             rcond = float(np.finfo(float).eps * max(samples, self.right_vectors.shape[1]))
-        kept: NDArray[np.bool_] = self.singular_values > rcond * self.singular_values[0]
+        kept: BoolArray = self.singular_values > rcond * self.singular_values[0]
         return kept
 
 
@@ -49,7 +48,7 @@ class RegressionProblem:
 
     theta: Array
     target: Array
-    groups: NDArray[np.intp]
+    groups: IntArray
     names: tuple[str, ...]
     target_names: tuple[str, ...]
     group_scales: Array | None = None
@@ -205,7 +204,7 @@ def _check_shapes(problem: RegressionProblem) -> None:
         raise InputError(f"names must have one name per column: {k}, not {len(problem.names)}")
 
 
-def _refuse_columns(bad: NDArray[np.bool_], names: Sequence[str], what: str) -> None:
+def _refuse_columns(bad: BoolArray, names: Sequence[str], what: str) -> None:
     found = np.flatnonzero(bad)
     if len(found):
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""

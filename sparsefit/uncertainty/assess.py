@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.derivative.filters import Filters
 from sparsefit.library.nuisance import VehicleEstimate
@@ -13,8 +13,6 @@ from sparsefit.uncertainty import bias, noise
 from sparsefit.uncertainty.model import LAGS, Fitted, uncertainty
 from sparsefit.uncertainty.record import Uncertainty
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
-
-Array = NDArray[np.float64]
 
 PASSES = 2  # of the truncation: the flow it is computed from moves by it
 # Of a correction, what counts as a standard error: terms of second order are left out.

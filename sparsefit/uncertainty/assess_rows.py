@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.derivative.filters import Filters
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -24,8 +24,6 @@ from sparsefit.uncertainty.model import LAGS
 from sparsefit.uncertainty.record import Uncertainty
 from sparsefit.uncertainty.superposed import Superposed
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
-
-Array = NDArray[np.float64]
 
 QUADRATURE = 2.0  # of what residuals could add up to: most of a test function's error is fitted
 

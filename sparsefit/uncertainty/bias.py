@@ -17,13 +17,11 @@ path leaves a combination of columns ill determined (Carroll et al., 2006).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, ComplexArray
 from sparsefit.derivative.filters import Filters, fast_length
 from sparsefit.uncertainty.model import Fitted, along_x, along_y
 from sparsefit.uncertainty.superposed import Superposed
-
-Array = NDArray[np.float64]
 
 WAVES = np.array([1.0] * 4 + [2.0] * 4)[:, None]  # |kappa|^2 / k^2 of each candidate
 
@@ -41,7 +39,7 @@ def truncation(
     size = fast_length(samples)
     spectra = [np.fft.rfft(one, size, axis=0) for one in (fitted.position, velocity, excess)]
 
-    def filtered(kernels: list[Array], parts: list[NDArray[np.complex128]]) -> Array:
+    def filtered(kernels: list[Array], parts: list[ComplexArray]) -> Array:
         total = sum(
             np.fft.rfft(kernel, size).conj()[:, None] * part
             for kernel, part in zip(kernels, parts, strict=True)

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import non_negative, unknown
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.modes.refine import columns
 from sparsefit.uncertainty import Fitted
 
-Array = NDArray[np.float64]
 Model = Literal["parametric", "semiparametric"]
 
 NULL = 1e-9  # singular values of the scaled Jacobian below this, relative, are its null space
@@ -86,7 +85,7 @@ def semiparametric(position: Array, weights: Array, wavenumber: float) -> tuple[
     return np.column_stack([bend, jacobian]), gradients
 
 
-def _functionals(jacobian: Array, gradients: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _functionals(jacobian: Array, gradients: Array) -> tuple[Array, BoolArray]:
     """J (J'J)^+ g (rows, 3) for gradients g (3, parameters), and which g the data do not tell."""
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0] = 1.0

@@ -12,16 +12,14 @@ filters are known, a Bartlett sum over the rows that share samples (Newey and We
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, ComplexArray
 from sparsefit.derivative import Samples
 from sparsefit.derivative.filters import Filters, fast_length, kicks_through
 from sparsefit.uncertainty.model import LAGS
 from sparsefit.uncertainty.noise import levels, power
 from sparsefit.uncertainty.spectra import frequency_weights
 from sparsefit.uncertainty.superposed import Superposed
-
-Array = NDArray[np.float64]
 
 
 def noise_levels(plain: Superposed, filters: Filters, response_time: float, errors: Array) -> Array:
@@ -61,7 +59,7 @@ def powers(
     return np.array(found)
 
 
-def _kicked(slope: NDArray[np.complex128], velocity: Array, size: int, samples: Samples) -> Array:
+def _kicked(slope: ComplexArray, velocity: Array, size: int, samples: Samples) -> Array:
     """Sum of squares (f,) of what a kick in every raw step does through the weak form."""
     step = float(np.mean(np.diff(samples.time)))
     raw = np.fft.irfft(slope[:, None] * velocity[None, :, :, None], size, axis=2)

@@ -5,15 +5,13 @@ and the velocity where the response time is unknown.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.derivative.filters import Filters, kicks_through
 from sparsefit.uncertainty.bias import WAVES, truncation
 from sparsefit.uncertainty.model import along_x, along_y
 from sparsefit.uncertainty.superposed import Superposed
-
-Array = NDArray[np.float64]
 
 
 def scores(

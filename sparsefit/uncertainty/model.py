@@ -8,15 +8,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, positive
 from sparsefit.modes.readout import rms_mean_velocity
 from sparsefit.modes.refine import DX, DX_SIGN, DY, DY_SIGN, centred, columns, project
 from sparsefit.uncertainty.record import Uncertainty
-
-Array = NDArray[np.float64]
 
 MEAN_SQUARE = np.array([0.5] * 4 + [0.25] * 4)[:, None]  # of each candidate over a cell
 LAGS = 20  # samples: twice the memory of a smoothing window of 11
@@ -76,7 +74,7 @@ class Fitted:
         return found
 
     @cached_property
-    def inverse(self) -> tuple[Array, NDArray[np.bool_]]:
+    def inverse(self) -> tuple[Array, BoolArray]:
         """(J'J)^+ (17, 17), and which of U0, L and tau_w the flight does not tell (3,)."""
         gram = np.zeros((17, 17))
         gram[0, 0] = np.sum(self.bend**2)

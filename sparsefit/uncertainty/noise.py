@@ -12,14 +12,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, ComplexArray
 from sparsefit.derivative.filters import Filters, fast_length
 from sparsefit.uncertainty.model import Fitted
 from sparsefit.uncertainty.spectra import frequency_weights
-
-Array = NDArray[np.float64]
-Spectrum = NDArray[np.complex128]
 
 PASSED = 0.05  # of the power: below it the spectrum is leakage
 ROUNDS = 60  # of the multiplicative iteration; the level is stable to 1 % by then
@@ -99,7 +96,7 @@ def _levels(shapes: Array, observed: Array) -> Array:
     return found
 
 
-def power(spectrum: Spectrum, weight: Array) -> Array:
+def power(spectrum: ComplexArray, weight: Array) -> Array:
     """Sum of squares in time (f,) of spectra (2, frequencies, f)."""
     total: Array = weight @ np.sum(spectrum.real**2 + spectrum.imag**2, axis=0)
     return total

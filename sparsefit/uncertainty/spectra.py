@@ -1,9 +1,8 @@
 """Sums of squares in time, from real transforms."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sparsefit.arrays import Array
 
 
 def frequency_weights(size: int) -> Array:

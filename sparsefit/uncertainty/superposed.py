@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.uncertainty.model import LOST, NULL, Fitted
 from sparsefit.uncertainty.spectra import frequency_weights
@@ -22,7 +22,6 @@ from sparsefit.uncertainty.spectra import frequency_weights
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Array = NDArray[np.float64]
 
 LEFT = 0.02  # of a spectrum, at least: what is left of less is the ends of the flight
 
@@ -74,7 +73,7 @@ class Superposed:
         return found
 
     @cached_property
-    def _blocks(self) -> tuple[Array, NDArray[np.intp]]:
+    def _blocks(self) -> tuple[Array, IntArray]:
         """J by component, without what is zero (2, q, 9 s + p), and where its columns belong."""
         s, p = self.scales, self.nuisance.shape[2]
         value = self.averaged(np.concatenate([part.columns for part in self.parts]).T)
@@ -88,7 +87,7 @@ class Superposed:
         return np.stack(both), np.stack(places)
 
     @cached_property
-    def _roots(self) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    def _roots(self) -> tuple[Array, Array, BoolArray, Array]:
         """Eigenvalues and vectors of J'J in scaled columns, which to keep, and the scales."""
         gram = np.zeros((self.parameters, self.parameters))
         for block, place in zip(*self._blocks, strict=True):
@@ -105,12 +104,12 @@ class Superposed:
         found: Array = (basis / roots[kept]) @ (basis.T @ values)
         return found
 
-    def lost(self, gradients: Array) -> NDArray[np.bool_]:
+    def lost(self, gradients: Array) -> BoolArray:
         """Which functions of theta, gradients (f, 17 s + p), the flight does not tell."""
         _, vectors, kept, scale = self._roots
         turned = vectors.T @ (gradients / scale).T
         hidden, whole = (np.linalg.norm(one, axis=0) for one in (turned[~kept], turned))
-        found: NDArray[np.bool_] = ~(hidden <= LOST * whole)
+        found: BoolArray = ~(hidden <= LOST * whole)
         return found
 
     @property

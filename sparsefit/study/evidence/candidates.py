@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.summary import (
     PARAMETERS,
-    BoolArray,
-    FloatArray,
     Group,
     by_setting,
     estimated,
@@ -58,7 +57,7 @@ class Candidate:
     evaluate: float
     failure_rate: float
     seconds: float
-    losses: FloatArray
+    losses: Array
 
     @property
     def title(self) -> str:
@@ -117,7 +116,7 @@ def _candidate(group: Group, own: list[str], criterion: str) -> Candidate:
     )
 
 
-def losses(cases: pd.DataFrame, criterion: str) -> FloatArray:
+def losses(cases: pd.DataFrame, criterion: str) -> Array:
     """(rows,) |percentage error| of the criterion's parameter; 100 % without an estimate."""
     parameter = criterion.rpartition("-")[2]
     percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(parameter)])
@@ -125,15 +124,13 @@ def losses(cases: pd.DataFrame, criterion: str) -> FloatArray:
     return np.where(answered & ~np.isnan(percent), percent, MISS)
 
 
-def statistic(values: FloatArray, criterion: str) -> FloatArray:
+def statistic(values: Array, criterion: str) -> Array:
     """Return the mean or median, as the criterion says, over the last axis."""
     chosen = np.mean if criterion.startswith("mean") else np.median
     return np.asarray(chosen(values, axis=-1))
 
 
-def paired_interval(
-    first: FloatArray, second: FloatArray, criterion: str, seed: int
-) -> tuple[float, float]:
+def paired_interval(first: Array, second: Array, criterion: str, seed: int) -> tuple[float, float]:
     """95 % percentile interval of criterion(first) - criterion(second), both (flights, cases).
 
     The same flights are drawn for both (paired), whole flights with all their conditions.

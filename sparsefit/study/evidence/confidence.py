@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.evidence.keys import key, name_column, setting_columns, titled
 from sparsefit.study.evidence.summary import (
     PARAMETERS,
     SYMBOLS,
-    BoolArray,
-    FloatArray,
     StudyRecord,
     by_setting,
     factors,
@@ -77,7 +76,7 @@ def held(cases: pd.DataFrame, name: str) -> tuple[Share, float]:
     kept = (cases["status"] == "ok").to_numpy() & ~np.isnan(true + found)
     kept &= ~np.isnan(low) & ~np.isnan(high)
     inside = int(((low <= true) & (true <= high))[kept].sum())
-    half: FloatArray = (50.0 * (high - low) / np.abs(found))[kept]
+    half: Array = (50.0 * (high - low) / np.abs(found))[kept]
     return Share(inside, int(kept.sum())), float(np.median(half)) if half.size else math.nan
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from sparsefit.arrays import Array
 from sparsefit.study.evidence.keys import counts, key, key_columns, three, titled
 from sparsefit.study.evidence.summary import (
-    FloatArray,
     StudyRecord,
     by_setting,
     factors,
@@ -33,20 +33,20 @@ def bounded(cases: pd.DataFrame) -> pd.DataFrame:
     return cases[known & (cases["status"] == "ok").to_numpy()]
 
 
-def ratios(cases: pd.DataFrame) -> FloatArray:
+def ratios(cases: pd.DataFrame) -> Array:
     """(rows, 3) signed error / bound of U0, L_w and tau_w over the `bounded` cases."""
     kept = bounded(cases)
-    found: FloatArray = signed_errors(kept) / three_of(kept, "bound")
+    found: Array = signed_errors(kept) / three_of(kept, "bound")
     return found
 
 
-def percent_of_truth(cases: pd.DataFrame, prefix: str) -> FloatArray:
+def percent_of_truth(cases: pd.DataFrame, prefix: str) -> Array:
     """(rows, 3) a column in percent of the truth."""
-    share: FloatArray = 100.0 * three_of(cases, prefix) / three_of(cases, "true")
+    share: Array = 100.0 * three_of(cases, prefix) / three_of(cases, "true")
     return share
 
 
-def rms(values: FloatArray) -> list[float]:
+def rms(values: Array) -> list[float]:
     """Root mean square of each column; NaN of none."""
     if not len(values):
         return [np.nan] * values.shape[1]

@@ -8,12 +8,12 @@ from typing import TypeAlias
 import numpy as np
 import pandas as pd
 
+from sparsefit.arrays import Array
 from sparsefit.study.evidence import paper
 from sparsefit.study.evidence.summary import (
     PARAMETERS,
     SYMBOLS,
     TEX_SYMBOLS,
-    FloatArray,
     StudyRecord,
     by_setting,
     factors,
@@ -148,11 +148,11 @@ def _signed_mean(cases: pd.DataFrame) -> list[float]:
     return mean(percent_errors(cases))
 
 
-def _ranges(levels: list[pd.DataFrame], statistic: Statistic) -> FloatArray:
+def _ranges(levels: list[pd.DataFrame], statistic: Statistic) -> Array:
     """(3,) largest minus smallest over the levels that have estimates; NaN below two of them."""
     values = np.array([statistic(level) for level in levels])
     values = values[np.isfinite(values).all(axis=1)]
-    spread: FloatArray = np.ptp(values, axis=0) if len(values) > 1 else np.full(3, np.nan)
+    spread: Array = np.ptp(values, axis=0) if len(values) > 1 else np.full(3, np.nan)
     return spread
 
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.evidence.summary import (
-    BoolArray,
-    FloatArray,
     Group,
     StudyRecord,
     by_setting,
@@ -50,9 +49,9 @@ def all_found(cases: pd.DataFrame) -> BoolArray:
 class Regime:
     """Per case: cells flown (extent over the largest scale), least ratios of scales, of U0."""
 
-    cells: FloatArray
-    ratio: FloatArray
-    velocity_ratio: FloatArray
+    cells: Array
+    ratio: Array
+    velocity_ratio: Array
 
     @classmethod
     def of(cls, cases: pd.DataFrame) -> Regime:

@@ -9,16 +9,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.evidence.table import Cell, plain
-
-FloatArray: TypeAlias = NDArray[np.float64]
-BoolArray: TypeAlias = NDArray[np.bool_]
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 SYMBOLS = {"mean_velocity": "U0", "length_scale": "L_w", "timescale": "τ_w"}
@@ -200,20 +197,20 @@ def hits(cases: pd.DataFrame) -> BoolArray:
     return hit & estimated(cases)
 
 
-def signed_errors(cases: pd.DataFrame) -> FloatArray:
+def signed_errors(cases: pd.DataFrame) -> Array:
     """(rows, 3) estimate - truth of U0 [m/s], L_w [m], tau_w [s]; NaN without an estimate."""
     errors = _columns(cases, "est") - _columns(cases, "true")
     errors[~estimated(cases)] = np.nan
     return errors
 
 
-def percent_errors(cases: pd.DataFrame) -> FloatArray:
+def percent_errors(cases: pd.DataFrame) -> Array:
     """(rows, 3) signed errors in percent of the truth; NaN where there is no estimate."""
-    percent: FloatArray = 100.0 * signed_errors(cases) / _columns(cases, "true")
+    percent: Array = 100.0 * signed_errors(cases) / _columns(cases, "true")
     return percent
 
 
-def quartiles(cases: pd.DataFrame, name: str) -> FloatArray:
+def quartiles(cases: pd.DataFrame, name: str) -> Array:
     """(3,) quartiles of |% error|, each an observed value; a failure is an infinite error."""
     percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(name)])
     # Without a flow to find there is no truth: an estimate is a false alarm.
@@ -222,22 +219,22 @@ def quartiles(cases: pd.DataFrame, name: str) -> FloatArray:
     return np.asarray(np.quantile(sizes, [0.25, 0.5, 0.75], method="inverted_cdf"))
 
 
-def _columns(cases: pd.DataFrame, prefix: str) -> FloatArray:
+def _columns(cases: pd.DataFrame, prefix: str) -> Array:
     names = [f"{prefix}_{name}" for name in PARAMETERS]
     return np.column_stack([numbers(cases, name) for name in names])
 
 
-def numbers(cases: pd.DataFrame, name: str) -> FloatArray:
+def numbers(cases: pd.DataFrame, name: str) -> Array:
     """(rows,) a numeric column as floats, absent values as NaN."""
     return np.asarray(cases[name].to_numpy(dtype=np.float64, na_value=np.nan))
 
 
-def recorded(cases: pd.DataFrame, name: str) -> FloatArray:
+def recorded(cases: pd.DataFrame, name: str) -> Array:
     """(rows,) a numeric column; NaN where the study was run before there was such a column."""
     return numbers(cases, name) if name in cases else np.full(len(cases), np.nan)
 
 
-def three_of(cases: pd.DataFrame, prefix: str) -> FloatArray:
+def three_of(cases: pd.DataFrame, prefix: str) -> Array:
     """(rows, 3) the columns `prefix`_* of U0, L_w and tau_w; NaN where there are none."""
     return np.column_stack([recorded(cases, f"{prefix}_{name}") for name in PARAMETERS])
 
@@ -249,15 +246,15 @@ def in_a_flow(cases: pd.DataFrame) -> BoolArray:
     return np.array([plain(value) != "none" for value in cases["flow"]], dtype=bool)
 
 
-def mean(values: FloatArray) -> list[float]:
+def mean(values: Array) -> list[float]:
     """Mean of each column over its finite entries; NaN where there is none."""
     return [float(np.mean(column)) if column.size else np.nan for column in _finite(values)]
 
 
-def quantile(values: FloatArray, share: float) -> list[float]:
+def quantile(values: Array, share: float) -> list[float]:
     """Quantile (linear interpolation) of each column over its finite entries."""
     return [float(np.quantile(one, share)) if one.size else np.nan for one in _finite(values)]
 
 
-def _finite(values: FloatArray) -> list[FloatArray]:
+def _finite(values: Array) -> list[Array]:
     return [column[np.isfinite(column)] for column in values.T]

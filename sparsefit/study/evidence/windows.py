@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pandas as pd
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.keys import key, setting_columns, titled
 from sparsefit.study.evidence.summary import (
-    FloatArray,
     Group,
     StudyRecord,
     by_setting,
@@ -33,13 +33,13 @@ WINDOWS_NOTE = (
 )
 
 
-def worst_errors(cases: pd.DataFrame) -> FloatArray:
+def worst_errors(cases: pd.DataFrame) -> Array:
     """(rows,) the largest |% error| of the three parameters; infinite without an estimate."""
     largest = np.abs(percent_errors(cases)).max(axis=1)
     return np.where(estimated(cases) & ~np.isnan(largest), largest, np.inf)
 
 
-def by_duration(cases: pd.DataFrame, share: float) -> tuple[FloatArray, FloatArray]:
+def by_duration(cases: pd.DataFrame, share: float) -> tuple[Array, Array]:
     """Durations [s], ascending, and at each the error [%] that `share` of the flights keep."""
     levels = sorted(grouped(cases, [DURATION]), key=lambda one: float(one.key[DURATION] or 0))
     seconds = np.array([float(level.key[DURATION] or 0.0) for level in levels])

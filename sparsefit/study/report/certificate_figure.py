@@ -10,12 +10,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import Scanner
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.backends.off_grid import interval
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
-from sparsefit.study.evidence.summary import FloatArray, StudyRecord
+from sparsefit.study.evidence.summary import StudyRecord
 from sparsefit.study.report.drawing import COLOURS, GREY, panels
 from sparsefit.study.run.execution import estimator_for
 from sparsefit.study.spec.design import Cell, cells
@@ -33,10 +34,10 @@ HAIR = 2e-3  # the scan may end this far inside the interval
 class Curve:
     """eta (q,) at length scales (q,) [m]; the atoms [m] with their |V|; the true flow."""
 
-    length_scale: FloatArray
-    eta: FloatArray
-    atoms: FloatArray
-    sizes: FloatArray
+    length_scale: Array
+    eta: Array
+    atoms: Array
+    sizes: Array
     flow: Flow
     title: str
 
@@ -135,6 +136,6 @@ def _panel(axes: Axes, curve: Curve) -> None:
     axes.set_title(curve.title, loc="left")
 
 
-def _wavenumber(scale: FloatArray) -> FloatArray:
+def _wavenumber(scale: Array) -> Array:
     """Pi / L, its own inverse."""
     return np.pi / np.maximum(scale, 1e-9)

@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
-from numpy.typing import NDArray
+
+from sparsefit.arrays import Array
 
 WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
@@ -62,7 +63,7 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def ticked(axes: Axes, levels: NDArray[np.float64]) -> None:
+def ticked(axes: Axes, levels: Array) -> None:
     """Number the x axis at the levels themselves, on a log scale where they span a decade."""
     positive = np.unique(levels[levels > 0])
     if positive.size > 1 and positive[-1] / positive[0] >= 10 and levels.min() >= 0:

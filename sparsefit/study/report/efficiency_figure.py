@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.efficiency import bounded, percent_of_truth, ratios, rms
 from sparsefit.study.evidence.summary import (
     PARAMETERS,
     SYMBOLS,
-    FloatArray,
     Group,
     StudyRecord,
     factors,
@@ -116,22 +116,22 @@ def _panel(
     ticked(axes, np.unique(np.concatenate([line.cases[NOISE].to_numpy(float) for line in lines])))
 
 
-def _curve(cases: pd.DataFrame, place: int, *, relative: bool) -> tuple[FloatArray, FloatArray]:
+def _curve(cases: pd.DataFrame, place: int, *, relative: bool) -> tuple[Array, Array]:
     levels = sorted(grouped(cases, [NOISE]), key=lambda one: float(one.key[NOISE] or 0.0))
     noise = np.array([float(level.key[NOISE] or 0.0) for level in levels])
     values = [rms(_measure(level.cases, relative=relative))[place] for level in levels]
     return noise, np.array(values)
 
 
-def _measure(cases: pd.DataFrame, *, relative: bool) -> FloatArray:
+def _measure(cases: pd.DataFrame, *, relative: bool) -> Array:
     if relative:
         return ratios(cases)
     kept = bounded(cases)
-    percent: FloatArray = 100.0 * signed_errors(kept) / three_of(kept, "true")
+    percent: Array = 100.0 * signed_errors(kept) / three_of(kept, "true")
     return percent
 
 
-def _bound(lines: Sequence[pd.DataFrame], place: int) -> tuple[FloatArray, FloatArray]:
+def _bound(lines: Sequence[pd.DataFrame], place: int) -> tuple[Array, Array]:
     """Rms bound [%] over the flights that every line called ok, each once.
 
     Those that a line gave up are the hardest: with them the bound would stand above its errors.

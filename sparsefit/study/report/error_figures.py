@@ -7,12 +7,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.summary import (
     FLOOR,
     PARAMETERS,
     SYMBOLS,
-    FloatArray,
     Group,
     StudyRecord,
     by_setting,
@@ -57,7 +57,7 @@ def errors(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None
     return figure
 
 
-def _sizes(cases: pd.DataFrame, name: str) -> FloatArray:
+def _sizes(cases: pd.DataFrame, name: str) -> Array:
     """(rows,) |% error| of the cases that have an estimate."""
     percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(name)])
     return np.maximum(percent[estimated(cases) & ~np.isnan(percent)], FLOOR)
@@ -146,7 +146,7 @@ def sweep(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None)
     return figure
 
 
-def _sweep_row(row: list[Axes], lines: list[Group], factor: str, levels: FloatArray) -> None:
+def _sweep_row(row: list[Axes], lines: list[Group], factor: str, levels: Array) -> None:
     titles = [line.title for line in lines]
     colour, marker = colours(titles), markers(titles)
     for name, axes in zip(ORDER, row, strict=True):
@@ -172,11 +172,11 @@ def _band(axes: Axes, name: str, line: Group, factor: str, colour: str, marker: 
     axes.fill_between(values, _gap(first), _gap(third), color=colour, alpha=0.15, lw=0)
 
 
-def _gap(values: FloatArray) -> FloatArray:
+def _gap(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _scales(axes: Axes, name: str, factor: str, levels: FloatArray) -> None:
+def _scales(axes: Axes, name: str, factor: str, levels: Array) -> None:
     ticked(axes, levels)
     axes.set_yscale("log")
     logarithmic(axes.yaxis, *axes.get_ylim())

@@ -9,10 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sparsefit.arrays import Array
 from sparsefit.study.evidence.summary import (
     SYMBOLS,
     UNITS,
-    FloatArray,
     Group,
     StudyRecord,
     by_setting,
@@ -36,7 +36,7 @@ class Frame:
     log: bool
 
     @classmethod
-    def around(cls, true: FloatArray) -> Frame:
+    def around(cls, true: Array) -> Frame:
         """Return the window of the true values: estimates are not allowed to stretch it."""
         low, high = float(true.min()), float(true.max())
         if low > 0 and high / low > LOG_RANGE:

@@ -7,8 +7,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.study.evidence.summary import FloatArray, Group, StudyRecord, numbers
+from sparsefit.study.evidence.summary import Group, StudyRecord, numbers
 from sparsefit.study.evidence.table import plain
 from sparsefit.study.report.drawing import COLOURS, GREY, panels, shortened
 from sparsefit.study.report.scatter_figure import first_listed
@@ -66,7 +67,7 @@ def _panel(axes: Axes, group: Group, weights: pd.DataFrame) -> None:
     axes.grid(False, axis="x")
 
 
-def _chosen(axes: Axes, chosen: object, scales: FloatArray, values: FloatArray) -> None:
+def _chosen(axes: Axes, chosen: object, scales: Array, values: Array) -> None:
     if isinstance(chosen, float) and scales.size:
         nearest = int(np.argmin(np.abs(scales - chosen)))
         axes.plot(

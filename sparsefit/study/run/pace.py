@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sparsefit.arrays import Array
+
 MEMORY = 10  # outcomes of a cell over which its mean forgets, so that it follows a trend
 ENOUGH = 0.5  # share of the cells with cases left that must have been seen
 
@@ -16,7 +18,7 @@ class Pace:
     """Cases left per cell, and the mean seconds and number of those seen."""
 
     left: NDArray[np.int64]
-    mean: NDArray[np.float64]
+    mean: Array
     seen: NDArray[np.int64]
     processes: int
 
