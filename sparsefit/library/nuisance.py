@@ -108,6 +108,8 @@ class Nuisance:
     def columns(self, velocity: Array) -> Array:
         """N (2, m, p): the columns of the p coefficients in either component."""
         series, zero = self.series(velocity), np.zeros(len(velocity))
+        if not self.unknown:
+            return np.zeros((2, len(velocity), 0))
         both = (
             [zero if index is None else series[index] for index in pair]
             for pair in zip(*self.pairs, strict=True)
