@@ -1,13 +1,17 @@
-"""What a refusal says: the exceptions, the nearest known name, and the checks of scalars."""
+"""What a refusal says: the exceptions, the nearest known name, and the checks of scalars.
+
+Two wordings: a quantity (``tau must be ... [s]; got -1``) is checked by `finite`, `positive`,
+`non_negative`, `pair` and `integer`; a setting (``lasso: tolerance must be ..., not 2``), named
+with its owner, by `number_setting`, `integer_setting`, `flag_setting` and `one_of`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from difflib import get_close_matches
-from numbers import Real
-
-import numpy as np
+from numbers import Integral, Real
+from typing import TypeGuard
 
 
 class SparsefitError(Exception):
@@ -22,64 +26,132 @@ class MissingExtra(SparsefitError, ImportError):  # noqa: N818 - says what is th
     """An optional dependency is absent. The message names the extra that brings it."""
 
 
-def nearest(name: str, valid: Iterable[str]) -> str:
-    """Return ``'; did you mean "x"?'`` for the known name closest to ``name``, or ``''``."""
-    found = _closest(name, valid)
-    return f'; did you mean "{found}"?' if found else ""
+def suggestion(name: str, valid: Iterable[str]) -> str:
+    """Return ``: did you mean "x"?`` or, where no valid name is near, ``(known: x, y)``."""
+    known = sorted(valid)
+    return _did_you_mean(name, known) or f" (known: {', '.join(known)})"
 
 
 def unknown(kind: str, name: object, valid: Iterable[str]) -> InputError:
     """Return (not raise) the error for a name that is not among ``valid``."""
     known = list(valid)
-    found = _closest(str(name), known)
-    hint = f': did you mean "{found}"?' if found else ""
+    hint = _did_you_mean(str(name), known)
     return InputError(f'unknown {kind} "{name}"{hint} (known: {", ".join(known)})')
 
 
-def _closest(name: str, valid: Iterable[str]) -> str | None:
+def one_of(kind: str, value: object, valid: Iterable[str]) -> None:
+    """Raise `InputError`, which names the nearest, unless ``value`` is one of the valid names."""
+    known = tuple(valid)
+    if not isinstance(value, str) or value not in known:
+        raise unknown(kind, str(value), known)
+
+
+def _did_you_mean(name: str, valid: Iterable[str]) -> str:
     by_folded = {candidate.casefold(): candidate for candidate in valid}
-    found = get_close_matches(name.casefold(), by_folded, n=1)
-    return by_folded[found[0]] if found else None
+    near = get_close_matches(name.casefold(), by_folded, n=1)
+    return f': did you mean "{by_folded[near[0]]}"?' if near else ""
+
+
+def is_real(value: object) -> TypeGuard[float]:
+    """Whether ``value`` is one real number, infinite or NaN too; True is none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def is_number(
+    value: object, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
+) -> TypeGuard[float]:
+    """Whether ``value`` is one finite real number in [low, high], or in (low, high]."""
+    number = _real(value)
+    above = low < number if open_low else low <= number
+    return math.isfinite(number) and above and number <= high
+
+
+def is_integer(
+    value: object, least: float = -math.inf, most: float = math.inf, *, odd: bool = False
+) -> TypeGuard[int]:
+    """Whether ``value`` is an integer from ``least`` to ``most``; True and 2.0 are none."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        return False
+    return least <= int(value) <= most and not (odd and int(value) % 2 == 0)
 
 
 def finite(name: str, value: object, unit: str = "") -> float:
     """Return ``value`` as a float, or raise `InputError` unless it is one finite real number."""
-    number = _real(value)
-    if not math.isfinite(number):
-        raise InputError(f"{name} must be a finite number{_in(unit)}; got {value!r}")
-    return number
+    return _quantity(name, value, is_number(value), "", unit)
 
 
 def positive(name: str, value: object, unit: str = "") -> float:
     """Return ``value`` as a float, or raise `InputError` unless it is finite and > 0."""
-    number = _real(value)
-    if not 0.0 < number < math.inf:
-        raise InputError(f"{name} must be a finite number above 0{_in(unit)}; got {value!r}")
-    return number
+    return _quantity(name, value, is_number(value, 0.0, open_low=True), " above 0", unit)
 
 
 def non_negative(name: str, value: object, unit: str = "") -> float:
     """Return ``value`` as a float, or raise `InputError` unless it is finite and >= 0."""
-    number = _real(value)
-    if not 0.0 <= number < math.inf:
-        raise InputError(f"{name} must be a finite number, 0 or above{_in(unit)}; got {value!r}")
-    return number
+    return _quantity(name, value, is_number(value, 0.0), ", 0 or above", unit)
 
 
 def pair(name: str, value: object, unit: str = "") -> tuple[float, float]:
     """Return ``value`` as two floats, or raise `InputError` unless it is two finite numbers."""
-    items = list(value) if isinstance(value, (tuple, list, np.ndarray)) else []
-    if len(items) != 2:
+    items = getattr(value, "tolist", lambda: value)()  # what an array holds
+    if not isinstance(items, tuple | list) or len(items) != 2:
         raise InputError(f"{name} must be two numbers, (x, y){_in(unit)}; got {value!r}")
     return finite(f"{name}[0]", items[0], unit), finite(f"{name}[1]", items[1], unit)
 
 
+def integer(name: str, value: int, least: int, *, odd: bool = False) -> int:
+    """Return ``value`` as an int, or raise `InputError` unless it is an (odd) integer >= least."""
+    if not is_integer(value, least, odd=odd):
+        kind = "an odd integer" if odd else "an integer"
+        raise InputError(f"{name} must be {kind}, {least} or above; got {value!r}")
+    return int(value)
+
+
+def number_setting(
+    owner: str,
+    name: str,
+    value: object,
+    *,
+    low: float,
+    high: float = math.inf,
+    meaning: str = "",
+    open_low: bool = False,
+) -> None:
+    """Raise `InputError` unless ``value`` is a number in [low, high] (or (low, high]).
+
+    Its ``meaning``, where given, ends the message.
+    """
+    if is_number(value, low, high, open_low=open_low):
+        return
+    bracket = "(" if open_low else "["
+    upper = f"{high:g}]" if math.isfinite(high) else "inf)"
+    raise InputError(
+        f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {value!r}"
+        + (f"; {meaning}" if meaning else "")
+    )
+
+
+def integer_setting(owner: str, name: str, value: object, *, least: int) -> None:
+    """Raise `InputError` unless ``value`` is an integer of at least ``least``."""
+    if not is_integer(value, least):
+        raise InputError(f"{owner}: {name} must be an integer, at least {least}, not {value!r}")
+
+
+def flag_setting(owner: str, name: str, value: object) -> None:
+    """Raise `InputError` unless ``value`` is True or False."""
+    if not isinstance(value, bool):
+        raise InputError(f"{owner}: {name} must be true or false, not {value!r}")
+
+
+def _quantity(name: str, value: object, good: bool, which: str, unit: str) -> float:
+    if not good:
+        raise InputError(f"{name} must be a finite number{which}{_in(unit)}; got {value!r}")
+    return _real(value)
+
+
 def _real(value: object) -> float:
     """NaN stands for everything that is not a real number, so every check refuses it."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return math.nan
     try:
-        return float(value)
+        return float(value) if is_real(value) else math.nan
     except OverflowError:
         return math.inf
 

@@ -9,10 +9,15 @@ from sparsefit.errors import (
     MissingExtra,
     SparsefitError,
     finite,
-    nearest,
+    flag_setting,
+    integer,
+    integer_setting,
     non_negative,
+    number_setting,
+    one_of,
     pair,
     positive,
+    suggestion,
     unknown,
 )
 
@@ -41,9 +46,16 @@ def test_unknown_takes_an_iterator():
     assert "(known: lasso)" in str(unknown("back-end", "zzz", iter(["lasso"])))
 
 
-def test_nearest_ignores_case():
-    assert nearest("Time", ["time", "x"]) == '; did you mean "time"?'
-    assert nearest("pressure", ["time", "x"]) == ""
+def test_a_suggestion_ignores_case_and_lists_what_is_known_where_nothing_is_near():
+    assert suggestion("Time", ["time", "x"]) == ': did you mean "time"?'
+    assert suggestion("pressure", ["x", "time"]) == " (known: time, x)"
+
+
+def test_one_of_takes_any_value():
+    one_of("stop", "bic", ("decrease", "bic"))
+    for value in ("bci", None, ["bic"], 3):
+        with pytest.raises(InputError, match=r"^unknown stop "):
+            one_of("stop", value, {"decrease": 1, "bic": 2})
 
 
 @pytest.mark.parametrize("value", [1, 2.5, np.float64(3.0), np.int32(4), np.float32(0.5)])
@@ -85,3 +97,29 @@ def test_what_is_no_pair_is_refused(value):
 def test_pair_names_the_bad_half():
     with pytest.raises(InputError, match=r"a\[1\] must be a finite number \[m\]; got nan"):
         pair("a", (1.0, math.nan), "m")
+
+
+@pytest.mark.parametrize("value", [3, np.int64(5), 101])
+def test_odd_integers(value):
+    assert type(integer("window", value, 3, odd=True)) is int
+
+
+@pytest.mark.parametrize("value", [1, 4, True, 5.0, "5", None, math.nan])
+def test_what_is_no_odd_integer_above_is_refused(value):
+    with pytest.raises(InputError) as error:
+        integer("window", value, 3, odd=True)
+    assert str(error.value) == f"window must be an odd integer, 3 or above; got {value!r}"
+
+
+def test_a_setting_is_refused_with_its_owner():
+    refusals = [
+        (lambda: integer_setting("grid", "count", 0, least=1), "an integer, at least 1, not 0"),
+        (lambda: integer_setting("grid", "count", 2.0, least=1), "an integer, at least 1, not 2.0"),
+        (lambda: flag_setting("grid", "count", 1), "true or false, not 1"),
+        (lambda: number_setting("grid", "count", 10**400, low=0.0), "a number in [0, inf), not 1"),
+        (lambda: number_setting("grid", "count", 2, low=0, high=1), "a number in [0, 1], not 2"),
+    ]
+    for check, words in refusals:
+        with pytest.raises(InputError) as error:
+            check()
+        assert str(error.value).startswith(f"grid: count must be {words}")

@@ -13,7 +13,8 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends.group_fit import DOUBT, explained, fit_on, residual_square
-from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.errors import number_setting
+from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
@@ -32,7 +33,7 @@ class BestScale:
 
     def __post_init__(self) -> None:
         if self.rcond is not None:
-            checked_number(self.name, "rcond", self.rcond, low=0.0, high=1.0)
+            number_setting(self.name, "rcond", self.rcond, low=0.0, high=1.0)
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights on the chosen group alone."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparsefit.backends.conic import check_solver, solve_conic
 from sparsefit.backends.variational import GroupPath, group_path
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import flag_setting, one_of
 from sparsefit.regression.backend import (
     AlphaFraction,
     Selection,
@@ -48,12 +48,8 @@ class GroupLasso:
     def __post_init__(self) -> None:
         checked_alpha_fraction(self.name, self.alpha_fraction, auto=True)
         checked_selection(self.name, self.selection)
-        if not isinstance(self.separate, bool):
-            raise InputError(f"group-lasso: separate must be true or false, not {self.separate!r}")
-        if self.group_weights not in get_args(GroupWeights):
-            raise unknown(
-                "group_weights of group-lasso", str(self.group_weights), get_args(GroupWeights)
-            )
+        flag_setting(self.name, "separate", self.separate)
+        one_of("group_weights of group-lasso", self.group_weights, get_args(GroupWeights))
         check_solver(self.name, self.solver, EXACT)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:

@@ -15,8 +15,8 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends.group_fit import explained, fit_on, residual_square
-from sparsefit.errors import InputError, unknown
-from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.errors import integer_setting, number_setting, one_of
+from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
@@ -40,14 +40,10 @@ class GroupOMP:
     stop: Stop = "decrease"
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.scales, int) and not isinstance(self.scales, bool)
-        if self.scales is not None and not (whole and self.scales >= 1):
-            raise InputError(
-                f"{self.name}: scales must be an integer, at least 1, not {self.scales!r}"
-            )
-        checked_number(self.name, "tolerance", self.tolerance, low=0.0, high=1.0)
-        if self.stop not in get_args(Stop):
-            raise unknown(f"stop of {self.name}", str(self.stop), get_args(Stop))
+        if self.scales is not None:
+            integer_setting(self.name, "scales", self.scales, least=1)
+        number_setting(self.name, "tolerance", self.tolerance, low=0.0, high=1.0)
+        one_of(f"stop of {self.name}", self.stop, get_args(Stop))
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights on the groups that the greedy choice takes."""

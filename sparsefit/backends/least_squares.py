@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.errors import number_setting
+from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
@@ -23,7 +24,7 @@ class LeastSquares:
 
     def __post_init__(self) -> None:
         if self.rcond is not None:
-            checked_number(
+            number_setting(
                 self.name,
                 "rcond",
                 self.rcond,

@@ -6,7 +6,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import POINTS, Interval, scan_points
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_number
 from sparsefit.library.builder import CANDIDATES, candidate_columns
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.problem import RegressionProblem
@@ -64,7 +64,7 @@ def refusal(
 def checked_bounds(name: str, lower: float | None, upper: float | None) -> None:
     """Raise InputError unless the bounds [m] are positive and in order; None is open."""
     for key, value in (("lower", lower), ("upper", upper)):
-        if value is not None and not (0 < value < math.inf):
+        if value is not None and not is_number(value, 0.0, open_low=True):
             raise InputError(f"{name}: {key} must be a length above 0 m, not {value!r}")
     if lower is not None and upper is not None and lower > upper:
         raise InputError(f"{name}: lower ({lower:g} m) is above upper ({upper:g} m); swap them")

@@ -17,7 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import MODES, Scanner, climb
 from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
-from sparsefit.errors import InputError
+from sparsefit.errors import integer_setting
 from sparsefit.library.builder import CANDIDATES, TARGET_NAMES
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import Certificate, CertificateKind
@@ -40,10 +40,7 @@ class ParametricNLS:
     upper: float | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.starts, int) or isinstance(self.starts, bool) or self.starts < 1:
-            raise InputError(
-                f"{self.name}: starts must be an integer, at least 1, not {self.starts!r}"
-            )
+        integer_setting(self.name, "starts", self.starts, least=1)
         checked_bounds(self.name, self.lower, self.upper)
 
     def solve(self, problem: RegressionProblem) -> Solution:

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.errors import InputError, unknown
-from sparsefit.regression.backend import Solution, checked_number
+from sparsefit.errors import InputError, flag_setting, is_integer, number_setting, one_of
+from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
@@ -47,20 +47,18 @@ class STLSQ:
     normalize_columns: bool = False
 
     def __post_init__(self) -> None:
-        if self.mode not in get_args(Mode):
-            raise unknown("mode of stlsq", str(self.mode), get_args(Mode))
+        one_of("mode of stlsq", self.mode, get_args(Mode))
         if self.threshold is None:
             object.__setattr__(self, "threshold", DEFAULT_THRESHOLD[self.mode])
-        checked_number(self.name, "threshold", self.threshold, low=0.0)
-        checked_number(self.name, "ridge", self.ridge, low=0.0)
-        checked_number(self.name, "max_iterations", self.max_iterations, low=1.0)
-        if not isinstance(self.max_iterations, int | np.integer):
+        number_setting(self.name, "threshold", self.threshold, low=0.0)
+        number_setting(self.name, "ridge", self.ridge, low=0.0)
+        number_setting(self.name, "max_iterations", self.max_iterations, low=1.0)
+        if not is_integer(self.max_iterations):
             raise InputError(
                 f"stlsq: max_iterations must be an integer, not {self.max_iterations!r}"
             )
         for flag in ("unbias", "normalize_columns"):
-            if not isinstance(getattr(self, flag), bool):
-                raise InputError(f"stlsq: {flag} must be true or false")
+            flag_setting(self.name, flag, getattr(self, flag))
         if self.normalize_columns and self.mode == "scaled":
             raise InputError(
                 "stlsq: normalize_columns belongs to mode 'pysindy'; mode 'scaled' always scales"

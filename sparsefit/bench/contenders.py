@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from sparsefit.bench import conic_peers, descent_peers, lars_peers, ours
 from sparsefit.bench.contender import Contender
-from sparsefit.errors import unknown
+from sparsefit.errors import one_of
 
 ALL: tuple[Contender, ...] = (
     *ours.CONTENDERS,
@@ -26,8 +26,7 @@ def chosen(names: Sequence[str] | None, *, quick: bool = False) -> tuple[Contend
     """
     valid = [contender.name for contender in ALL]
     for name in names or ():
-        if name not in valid:
-            raise unknown("contender", name, valid)
+        one_of("contender", name, valid)
     always = ours.VARIANTS
     if names is None:
         return tuple(c for c in ALL if not (quick and c.compiles))

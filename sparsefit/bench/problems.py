@@ -13,7 +13,7 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.arrays import Array
 from sparsefit.derivative import Derivative, Samples
-from sparsefit.errors import unknown
+from sparsefit.errors import one_of
 from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -111,8 +111,7 @@ def chosen(names: tuple[str, ...] | None) -> tuple[NamedFlight, ...]:
     """The named flights, all of them by default. Raises InputError on an unknown name."""
     valid = tuple(flight.name for flight in NAMED)
     for name in names or ():
-        if name not in valid:
-            raise unknown("problem", name, valid)
+        one_of("problem", name, valid)
     return tuple(flight for flight in NAMED if names is None or flight.name in names)
 
 

@@ -88,14 +88,13 @@ def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
 
 def show(args: argparse.Namespace) -> int:
     """The tables of the study, or those asked for."""
-    from sparsefit.errors import unknown
+    from sparsefit.errors import one_of
     from sparsefit.study.evidence.tables import TABLES, tables_for
     from sparsefit.study.report.pages import render_show
     from sparsefit.study.report.render import to_text
 
     for name in args.table or ():
-        if name not in TABLES:
-            raise unknown("table", name, TABLES)
+        one_of("table", name, TABLES)
     stored = _stored(args)
     study, cases, width = stored.study, stored.cases, terminal_width()
     if not args.table and not args.json:

@@ -11,7 +11,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative.smoothing import SHARE, SHORTEST, Channels, Smoothing, smooth
 from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 
@@ -83,8 +83,7 @@ class Derivative:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if self.method not in METHODS:
-            raise unknown("derivative", self.method, METHODS)
+        one_of("derivative", self.method, METHODS)
         if self.method == "weak":
             self._check_weak()
             return
@@ -103,9 +102,8 @@ class Derivative:
     def _check_savgol(self) -> None:
         assert self.window is not None
         assert self.order is not None
-        if not _is_integer(self.window) or self.window < 3 or self.window % 2 == 0:
-            raise InputError(f"window must be an odd integer, 3 or above; got {self.window!r}")
-        if not _is_integer(self.order) or not 1 <= self.order < self.window:
+        integer("window", self.window, 3, odd=True)
+        if not is_integer(self.order, 1, self.window - 1):
             raise InputError(
                 f"order must be an integer from 1 to window - 1 = {self.window - 1}; "
                 f"got {self.order!r}"
@@ -115,9 +113,9 @@ class Derivative:
         if self.order is None:
             object.__setattr__(self, "order", ORDER)
         window, order = self.window, self.order
-        if window is not None and (not _is_integer(window) or window < 5 or window % 2 == 0):
-            raise InputError(f"weak window must be an odd integer, 5 or above; got {window!r}")
-        if not _is_integer(order) or not 2 <= (order or 0) <= 32:
+        if window is not None:
+            integer("weak window", window, 5, odd=True)
+        if not is_integer(order, 2, 32):
             raise InputError(f"weak order must be an integer from 2 to 32; got {order!r}")
 
     def _weak(self, flight: Flight, time: Array, state: Array, smoothing: Smoothing) -> WeakRows:
@@ -146,10 +144,6 @@ class Derivative:
             smoothing=smoothing,
             weak=weak,
         )
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def _forward(_: Derivative, time: Array, state: Array) -> Rates:

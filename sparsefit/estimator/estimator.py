@@ -10,7 +10,7 @@ import numpy as np
 
 from sparsefit import backends
 from sparsefit.derivative import Derivative
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, number_setting, unknown
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepared import Prepared
 from sparsefit.estimator.scales import ScaleEstimate, as_proposed, several
@@ -21,7 +21,7 @@ from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import VehicleEstimate
 from sparsefit.modes.readout import Readout
 from sparsefit.modes.rows import Rows
-from sparsefit.regression.backend import Backend, checked_number, settings_of
+from sparsefit.regression.backend import Backend, settings_of
 from sparsefit.regression.fit import TOLERANCE, Fit, fit
 from sparsefit.uncertainty import Assessment, Uncertainty
 
@@ -56,7 +56,7 @@ class Estimator:
                 raise InputError(
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
                 )
-        checked_number("estimator", "tolerance", self.tolerance, low=0.0)
+        number_setting("estimator", "tolerance", self.tolerance, low=0.0)
         if self.readout.scales == "several" and (self._weak or self.library.unknown):
             raise InputError(
                 'estimator: scales "several" needs a known vehicle and samples of Phi; drop '

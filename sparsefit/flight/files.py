@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from types import ModuleType
 
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, one_of
 from sparsefit.flight import csv_file, parquet_file
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
@@ -61,8 +61,7 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
 
 def _format(file: Path) -> ModuleType:
     suffix = file.suffix.lower()
-    if suffix not in FORMATS:
-        raise unknown("file type", suffix or file.name, FORMATS)
+    one_of("file type", suffix or file.name, FORMATS)
     return FORMATS[suffix]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 import warnings
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -12,7 +11,7 @@ import numpy as np
 from scipy.integrate import ode
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, non_negative, pair, positive
+from sparsefit.errors import InputError, integer, is_integer, non_negative, pair, positive
 from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -70,7 +69,7 @@ def simulate_flight(
         *_start(flow, initial_position, start_stream),
         *pair("initial_velocity", initial_velocity, "m/s"),
     )
-    kicks = _kicks(process_noise, time, _count("substeps", substeps), process_stream)
+    kicks = _kicks(process_noise, time, integer("substeps", substeps, 1), process_stream)
     blur = non_negative("position_noise", position_noise, "m")
     jitter = non_negative("velocity_noise", velocity_noise, "m/s")
     states = _integrate(_right_hand_side(flow, vehicle), state, time, kicks)
@@ -101,15 +100,9 @@ def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
 
 
 def _root(seed: int) -> np.random.SeedSequence:
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+    if not is_integer(seed, 0):
         raise InputError(f"seed must be an integer, 0 or above, or a SeedSequence; got {seed!r}")
     return np.random.SeedSequence(int(seed))
-
-
-def _count(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise InputError(f"{name} must be an integer, 1 or above; got {value!r}")
-    return operator.index(value)
 
 
 def _sample_times(duration: float, sample_rate: float) -> Array:

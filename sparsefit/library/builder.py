@@ -12,7 +12,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import Nuisance, checked_unknowns, project_out, refuse_spanned
@@ -56,8 +56,7 @@ class Library:
     unknown: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.target not in TARGET_NAMES:
-            raise unknown("target", str(self.target), TARGET_NAMES)
+        one_of("target", self.target, TARGET_NAMES)
         object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
 
     def response(self, samples: Samples | WeakRows, vehicle: PointMassVehicle) -> Array:

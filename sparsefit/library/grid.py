@@ -7,7 +7,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, positive, unknown
+from sparsefit.errors import InputError, integer_setting, is_number, one_of, positive
 from sparsefit.flight import Flight
 
 Spacing = Literal["length-scale", "wavenumber", "flight"]
@@ -32,8 +32,7 @@ class LengthScaleGrid:
     fraction: float = 0.25
 
     def __post_init__(self) -> None:
-        if self.spacing not in get_args(Spacing):
-            raise unknown("spacing", str(self.spacing), get_args(Spacing))
+        one_of("spacing", self.spacing, get_args(Spacing))
         for name in ("lower", "upper"):
             positive(f"grid: {name}", getattr(self, name), "m")
         if self.upper < self.lower:
@@ -46,10 +45,9 @@ class LengthScaleGrid:
             raise InputError("grid: spacing 'wavenumber' needs count (the number of scales)")
         if self.step is not None:
             positive("grid: step", self.step, "m")
-        whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
-        if self.count is not None and not (whole and self.count >= 1):
-            raise InputError(f"grid: count must be an integer, at least 1, not {self.count!r}")
-        if not 0 < self.fraction <= 1:
+        if self.count is not None:
+            integer_setting("grid", "count", self.count, least=1)
+        if not is_number(self.fraction, 0.0, 1.0, open_low=True):
             raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {self.fraction!r}")
         if self.spacing == "flight":
             if self.step is not None or self.count is not None:

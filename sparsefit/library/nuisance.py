@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 
 UNKNOWNS = ("response_time", "thrust_acceleration", "wind")
@@ -38,8 +38,7 @@ def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
             f"unknown must be a list of names such as ('response_time',); got {names!r}"
         )
     for name in names:
-        if name not in UNKNOWNS:
-            raise unknown("parameter of the vehicle", name, UNKNOWNS)
+        one_of("parameter of the vehicle", name, UNKNOWNS)
     found = tuple(name for name in UNKNOWNS if name in names)
     if {"thrust_acceleration", "wind"} <= set(found):
         raise InputError(

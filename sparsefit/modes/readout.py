@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, one_of
 from sparsefit.library.builder import candidate_columns
 from sparsefit.regression.problem import RegressionProblem
 
@@ -59,8 +59,7 @@ class Readout:
             ("scales", get_args(Scales)),
             ("correction", get_args(Correction)),
         ):
-            if getattr(self, key) not in valid:
-                raise unknown(f"readout {key}", str(getattr(self, key)), valid)
+            one_of(f"readout {key}", getattr(self, key), valid)
         if self.scales == "several" and self.mean_velocity == "paper":
             raise InputError(
                 "readout: mean_velocity 'paper' (Eq. 22) scales one field to its range and cannot "

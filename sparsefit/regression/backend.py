@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.regression.objective import Certificate, CertificateKind, Penalty
 from sparsefit.regression.problem import RegressionProblem
 
@@ -100,31 +100,6 @@ class ChoosingBackend(PathBackend, Protocol):
         ...
 
 
-def checked_number(
-    owner: str,
-    name: str,
-    value: Any,
-    *,
-    low: float,
-    high: float = np.inf,
-    meaning: str = "",
-    open_low: bool = False,
-) -> None:
-    """Raise InputError unless value is a real number in [low, high] (or (low, high])."""
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(
-        value, bool
-    )
-    within = number and np.isfinite(value) and (low < value if open_low else low <= value)
-    if within and value <= high:
-        return
-    bracket = "(" if open_low else "["
-    upper = f"{high:g}]" if np.isfinite(high) else "inf)"
-    raise InputError(
-        f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {value!r}"
-        + (f"; {meaning}" if meaning else "")
-    )
-
-
 ALPHA_MEANING = "it is the penalty as a fraction of the smallest one whose solution is zero"
 
 
@@ -133,7 +108,7 @@ def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> Non
     if auto and isinstance(value, str) and value == "auto":
         return
     meaning = ALPHA_MEANING + (', or "auto", to be chosen from the flight' if auto else "")
-    checked_number(
+    number_setting(
         owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=meaning
     )
 
@@ -149,8 +124,7 @@ def numeric_fraction(owner: str, value: AlphaFraction) -> float:
 
 def checked_selection(owner: str, value: Any) -> None:
     """Raise InputError unless value is a rule that chooses a penalty."""
-    if value not in get_args(Selection):
-        raise unknown(f"selection of {owner}", str(value), get_args(Selection))
+    one_of(f"selection of {owner}", value, get_args(Selection))
 
 
 def settings_of(backend: Any) -> dict[str, Any]:

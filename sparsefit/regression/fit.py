@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, number_setting
 from sparsefit.regression.backend import (
     Backend,
     ChoosingBackend,
@@ -20,7 +20,6 @@ from sparsefit.regression.backend import (
     PenalisedBackend,
     Solution,
     checked_alpha_fraction,
-    checked_number,
     numeric_fraction,
 )
 from sparsefit.regression.objective import Certificate, alpha_max, duality_gaps
@@ -185,7 +184,7 @@ def _check(problem: Any, backend: Any, tolerance: Any) -> None:
         )
     if not isinstance(backend, Backend):
         raise InputError(f"fit needs a back-end, not {backend!r}; see backends.get(name)")
-    checked_number("fit", "tolerance", tolerance, low=0.0)
+    number_setting("fit", "tolerance", tolerance, low=0.0)
 
 
 def _timed(problem: RegressionProblem, backend: Backend) -> tuple[Solution, float]:

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import non_negative, unknown
+from sparsefit.errors import non_negative, one_of
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.modes.refine import columns
@@ -49,8 +49,7 @@ def cramer_rao(
     tau_w = L/U0 by the delta method. Raises InputError for an unknown model or sigma < 0.
     """
     deviation = vehicle.response_time * non_negative("process_noise", process_noise, "m/s^2")
-    if model not in get_args(Model):
-        raise unknown("model", model, get_args(Model))
+    one_of("model", model, get_args(Model))
     if deviation == 0.0:
         return Bound(0.0, 0.0, 0.0)
     if model == "parametric":

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError, one_of
 from sparsefit.study.evidence.candidates import (
     CRITERIA,
     MISS,
@@ -81,8 +81,7 @@ def select(
         InputError: if the criterion is unknown, the study has no split or is unfinished, or no
             candidate keeps the limits (the closest is named).
     """
-    if criterion not in CRITERIA:
-        raise unknown("criterion", criterion, CRITERIA)
+    one_of("criterion", criterion, CRITERIA)
     limits = Limits(max_failure_rate, max_seconds)
     _check_finished(study, cases)
     candidates = candidates_of(cases, criterion)

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_integer
 from sparsefit.study.run import partial, store
 from sparsefit.study.run.execution import Outcome
 from sparsefit.study.run.lock import locked
@@ -205,7 +205,7 @@ class _Report:
 def _checked_processes(processes: int | None) -> int:
     if processes is None:
         return _processors()
-    if isinstance(processes, bool) or not isinstance(processes, int) or processes < 1:
+    if not is_integer(processes, 1):
         raise InputError(f"processes must be a whole number of at least 1, not {processes!r}")
     return processes
 

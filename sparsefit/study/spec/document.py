@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TypeAlias, cast
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_integer, is_number, is_real, suggestion
 
 Table: TypeAlias = Mapping[str, object]
 CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
@@ -74,13 +72,6 @@ def only(table: Table, valid: Iterable[str], place: Place) -> None:
             raise place.at(key).error("unknown" + suggestion(key, known))
 
 
-def suggestion(name: str, valid: Iterable[str]) -> str:
-    """`: did you mean "x"?` or, with nothing near, the valid names."""
-    known = sorted(valid)
-    near = get_close_matches(name, known, n=1)
-    return f': did you mean "{near[0]}"?' if near else f" (known: {', '.join(known)})"
-
-
 def required(table: Table, key: str, place: Place) -> object:
     """The value of a key that must be given."""
     if key not in table:
@@ -90,15 +81,11 @@ def required(table: Table, key: str, place: Place) -> object:
 
 def number(value: object, place: Place) -> float:
     """A finite number; a boolean is none."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not is_real(value):
         raise place.error(f"must be a number, not {shown(value)}")
-    try:
-        real = float(value)
-    except OverflowError:
-        real = math.inf
-    if not math.isfinite(real):
+    if not is_number(value):
         raise place.error(f"must be a finite number, not {shown(value)}")
-    return real
+    return float(value)
 
 
 def positive(value: object, place: Place) -> float:
@@ -111,9 +98,9 @@ def positive(value: object, place: Place) -> float:
 
 def integer(value: object, place: Place, *, least: int) -> int:
     """A whole number of at least `least`; a boolean is none."""
-    if isinstance(value, bool) or not isinstance(value, int):
+    if not is_integer(value):
         raise place.error(f"must be a whole number, not {shown(value)}")
-    if value < least:
+    if not is_integer(value, least):
         raise place.error(f"must be at least {least}, not {value}")
     return value
 

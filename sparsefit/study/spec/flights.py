@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sparsefit.errors import suggestion
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.study.spec.document import Place, Table, only, suggestion, text
+from sparsefit.study.spec.document import Place, Table, only, text
 from sparsefit.study.spec.entry import Entry, read_entry
 
 # Every random quantity has its own stream: adding one at the end changes no other's draws.

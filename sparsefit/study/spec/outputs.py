@@ -7,7 +7,8 @@ import importlib.util
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from sparsefit.study.spec.document import Place, distinct, items, only, suggestion, table, text
+from sparsefit.errors import suggestion
+from sparsefit.study.spec.document import Place, distinct, items, only, table, text
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from sparsefit.derivative import Derivative
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, suggestion
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.readout import Readout
-from sparsefit.study.spec.document import Place, Table, integer, number, only, shown, suggestion
+from sparsefit.study.spec.document import Place, Table, integer, number, only, shown
 from sparsefit.study.spec.flights import KEYS as FLIGHT_KEYS
 from sparsefit.study.spec.flights import FlightRules, read_flight_rules
 
