@@ -19,6 +19,7 @@ BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy"}
+STUDY_ROOMS = ("spec", "run", "evidence", "report")
 SOLVER_ROOMS = {"backends", "bench"}  # bench runs the peers that the back-ends are compared with
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -76,6 +77,20 @@ def test_a_room_imports_only_rooms_above_it(room):
             found = room_of(module)
             if found in ROOMS:
                 assert found in allowed, f"{name_of(path)}:{line} imports {module}"
+
+
+@pytest.mark.parametrize("room", STUDY_ROOMS)
+def test_a_study_room_imports_only_study_rooms_above_it(room):
+    """For type checkers, inside a function or by a name in quotes, an import is an import."""
+    below = STUDY_ROOMS[STUDY_ROOMS.index(room) + 1 :]
+    paths = sorted((PACKAGE / "study" / room).glob("*.py"))
+    assert paths
+    for path in paths:
+        for node in ast.walk(tree_of(path)):
+            named = isinstance(node, ast.Import | ast.ImportFrom | ast.Constant)
+            said = ast.unparse(node).replace(" import ", ".") if named else ""
+            for other in below:
+                assert f"sparsefit.study.{other}" not in said, f"{path}:{node.lineno}: {said}"
 
 
 def test_the_objective_is_numpy_only():

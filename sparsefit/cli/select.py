@@ -100,10 +100,7 @@ def run(args: argparse.Namespace) -> int:
 
 def estimator_of(study: Study, chosen: Selection) -> Estimator:
     """The estimator that the chosen cases used."""
-    from sparsefit.study.run.execution import estimator_for
-    from sparsefit.study.spec.design import cells
-
-    return estimator_for(study, next(one for one in cells(study) if _is(one, chosen)))
+    return study.estimator(next(cell for cell in study.cells if _is(cell, chosen)))
 
 
 def _is(cell: Cell, chosen: Selection) -> bool:

@@ -78,7 +78,7 @@ def check(args: argparse.Namespace) -> int:
 
 def plan(args: argparse.Namespace) -> int:
     """What will be simulated, fitted and written."""
-    from sparsefit.study.spec.design import counts
+    from sparsefit.study.spec.plan import counts
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)

@@ -134,7 +134,6 @@ def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
     from sparsefit.errors import InputError
     from sparsefit.study.run import partial, runner, store
-    from sparsefit.study.spec.design import cells
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
@@ -144,7 +143,7 @@ def _stored(args: argparse.Namespace) -> Stored:
     rows = partial.read_rows(found.folder)
     if not rows:
         raise InputError(_unfinished(args, found))
-    table = store.cases_table(study, [rows[key] for key in sorted(rows)], cells(study))
+    table = store.cases_table(study, [rows[key] for key in sorted(rows)])
     return Stored(study, found, table.to_pandas())
 
 

@@ -2,7 +2,8 @@
 
 from sparsefit.study.run.runner import RunStatus, RunSummary, run, status
 from sparsefit.study.run.store import read_cases, read_weights
-from sparsefit.study.spec.design import Case, Cell, Counts, cells, counts, plan
+from sparsefit.study.spec.design import Cell
+from sparsefit.study.spec.plan import Case, Counts, cells, counts, plan
 from sparsefit.study.spec.study import Study
 
 __all__ = [

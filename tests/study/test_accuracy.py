@@ -19,8 +19,8 @@ from sparsefit.study.evidence.windows import seconds_to
 from sparsefit.study.run.execution import Outcome, run_flight
 from sparsefit.study.run.runner import solver_seconds
 from sparsefit.study.run.store import cases_table
-from sparsefit.study.spec.design import fit_key
 from sparsefit.study.spec.flights import SIMULATION, stream
+from sparsefit.study.spec.plan import fit_key
 from sparsefit.uncertainty.bound import cramer_rao
 
 GROUP = "rms of error/bound"
@@ -245,15 +245,15 @@ class TestRows:
             assert row.extent == flight.extent
 
     def test_a_fit_that_two_cases_read_is_timed_once(self, ran):
-        _, every, rows = ran
+        study, every, rows = ran
         fits = {fit_key(every[row.cell]): row.seconds for row in rows}
         assert len(fits) == len(rows) / 2
-        assert solver_seconds(rows, every) == pytest.approx(sum(fits.values()))
+        assert solver_seconds(study, rows) == pytest.approx(sum(fits.values()))
         lent = [replace(row, seconds=2.0, shared_seconds=1.5) for row in rows]
-        assert solver_seconds(lent, every) == pytest.approx(0.5 * len(fits))
+        assert solver_seconds(study, lent) == pytest.approx(0.5 * len(fits))
 
     def test_columns_of_uncertainty_are_absent_numbers_where_there_is_none(self, ran):
-        study, every, rows = ran
-        frame_: pd.DataFrame = cases_table(study, rows, every).to_pandas()
+        study, _, rows = ran
+        frame_: pd.DataFrame = cases_table(study, rows).to_pandas()
         assert frame_["se_timescale"].isna().all() == all(math.isnan(r.se_timescale) for r in rows)
         assert (frame_["flow"] == "cellular").all()

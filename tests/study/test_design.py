@@ -9,8 +9,8 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells, counts, plan
-from sparsefit.study.spec.design import grouped
 from sparsefit.study.spec.flights import SIMULATION, Draw, stream
+from sparsefit.study.spec.plan import flight_key, sharing
 
 HEAD = """
 name = "d"
@@ -114,7 +114,7 @@ def test_backends_and_levels_share_their_flights(tmp_path: Path) -> None:
     """Common random numbers: only what is swept differs between levels."""
     plain = draws(load(tmp_path, HEAD + LASSO))
     study = load(tmp_path, HEAD + LASSO + REST)
-    quiet, noisy = (group[0].setup.flights for group in grouped(cells(study), "flight"))
+    quiet, noisy = (group[0].setup.flights for group in sharing(cells(study), flight_key))
     for flight, alone in enumerate(plain):
         low, high = (rules.draw(flight, 5, 5) for rules in (quiet, noisy))
         assert low == alone

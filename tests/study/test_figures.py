@@ -28,7 +28,7 @@ def study(**changes):
             "seed": 7,
             "hash": "ab" * 32,
             "planned": 0,
-            "sections": {"flights": {"response_time": 0.5, "length_scale": {"uniform": [2, 10]}}},
+            "given": {"flights.response_time": "0.5", "flights.length_scale": '{"uniform":[2,10]}'},
             "tables": (),
             "figures": (),
             "answers": (),

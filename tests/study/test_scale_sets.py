@@ -15,12 +15,12 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.evidence.scale_columns import ScaleColumns, scale_columns
 from sparsefit.study.evidence.scale_sets import Regime, answer, has_scales, scales
 from sparsefit.study.evidence.tables import tables_for
 from sparsefit.study.report.certificate_figure import certificate_figure
 from sparsefit.study.report.figures import FIGURES, figures_for
 from sparsefit.study.run.execution import Outcome, run_flight
+from sparsefit.study.run.scale_columns import ScaleColumns, scale_columns
 from sparsefit.study.spec.flights import STREAMS
 
 TEXT = """

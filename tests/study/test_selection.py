@@ -51,7 +51,7 @@ def cases(sizes, *, flights=FLIGHTS, levels=({},), seconds=None, failed=()):
 
 def study(frame):
     return SimpleNamespace(
-        name="demo", question="?", seed=1, hash="ab", planned=len(frame), sections={}, tables=(),
+        name="demo", question="?", seed=1, hash="ab", planned=len(frame), given={}, tables=(),
         figures=(),
     )  # fmt: skip
 

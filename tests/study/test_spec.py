@@ -8,6 +8,10 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study
+from sparsefit.study.evidence.answers import ANSWERS
+from sparsefit.study.evidence.tables import TABLES
+from sparsefit.study.report.figures import FIGURES
+from sparsefit.study.spec.outputs import NAMES
 
 GOOD = """
 name = "good"
@@ -83,7 +87,6 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     assert (study.case_timeout, study.tolerance) == (30.0, 1e-6)
     assert study.planned == 6 * 2 * 2 * 3
     assert [choice.label for choice in study.backends] == ["lasso", "literal"]
-    assert study.flights["count"] == 6
 
 
 def test_defaults(tmp_path: Path) -> None:
@@ -183,6 +186,13 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_refusals(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert said in refusal(tmp_path, changed(old, new))
+
+
+def test_every_name_in_outputs_is_made_by_the_room_it_belongs_to() -> None:
+    made = {"tables": TABLES, "figures": FIGURES, "answers": ANSWERS}
+    assert {kind: set(names) for kind, names in NAMES.items()} == {
+        kind: set(registry) for kind, registry in made.items()
+    }
 
 
 def test_not_toml_names_the_line(tmp_path: Path) -> None:

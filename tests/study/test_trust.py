@@ -14,9 +14,9 @@ from sparsefit.study import Study, cells, read_cases
 from sparsefit.study.evidence.answers import ANSWERS
 from sparsefit.study.evidence.confidence import Share, held
 from sparsefit.study.evidence.tables import TABLES
-from sparsefit.study.evidence.yardsticks import intervals
 from sparsefit.study.run.execution import Outcome, run_flight
 from sparsefit.study.run.store import write_cases
+from sparsefit.study.run.yardsticks import intervals
 from sparsefit.uncertainty import Uncertainty, uncertainty
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")

@@ -58,8 +58,8 @@ class StudyRecord(Protocol):
         ...
 
     @property
-    def sections(self) -> Mapping[str, Mapping[str, object]]:
-        """The tables of the study file, `flights` among them."""
+    def given(self) -> Mapping[str, str]:
+        """The keys of its sections that the study file sets, dotted, each with canonical JSON."""
         ...
 
     @property

@@ -18,8 +18,7 @@ from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
 from sparsefit.study.evidence.summary import StudyRecord
 from sparsefit.study.report.drawing import COLOURS, GREY, panels
-from sparsefit.study.run.execution import estimator_for
-from sparsefit.study.spec.design import Cell, cells
+from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.flights import SIMULATION, stream
 from sparsefit.study.spec.study import Study
 
@@ -74,7 +73,7 @@ def _chosen(study: Study) -> list[Cell]:
     """The first gridless cell of every duration; of other factors the middle level."""
     middle = {f.key: f.levels[len(f.levels) // 2] for f in study.sweep if f.key != ALONG}
     found: dict[object, Cell] = {}
-    for cell in cells(study):
+    for cell in study.cells:
         fixed = all(cell.levels[key] == level for key, level in middle.items())
         if cell.backend == GridlessGroupLasso.name and fixed:
             found.setdefault(cell.levels.get(ALONG), cell)
@@ -82,11 +81,11 @@ def _chosen(study: Study) -> list[Cell]:
 
 
 def _curve(study: Study, cell: Cell) -> Curve:
-    draw = cell.setup.flights.draw(FLIGHT, study.count, study.seed)
+    draw = study.draw(FLIGHT, cell)
     flown = replace(draw.fly(stream(study.seed, FLIGHT, SIMULATION)), flow=None)
     if draw.flow is None:
         raise InputError(f"{study.name}: no certificate to draw: its first flight has no flow")
-    estimator = estimator_for(study, cell)
+    estimator = study.estimator(cell)
     prepared = estimator.prepare(flown)
     found = estimator.fit(prepared)
     position, target = found.problem.position, found.problem.target

@@ -19,7 +19,6 @@ from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import CAPTIONS, FIGURES, figures_for
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
-from sparsefit.study.spec.document import canonical_json
 
 
 def write_report(
@@ -90,14 +89,14 @@ def _section(name: str, table: Table) -> str:
 def _unprinted(study: StudyRecord) -> list[str]:
     """List the settings that a reproduction has to choose, and what this study chose."""
     lines = [
-        f"- {words}: `{canonical_json(study.sections['flights'][key])}`"
+        f"- {words}: `{study.given[f'flights.{key}']}`"
         for key, words in paper.UNPRINTED.items()
-        if key in study.sections.get("flights", {})
+        if f"flights.{key}" in study.given
     ]
     lines += [
-        f"- {section}.{key}: `{canonical_json(value)}`"
-        for section in ("derivative", "library", "readout")
-        for key, value in study.sections.get(section, {}).items()
+        f"- {key}: `{value}`"
+        for key, value in study.given.items()
+        if not key.startswith("flights.")
     ]
     if not lines:
         return []

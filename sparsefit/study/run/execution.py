@@ -10,18 +10,18 @@ from functools import partial
 from typing import Any, TypeAlias, TypeVar
 
 from sparsefit.estimator.estimate import Estimate
-from sparsefit.estimator.estimator import Estimator
 from sparsefit.estimator.prepared import Prepared
 from sparsefit.flight import Flight
 from sparsefit.regression.backend import Backend, PathBackend
 from sparsefit.regression.fit import Fit, Path, path
 from sparsefit.score import score
-from sparsefit.study.evidence.scale_columns import ScaleColumns, scale_columns
-from sparsefit.study.evidence.yardsticks import Yardstick, intervals, yardstick
+from sparsefit.study.run.scale_columns import ScaleColumns, scale_columns
+from sparsefit.study.run.yardsticks import Yardstick, intervals, yardstick
 from sparsefit.study.spec.choices import make_backend
-from sparsefit.study.spec.design import Cell, grouped
+from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.flights import SIMULATION, Draw, stream
+from sparsefit.study.spec.plan import fit_key, flight_key, problem_key, sharing
 from sparsefit.study.spec.study import Study
 
 MAX_REASON = 500
@@ -89,8 +89,8 @@ def run_flight(
     A case that raises ends as status `error` with the reason, and the others go on. `alone`
     forbids fits that share their work, so that one that hangs takes no other along.
     """
-    for cells in grouped(todo, "flight"):
-        draw = cells[0].setup.flights.draw(flight, study.count, study.seed)
+    for cells in sharing(todo, flight_key):
+        draw = study.draw(flight, cells[0])
         yield Stage("simulating the flight", _indices(cells))
         flown = _attempt(partial(draw.fly, stream(study.seed, flight, SIMULATION)))
         if isinstance(flown, Exception):
@@ -101,7 +101,7 @@ def run_flight(
             yield from _failed(flight, cells, measure)
             continue
         context = _Context(study, flight, draw, measure)
-        for problem in grouped(cells, "problem"):
+        for problem in sharing(cells, problem_key):
             yield from _run_problem(context, flown, problem, alone)
 
 
@@ -119,11 +119,11 @@ def _run_problem(
     yield Stage("building the library", _indices(cells))
     # The truth enters at the score and nowhere before.
     blind = dataclasses.replace(flown, flow=None)
-    prepared = _attempt(partial(estimator_for(context.study, cells[0]).prepare, blind))
+    prepared = _attempt(partial(context.study.estimator(cells[0]).prepare, blind))
     if isinstance(prepared, Exception):
         yield from _failed(context.flight, cells, prepared)
         return
-    for batch in _batches(context.study, cells, alone):
+    for batch in _batches(cells, alone):
         here = tuple(index for fit in batch.fits for index in _indices(fit))
         yield Stage("fitting", here, fits=max(len(batch.fractions), 1))
         for fit_cells, found in _fit(context.study, prepared, batch):
@@ -138,26 +138,26 @@ class _Batch:
     fractions: tuple[float, ...] = ()
 
 
-def _batches(study: Study, cells: tuple[Cell, ...], alone: bool) -> list[_Batch]:
+def _batches(cells: tuple[Cell, ...], alone: bool) -> list[_Batch]:
     """Fits of one [[backends]] entry that differ in `alpha_fraction` only share a path."""
-    batches: dict[str, list[tuple[Cell, ...]]] = {}
-    for fit_cells in grouped(cells, "fit"):
+    batches: dict[tuple[object, str], list[tuple[Cell, ...]]] = {}
+    for fit_cells in sharing(cells, fit_key):
         cell = fit_cells[0]
-        single = alone or not _path_fractions(study, cell)
+        single = alone or not _path_fractions(cell)
         rest = {key: value for key, value in cell.settings.items() if key != ALPHA}
-        identity = canonical_json([cell.choice, cell.settings if single else rest])
+        identity = (cell.choice, canonical_json(cell.settings if single else rest))
         batches.setdefault(identity, []).append(fit_cells)
     return [
-        _Batch(tuple(fits), () if alone else _path_fractions(study, fits[0][0]))
+        _Batch(tuple(fits), () if alone else _path_fractions(fits[0][0]))
         for fits in batches.values()
     ]
 
 
-def _path_fractions(study: Study, cell: Cell) -> tuple[float, ...]:
+def _path_fractions(cell: Cell) -> tuple[float, ...]:
     """The whole grid of penalties, whatever is left to do of it: a resumed run repeats the path."""
     if cell.settings.get(ALPHA) == "auto":  # it walks a path of its own
         return ()
-    asked = study.backends[cell.choice].grid.get(ALPHA, ())
+    asked = cell.choice.grid.get(ALPHA, ())
     grid = [value for value in asked if value != "auto"]
     paths = isinstance(make_backend(cell.backend, cell.settings), PathBackend)
     return tuple(float(value) for value in grid) if paths and len(grid) > 1 else ()
@@ -175,7 +175,7 @@ def _fit(
             return
     # What fails together is tried one by one: the reason belongs to one of them.
     for cells in batch.fits:
-        yield cells, _attempt(partial(estimator_for(study, cells[0]).fit, prepared))
+        yield cells, _attempt(partial(study.estimator(cells[0]).fit, prepared))
 
 
 def _path(
@@ -199,19 +199,8 @@ def _read(
             yield outcome
 
 
-def estimator_for(study: Study, cell: Cell) -> Estimator:
-    """The estimator of a case: the study's setting, the protocol's and the levels' overrides."""
-    return Estimator(
-        derivative=cell.setup.derivative,
-        library=cell.setup.library,
-        backend=make_backend(cell.backend, cell.settings),
-        readout=cell.setup.readout,
-        tolerance=study.tolerance,
-    )
-
-
 def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Outcome:
-    estimate: Estimate = estimator_for(context.study, cell).read(prepared, fit)
+    estimate: Estimate = context.study.estimator(cell).read(prepared, fit)
     certificate = estimate.certificate
     weights = sorted(estimate.weights_by_scale.items()) if context.study.store_weights else ()
     scales = prepared.problem.group_scales

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from sparsefit.study.run.manifest import MANIFEST, read_manifest, sparsefit_vers
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.pool import outcomes
 from sparsefit.study.run.worker import Job
-from sparsefit.study.spec.design import Cell, cells, fit_key, grouped
+from sparsefit.study.spec.plan import fit_key, flight_key, sharing
 from sparsefit.study.spec.study import Study
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
@@ -103,13 +103,12 @@ def run(
 def _finish(study: Study, folder: Path, processes: int, progress: Progress | None) -> RunSummary:
     """Do what is missing; only when all of it is written are the unfinished rows let go."""
     begun = time.monotonic()
-    every = cells(study)
-    known = _resume(study, folder, every)
-    done = _work(study, folder, every, dict(known), processes, progress)
+    known = _resume(study, folder)
+    done = _work(study, folder, dict(known), processes, progress)
     seconds = time.monotonic() - begun
     statuses = Counter(outcome.status for outcome in done.values())
     fresh = [outcome for key, outcome in done.items() if key not in known]
-    solving = solver_seconds(fresh, every)
+    solving = solver_seconds(study, fresh)
     store.write_cases(study, done.values(), folder)
     write_manifest(
         study,
@@ -125,12 +124,12 @@ def _finish(study: Study, folder: Path, processes: int, progress: Progress | Non
     return RunSummary(folder, *counted, solver_seconds=solving, processes=processes)
 
 
-def solver_seconds(rows: Iterable[Outcome], every: Sequence[Cell]) -> float:
+def solver_seconds(study: Study, rows: Iterable[Outcome]) -> float:
     """Seconds in back-ends: what several cases or fits share is counted once."""
     fits: dict[tuple[int, object], float] = {}
     for outcome in rows:
         if not np.isnan(outcome.seconds):
-            fits[outcome.flight, fit_key(every[outcome.cell])] = (
+            fits[outcome.flight, fit_key(study.cells[outcome.cell])] = (
                 outcome.seconds - outcome.shared_seconds
             )
     return float(sum(fits.values()))
@@ -151,19 +150,18 @@ def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
 def _work(
     study: Study,
     folder: Path,
-    every: tuple[Cell, ...],
     done: Outcomes,
     processes: int,
     progress: Progress | None,
 ) -> Outcomes:
     """Everything that is not in `done`; each row is on the disk before the next is waited for."""
-    left = np.full(len(every), study.count, np.int64)
+    left = np.full(len(study.cells), study.count, np.int64)
     for _, cell in done:
         left[cell] -= 1
     pace = Pace.start(left, processes)
     report = _Report(study.planned, progress)
     report.say(len(done), pace)
-    todo = jobs(study, every, done)
+    todo = jobs(study, done)
     with (
         partial.appending(folder) as rows,
         closing(outcomes(study, todo, min(processes, max(len(todo), 1)))) as arriving,
@@ -176,9 +174,9 @@ def _work(
     return done
 
 
-def jobs(study: Study, every: tuple[Cell, ...], done: Outcomes) -> list[Job]:
+def jobs(study: Study, done: Outcomes) -> list[Job]:
     """What is missing, one job per flight and variant of it: nothing is simulated twice."""
-    variants = [[cell.index for cell in group] for group in grouped(every, "flight")]
+    variants = [[cell.index for cell in group] for group in sharing(study.cells, flight_key)]
     missing = (
         Job(flight, tuple(index for index in variant if (flight, index) not in done))
         for flight in range(study.count)
@@ -260,7 +258,7 @@ def _finished(folder: Path) -> bool:
     return done and (folder / store.CASES).exists()
 
 
-def _resume(study: Study, folder: Path, every: tuple[Cell, ...]) -> Outcomes:
+def _resume(study: Study, folder: Path) -> Outcomes:
     """The rows that are there; without a header there is nothing to trust, and all begins anew."""
     if partial.read_header(folder) is None:
         versions = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
@@ -268,5 +266,7 @@ def _resume(study: Study, folder: Path, every: tuple[Cell, ...]) -> Outcomes:
         return {}
     rows = partial.read_rows(folder)
     return {
-        key: row for key, row in rows.items() if row.flight < study.count and row.cell < len(every)
+        key: row
+        for key, row in rows.items()
+        if row.flight < study.count and row.cell < len(study.cells)
     }

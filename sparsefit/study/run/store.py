@@ -14,11 +14,12 @@ import pyarrow.parquet as pq
 
 from sparsefit.errors import InputError
 from sparsefit.score import strongest
-from sparsefit.study.evidence.scale_columns import ScaleColumns
-from sparsefit.study.evidence.yardsticks import PARAMETERS
 from sparsefit.study.run.execution import Outcome
-from sparsefit.study.spec.design import Cell, case_id, cells
+from sparsefit.study.run.scale_columns import ScaleColumns
+from sparsefit.study.run.yardsticks import PARAMETERS
+from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
+from sparsefit.study.spec.plan import Case
 from sparsefit.study.spec.study import Study
 
 CASES = "cases.parquet"
@@ -97,21 +98,20 @@ def _read(path: Path) -> pd.DataFrame:
 
 def write_cases(study: Study, outcomes: Iterable[Outcome], folder: Path) -> None:
     """All rows in plan order, in one atomic step; the weights too where the study keeps them."""
-    every = cells(study)
     ordered = sorted(outcomes, key=lambda outcome: (outcome.flight, outcome.cell))
     if study.store_weights:
-        _replace(_weights_table(ordered, every), folder / WEIGHTS)
-    _replace(cases_table(study, ordered, every), folder / CASES)
+        _replace(_weights_table(study, ordered), folder / WEIGHTS)
+    _replace(cases_table(study, ordered), folder / CASES)
 
 
-def cases_table(study: Study, ordered: Sequence[Outcome], every: Sequence[Cell]) -> pa.Table:
+def cases_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
     """The rows of `cases.parquet`, one per outcome, with fixed column types."""
     swept = {factor.key: _level_type(factor.levels) for factor in study.sweep}
     schema = COLUMNS | swept
     truths: dict[tuple[int, object], dict[str, object]] = {}
     columns: dict[str, list[object]] = {name: [] for name in schema}
     for outcome in ordered:
-        cell = every[outcome.cell]
+        cell = study.cells[outcome.cell]
         variant = (outcome.flight, cell.setup.flights)
         if variant not in truths:
             truths[variant] = _truth(study, outcome.flight, cell)
@@ -124,7 +124,7 @@ def cases_table(study: Study, ordered: Sequence[Outcome], every: Sequence[Cell])
 
 def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
     return {
-        "case_id": case_id(flight, cell.key),
+        "case_id": Case(flight, cell).case_id,
         "study": study.name,
         "split": study.split(flight),
         "protocol": cell.protocol,
@@ -135,7 +135,7 @@ def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
 
 
 def _truth(study: Study, flight: int, cell: Cell) -> dict[str, object]:
-    flow = cell.setup.flights.draw(flight, study.count, study.seed).flow
+    flow = study.draw(flight, cell).flow
     if flow is None:
         return {"flow": "none"} | {f"true_{name}": math.nan for name in PARAMETERS}
     flow = strongest(flow)
@@ -159,9 +159,9 @@ def _level(value: object, kind: pa.DataType) -> object:
     return value
 
 
-def _weights_table(ordered: Sequence[Outcome], every: Sequence[Cell]) -> pa.Table:
+def _weights_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
     rows = [
-        (case_id(outcome.flight, every[outcome.cell].key), scale, weight)
+        (Case(outcome.flight, study.cells[outcome.cell]).case_id, scale, weight)
         for outcome in ordered
         for scale, weight in outcome.weights
     ]

@@ -17,7 +17,6 @@ from multiprocessing.context import SpawnProcess
 from threadpoolctl import threadpool_limits
 
 from sparsefit.study.run.execution import Event, Outcome, Stage, run_flight
-from sparsefit.study.spec.design import Cell, cells
 from sparsefit.study.spec.study import Study
 
 # Processes share the work; threads inside each would only fight for the same cores.
@@ -56,21 +55,20 @@ def work(study: Study, jobs: Connection, lifeline: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
     warnings.simplefilter("ignore")
-    every = cells(study)
     try:
         # For libraries that were loaded before the environment could tell them.
         with threadpool_limits(limits=1):
             jobs.send(Ready())
             while True:
                 job: Job = jobs.recv()
-                _do(study, every, job, jobs)
+                _do(study, job, jobs)
                 jobs.send(Ready())
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
 
 
-def _do(study: Study, every: tuple[Cell, ...], job: Job, jobs: Connection) -> None:
-    todo = [every[index] for index in job.cells]
+def _do(study: Study, job: Job, jobs: Connection) -> None:
+    todo = [study.cells[index] for index in job.cells]
     for event in run_flight(study, job.flight, todo, alone=job.alone):
         jobs.send(event)
 

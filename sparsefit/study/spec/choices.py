@@ -12,14 +12,14 @@ from sparsefit import backends
 from sparsefit.errors import SparsefitError
 from sparsefit.study.spec.document import (
     Place,
-    Table,
+    Section,
     canonical_json,
     distinct,
     items,
     number,
+    read_sections,
     required,
     shown,
-    tables,
     text,
 )
 
@@ -52,7 +52,7 @@ def make_backend(name: str, settings: Mapping[str, Any]) -> backends.Backend:
 
 def read_backends(value: object, place: Place) -> tuple[BackendChoice, ...]:
     """The choices, each name and setting accepted by the back-end itself."""
-    choices = tuple(_read_choice(entry, place) for entry in tables(value, place))
+    choices = tuple(_read_choice(entry, place) for entry in read_sections(value, place))
     seen: set[str] = set()
     for choice in choices:
         for settings in choice.settings():
@@ -63,7 +63,7 @@ def read_backends(value: object, place: Place) -> tuple[BackendChoice, ...]:
     return choices
 
 
-def _read_choice(entry: Table, place: Place) -> BackendChoice:
+def _read_choice(entry: Section, place: Place) -> BackendChoice:
     name = text(required(entry, "name", place), place.at("name"))
     label = text(entry.get("label", name), place.at("label"))
     grid = {

@@ -1,25 +1,52 @@
-"""The design of a study: every planned case, before any is run."""
+"""The design of a study: protocols and sweep crossed with back-ends, every cell resolved."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from sparsefit.backends import settings_of
-from sparsefit.study.spec.choices import Setting, make_backend
-from sparsefit.study.spec.document import canonical_json
-from sparsefit.study.spec.setup import Setup
-from sparsefit.study.spec.study import Combination, Study
+from sparsefit.study.spec.choices import BackendChoice, Setting, make_backend
+from sparsefit.study.spec.document import (
+    Place,
+    Section,
+    canonical_json,
+    distinct,
+    items,
+    read_section,
+    read_sections,
+    required,
+    shown,
+    text,
+)
+from sparsefit.study.spec.setup import SECTION_KEYS, Setup, check_dotted, override, read_setup
+
+
+@dataclass(frozen=True, eq=False)
+class Protocol:
+    """A named alternative: values for dotted keys; alternatives are not crossed."""
+
+    name: str
+    overrides: Mapping[str, object]
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """A swept dotted key and its levels; factors are crossed with everything."""
+
+    key: str
+    levels: tuple[object, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """What is done to every flight: one protocol, sweep level, back-end and setting.
+    """What is done to every flight: one protocol, sweep level, back-end and setting, resolved.
 
-    `key` is a hash of those four: it stays the same whatever else the study plans. `choice`
-    counts the [[backends]] entries; `settings` are those given, `canonical_settings` all.
+    `index` is its place in the plan and `key` a hash of those four, which stays the same whatever
+    else the study plans. `choice` is the [[backends]] entry, `settings` the settings given there
+    and `canonical_settings` all of them, as canonical JSON.
     """
 
     index: int
@@ -27,108 +54,102 @@ class Cell:
     protocol: str
     levels: Mapping[str, object]
     setup: Setup
-    choice: int
+    choice: BackendChoice
     settings: Mapping[str, Setting]
-    backend: str
-    label: str
     canonical_settings: str
 
-
-class Case(NamedTuple):
-    """One flight x one cell: one row of `cases.parquet`."""
-
-    flight: int
-    cell: Cell
+    @property
+    def backend(self) -> str:
+        """The name of the back-end."""
+        return self.choice.name
 
     @property
-    def case_id(self) -> str:
-        """Readable by flight, stable from run to run: `0007-3f9c0d6a41b2e857`."""
-        return case_id(self.flight, self.cell.key)
+    def label(self) -> str:
+        """What the study calls this [[backends]] entry."""
+        return self.choice.label
 
 
-@dataclass(frozen=True)
-class Counts:
-    """How large a study is, for `study plan`."""
+def cross(
+    sections: Mapping[str, Section],
+    protocols: tuple[Protocol, ...],
+    sweep: tuple[Factor, ...],
+    choices: tuple[BackendChoice, ...],
+    place: Place,
+) -> Iterator[Cell]:
+    """Every cell, in plan order: protocol, sweep levels, back-end, setting (last is fastest).
 
-    flights: int
-    protocols: int
-    levels: Mapping[str, int]
-    settings: Mapping[str, int]
-    simulations: int
-    problems: int
-    fits: int
-    cases: int
-
-
-def case_id(flight: int, key: str) -> str:
-    """The identity of a case."""
-    return f"{flight:04d}-{key}"
-
-
-def cells(study: Study) -> tuple[Cell, ...]:
-    """Every cell, in plan order: protocol, sweep levels, back-end, setting (last is fastest)."""
+    Raises:
+        InputError: with the protocol and levels that resolve to something that cannot be.
+    """
     fitted = [
-        (number, settings, choice.name, choice.label, _full_settings(choice.name, settings))
-        for number, choice in enumerate(study.backends)
+        (choice, settings, canonical_json(settings_of(make_backend(choice.name, settings))))
+        for choice in choices
         for settings in choice.settings()
     ]
-    crossed = ((one, back) for one in study.combinations() for back in fitted)
-    return tuple(
-        Cell(i, _key(one, back[2], back[1]), one.protocol, one.levels, one.setup, *back)
-        for i, (one, back) in enumerate(crossed)
+    index = itertools.count()
+    for protocol, levels in itertools.product(protocols, _levels(sweep)):
+        within = Place(place.file, via=_via(protocol, levels))
+        setup = read_setup(override(sections, {**protocol.overrides, **levels}), within)
+        for choice, settings, canonical in fitted:
+            identity = canonical_json([protocol.name, levels, choice.name, settings])
+            key = hashlib.sha256(identity.encode()).hexdigest()[:16]
+            here = (next(index), key, protocol.name, levels, setup)
+            yield Cell(*here, choice, settings, canonical)
+
+
+def _levels(sweep: tuple[Factor, ...]) -> list[dict[str, object]]:
+    keys = [factor.key for factor in sweep]
+    crossed = itertools.product(*(factor.levels for factor in sweep))
+    return [dict(zip(keys, levels, strict=True)) for levels in crossed]
+
+
+def _via(protocol: Protocol, levels: Mapping[str, object]) -> str:
+    parts = [f'protocol "{protocol.name}"'] if protocol.overrides else []
+    parts += [f"{key} = {shown(value)}" for key, value in levels.items()]
+    return f"with {', '.join(parts)}: " if parts else ""
+
+
+def read_protocols(
+    document: Section, sweep: tuple[Factor, ...], place: Place
+) -> tuple[Protocol, ...]:
+    """The [[protocols]], or one called "default" without overrides."""
+    if "protocols" not in document:
+        return (Protocol("default", {}),)
+    here = place.within("protocols")
+    protocols = tuple(
+        _read_protocol(entry, here) for entry in read_sections(document["protocols"], here)
     )
+    distinct([protocol.name for protocol in protocols], here.at("name"))
+    swept = {factor.key for factor in sweep}
+    for protocol in protocols:
+        for key in swept & set(protocol.overrides):
+            raise here.at(key).error(f'is in [sweep] too: "{protocol.name}" cannot also set it')
+    return protocols
 
 
-def plan(study: Study) -> tuple[Case, ...]:
-    """Every case, flight by flight, in the order of the rows of `cases.parquet`."""
-    every = cells(study)
-    return tuple(Case(flight, cell) for flight in range(study.count) for cell in every)
+def _read_protocol(entry: Section, place: Place) -> Protocol:
+    name = text(required(entry, "name", place), place.at("name"))
+    overrides = _dotted({key: value for key, value in entry.items() if key != "name"}, place)
+    return Protocol(name, overrides)
 
 
-def counts(study: Study) -> Counts:
-    """What a run has to do: what is shared is done, and counted, once."""
-    every = cells(study)
-    return Counts(
-        flights=study.count,
-        protocols=len(study.protocols),
-        levels={factor.key: len(factor.levels) for factor in study.sweep},
-        settings={choice.label: choice.size for choice in study.backends},
-        simulations=study.count * len({flight_key(cell) for cell in every}),
-        problems=study.count * len({problem_key(cell) for cell in every}),
-        fits=study.count * len({fit_key(cell) for cell in every}),
-        cases=study.planned,
-    )
+def read_sweep(document: Section, place: Place) -> tuple[Factor, ...]:
+    """The factors of [sweep], sorted by key: their order in the file means nothing."""
+    here = place.within("sweep")
+    dotted = _dotted(read_section(document.get("sweep", {}), place.at("sweep")), here)
+    for key, levels in dotted.items():
+        distinct(items(levels, here.at(key)), here.at(key))
+    return tuple(Factor(key, tuple(items(dotted[key], here.at(key)))) for key in sorted(dotted))
 
 
-def flight_key(cell: Cell) -> object:
-    """Cells of equal key fly the same flight."""
-    return cell.setup.flights
-
-
-def problem_key(cell: Cell) -> object:
-    """Cells of equal key solve the same regression problem."""
-    return (cell.setup.flights, cell.setup.derivative, cell.setup.library)
-
-
-def fit_key(cell: Cell) -> object:
-    """Cells of equal key read the same fit."""
-    return (problem_key(cell), cell.choice, cell.canonical_settings)
-
-
-def grouped(every: Iterable[Cell], key: str) -> list[tuple[Cell, ...]]:
-    """Cells of equal `flight`, `problem` or `fit`, in order of first appearance."""
-    of = {"flight": flight_key, "problem": problem_key, "fit": fit_key}[key]
-    groups: dict[object, list[Cell]] = {}
-    for cell in every:
-        groups.setdefault(of(cell), []).append(cell)
-    return [tuple(group) for group in groups.values()]
-
-
-def _key(one: Combination, backend: str, settings: Mapping[str, Setting]) -> str:
-    identity = canonical_json([one.protocol, one.levels, backend, settings])
-    return hashlib.sha256(identity.encode()).hexdigest()[:16]
-
-
-def _full_settings(name: str, settings: Mapping[str, Setting]) -> str:
-    """Canonical JSON of all settings, defaults included: a row says all that was used."""
-    return canonical_json(settings_of(make_backend(name, settings)))
+def _dotted(entries: Section, place: Place) -> dict[str, object]:
+    """`"library.target" = ...` and the bare `library.target = ...` are one and the same."""
+    flat: dict[str, object] = {}
+    for key, value in entries.items():
+        if isinstance(value, dict) and key in SECTION_KEYS:
+            flat |= {f"{key}.{name}": inner for name, inner in value.items()}
+        else:
+            flat[key] = value
+    for key in flat:
+        check_dotted(key, place)
+    return flat

@@ -13,7 +13,7 @@ from typing import TypeAlias, cast
 
 from sparsefit.errors import InputError, is_integer, is_number, is_real, suggestion
 
-Table: TypeAlias = Mapping[str, object]
+Section: TypeAlias = Mapping[str, object]
 CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
 
 
@@ -64,19 +64,19 @@ def _line(message: str, text: str) -> int:
     return int(found.group(1)) if found else text.count("\n") + 1
 
 
-def only(table: Table, valid: Iterable[str], place: Place) -> None:
-    """Refuse the first key of `table` that is not in `valid`, with the nearest valid one."""
+def only(section: Section, valid: Iterable[str], place: Place) -> None:
+    """Refuse the first key of `section` that is not in `valid`, with the nearest valid one."""
     known = list(valid)
-    for key in table:
+    for key in section:
         if key not in known:
             raise place.at(key).error("unknown" + suggestion(key, known))
 
 
-def required(table: Table, key: str, place: Place) -> object:
+def required(section: Section, key: str, place: Place) -> object:
     """The value of a key that must be given."""
-    if key not in table:
+    if key not in section:
         raise place.at(key).error("missing: a study needs it")
-    return table[key]
+    return section[key]
 
 
 def number(value: object, place: Place) -> float:
@@ -135,18 +135,18 @@ def distinct(values: Sequence[object], place: Place) -> None:
         seen.add(canonical)
 
 
-def table(value: object, place: Place) -> Table:
+def read_section(value: object, place: Place) -> Section:
     """A TOML table."""
     if not isinstance(value, dict):
         raise place.error(f"must be a table, not {shown(value)}")
-    return cast(Table, value)
+    return cast(Section, value)
 
 
-def tables(value: object, place: Place) -> list[Table]:
+def read_sections(value: object, place: Place) -> list[Section]:
     """An array of tables, `[[name]]`, of at least one."""
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise place.error(f"must be written as [[{place.key or place.section}]]")
-    return cast(list[Table], items(value, place))
+    return cast(list[Section], items(value, place))
 
 
 def shown(value: object) -> str:

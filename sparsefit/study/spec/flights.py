@@ -10,7 +10,7 @@ from sparsefit.errors import suggestion
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.study.spec.document import Place, Table, only, text
+from sparsefit.study.spec.document import Place, Section, only, text
 from sparsefit.study.spec.entry import Entry, read_entry
 
 # Every random quantity has its own stream: adding one at the end changes no other's draws.
@@ -178,7 +178,7 @@ def _flow(values: dict[str, float]) -> Flow:
     return SuperposedFlow(parts) if len(parts) > 1 else first
 
 
-def read_flight_rules(section: Table, place: Place) -> FlightRules:
+def read_flight_rules(section: Section, place: Place) -> FlightRules:
     """The rules from the [flights] table without `count`; `InputError` names the bad key."""
     only(section, KEYS, place)
     calm = _flow_kind(section, place) == "none"
@@ -203,14 +203,14 @@ def read_flight_rules(section: Table, place: Place) -> FlightRules:
     return FlightRules(tuple((name, named[name]) for name in STREAMS if name in named))
 
 
-def _flow_kind(section: Table, place: Place) -> str:
+def _flow_kind(section: Section, place: Place) -> str:
     kind = text(section.get("flow", "cellular"), place.at("flow"))
     if kind not in FLOWS:
         raise place.at("flow").error(f'has unknown value "{kind}"{suggestion(kind, FLOWS)}')
     return kind
 
 
-def _check_third(section: Table, place: Place) -> None:
+def _check_third(section: Section, place: Place) -> None:
     """U0 = L/tau_w and L = U0 tau_w must be finite and above 0 at all extremes of what is drawn."""
     one, other = (
         read_entry(section[key], place.at(key), least=0.0, open_end=True).values
@@ -224,7 +224,7 @@ def _check_third(section: Table, place: Place) -> None:
                     raise place.error(f"{first:g} and {second:g} give no flow that can be flown")
 
 
-def _check_superposed(section: Table, place: Place) -> None:
+def _check_superposed(section: Section, place: Place) -> None:
     """A flow beside the first needs both its ratios, the third a second; each within RATIOS."""
     given = [key for pair in SUPERPOSED for key in pair if key in section]
     for pair in SUPERPOSED[: 2 if any(key in SUPERPOSED[1] for key in given) else 1]:

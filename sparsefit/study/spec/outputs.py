@@ -1,57 +1,62 @@
-"""What a study shows of its cases: the names of its answer, tables and figures."""
+"""What a study shows of its cases: the names of its tables, figures and answers.
+
+They are declared here, above the rooms that make them, so that a study file is checked without
+loading any of those; tests hold these names and the registries of those rooms together.
+"""
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sparsefit.errors import suggestion
-from sparsefit.study.spec.document import Place, distinct, items, only, table, text
+from sparsefit.study.spec.document import (
+    Place,
+    distinct,
+    items,
+    only,
+    read_section,
+    text,
+)
+
+NAMES = {
+    "tables": (
+        *("parameters", "errors", "errors-absolute", "readings", "sensitivity", "scales", "times"),
+        *("methods", "efficiency", "coverage", "identifiability", "windows"),
+    ),
+    "figures": (
+        *("weights", "scatter", "errors", "sweep", "methods", "scales", "dual-certificate"),
+        *("efficiency", "windows", "coverage", "grids"),
+    ),
+    "answers": (
+        *("derivatives", "vehicle", "multiscale", "parameters", "least-errors", "readings"),
+        *("selection", "penalty", "completeness", "efficiency", "windows", "grids"),
+        *("coverage", "identifiability"),
+    ),
+}
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Names in the registries of tables, figures and answers; empty: what fits the cases."""
+    """The names of the tables, figures and answers asked for; empty: what fits the cases."""
 
     tables: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
     answers: tuple[str, ...] = ()
 
 
-REGISTRIES = {"tables": "TABLES", "figures": "FIGURES", "answers": "ANSWERS"}
-ROOMS = {"tables": "evidence", "figures": "report", "answers": "evidence"}
-
-
 def read_outputs(value: object, place: Place) -> Outputs:
-    """The names in [outputs], each known to its registry."""
-    section = table(value, place.at("outputs"))
+    """The names in [outputs]; `InputError` names the first that is not in `NAMES`."""
+    section = read_section(value, place.at("outputs"))
     here = place.within("outputs")
-    only(section, REGISTRIES, here)
-    return Outputs(
-        **{kind: _names(section[kind], kind, here) for kind in REGISTRIES if kind in section}
-    )
-
-
-def known(kind: str) -> Iterable[str] | None:
-    """The registered names; None where the room that draws them is not installed.
-
-    Imported only when a study asks for it: figures bring in the plotting library.
-    """
-    module = f"sparsefit.study.{ROOMS[kind]}.{kind}"
-    if importlib.util.find_spec(module) is None:
-        return None
-    names: Iterable[str] = getattr(importlib.import_module(module), REGISTRIES[kind])
-    return names
+    only(section, NAMES, here)
+    return Outputs(**{kind: _names(section[kind], kind, here) for kind in NAMES if kind in section})
 
 
 def _names(value: object, kind: str, place: Place) -> tuple[str, ...]:
     here = place.at(kind)
     names = tuple(text(item, here) for item in items(value, here))
     distinct(names, here)
-    registered = known(kind)
     for name in names:
-        if registered is not None and name not in registered:
-            raise here.error(f'names "{name}", unknown' + suggestion(name, registered))
+        if name not in NAMES[kind]:
+            raise here.error(f'names "{name}", unknown' + suggestion(name, NAMES[kind]))
     return names

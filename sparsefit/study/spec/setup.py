@@ -13,12 +13,12 @@ from sparsefit.estimator.estimator import Estimator
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.readout import Readout
-from sparsefit.study.spec.document import Place, Table, integer, number, only, shown
+from sparsefit.study.spec.document import Place, Section, integer, number, only, shown
 from sparsefit.study.spec.flights import KEYS as FLIGHT_KEYS
 from sparsefit.study.spec.flights import FlightRules, read_flight_rules
 
 Record = TypeVar("Record")
-Sections = Mapping[str, Table]
+Sections = Mapping[str, Section]
 
 
 def _names(kind: type[Any]) -> tuple[str, ...]:
@@ -80,7 +80,7 @@ def check_dotted(dotted: str, place: Place) -> None:
         raise here.error(f'unknown: [{section}] has no "{key}"' + near)
 
 
-def _read_library(section: Table, place: Place) -> Library:
+def _read_library(section: Section, place: Place) -> Library:
     only(section, SECTION_KEYS["library"], place)
     grid = {key: value for key, value in section.items() if key in GRID_KEYS}
     rest = {key: value for key, value in section.items() if key not in GRID_KEYS}
@@ -89,7 +89,7 @@ def _read_library(section: Table, place: Place) -> Library:
     return _make(Library, made | _typed(Library, rest, place), place)
 
 
-def read_record(kind: type[Record], section: Table, place: Place) -> Record:
+def read_record(kind: type[Record], section: Section, place: Place) -> Record:
     """A frozen dataclass from a table: unknown keys, wrong types and bad values are refused."""
     only(section, _names(kind), place)
     return _make(kind, _typed(kind, section, place), place)
@@ -102,7 +102,7 @@ def _make(kind: type[Record], values: dict[str, Any], place: Place) -> Record:
         raise place.error(" ".join(str(error).split())) from None
 
 
-def _typed(kind: type[Any], section: Table, place: Place) -> dict[str, Any]:
+def _typed(kind: type[Any], section: Section, place: Place) -> dict[str, Any]:
     hints = get_type_hints(kind)
     return {key: _fit_to(value, hints[key], place.at(key)) for key, value in section.items()}
 

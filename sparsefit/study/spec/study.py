@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from sparsefit.errors import InputError
-from sparsefit.study.spec import outputs
-from sparsefit.study.spec.choices import BackendChoice, read_backends
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.study.spec.choices import BackendChoice, make_backend, read_backends
+from sparsefit.study.spec.design import Cell, Factor, Protocol, cross, read_protocols, read_sweep
 from sparsefit.study.spec.document import (
     Place,
-    Table,
+    Section,
     canonical_json,
-    distinct,
     integer,
-    items,
     only,
     positive,
+    read_section,
     read_toml,
     required,
     shown,
-    table,
-    tables,
     text,
 )
-from sparsefit.study.spec.setup import SECTION_KEYS, Setup, check_dotted, override, read_setup
+from sparsefit.study.spec.flights import Draw
+from sparsefit.study.spec.outputs import read_outputs
+from sparsefit.study.spec.setup import SECTION_KEYS, read_setup
 
 MAX_CASES = 2_000_000
 NAME = re.compile(r"[a-z0-9_-]{1,64}")
@@ -47,46 +46,28 @@ KEYS = (
 )
 # What a case does not depend on: changing it never makes finished rows those of another study.
 PRESENTATION = ("question", "outputs")
-
-
-@dataclass(frozen=True, eq=False)
-class Protocol:
-    """A named alternative: values for dotted keys; alternatives are not crossed."""
-
-    name: str
-    overrides: Mapping[str, object]
-
-
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """A swept dotted key and its levels; factors are crossed with everything."""
-
-    key: str
-    levels: tuple[object, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Combination:
-    """One protocol with one level of every factor, and what they resolve to."""
-
-    protocol: str
-    levels: Mapping[str, object]
-    setup: Setup
+SPLITS = ("validate", "evaluate")
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A validated study file; made by `Study.load` only."""
+    """A study file, checked and resolved; made by `Study.load` only.
+
+    `count` is the number of flights, `cells` what is done to every one of them; `given` the keys
+    of the sections flights, derivative, library and readout that the file sets, dotted, with
+    their values as canonical JSON; `case_timeout` is in seconds.
+    """
 
     path: str
     name: str
     question: str
     seed: int
     count: int
-    sections: Mapping[str, Table]
+    given: Mapping[str, str]
     backends: tuple[BackendChoice, ...]
     protocols: tuple[Protocol, ...]
     sweep: tuple[Factor, ...]
+    cells: tuple[Cell, ...]
     validate_count: int | None
     case_timeout: float
     tolerance: float
@@ -105,23 +86,12 @@ class Study:
         document = read_toml(path)
         place = Place(str(path))
         only(document, KEYS, place)
-        study = _read(document, place)
-        _check_size(study, place)
-        for _ in study.combinations():
-            pass
-        return study
+        return _read(document, place)
 
     @property
     def planned(self) -> int:
         """How many cases there are."""
-        settings = sum(choice.size for choice in self.backends)
-        levels = math.prod(len(factor.levels) for factor in self.sweep)
-        return self.count * len(self.protocols) * levels * settings
-
-    @property
-    def flights(self) -> Mapping[str, object]:
-        """The [flights] section as it was written."""
-        return {"count": self.count, **self.sections["flights"]}
+        return self.count * len(self.cells)
 
     @property
     def store_weights(self) -> bool:
@@ -140,42 +110,46 @@ class Study:
         after = (flight + 1) * self.validate_count // self.count
         return "validate" if after > before else "evaluate"
 
-    def combinations(self) -> Iterator[Combination]:
-        """Every protocol with every sweep level, in plan order."""
-        place = Place(self.path)
-        keys = [factor.key for factor in self.sweep]
-        for protocol in self.protocols:
-            for chosen in itertools.product(*(factor.levels for factor in self.sweep)):
-                levels = dict(zip(keys, chosen, strict=True))
-                via = _via(protocol, levels)
-                sections = override(self.sections, {**protocol.overrides, **levels})
-                setup = read_setup(sections, Place(place.file, via=via))
-                yield Combination(protocol.name, levels, setup)
+    def draw(self, flight: int, cell: Cell) -> Draw:
+        """What flight number `flight` of a cell flies: its flow, vehicle and noise."""
+        return cell.setup.flights.draw(flight, self.count, self.seed)
+
+    def estimator(self, cell: Cell) -> Estimator:
+        """The estimator of a cell: what it derives, fits and reads, to the study's tolerance."""
+        return Estimator(
+            derivative=cell.setup.derivative,
+            library=cell.setup.library,
+            backend=make_backend(cell.backend, cell.settings),
+            readout=cell.setup.readout,
+            tolerance=self.tolerance,
+        )
 
 
-def _read(document: dict[str, object], place: Place) -> Study:
-    flights = dict(table(required(document, "flights", place), place.at("flights")))
-    within = place.within("flights")
-    count = integer(required(flights, "count", within), within.at("count"), least=1)
-    del flights["count"]
-    sections = {name: table(document.get(name, {}), place.at(name)) for name in SECTION_KEYS} | {
-        "flights": flights
-    }
+def _read(document: Section, place: Place) -> Study:
+    count, sections = _read_sections(document, place)
     read_setup(sections, place)
-    sweep = _read_sweep(document, place)
+    sweep = read_sweep(document, place)
     timeout, tolerance = _read_run(document, place)
-    output = outputs.read_outputs(document.get("outputs", {}), place)
+    output = read_outputs(document.get("outputs", {}), place)
+    name = _name(required(document, "name", place), place.at("name"))
+    question = text(required(document, "question", place), place.at("question"))
+    seed = integer(required(document, "seed", place), place.at("seed"), least=0)
+    backends = read_backends(required(document, "backends", place), place.within("backends"))
+    protocols = read_protocols(document, sweep, place)
+    validate_count = _read_split(document, count, place)
+    _check_size(count, backends, protocols, sweep, place)
     return Study(
         path=place.file,
-        name=_name(required(document, "name", place), place.at("name")),
-        question=text(required(document, "question", place), place.at("question")),
-        seed=integer(required(document, "seed", place), place.at("seed"), least=0),
+        name=name,
+        question=question,
+        seed=seed,
         count=count,
-        sections=sections,
-        backends=read_backends(required(document, "backends", place), place.within("backends")),
-        protocols=_read_protocols(document, sweep, place),
+        given=_given(sections),
+        backends=backends,
+        protocols=protocols,
         sweep=sweep,
-        validate_count=_read_split(document, count, place),
+        cells=tuple(cross(sections, protocols, sweep, backends, place)),
+        validate_count=validate_count,
         case_timeout=timeout,
         tolerance=tolerance,
         tables=output.tables,
@@ -185,7 +159,29 @@ def _read(document: dict[str, object], place: Place) -> Study:
     )
 
 
-def study_hash(document: Table) -> str:
+def _read_sections(document: Section, place: Place) -> tuple[int, dict[str, Section]]:
+    """The number of flights, and the sections that protocols and [sweep] may override."""
+    flights = dict(read_section(required(document, "flights", place), place.at("flights")))
+    within = place.within("flights")
+    count = integer(required(flights, "count", within), within.at("count"), least=1)
+    del flights["count"]
+    others = {
+        name: read_section(document.get(name, {}), place.at(name))
+        for name in SECTION_KEYS
+        if name != "flights"
+    }
+    return count, {"flights": flights, **others}
+
+
+def _given(sections: Mapping[str, Section]) -> dict[str, str]:
+    return {
+        f"{name}.{key}": canonical_json(value)
+        for name, entries in sections.items()
+        for key, value in entries.items()
+    }
+
+
+def study_hash(document: Section) -> str:
     """sha256 of what the cases depend on: not of comments, blanks, the question, [outputs]."""
     content = {key: value for key, value in document.items() if key not in PRESENTATION}
     return hashlib.sha256(canonical_json(content).encode()).hexdigest()
@@ -199,59 +195,14 @@ def _name(value: object, place: Place) -> str:
     return name
 
 
-def _read_protocols(
-    document: Table, sweep: tuple[Factor, ...], place: Place
-) -> tuple[Protocol, ...]:
-    if "protocols" not in document:
-        return (Protocol("default", {}),)
-    here = place.within("protocols")
-    listed = tables(document["protocols"], here)
-    found = tuple(_read_protocol(entry, here) for entry in listed)
-    distinct([protocol.name for protocol in found], here.at("name"))
-    swept = {factor.key for factor in sweep}
-    for protocol in found:
-        for key in swept & set(protocol.overrides):
-            raise here.at(key).error(f'is in [sweep] too: "{protocol.name}" cannot also set it')
-    return found
-
-
-def _read_protocol(entry: Table, place: Place) -> Protocol:
-    name = text(required(entry, "name", place), place.at("name"))
-    overrides = _dotted({key: value for key, value in entry.items() if key != "name"}, place)
-    return Protocol(name, overrides)
-
-
-def _read_sweep(document: Table, place: Place) -> tuple[Factor, ...]:
-    here = place.within("sweep")
-    dotted = _dotted(table(document.get("sweep", {}), place.at("sweep")), here)
-    for key, levels in dotted.items():
-        distinct(items(levels, here.at(key)), here.at(key))
-    return tuple(Factor(key, tuple(items(dotted[key], here.at(key)))) for key in sorted(dotted))
-
-
-def _dotted(entries: Table, place: Place) -> dict[str, object]:
-    """`"library.target" = ...` and the bare `library.target = ...` are one and the same."""
-    flat: dict[str, object] = {}
-    for key, value in entries.items():
-        nested = isinstance(value, dict) and key in SECTION_KEYS
-        inner = table(value, place.at(key)) if nested else {}
-        flat |= {f"{key}.{name}": item for name, item in inner.items()} if nested else {key: value}
-    for key in flat:
-        check_dotted(key, place)
-    return flat
-
-
-def _read_split(document: Table, count: int, place: Place) -> int | None:
+def _read_split(document: Section, count: int, place: Place) -> int | None:
     if "split" not in document:
         return None
     here = place.within("split")
-    section = table(document["split"], place.at("split"))
-    only(section, ("validate", "evaluate"), here)
-    parts = [required(section, key, here) for key in ("validate", "evaluate")]
-    sizes = [
-        positive(part, here.at(key))
-        for part, key in zip(parts, ("validate", "evaluate"), strict=True)
-    ]
+    entries = read_section(document["split"], place.at("split"))
+    only(entries, SPLITS, here)
+    parts = [required(entries, key, here) for key in SPLITS]
+    sizes = [positive(part, here.at(key)) for part, key in zip(parts, SPLITS, strict=True)]
     if all(isinstance(part, int) for part in parts):
         if sum(sizes) != count:
             raise here.error(f"counts sum to {sum(sizes):g}, not to the {count} of flights.count")
@@ -264,26 +215,29 @@ def _read_split(document: Table, count: int, place: Place) -> int | None:
     return validate
 
 
-def _read_run(document: Table, place: Place) -> tuple[float, float]:
+def _read_run(document: Section, place: Place) -> tuple[float, float]:
     here = place.within("run")
-    section = table(document.get("run", {}), place.at("run"))
-    only(section, ("case_timeout", "tolerance"), here)
-    timeout = positive(section.get("case_timeout", 60.0), here.at("case_timeout"))
-    tolerance = positive(section.get("tolerance", 1e-8), here.at("tolerance"))
+    entries = read_section(document.get("run", {}), place.at("run"))
+    only(entries, ("case_timeout", "tolerance"), here)
+    timeout = positive(entries.get("case_timeout", 60.0), here.at("case_timeout"))
+    tolerance = positive(entries.get("tolerance", 1e-8), here.at("tolerance"))
     if tolerance >= 1.0:
         raise here.at("tolerance").error(f"must be below 1, not {tolerance:g}")
     return timeout, tolerance
 
 
-def _check_size(study: Study, place: Place) -> None:
-    if study.planned > MAX_CASES:
+def _check_size(
+    count: int,
+    backends: tuple[BackendChoice, ...],
+    protocols: tuple[Protocol, ...],
+    sweep: tuple[Factor, ...],
+    place: Place,
+) -> None:
+    """Refuse more cases than can be run, before any is resolved."""
+    settings = sum(choice.size for choice in backends)
+    planned = count * len(protocols) * math.prod(len(one.levels) for one in sweep) * settings
+    if planned > MAX_CASES:
         raise InputError(
-            f"{place.file}: plans {study.planned} cases, more than {MAX_CASES}: "
+            f"{place.file}: plans {planned} cases, more than {MAX_CASES}: "
             "shorten [sweep], the back-end settings or flights.count"
         )
-
-
-def _via(protocol: Protocol, levels: Mapping[str, object]) -> str:
-    parts = [f'protocol "{protocol.name}"'] if protocol.overrides else []
-    parts += [f"{key} = {shown(value)}" for key, value in levels.items()]
-    return f"with {', '.join(parts)}: " if parts else ""
