@@ -8,7 +8,8 @@ with its owner, by `number_setting`, `integer_setting`, `flag_setting` and `one_
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import TypeGuard
@@ -24,6 +25,15 @@ class InputError(SparsefitError, ValueError):
 
 class MissingExtra(SparsefitError, ImportError):  # noqa: N818 - says what is the matter
     """An optional dependency is absent. The message names the extra that brings it."""
+
+
+@contextmanager
+def told_with(place: object) -> Iterator[None]:
+    """Put ``place: `` (a file, say) before the message of an `InputError` raised inside."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 def suggestion(name: str, valid: Iterable[str]) -> str:

@@ -1,8 +1,7 @@
 """From a flight to U0, L_w and tau_w: derivative, library, back-end and readout in one record."""
 
-import json
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from time import perf_counter
 from typing import Any, Literal
 
@@ -10,22 +9,20 @@ import numpy as np
 
 from sparsefit import backends
 from sparsefit.derivative import Derivative
-from sparsefit.errors import InputError, number_setting, unknown
+from sparsefit.errors import InputError, number_setting
+from sparsefit.estimator import saved
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepared import Prepared
 from sparsefit.estimator.scales import ScaleEstimate, as_proposed, several
 from sparsefit.estimator.verdict import why_not
 from sparsefit.flight import Flight
 from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import VehicleEstimate
 from sparsefit.modes.readout import Readout
 from sparsefit.modes.rows import Rows
 from sparsefit.regression.backend import Backend, settings_of
 from sparsefit.regression.fit import TOLERANCE, Fit, fit
 from sparsefit.uncertainty import Assessment, Uncertainty
-
-FORMAT = "sparsefit-estimator/1"
 
 
 @dataclass(frozen=True)
@@ -208,47 +205,12 @@ class Estimator:
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""
-        record = {
-            "format": FORMAT,
-            "derivative": asdict(self.derivative),  # type: ignore[arg-type]
-            "library": asdict(self.library),
-            "backend": {"name": self.backend.name, **settings_of(self.backend)},  # type: ignore[union-attr]
-            "readout": asdict(self.readout),
-            "tolerance": self.tolerance,
-        }
-        return json.dumps(record, indent=2, allow_nan=False) + "\n"
+        return saved.text_of({item.name: getattr(self, item.name) for item in fields(self)})
 
     @classmethod
     def from_json(cls, text: str) -> "Estimator":
         """Read an estimator written by ``to_json``. Raises InputError on anything else."""
-        try:
-            record = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"not an estimator: line {error.lineno}: {error.msg}") from None
-        except RecursionError:
-            raise InputError("not an estimator: too deep; write one with to_json") from None
-        if not isinstance(record, dict) or record.get("format") != FORMAT:
-            raise InputError(f'not an estimator: no "format": "{FORMAT}"; write one with to_json')
-        parts = {k: v for k, v in record.items() if k != "format"}
-        tolerance = parts.pop("tolerance", TOLERANCE)
-        known = ("derivative", "library", "backend", "readout")
-        for key, value in parts.items():
-            if key not in known:
-                raise unknown("key of the estimator", key, (*known, "tolerance"))
-            if not isinstance(value, dict):
-                raise InputError(f"estimator: {key} must be an object, not {value!r}")
-        library = dict(parts.get("library", {}))
-        backend = dict(parts.get("backend", {"name": "group-lasso"}))
-        try:
-            return cls(
-                Derivative(**parts.get("derivative", {})),
-                Library(**{**library, "grid": LengthScaleGrid(**library.get("grid", {}))}),
-                backends.get(str(backend.pop("name", "")), **backend),
-                Readout(**parts.get("readout", {})),
-                tolerance,
-            )
-        except TypeError as error:  # an unexpected keyword, or a value of the wrong type
-            raise InputError(f"estimator: {error}") from None
+        return cls(**saved.parts_of(saved.record_of(text)))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from types import ModuleType
 
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight import csv_file, parquet_file
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
@@ -33,14 +33,24 @@ def read_flight(path: str | os.PathLike[str], *, vehicle: PointMassVehicle | Non
             holds no vehicle and none is given.
         MissingExtra: for Parquet without pyarrow.
     """
+    table = read_table(path)
+    with told_with(Path(path)):
+        return table.flight(vehicle)
+
+
+def read_table(path: str | os.PathLike[str]) -> FlightTable:
+    """Read the columns and settings of a flight file, which may lack a vehicle.
+
+    Raises:
+        InputError: naming file, line and column, if the file is missing or holds no such table.
+        MissingExtra: for Parquet without pyarrow.
+    """
     file = Path(path)
     decode = _format(file).decode
     content = _content(file)
-    try:
+    with told_with(file):
         table: FlightTable = decode(content)
-        return table.flight(vehicle)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
+        return table
 
 
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

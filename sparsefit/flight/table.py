@@ -50,7 +50,7 @@ class FlightTable:
             time=np.array(self.columns["time"]),
             position=np.column_stack([self.columns["x"], self.columns["y"]]),
             velocity=np.column_stack([self.columns["vx"], self.columns["vy"]]),
-            vehicle=_vehicle(self.settings) if vehicle is None else vehicle,
+            vehicle=vehicle_of(self.settings) if vehicle is None else vehicle,
             flow=_flow(self.settings),
         )
 
@@ -94,7 +94,12 @@ def _flow_settings(flow: Flow | None) -> dict[str, float]:
     return settings
 
 
-def _vehicle(settings: dict[str, float]) -> PointMassVehicle:
+def vehicle_of(settings: dict[str, float]) -> PointMassVehicle:
+    """Return the vehicle that the settings name; its thrust is 0 where they do not say.
+
+    Raises:
+        InputError: if they name no response time, or a value is out of its range.
+    """
     if "response_time" not in settings:
         raise InputError(
             "no vehicle: the file has no `# response_time=` line; add it or pass vehicle="

@@ -251,7 +251,7 @@ def test_estimate_refuses_a_flight_that_is_none(capsys, flight, words):
         (("--derivative", "foward"), 'did you mean "forward"?'),
         (("--window", "4"), "window must be"),
         (("--window", "5001"), "longer than the flight"),
-        (("--target", "flow"), "unknown target"),
+        (("--target", "flow"), "--target has unknown value 'flow' (known: acceleration, "),
         (("--mean-velocity-readout", "rsm"), 'did you mean "rms"?'),
         (("--response-time", "-1"), "response_time must be"),
         (("--estimator", "missing.json"), "cannot read missing.json"),

@@ -45,4 +45,4 @@ def test_json_lists_them_and_one_is_the_default(tmp_path, capsys):
 def test_an_unknown_number_of_scales_is_refused(tmp_path, capsys):
     path = written(tmp_path, (10.0, 3.1), (5.0, 4.4))
     assert main(["estimate", path, "--scales", "two"]) == 2
-    assert "readout scales" in capsys.readouterr().err
+    assert "--scales has unknown value 'two' (known: one, several)" in capsys.readouterr().err

@@ -13,7 +13,8 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
-from sparsefit.estimator.estimator import FORMAT, Estimator
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.estimator.saved import FORMAT
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.objective import Certificate
@@ -254,14 +255,17 @@ def test_what_is_left_out_of_the_json_is_the_default():
         ({"backend": {"name": "lasso", "solver": "clarabell"}}, 'did you mean "clarabel"'),
         ({"backend": {"name": "stlsq", "max_iterations": 2.5}}, "integer"),
         ({"backend": {"name": "stlsq", "mode": ["scaled"]}}, "mode"),
-        ({"library": {"grid": "paper"}}, "estimator"),
-        ({"library": {"grid": {"lower": "one"}}}, "lower"),
+        ({"library": {"grid": "paper"}}, '[library] key "grid" must be an object'),
+        ({"library": {"grid": {"lower": "one"}}}, '[library.grid] key "lower" must be a num'),
         ({"library": {"grid": {"lower": -1}}}, "lower"),
-        ({"library": {"grid": {"count": 2.0}}}, "integer"),
-        ({"library": {"targets": 1}}, "estimator"),
-        ({"library": {"target": ["acceleration"]}}, "estimator|target"),
+        ({"library": {"grid": {"count": 2.0}}}, "whole number"),
+        ({"library": {"targets": 1}}, '[library] key "targets" unknown: did you mean "target"'),
+        (
+            {"library": {"target": ["acceleration"]}},
+            "unknown value ['acceleration'] (known",
+        ),
         ({"derivative": {"method": "backward"}}, "derivative"),
-        ({"derivative": {"windows": 5}}, "estimator"),
+        ({"derivative": {"windows": 5}}, 'did you mean "window"'),
         ({"readout": {"length_scale": "sum"}}, "readout"),
         ({"readout": None}, "must be an object"),
         ({"tolerance": -1.0}, "tolerance"),
@@ -271,8 +275,9 @@ def test_what_is_left_out_of_the_json_is_the_default():
 )
 def test_bad_json_is_refused_in_one_line(change, words):
     text = json.dumps({"format": FORMAT, **change})
-    with pytest.raises(InputError, match=words) as error:
+    with pytest.raises(InputError) as error:
         Estimator.from_json(text)
+    assert words in str(error.value)
     assert "\n" not in str(error.value)
 
 

@@ -1,0 +1,145 @@
+"""What `sparsefit estimate` prints: the answer, its standard errors and how it was found."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from sparsefit.cli.output import duration
+from sparsefit.cli.parser import shown
+
+if TYPE_CHECKING:
+    from sparsefit.estimator.estimate import Estimate
+    from sparsefit.estimator.scales import ScaleEstimate
+    from sparsefit.flight import Flight
+
+FINEST = 1e-6  # of a standard error: below it, more digits say nothing
+MEANINGS = {
+    "duality_gap": "at most this far from the optimum, relative",
+    "normal_equations": "relative gradient of the least-squares fit",
+    "fixed_point": "share of the support one more step would change",
+}
+
+
+def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:
+    """The lines of the answer: flight and vehicle, the parameters, the status and its proof.
+
+    Of the vehicle only what was not ``unknown`` is told as given.
+    """
+    ax, ay = flight.vehicle.thrust_acceleration
+    known = {
+        "response_time": f"response time {flight.vehicle.response_time:g} s",
+        "thrust_acceleration": f"thrust ({ax:g}, {ay:g}) m/s^2",
+    }
+    vehicle = [words for key, words in known.items() if key not in unknown]
+    certificate = estimate.certificate
+    proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
+    meaning = (
+        f"  ({MEANINGS[certificate.kind]})" if certificate and certificate.kind in MEANINGS else ""
+    )
+    rows = [
+        ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
+        ("vehicle", ", ".join(vehicle) or "unknown"),
+        ("", ""),
+        *_parameters(estimate),
+        *_estimated(estimate),
+        ("", ""),
+        *_scales(estimate),
+        ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
+        ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
+        ("certificate", proof + meaning),
+        ("problem", f"{estimate.samples} samples x {estimate.columns} columns"),
+        ("time", duration(estimate.seconds)),
+    ]
+    return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _estimated(estimate: Estimate) -> list[tuple[str, str]]:
+    """What was unknown beside the flow."""
+    rows, known = [], estimate.vehicle_uncertainty
+    if estimate.response_time == estimate.response_time:
+        given = (known.response_time, known.response_time_interval) if known else ()
+        rows.append(("response time  tau", _quantity(estimate.response_time, "s", *given)))
+    for label, name, unit in (
+        ("thrust         a", "thrust_acceleration", "m/s^2"),
+        ("wind", "wind", "m/s"),
+    ):
+        pair = getattr(estimate, name)
+        if pair is not None:
+            words = f"({pair[0]:.4f}, {pair[1]:.4f}) {unit}"
+            rows.append((label, words + _spread(getattr(known, name) if known else None)))
+    return rows
+
+
+def _spread(pair: tuple[float, float] | None) -> str:
+    """Standard errors of a pair, to two digits and four decimals at least."""
+    if pair is None:
+        return ""
+    if not all(map(math.isfinite, pair)):
+        return "  ± unknown"
+    if min(pair) < FINEST:
+        return f"  ± ({pair[0]:.1e}, {pair[1]:.1e})"
+    places = max(4, 1 - math.floor(math.log10(min(pair))))
+    return f"  ± ({pair[0]:.{places}f}, {pair[1]:.{places}f})"
+
+
+def _scales(estimate: Estimate) -> list[tuple[str, str]]:
+    """A line per cellular flow where several were asked for, fastest first."""
+    if not estimate.scales:
+        return []
+    head = f"{'U0 [m/s]':>9} {'L_w [m]':>9} {'tau_w [s]':>9}"
+    if all(one.uncertainty is not None for one in estimate.scales):
+        head = f"{'U0 [m/s]':>9} {'±':<8} {'L_w [m]':>9} {'±':<8} {'tau_w [s]':>9} ±"
+    rows = [(f"  {i}", _flow(one)) for i, one in enumerate(estimate.scales, start=1)]
+    return [(f"cellular flows  {len(rows)}", head), *rows, ("", "")]
+
+
+def _flow(one: ScaleEstimate) -> str:
+    """U0, L_w and tau_w of one cellular flow, each with its standard error where it is known."""
+    cells = []
+    for name in ("mean_velocity", "length_scale", "timescale"):
+        cells.append(f"{getattr(one, name):>9.4f}")
+        if one.uncertainty is not None:
+            cells.append(f"{_short(getattr(one.uncertainty, name)):<8}")
+    return " ".join(cells).rstrip()
+
+
+def _short(spread: float) -> str:
+    """A standard error in a column of a table."""
+    if not math.isfinite(spread):
+        return "unknown"
+    return f"{spread:.4f}" if spread >= 1e-4 else f"{spread:.1e}"
+
+
+def _parameters(estimate: Estimate) -> list[tuple[str, str]]:
+    """U0, L_w and tau_w, each with its standard error and 95 % interval where they are known."""
+    known, rows = estimate.uncertainty, []
+    for label, name, unit in (
+        ("mean velocity  U0", "mean_velocity", "m/s"),
+        ("length scale   L_w", "length_scale", "m"),
+        ("timescale      tau_w", "timescale", "s"),
+    ):
+        value = getattr(estimate, name)
+        if known is None:
+            rows.append((label, _quantity(value, unit)))
+        else:
+            spread, ends = getattr(known, name), getattr(known, f"{name}_interval")
+            rows.append((label, _quantity(value, unit, spread, ends)))
+    return rows
+
+
+def _quantity(
+    value: float, unit: str, spread: float | None = None, ends: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """A value to two digits of its standard error, four decimals at least."""
+    if value != value:
+        return f"{'–':>9} {unit}"
+    if spread is None:
+        return f"{value:>9.4f} {unit}"
+    if not math.isfinite(spread):
+        return f"{value:>9.4f} {unit:<3}  ± unknown"
+    if spread < FINEST:
+        return f"{value:>9.4f} {unit:<3}  ± {spread:.1e}"
+    places = max(4, 1 - math.floor(math.log10(spread)))
+    low, high = (f"{end:.{places}f}" for end in ends)
+    return f"{value:>9.{places}f} {unit:<3}  ± {spread:.{places}f}  (95 %: {low} … {high})"
