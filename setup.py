@@ -1,29 +1,58 @@
-"""The compiled loops: one small C module each, of the stable interface, so one wheel a platform.
+"""The compiled loops: from the Python sources of `sparsefit.backends`, with the types beside them.
 
-They are optional: without a C compiler the same algorithms run in Python, slower.
+They are optional: without Cython or a C compiler the same sources run interpreted, slower.  All
+keep to the stable interface, so one wheel a platform.
 """
-
-from glob import glob
 
 from setuptools import Extension, setup
 
-LOOPS = ("_homotopy", "_variational")  # sparsefit/backends/NAME.c
-KERNELS = ("_gram",)  # sparsefit/regression/NAME.c
+LOOPS = ("active_set", "homotopy_walk")  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
+KERNELS = ("backends._variational", "regression._gram")  # C
+STABLE = {
+    "define_macros": [("Py_LIMITED_API", "0x030b0000")],
+    "py_limited_api": True,
+    "optional": True,
+}
+
+
+def loops() -> list[Extension]:
+    """The loops in C, or none where there is no Cython."""
+    try:
+        from Cython.Build import cythonize
+    except ImportError:
+        return []
+    folder = "sparsefit/backends"
+    return cythonize(
+        [
+            Extension(
+                f"sparsefit.backends.compiled.{name}",
+                [f"{folder}/{name}.py"],
+                include_dirs=[f"{folder}/compiled"],
+                depends=[f"{folder}/compiled/dense.h"],
+                **STABLE,
+            )
+            for name in LOOPS
+        ],
+        build_dir="build",
+        compiler_directives={
+            "language_level": 3,
+            "annotation_typing": False,
+            "boundscheck": False,
+            "wraparound": False,
+            "initializedcheck": False,
+            "cdivision": True,
+            "infer_types": True,
+        },
+    )
+
 
 setup(
     ext_modules=[
-        Extension(
-            f"sparsefit.{name}",
-            [f"sparsefit/{name.replace('.', '/')}.c"],
-            depends=sorted(glob(f"sparsefit/{name.replace('.', '/')}_*.h")),
-            define_macros=[("Py_LIMITED_API", "0x030b0000")],
-            py_limited_api=True,
-            optional=True,
-        )
-        for name in (
-            *(f"backends.{loop}" for loop in LOOPS),
-            *(f"regression.{kernel}" for kernel in KERNELS),
-        )
+        *loops(),
+        *(
+            Extension(f"sparsefit.{name}", [f"sparsefit/{name.replace('.', '/')}.c"], **STABLE)
+            for name in KERNELS
+        ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -1,18 +1,21 @@
-"""Compiled inner loops of back-ends: which there are, and whether they were built here.
+"""The inner loops of back-ends: which there are, and whether they were compiled here.
 
-A loop is an optional C module beside the Python one of the same algorithm (see setup.py); where
-it is missing, the Python one runs, slower and with the same answers.
+A loop is a Python module of this package that is compiled too, where there are Cython and a C
+compiler (see setup.py), under the same name in `compiled`; elsewhere it runs as it stands, slower
+and with the same answers.
 """
 
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Literal, TypeAlias
 
 Loop: TypeAlias = Literal["compiled", "python"]
-LOOPS: Mapping[str, str] = MappingProxyType({"lasso": "_homotopy", "group-lasso": "_variational"})
-"""Back-end -> its compiled module in this package."""
+LOOPS: Mapping[str, str] = MappingProxyType(
+    {"lasso": "homotopy_walk", "group-lasso": "_variational"}
+)
+"""Back-end -> the module of its loop."""
 
 
 def loop_of(backend: str) -> Loop | None:
@@ -20,18 +23,31 @@ def loop_of(backend: str) -> Loop | None:
     module = LOOPS.get(backend)
     if module is None:
         return None
-    return "compiled" if _runs(module) else "python"
-
-
-@cache
-def _runs(module: str) -> bool:
-    """Whether the module was built, loads here and, where it needs scipy's BLAS, is content."""
     if module == "_variational":
         from sparsefit.backends.variational_compiled import compiled_loop
 
-        return compiled_loop()[0] is not None
+        return "python" if compiled_loop()[0] is None else "compiled"
+    return "python" if isinstance(_compiled(module), str) else "compiled"
+
+
+def loaded(backend: str, loop: Loop | None = None) -> tuple[ModuleType, Loop]:
+    """The module of a back-end's loop and which loop it is: by default the one that runs here.
+
+    Raises ImportError if the compiled one is asked for and was not built or does not load.
+    """
+    name = LOOPS[backend]
+    compiled = _compiled(name) if loop != "python" else ""
+    if isinstance(compiled, ModuleType):
+        return compiled, "compiled"
+    if loop == "compiled":
+        raise ImportError(f"the compiled loop of {backend} is not there: {compiled}")
+    return import_module(f"{__package__}.{name}"), "python"
+
+
+@cache
+def _compiled(name: str) -> ModuleType | str:
+    """The compiled module, or why there is none; a scipy of other routines is a TypeError."""
     try:
-        import_module(f"{__package__}.{module}")
-    except ImportError:
-        return False
-    return True
+        return import_module(f"{__package__}.compiled.{name}")
+    except (ImportError, TypeError) as error:
+        return str(error)

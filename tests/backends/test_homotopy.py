@@ -1,7 +1,5 @@
 """The homotopy path against scikit-learn, identities, and the optimality conditions themselves."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,13 +7,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sparsefit.backends import loops
-from sparsefit.backends.active_set import ActiveSet, SingularBlockError
+from sparsefit.backends.active_set import DEPENDENT, FINE, SINGULAR, ActiveSet
 from sparsefit.backends.homotopy import HomotopyPath, lasso_path
 from sparsefit.backends.loops import Loop, loop_of
 
 Array = NDArray[np.float64]
 LOOPS: tuple[Loop, ...] = ("compiled", "python")
-COMPILED = "sparsefit.backends._homotopy"
+COMPILED = "sparsefit.backends.compiled.homotopy_walk"
 BUILT = LOOPS if loop_of("lasso") == "compiled" else LOOPS[1:]
 
 
@@ -307,7 +305,7 @@ def test_penalties_that_are_none_are_refused(loop: Loop, alphas: list[float]) ->
 
 @pytest.mark.parametrize("alpha", [np.nan, -1.0])
 def test_the_compiled_loop_stops_at_penalties_that_are_none(alpha: float) -> None:
-    compiled = pytest.importorskip("sparsefit.backends._homotopy")
+    compiled = pytest.importorskip(COMPILED)
     weights, complete = np.zeros((1, 2)), np.zeros(1, bool)
     steps = compiled.path(np.eye(2), np.array([1.0, 0.5]), np.array([alpha]), weights, complete)
     assert steps <= 4  # beyond, columns were entered again and again, past the end of arrays
@@ -316,36 +314,39 @@ def test_the_compiled_loop_stops_at_penalties_that_are_none(alpha: float) -> Non
 def test_without_the_compiled_loop_python_runs_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(loops, "LOOPS", {"lasso": "_not_built"})
+    monkeypatch.setattr(loops, "_compiled", lambda name: "no compiler")
     assert loop_of("lasso") == "python"
     assert loop_of("least-squares") is None
     assert lasso_path(np.eye(2), np.ones(2), np.array([0.5])).loop == "python"
+    with pytest.raises(ImportError, match="no compiler"):
+        lasso_path(np.eye(2), np.ones(2), np.array([0.5]), "compiled")
 
 
 def test_active_set_inverse_survives_many_changes() -> None:
     rng = np.random.default_rng(5)
     design = rng.normal(size=(50, 6)) @ rng.normal(size=(6, 20)) + 0.05 * rng.normal(size=(50, 20))
     gram, _ = gram_of(design, design[:, 0])
-    active = ActiveSet.empty(gram)
+    active = ActiveSet(gram)
     for _ in range(400):
-        outside = np.setdiff1d(np.arange(20), active.columns)
-        if active.size and (not len(outside) or rng.random() < 0.5):
-            position = int(rng.integers(active.size))
-            active.leave(position, active.leaving(position))
+        outside = np.setdiff1d(np.arange(20), active.index[: active.n])
+        if active.n and (not len(outside) or rng.random() < 0.5):
+            position = int(rng.integers(active.n))
+            assert active.leaving(position) == FINE
+            active.leave(position)
         else:
             column, sign = int(rng.choice(outside)), float(rng.choice([-1.0, 1.0]))
-            active.enter(column, sign, active.entering(column, sign))
-    n, columns, signs = active.size, active.columns, active.signs
+            assert active.entering(column, sign) == FINE
+            active.enter()
+    n, columns, signs = active.n, active.index[: active.n], active.sign[: active.n]
     block = gram[np.ix_(columns, columns)] * np.outer(signs, signs)
     np.testing.assert_allclose(block @ active.inverse[:n, :n], np.eye(n), atol=1e-8)
 
 
 def test_active_set_sees_dependence_and_reports_singular_blocks() -> None:
-    gram = np.ones((2, 2))
-    active = ActiveSet.empty(gram)
-    active.enter(0, 1.0, active.entering(0, 1.0))
-    twin = active.entering(1, -1.0)
-    assert twin.dependent()
-    active.enter(1, -1.0, replace(twin, pivot=1.0))
-    with pytest.raises(SingularBlockError):
-        active.rebuilt()
+    active = ActiveSet(np.ones((2, 2)))
+    active.entering(0, 1.0)
+    active.enter()
+    assert active.entering(1, -1.0) == DEPENDENT
+    active.pivot = 1.0
+    active.enter()
+    assert active.rebuilt(1.0) == SINGULAR
