@@ -12,7 +12,17 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
-    *("errors", "codec", "arrays", "cached", "flight", "regression", "derivative", "library"),
+    *(
+        "errors",
+        "codec",
+        "whole_file",
+        "arrays",
+        "cached",
+        "flight",
+        "regression",
+        "derivative",
+        "library",
+    ),
     *("modes", "backends", "uncertainty", "estimator", "score", "study", "bench", "cli"),
 )
 BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no other back-end

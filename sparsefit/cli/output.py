@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,22 +24,6 @@ def refuse_existing(path: str, *, force: bool) -> None:
 
     if Path(path).exists() and not force:
         raise InputError(f"{path} exists; add --force or choose another name")
-
-
-def write_text(path: str, text: str, *, force: bool) -> None:
-    """Write the file whole or not at all."""
-    from sparsefit.errors import InputError
-
-    refuse_existing(path, force=force)
-    beside = Path(path).with_name(f".{Path(path).name}.{os.getpid()}.partial")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}; check the folder") from None
-    finally:
-        with suppress(OSError):  # the cause is already told
-            beside.unlink()
 
 
 def duration(seconds: float) -> str:

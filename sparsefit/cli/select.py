@@ -12,7 +12,6 @@ from sparsefit.cli.output import (
     refuse_existing,
     table_record,
     terminal_width,
-    write_text,
 )
 from sparsefit.cli.parser import Verbs, number, verb
 
@@ -79,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.study.run import runner
     from sparsefit.study.run.store import read_cases
     from sparsefit.study.spec.study import Study
+    from sparsefit.whole_file import write_whole
 
     study = Study.load(args.study)
     folder = runner.status(study, args.results).folder  # refuses the results of another study
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         max_failure_rate=args.max_failure_rate,
         max_seconds=args.max_seconds,
     )
-    write_text(args.output, estimator_of(study, chosen).to_json(), force=args.force)
+    write_whole(args.output, estimator_of(study, chosen).to_json())
     write_table(study, folder, "selection", chosen.table)
     if args.json:
         print_json(_record(chosen, args.output))

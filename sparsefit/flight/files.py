@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +11,7 @@ from sparsefit.flight import csv_file, parquet_file
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.whole_file import write_whole
 
 FORMATS: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
 
@@ -66,7 +66,7 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
     encode = _format(file).encode
     if file.exists() and not overwrite:
         raise InputError(f"{file} exists; pass overwrite=True or choose another name")
-    _replace(file, encode(FlightTable.from_flight(flight)))
+    write_whole(file, encode(FlightTable.from_flight(flight)))
 
 
 def _format(file: Path) -> ModuleType:
@@ -80,16 +80,3 @@ def _content(file: Path) -> bytes:
         return file.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}; check the path") from None
-
-
-def _replace(file: Path, content: bytes) -> None:
-    """Write beside the target and rename: a reader never meets half a file."""
-    partial = file.with_name(f".{file.name}.{os.getpid()}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(file)
-    except OSError as error:
-        raise InputError(f"cannot write {file}: {error.strerror}; check the folder") from None
-    finally:
-        with contextlib.suppress(OSError):  # where it could not be made it need not be removed
-            partial.unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import CAPTIONS, FIGURES, figures_for
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.whole_file import write_whole
 
 
 def write_report(
@@ -128,16 +128,13 @@ def _table_files(study: StudyRecord, tables: dict[str, Table]) -> Iterator[tuple
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    """Write beside, then rename: a reader sees the old file or the new one."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            beside = folder / f".{name}.writing"
-            beside.write_bytes(content)
-            os.replace(beside, folder / name)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(
             f"{folder}: cannot be written: {reason}: choose another results folder"
         ) from None
+    for name, content in files.items():
+        write_whole(folder / name, content)
     return [folder / name for name in files]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import sparsefit
 from sparsefit.study.spec.study import Study
+from sparsefit.whole_file import write_whole
 
 MANIFEST = "manifest.json"
 PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
@@ -48,9 +49,7 @@ def write_manifest(
         "machine": platform.machine(),
         "git_commit": git_commit(),
     }
-    beside = folder / (MANIFEST + ".writing")
-    beside.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    beside.replace(folder / MANIFEST)
+    write_whole(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
 
 
 def read_manifest(folder: Path) -> dict[str, object] | None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from sparsefit.study.run.execution import Outcome
+from sparsefit.whole_file import refusing, write_whole
 
 FOLDER = ".partial"
 HEADER = "header.json"
@@ -37,9 +38,7 @@ def begin(folder: Path, header: dict[str, object]) -> None:
     """Start anew: the header is in place before the first row is."""
     discard(folder)
     (folder / FOLDER).mkdir()
-    beside = folder / FOLDER / (HEADER + ".writing")
-    beside.write_text(json.dumps(header, sort_keys=True) + "\n", encoding="utf-8")
-    beside.replace(folder / FOLDER / HEADER)
+    write_whole(folder / FOLDER / HEADER, json.dumps(header, sort_keys=True) + "\n")
 
 
 def discard(folder: Path) -> None:
@@ -64,7 +63,8 @@ class Writer:
 
     def append(self, outcome: Outcome) -> None:
         """One line; synced when enough have gathered."""
-        self.file.write(_line(outcome))
+        with refusing(self.file.name):
+            self.file.write(_line(outcome))
         self.pending += 1
         if self.pending >= SYNC_ROWS or time.monotonic() - self.synced > SYNC_SECONDS:
             self.sync()
@@ -72,8 +72,9 @@ class Writer:
     def sync(self) -> None:
         """Flush to the disk what is pending."""
         if self.pending:
-            self.file.flush()
-            os.fsync(self.file.fileno())
+            with refusing(self.file.name):
+                self.file.flush()
+                os.fsync(self.file.fileno())
         self.pending, self.synced = 0, time.monotonic()
 
 
@@ -82,13 +83,18 @@ def appending(folder: Path) -> Iterator[Writer]:
     """A writer behind the last intact line; synced whatever ends the run."""
     path = folder / FOLDER / ROWS
     _, length = _intact(path)
-    with path.open("ab") as file:
+    with refusing(path):
+        file = path.open("ab")
         file.truncate(length)
-        writer = Writer(file)
+    writer = Writer(file)
+    try:
+        yield writer
+    finally:
         try:
-            yield writer
-        finally:
             writer.sync()
+        finally:
+            with refusing(path):  # closing writes what a full disk did not take
+                file.close()
 
 
 def _intact(path: Path) -> tuple[dict[tuple[int, int], Outcome], int]:

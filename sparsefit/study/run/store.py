@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -21,6 +20,7 @@ from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.plan import Case
 from sparsefit.study.spec.study import Study
+from sparsefit.whole_file import whole_file
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
@@ -179,9 +179,7 @@ def _is_dense(field: pa.Field) -> bool:
 
 
 def _replace(rows: pa.Table, path: Path) -> None:
-    """Write beside, then rename: a reader sees the old file or the new one, never half of one."""
-    beside = path.with_name(path.name + ".writing")
-    with beside.open("wb") as file:
+    with whole_file(path) as file:
         # Numbers that never repeat pack best by bytes of equal rank, all else as a dictionary.
         dense = [field.name for field in rows.schema if _is_dense(field)]
         pq.write_table(
@@ -192,6 +190,3 @@ def _replace(rows: pa.Table, path: Path) -> None:
             use_dictionary=[name for name in rows.column_names if name not in dense],
             column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
         )
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
