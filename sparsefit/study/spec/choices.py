@@ -9,17 +9,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from sparsefit import backends
+from sparsefit.codec import Place, number, shown
 from sparsefit.errors import SparsefitError
 from sparsefit.study.spec.document import (
-    Place,
     Section,
     canonical_json,
     distinct,
     items,
-    number,
     read_sections,
     required,
-    shown,
     text,
 )
 

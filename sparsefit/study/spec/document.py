@@ -6,39 +6,15 @@ import json
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
 
-from sparsefit.errors import InputError, is_integer, is_number, is_real, suggestion
+from sparsefit.codec import Place, number, shown
+from sparsefit.errors import InputError
 
 Section: TypeAlias = Mapping[str, object]
 CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a value stands: file, section and key; `via` tells which override put it there."""
-
-    file: str
-    section: str = ""
-    key: str = ""
-    via: str = ""
-
-    def at(self, key: str) -> Place:
-        """The place of one key of this section."""
-        return Place(self.file, self.section, key, self.via)
-
-    def within(self, section: str) -> Place:
-        """The place of one section of this file."""
-        return Place(self.file, section, "", self.via)
-
-    def error(self, problem: str) -> InputError:
-        """The refusal of what stands here: `file: [section] key "x" problem`."""
-        section = f"[{self.section}] " if self.section else ""
-        key = f'key "{self.key}" ' if self.key else ""
-        return InputError(f"{self.file}: {self.via}{section}{key}{problem}")
 
 
 def read_toml(path: str | Path) -> dict[str, object]:
@@ -64,28 +40,11 @@ def _line(message: str, text: str) -> int:
     return int(found.group(1)) if found else text.count("\n") + 1
 
 
-def only(section: Section, valid: Iterable[str], place: Place) -> None:
-    """Refuse the first key of `section` that is not in `valid`, with the nearest valid one."""
-    known = list(valid)
-    for key in section:
-        if key not in known:
-            raise place.at(key).error("unknown" + suggestion(key, known))
-
-
 def required(section: Section, key: str, place: Place) -> object:
     """The value of a key that must be given."""
     if key not in section:
         raise place.at(key).error("missing: a study needs it")
     return section[key]
-
-
-def number(value: object, place: Place) -> float:
-    """A finite number; a boolean is none."""
-    if not is_real(value):
-        raise place.error(f"must be a number, not {shown(value)}")
-    if not is_number(value):
-        raise place.error(f"must be a finite number, not {shown(value)}")
-    return float(value)
 
 
 def positive(value: object, place: Place) -> float:
@@ -94,15 +53,6 @@ def positive(value: object, place: Place) -> float:
     if real <= 0.0:
         raise place.error(f"must be above 0, not {shown(value)}")
     return real
-
-
-def integer(value: object, place: Place, *, least: int) -> int:
-    """A whole number of at least `least`; a boolean is none."""
-    if not is_integer(value):
-        raise place.error(f"must be a whole number, not {shown(value)}")
-    if not is_integer(value, least):
-        raise place.error(f"must be at least {least}, not {value}")
-    return value
 
 
 def text(value: object, place: Place) -> str:
@@ -147,12 +97,6 @@ def read_sections(value: object, place: Place) -> list[Section]:
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         raise place.error(f"must be written as [[{place.key or place.section}]]")
     return cast(list[Section], items(value, place))
-
-
-def shown(value: object) -> str:
-    """A value as it appears in a message: short, on one line."""
-    words = " ".join(repr(value).split())
-    return words if len(words) <= 60 else words[:57] + "..."
 
 
 def canonical_json(value: object) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.study.spec.document import Place, items, number, only, shown
+from sparsefit.codec import Place, number, only, shown
+from sparsefit.study.spec.document import items
 
 RULES = ("linspace", "uniform", "loguniform", "choice")
 

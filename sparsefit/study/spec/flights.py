@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sparsefit.codec import Place, only
 from sparsefit.errors import suggestion
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.study.spec.document import Place, Section, only, text
+from sparsefit.study.spec.document import Section, text
 from sparsefit.study.spec.entry import Entry, read_entry
 
 # Every random quantity has its own stream: adding one at the end changes no other's draws.

@@ -8,15 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sparsefit.codec import Place, only
 from sparsefit.errors import suggestion
-from sparsefit.study.spec.document import (
-    Place,
-    distinct,
-    items,
-    only,
-    read_section,
-    text,
-)
+from sparsefit.study.spec.document import distinct, items, read_section, text
 
 NAMES = {
     "tables": (

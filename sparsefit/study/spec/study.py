@@ -9,21 +9,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from sparsefit.codec import Place, integer, only, shown
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.study.spec.choices import BackendChoice, make_backend, read_backends
 from sparsefit.study.spec.design import Cell, Factor, Protocol, cross, read_protocols, read_sweep
 from sparsefit.study.spec.document import (
-    Place,
     Section,
     canonical_json,
-    integer,
-    only,
     positive,
     read_section,
     read_toml,
     required,
-    shown,
     text,
 )
 from sparsefit.study.spec.flights import Draw
