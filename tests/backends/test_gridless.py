@@ -20,7 +20,8 @@ from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.joint import descend
 from sparsefit.modes.refine import centred
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import Penalty, duality_gaps
+from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import VEHICLE, flight, flight_problem
 from tests.references import dual_certificate
