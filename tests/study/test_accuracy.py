@@ -16,7 +16,8 @@ from sparsefit.study.evidence.answers import ANSWERS, sentences
 from sparsefit.study.evidence.sentence import extremes, listed, some
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.evidence.windows import seconds_to
-from sparsefit.study.run.execution import Outcome, run_flight
+from sparsefit.study.run.execution import run_flight
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.runner import solver_seconds
 from sparsefit.study.run.store import cases_table
 from sparsefit.study.spec.flights import SIMULATION, stream
@@ -241,19 +242,21 @@ class TestRows:
         for row in rows:
             noisy = every[row.cell].levels["flights.velocity_noise"] > 0
             expected = math.nan if noisy else bound.length_scale
-            assert row.bound_length_scale == pytest.approx(expected, nan_ok=True)
-            assert row.extent == flight.extent
+            assert row["bound_length_scale"] == pytest.approx(expected, nan_ok=True)
+            assert row["extent"] == flight.extent
 
     def test_a_fit_that_two_cases_read_is_timed_once(self, ran):
         study, every, rows = ran
-        fits = {fit_key(every[row.cell]): row.seconds for row in rows}
+        fits = {fit_key(every[row.cell]): row["seconds"] for row in rows}
         assert len(fits) == len(rows) / 2
         assert solver_seconds(study, rows) == pytest.approx(sum(fits.values()))
-        lent = [replace(row, seconds=2.0, shared_seconds=1.5) for row in rows]
+        lent = [replace(row, values={"seconds": 2.0}, shared_seconds=1.5) for row in rows]
         assert solver_seconds(study, lent) == pytest.approx(0.5 * len(fits))
 
     def test_columns_of_uncertainty_are_absent_numbers_where_there_is_none(self, ran):
         study, _, rows = ran
         frame_: pd.DataFrame = cases_table(study, rows).to_pandas()
-        assert frame_["se_timescale"].isna().all() == all(math.isnan(r.se_timescale) for r in rows)
+        assert frame_["se_timescale"].isna().all() == all(
+            math.isnan(r["se_timescale"]) for r in rows
+        )
         assert (frame_["flow"] == "cellular").all()

@@ -19,8 +19,10 @@ from sparsefit.study.evidence.scale_sets import Regime, answer, has_scales, scal
 from sparsefit.study.evidence.tables import tables_for
 from sparsefit.study.report.certificate_figure import certificate_figure
 from sparsefit.study.report.figures import FIGURES, figures_for
-from sparsefit.study.run.execution import Outcome, run_flight
-from sparsefit.study.run.scale_columns import ScaleColumns, scale_columns
+from sparsefit.study.run.columns import KINDS
+from sparsefit.study.run.execution import run_flight
+from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.reading import scale_sets
 from sparsefit.study.spec.flights import STREAMS
 
 TEXT = """
@@ -127,13 +129,15 @@ def test_half_a_flow_and_no_flow_are_refused(tmp_path: Path, old: str, new: str,
 def test_rows_of_a_run(tmp_path: Path) -> None:
     study = load(tmp_path)
     rows = [one for one in run_flight(study, 0, cells(study)) if isinstance(one, Outcome)]
-    assert [one.scales_true for one in rows] == [2, 2]
-    assert rows[0].scales_detected + rows[0].scales_spurious == 1  # best-scale proposes one
-    found = json.loads(rows[1].est_scales)
-    assert len(found) == rows[1].scales_detected + rows[1].scales_spurious
+    assert [one["scales_true"] for one in rows] == [2, 2]
+    assert rows[0]["scales_detected"] + rows[0]["scales_spurious"] == 1  # best-scale proposes one
+    found = json.loads(rows[1]["est_scales"])
+    assert len(found) == rows[1]["scales_detected"] + rows[1]["scales_spurious"]
     flow = cells(study)[0].setup.flights.draw(0, 2, 3).flow
-    assert json.loads(rows[0].true_scales)[1][0] == pytest.approx(flow.components[1].length_scale)
-    assert rows[0].extent > 10.0
+    assert json.loads(rows[0]["true_scales"])[1][0] == pytest.approx(
+        flow.components[1].length_scale
+    )
+    assert rows[0]["extent"] > 10.0
 
 
 def estimate(scales: tuple[sf.ScaleEstimate, ...] = (), scale: float = 4.0) -> Estimate:
@@ -141,20 +145,20 @@ def estimate(scales: tuple[sf.ScaleEstimate, ...] = (), scale: float = 4.0) -> E
 
 
 def test_one_flow_read_as_one_leaves_the_columns_blank() -> None:
-    blank = scale_columns(estimate(), sf.CellularFlow(10.0, 4.0))
-    assert math.isnan(blank.scales_true)
-    assert (blank.true_scales, blank.est_scales) == ("", "")
+    assert scale_sets(estimate(), sf.CellularFlow(10.0, 4.0)) is None
+    assert math.isnan(Outcome(0, 0, "ok")["scales_true"])
+    assert Outcome(0, 0, "ok")["true_scales"] == ""
 
 
 def test_a_readout_of_one_scale_is_a_set_of_one() -> None:
     flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 4.0), sf.CellularFlow(5.0, 8.0)))
-    one = scale_columns(estimate(scale=4.02), flow)
-    assert (one.scales_detected, one.scales_missed, one.scales_spurious) == (1, 1, 0)
-    assert one.scales_max_length_scale_error == pytest.approx(0.5)
-    assert one.scales_within_1_percent == 0.0
-    assert json.loads(one.true_scales) == [[4.0, 10.0], [8.0, 5.0]]
-    none = scale_columns(estimate(scale=math.nan), flow)
-    assert (none.scales_missed, none.est_scales) == (2, "[]")
+    sets = scale_sets(estimate(scale=4.02), flow)
+    assert (sets.score.detected, sets.score.missed, sets.score.spurious) == (1, 1, 0)
+    assert sets.score.max_length_scale_error == pytest.approx(0.5)
+    assert not sets.score.within(1.0)
+    assert json.loads(sets.true) == [[4.0, 10.0], [8.0, 5.0]]
+    none = scale_sets(estimate(scale=math.nan), flow)
+    assert (none.score.missed, none.estimated) == (2, "[]")
 
 
 def test_the_regime_worked_by_hand() -> None:
@@ -203,7 +207,7 @@ def test_the_answer_is_of_the_cases() -> None:
 
 def test_cases_of_older_files_have_no_scales_and_are_read() -> None:
     cases = read_cases(RESULTS / "table1").drop(
-        columns=[*vars(ScaleColumns()), "extent"], errors="ignore"
+        columns=[name for name in KINDS if "scales" in name or name == "extent"], errors="ignore"
     )
     assert not has_scales(cases)
     assert "scales" not in tables_for(cases)

@@ -3,20 +3,25 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 from test_tables import STUDY, case, column, frame
 
+from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.estimator import Estimator
+from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study import Study, cells, read_cases
 from sparsefit.study.evidence.answers import ANSWERS
 from sparsefit.study.evidence.confidence import Share, held
 from sparsefit.study.evidence.tables import TABLES
-from sparsefit.study.run.execution import Outcome, run_flight
+from sparsefit.study.run.columns import values_of
+from sparsefit.study.run.execution import run_flight
+from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.reading import Reading, Yardstick, outward
 from sparsefit.study.run.store import write_cases
-from sparsefit.study.run.yardsticks import intervals
 from sparsefit.uncertainty import Uncertainty, uncertainty
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
@@ -140,30 +145,33 @@ class TestIdentifiability:
 
 
 class TestIntervals:
-    def test_flat_names(self):
+    def test_columns_by_name(self):
         found = Uncertainty(0.1, 0.2, 0.3, (9.0, 11.0), (4.0, 6.0), (0.25, 0.75))
-        flat = intervals(found)
-        assert set(flat) == {
-            f"{kind}_{name}" for kind in ("se", "low", "high") for name in PARAMETERS
-        }
-        assert flat["se_length_scale"] == 0.2
-        assert (flat["low_timescale"], flat["high_timescale"]) == (0.25, 0.75)
-        assert intervals(None) == {}
+        columns = read_with(found)
+        assert columns["se_length_scale"] == 0.2
+        assert (columns["low_timescale"], columns["high_timescale"]) == (0.25, 0.75)
+        nothing = read_with(None)
+        for kind in ("se", "low", "high"):
+            assert all(math.isnan(nothing[f"{kind}_{name}"]) for name in PARAMETERS)
 
     @pytest.mark.parametrize("scale", [1e-9, 1.0, 3e7])
     def test_rounded_outward_by_little(self, scale):
         rng = np.random.default_rng(5)
         for low, width in scale * rng.uniform(0.1, 1.0, (100, 2)):
-            pair = (float(low), float(low + width))
-            flat = intervals(Uncertainty(0.0, 0.0, 0.0, pair, pair, pair))
-            assert pair[0] - width / 32768 <= flat["low_timescale"] <= pair[0]
-            assert pair[1] <= flat["high_timescale"] <= pair[1] + width / 32768
+            ends = outward(float(low), float(low + width))
+            assert low - width / 32768 <= ends[0] <= low
+            assert low + width <= ends[1] <= low + width + width / 32768
 
     def test_no_end_and_no_width_are_kept(self):
-        ends = ((-math.inf, math.inf), (2.0, 2.0), (1.0, math.inf))
-        flat = intervals(Uncertainty(math.inf, 0.0, math.inf, *ends))
-        for name, (low, high) in zip(PARAMETERS, ends, strict=True):
-            assert (flat[f"low_{name}"], flat[f"high_{name}"]) == (low, high)
+        for ends in ((-math.inf, math.inf), (2.0, 2.0), (1.0, math.inf)):
+            assert outward(*ends) == ends
+
+
+def read_with(uncertainty):
+    estimate = Estimate(10.0, 4.0, 0.4, "ok", "", "lasso", {}, uncertainty=uncertainty)
+    problem = RegressionProblem.from_arrays(np.eye(2), np.ones((2, 1)))
+    fit = SimpleNamespace(seconds=0.0)
+    return values_of(Reading(estimate, fit, problem, None, Yardstick(1.0)))
 
 
 TEXT = """

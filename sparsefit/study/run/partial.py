@@ -9,11 +9,12 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO
 
-from sparsefit.study.run.execution import Outcome
+from sparsefit.study.run.columns import KINDS
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.whole_file import refusing, write_whole
 
 FOLDER = ".partial"
@@ -21,8 +22,6 @@ HEADER = "header.json"
 ROWS = "rows.jsonl"
 SYNC_SECONDS = 0.5
 SYNC_ROWS = 512
-
-_REALS = {entry.name for entry in fields(Outcome) if entry.type == "float"}
 
 
 def read_header(folder: Path) -> dict[str, object] | None:
@@ -116,9 +115,12 @@ def _intact(path: Path) -> tuple[dict[tuple[int, int], Outcome], int]:
 def _line(outcome: Outcome) -> bytes:
     """Strict JSON: NaN is null, and a float is written so that it reads back the same."""
     record = asdict(outcome)
-    for name in _REALS:
-        record[name] = None if math.isnan(record[name]) else record[name]
+    record["values"] = {name: None if _is_nan(v) else v for name, v in outcome.values.items()}
     return (json.dumps(record, separators=(",", ":")) + "\n").encode()
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 def _outcome(line: bytes) -> Outcome | None:
@@ -126,9 +128,8 @@ def _outcome(line: bytes) -> Outcome | None:
         return None
     try:
         record = json.loads(line)
-        for name in _REALS & record.keys():
-            record[name] = math.nan if record[name] is None else float(record[name])
+        record["values"] = {name: KINDS[name].of(v) for name, v in record["values"].items()}
         record["weights"] = tuple((scale, weight) for scale, weight in record["weights"])
         return Outcome(**record)
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import wait
 
 from sparsefit.errors import SparsefitError
-from sparsefit.study.run.execution import Outcome
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.worker import Job, Worker
 from sparsefit.study.spec.study import Study
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import Counter
@@ -15,9 +16,9 @@ import numpy as np
 
 from sparsefit.errors import InputError, is_integer
 from sparsefit.study.run import partial, store
-from sparsefit.study.run.execution import Outcome
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import MANIFEST, read_manifest, sparsefit_version, write_manifest
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.pool import outcomes
 from sparsefit.study.run.worker import Job
@@ -128,10 +129,10 @@ def solver_seconds(study: Study, rows: Iterable[Outcome]) -> float:
     """Seconds in back-ends: what several cases or fits share is counted once."""
     fits: dict[tuple[int, object], float] = {}
     for outcome in rows:
-        if not np.isnan(outcome.seconds):
-            fits[outcome.flight, fit_key(study.cells[outcome.cell])] = (
-                outcome.seconds - outcome.shared_seconds
-            )
+        seconds = float(outcome["seconds"])
+        if not math.isnan(seconds):
+            fit = (outcome.flight, fit_key(study.cells[outcome.cell]))
+            fits[fit] = seconds - outcome.shared_seconds
     return float(sum(fits.values()))
 
 

@@ -2,73 +2,27 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_real
+from sparsefit.flight.flow import CellularFlow
 from sparsefit.score import strongest
-from sparsefit.study.run.execution import Outcome
-from sparsefit.study.run.scale_columns import ScaleColumns
-from sparsefit.study.run.yardsticks import PARAMETERS
-from sparsefit.study.spec.design import Cell
+from sparsefit.study.run.columns import COLUMNS, KINDS, LEVEL, TEXT, Column, Planned
+from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.spec.design import Factor
 from sparsefit.study.spec.document import canonical_json
-from sparsefit.study.spec.plan import Case
+from sparsefit.study.spec.plan import Case, flight_key
 from sparsefit.study.spec.study import Study
 from sparsefit.whole_file import whole_file
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
-
-TEXT, REAL, WHOLE, FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
-SINGLE = pa.float32()  # of what seven digits are enough
-DENSE = ("est_", "se_", "low_", "high_", "bound_", "certificate", "seconds", "extent")
-# `samples` and `columns` are 0 where no library was built; what is not known is NaN or "".
-COLUMNS = {
-    "case_id": TEXT,
-    "study": TEXT,
-    "flight": WHOLE,
-    "split": TEXT,
-    "protocol": TEXT,
-    "backend": TEXT,
-    "settings": TEXT,
-    "label": TEXT,
-    "status": TEXT,
-    "reason": TEXT,
-    "true_mean_velocity": REAL,
-    "true_length_scale": REAL,
-    "true_timescale": REAL,
-    "est_mean_velocity": REAL,
-    "est_length_scale": REAL,
-    "est_timescale": REAL,
-    "grid_length_scale": REAL,
-    "hit": FLAG,
-    "certificate_kind": TEXT,
-    "certificate": SINGLE,
-    "seconds": SINGLE,
-    "samples": WHOLE,
-    "columns": WHOLE,
-    **{entry.name: TEXT if entry.type == "str" else REAL for entry in fields(ScaleColumns)},
-    "flow": TEXT,
-    "extent": SINGLE,
-    "se_mean_velocity": SINGLE,
-    "se_length_scale": SINGLE,
-    "se_timescale": SINGLE,
-    "low_mean_velocity": REAL,
-    "low_length_scale": REAL,
-    "low_timescale": REAL,
-    "high_mean_velocity": REAL,
-    "high_length_scale": REAL,
-    "high_timescale": REAL,
-    "bound_mean_velocity": SINGLE,
-    "bound_length_scale": SINGLE,
-    "bound_timescale": SINGLE,
-}
+WEIGHT_COLUMNS = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
 
 
 def read_cases(folder: str | Path) -> pd.DataFrame:
@@ -105,83 +59,59 @@ def write_cases(study: Study, outcomes: Iterable[Outcome], folder: Path) -> None
 
 
 def cases_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
-    """The rows of `cases.parquet`, one per outcome, with fixed column types."""
-    swept = {factor.key: _level_type(factor.levels) for factor in study.sweep}
-    schema = COLUMNS | swept
-    truths: dict[tuple[int, object], dict[str, object]] = {}
-    columns: dict[str, list[object]] = {name: [] for name in schema}
+    """The rows of `cases.parquet`, one per outcome: `COLUMNS`, then one per swept factor."""
+    planned = list(_planned(study, ordered))
+    arrays = {column.name: _array(column, planned, ordered) for column in COLUMNS}
+    for factor in study.sweep:
+        levels = (row.case.cell.levels[factor.key] for row in planned)
+        arrays[factor.key] = _levels_array(factor, levels)
+    return pa.table(arrays)
+
+
+def _planned(study: Study, ordered: Iterable[Outcome]) -> Iterator[Planned]:
+    flows: dict[tuple[int, object], CellularFlow | None] = {}
     for outcome in ordered:
         cell = study.cells[outcome.cell]
-        variant = (outcome.flight, cell.setup.flights)
-        if variant not in truths:
-            truths[variant] = _truth(study, outcome.flight, cell)
-        row = _planned(study, outcome.flight, cell) | truths[variant] | vars(outcome)
-        row |= {key: _level(cell.levels[key], kind) for key, kind in swept.items()}
-        for name, values in columns.items():
-            values.append(row[name])
-    return pa.table({name: pa.array(values, type=schema[name]) for name, values in columns.items()})
+        flown = (outcome.flight, flight_key(cell))
+        if flown not in flows:
+            flow = study.draw(outcome.flight, cell).flow
+            flows[flown] = None if flow is None else strongest(flow)
+        yield Planned(study, Case(outcome.flight, cell), flows[flown])
 
 
-def _planned(study: Study, flight: int, cell: Cell) -> dict[str, object]:
-    return {
-        "case_id": Case(flight, cell).case_id,
-        "study": study.name,
-        "split": study.split(flight),
-        "protocol": cell.protocol,
-        "backend": cell.backend,
-        "settings": cell.canonical_settings,
-        "label": cell.label,
-    }
+def _array(column: Column, planned: Sequence[Planned], ordered: Sequence[Outcome]) -> pa.Array:
+    if column.planned:
+        values = [column.kind.of(column.planned(row)) for row in planned]
+    else:
+        values = [outcome[column.name] for outcome in ordered]
+    return pa.array(values, type=pa.type_for_alias(column.kind.arrow))
 
 
-def _truth(study: Study, flight: int, cell: Cell) -> dict[str, object]:
-    flow = study.draw(flight, cell).flow
-    if flow is None:
-        return {"flow": "none"} | {f"true_{name}": math.nan for name in PARAMETERS}
-    flow = strongest(flow)
-    return {
-        "flow": "cellular",
-        "true_mean_velocity": flow.mean_velocity,
-        "true_length_scale": flow.length_scale,
-        "true_timescale": flow.timescale,
-    }
+def _levels_array(factor: Factor, levels: Iterable[object]) -> pa.Array:
+    """Where all levels of a factor are numbers they stay numbers; else all are text."""
+    if all(is_real(level) for level in factor.levels):
+        return pa.array(levels, type=pa.float64())
+    texts = (level if isinstance(level, str) else canonical_json(level) for level in levels)
+    return pa.array(texts, type=pa.string())
 
 
-def _level_type(levels: Sequence[object]) -> pa.DataType:
-    """Numbers stay numbers; every other level is text."""
-    plain = all(isinstance(one, int | float) and not isinstance(one, bool) for one in levels)
-    return REAL if plain else TEXT
-
-
-def _level(value: object, kind: pa.DataType) -> object:
-    if kind == TEXT:
-        return value if isinstance(value, str) else canonical_json(value)
-    return value
-
-
-def _weights_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
+def _weights_table(study: Study, ordered: Iterable[Outcome]) -> pa.Table:
     rows = [
-        (Case(outcome.flight, study.cells[outcome.cell]).case_id, scale, weight)
+        (Case(outcome.flight, study.cells[outcome.cell]).case_id, *pair)
         for outcome in ordered
-        for scale, weight in outcome.weights
+        for pair in outcome.weights
     ]
-    types: Mapping[str, pa.DataType] = {"case_id": TEXT, "length_scale": REAL, "weight": REAL}
     return pa.table(
         {
-            name: pa.array([row[i] for row in rows], type=kind)
-            for i, (name, kind) in enumerate(types.items())
+            name: pa.array([row[place] for row in rows], type=pa.type_for_alias(kind.arrow))
+            for place, (name, kind) in enumerate(WEIGHT_COLUMNS.items())
         }
     )
 
 
-def _is_dense(field: pa.Field) -> bool:
-    return bool(pa.types.is_floating(field.type)) and field.name.startswith(DENSE)
-
-
 def _replace(rows: pa.Table, path: Path) -> None:
+    dense = [name for name in rows.column_names if name in KINDS and KINDS[name].dense]
     with whole_file(path) as file:
-        # Numbers that never repeat pack best by bytes of equal rank, all else as a dictionary.
-        dense = [field.name for field in rows.schema if _is_dense(field)]
         pq.write_table(
             rows,
             file,

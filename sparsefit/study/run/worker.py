@@ -16,7 +16,8 @@ from multiprocessing.context import SpawnProcess
 
 from threadpoolctl import threadpool_limits
 
-from sparsefit.study.run.execution import Event, Outcome, Stage, run_flight
+from sparsefit.study.run.execution import run_flight
+from sparsefit.study.run.outcome import Event, Outcome, Stage
 from sparsefit.study.spec.study import Study
 
 # Processes share the work; threads inside each would only fight for the same cores.

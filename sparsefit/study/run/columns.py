@@ -1,0 +1,144 @@
+"""The columns of `cases.parquet`, each declared here and nowhere else.
+
+A line of `COLUMNS` says what a column is called, what it holds and what it is read from: a case
+as it is planned, or a case that was read. The unfinished rows of a run, the file, its types and
+its encoding follow from it. To add a column, add a line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.score import ScalesScore
+from sparsefit.study.run.reading import PARAMETERS, Reading, ScaleSets
+from sparsefit.study.spec.plan import Case
+from sparsefit.study.spec.study import Study
+
+Value: TypeAlias = str | float | int | bool
+WITHIN = 1.0  # percent: the error within which all length scales count as right
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a column holds: its Arrow type, how a value is made one, and what stands for none.
+
+    dense: numbers that never repeat, which pack best by bytes of equal rank.
+    """
+
+    arrow: str
+    cast: Callable[[Any], Value]
+    empty: Value
+    dense: bool = False
+
+    def of(self, value: Value | None) -> Value:
+        """The value as this kind; what stands for none where it is None."""
+        return self.empty if value is None else self.cast(value)
+
+
+TEXT = Kind("string", str, "")
+FLAG = Kind("bool", bool, False)
+WHOLE = Kind("int64", int, 0)  # 0 where no library was built
+LEVEL = Kind("float64", float, math.nan)  # numbers that repeat from row to row
+REAL = Kind("float64", float, math.nan, dense=True)
+SINGLE = Kind("float32", float, math.nan, dense=True)  # of what seven digits are enough
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A case as it is planned; `flow` is the fastest of the true ones, None in still air."""
+
+    study: Study
+    case: Case
+    flow: CellularFlow | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: known as `planned`, or `read` from a case, None where there is nothing to read.
+
+    Neither: `status` and `reason`, which every case has however it ends.
+    """
+
+    name: str
+    kind: Kind
+    planned: Callable[[Planned], Value | None] | None = None
+    read: Callable[[Reading], Value | None] | None = None
+
+
+def _three(prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]) -> list[Column]:
+    """A column for each of the three parameters, by name."""
+
+    def at(parameter: str) -> Callable[[Reading], Value | None]:
+        return lambda case: read(case, parameter)
+
+    return [Column(f"{prefix}_{name}", kind, read=at(name)) for name in PARAMETERS]
+
+
+def _truth(parameter: str) -> Column:
+    """A parameter of the true flow."""
+    return Column(
+        f"true_{parameter}",
+        LEVEL,
+        planned=lambda row: None if row.flow is None else getattr(row.flow, parameter),
+    )
+
+
+def _of_scales(name: str, kind: Kind, read: Callable[[ScaleSets], Value]) -> Column:
+    """What is said of several scales at once: nothing where one flow is read as one."""
+    return Column(
+        name,
+        kind,
+        read=lambda case: None if case.scale_sets is None else read(case.scale_sets),
+    )
+
+
+def _of_score(name: str, read: Callable[[ScalesScore], Value]) -> Column:
+    return _of_scales(f"scales_{name}", LEVEL, lambda sets: read(sets.score))
+
+
+COLUMNS: tuple[Column, ...] = (
+    Column("case_id", TEXT, planned=lambda row: row.case.case_id),
+    Column("study", TEXT, planned=lambda row: row.study.name),
+    Column("flight", WHOLE, planned=lambda row: row.case.flight),
+    Column("split", TEXT, planned=lambda row: row.study.split(row.case.flight)),
+    Column("protocol", TEXT, planned=lambda row: row.case.cell.protocol),
+    Column("backend", TEXT, planned=lambda row: row.case.cell.backend),
+    Column("settings", TEXT, planned=lambda row: row.case.cell.canonical_settings),
+    Column("label", TEXT, planned=lambda row: row.case.cell.label),
+    Column("status", TEXT),
+    Column("reason", TEXT),
+    *map(_truth, PARAMETERS),
+    *_three("est", REAL, lambda case, name: getattr(case.estimate, name)),
+    Column("grid_length_scale", LEVEL, read=lambda case: case.estimate.grid_length_scale),
+    Column("hit", FLAG, read=lambda case: case.hit),
+    Column("certificate_kind", TEXT, read=lambda case: getattr(case.certificate, "kind", None)),
+    Column("certificate", SINGLE, read=lambda case: getattr(case.certificate, "value", None)),
+    Column("seconds", SINGLE, read=lambda case: case.fit.seconds),
+    Column("samples", WHOLE, read=lambda case: case.problem.samples),
+    Column("columns", WHOLE, read=lambda case: case.problem.columns),
+    _of_score("true", lambda score: score.true),
+    _of_score("detected", lambda score: score.detected),
+    _of_score("missed", lambda score: score.missed),
+    _of_score("spurious", lambda score: score.spurious),
+    _of_score("max_length_scale_error", lambda score: score.max_length_scale_error),
+    _of_score("max_mean_velocity_error", lambda score: score.max_mean_velocity_error),
+    _of_score("within_1_percent", lambda score: score.within(WITHIN)),
+    _of_scales("true_scales", TEXT, lambda sets: sets.true),
+    _of_scales("est_scales", TEXT, lambda sets: sets.estimated),
+    Column("flow", TEXT, planned=lambda row: "cellular" if row.flow else "none"),
+    Column("extent", SINGLE, read=lambda case: case.yardstick.extent),
+    *_three("se", SINGLE, Reading.standard_error),
+    *_three("low", REAL, lambda case, name: case.interval(name)[0]),
+    *_three("high", REAL, lambda case, name: case.interval(name)[1]),
+    *_three("bound", SINGLE, Reading.bound),
+)
+KINDS = {column.name: column.kind for column in COLUMNS}
+
+
+def values_of(case: Reading) -> dict[str, Value]:
+    """What the columns read from a case, by name."""
+    return {column.name: column.kind.of(column.read(case)) for column in COLUMNS if column.read}

@@ -1,0 +1,134 @@
+"""What a case is read from: its estimate, its fit, the truth, and the bound of its flight."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.scales import ScaleEstimate
+from sparsefit.flight import Flight
+from sparsefit.flight.flow import CellularFlow, Flow
+from sparsefit.regression.fit import Fit
+from sparsefit.regression.objective import Certificate
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.score import ScalesScore, score, score_scales
+from sparsefit.study.spec.flights import Draw
+from sparsefit.uncertainty.bound import Bound, cramer_rao
+
+PARAMETERS = ("mean_velocity", "length_scale", "timescale")  # [m/s], [m], [s]
+LISTED_DIGITS = 7  # significant, of the numbers in a listed set of scales
+INTERVAL_BITS = 17  # binary digits, of the width of an interval
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """Of one flight: its extent [m], and the Cramér-Rao bound of U0, L and tau_w, if any."""
+
+    extent: float
+    bound: Bound | None = None
+
+
+def yardstick(draw: Draw, flown: Flight) -> Yardstick:
+    """The extent of a flight, and its semiparametric Cramér-Rao bound under Eq. 7.
+
+    The bound is that of noise on v' alone at known positions: there is none without process
+    noise, with noise of position or velocity, or without a single cellular flow.
+    """
+    measured = draw.position_noise > 0 or draw.velocity_noise > 0
+    if draw.process_noise <= 0 or measured or not isinstance(draw.flow, CellularFlow):
+        return Yardstick(flown.extent)
+    noise = draw.process_noise
+    bound = cramer_rao(
+        flown.position, draw.flow, draw.vehicle, process_noise=noise, model="semiparametric"
+    )
+    return Yardstick(flown.extent, bound)
+
+
+@dataclass(frozen=True)
+class ScaleSets:
+    """Two sets of scales held against each other, each listed as JSON, [[L [m], U0 [m/s]], ...]."""
+
+    score: ScalesScore
+    true: str
+    estimated: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A case that was read; `flow` is the true one, None in still air."""
+
+    estimate: Estimate
+    fit: Fit
+    problem: RegressionProblem
+    flow: Flow | None
+    yardstick: Yardstick
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The certificate of the fit, where there is one."""
+        return self.estimate.certificate
+
+    @property
+    def hit(self) -> bool:
+        """Whether the candidate scale nearest the truth was chosen."""
+        scales, flow = self.problem.group_scales, self.flow
+        return scales is not None and flow is not None and score(self.estimate, flow, scales).hit
+
+    @cached_property
+    def scale_sets(self) -> ScaleSets | None:
+        """The set of scales held against the true one; None where one flow was read as one."""
+        return scale_sets(self.estimate, self.flow)
+
+    def bound(self, parameter: str) -> float | None:
+        """The Cramér-Rao bound of one of `PARAMETERS`, in its unit, where there is one."""
+        bound = self.yardstick.bound
+        return None if bound is None else float(getattr(bound, parameter))
+
+    def standard_error(self, parameter: str) -> float | None:
+        """The standard error of one of `PARAMETERS`, in its unit, where there is one."""
+        uncertainty = self.estimate.uncertainty
+        return None if uncertainty is None else float(getattr(uncertainty, parameter))
+
+    def interval(self, parameter: str) -> tuple[float, float] | tuple[None, None]:
+        """The 95 % interval of one of `PARAMETERS`, in its unit, where there is one."""
+        uncertainty = self.estimate.uncertainty
+        if uncertainty is None:
+            return None, None
+        return outward(*map(float, getattr(uncertainty, f"{parameter}_interval")))
+
+
+def outward(low: float, high: float) -> tuple[float, float]:
+    """The interval, 1/32768 of its width longer at most: shorter numbers to store."""
+    width = high - low
+    if not (math.isfinite(width) and width > 0):
+        return low, high
+    step = math.ldexp(1.0, math.frexp(width)[1] - INTERVAL_BITS)
+    return math.floor(low / step) * step, math.ceil(high / step) * step
+
+
+def scale_sets(estimate: Estimate, flow: Flow | None) -> ScaleSets | None:
+    """The set of scales of an estimate held against the true one; None where one is read as one.
+
+    A readout of one scale on superposed flows counts as the set of that scale.
+    """
+    if flow is None or (len(flow.components) == 1 and not estimate.scales):
+        return None
+    scales = estimate.scales or _alone(estimate)
+    return ScaleSets(score_scales(scales, flow), _listed(flow.components), _listed(scales))
+
+
+def _alone(estimate: Estimate) -> tuple[ScaleEstimate, ...]:
+    scale, speed = estimate.length_scale, estimate.mean_velocity
+    if not math.isfinite(scale) or not math.isfinite(speed):
+        return ()
+    return (ScaleEstimate(speed, scale, estimate.timescale, estimate.grid_length_scale),)
+
+
+def _listed(scales: Sequence[CellularFlow | ScaleEstimate]) -> str:
+    pairs = [(scale.length_scale, scale.mean_velocity) for scale in scales]
+    rounded = [[float(f"{value:.{LISTED_DIGITS}g}") for value in pair] for pair in pairs]
+    return json.dumps(rounded, separators=(",", ":"))
