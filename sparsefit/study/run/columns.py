@@ -87,6 +87,11 @@ def _truth(parameter: str) -> Column:
     )
 
 
+def _of_certificate(name: str, kind: Kind, field: str) -> Column:
+    """A field of the certificate of the fit, where there is one."""
+    return Column(name, kind, read=lambda case: getattr(case.estimate.certificate, field, None))
+
+
 def _of_scales(name: str, kind: Kind, read: Callable[[ScaleSets], Value]) -> Column:
     """What is said of several scales at once: nothing where one flow is read as one."""
     return Column(
@@ -115,8 +120,8 @@ COLUMNS: tuple[Column, ...] = (
     *_three("est", REAL, lambda case, name: getattr(case.estimate, name)),
     Column("grid_length_scale", LEVEL, read=lambda case: case.estimate.grid_length_scale),
     Column("hit", FLAG, read=lambda case: case.hit),
-    Column("certificate_kind", TEXT, read=lambda case: getattr(case.certificate, "kind", None)),
-    Column("certificate", SINGLE, read=lambda case: getattr(case.certificate, "value", None)),
+    _of_certificate("certificate_kind", TEXT, "kind"),
+    _of_certificate("certificate", SINGLE, "value"),
     Column("seconds", SINGLE, read=lambda case: case.fit.seconds),
     Column("samples", WHOLE, read=lambda case: case.problem.samples),
     Column("columns", WHOLE, read=lambda case: case.problem.columns),

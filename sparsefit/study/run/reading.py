@@ -13,7 +13,6 @@ from sparsefit.estimator.scales import ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import CellularFlow, Flow
 from sparsefit.regression.fit import Fit
-from sparsefit.regression.objective import Certificate
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.score import ScalesScore, score, score_scales
 from sparsefit.study.spec.flights import Draw
@@ -66,11 +65,6 @@ class Reading:
     problem: RegressionProblem
     flow: Flow | None
     yardstick: Yardstick
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """The certificate of the fit, where there is one."""
-        return self.estimate.certificate
 
     @property
     def hit(self) -> bool:
