@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
     from sparsefit.estimator import Estimate as Estimate
+    from sparsefit.estimator.estimate import ScaleEstimate as ScaleEstimate
     from sparsefit.estimator.estimator import Estimator as Estimator
-    from sparsefit.estimator.scales import ScaleEstimate as ScaleEstimate
     from sparsefit.flight import Flight as Flight
     from sparsefit.flight import read_flight as read_flight
     from sparsefit.flight import simulate_flight as simulate_flight
@@ -58,7 +58,7 @@ _HOMES = {
     "Readout": "modes",
     "Estimate": "estimator",
     "Estimator": "estimator",
-    "ScaleEstimate": "estimator.scales",
+    "ScaleEstimate": "estimator",
     "ScalesScore": "score",
     "Score": "score",
     "score": "score",

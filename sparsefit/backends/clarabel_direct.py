@@ -12,8 +12,7 @@ from scipy import sparse
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.backend import Solution, SolutionStatus
-from sparsefit.regression.objective import Penalty, alpha_max
-from sparsefit.regression.statistics import Statistics
+from sparsefit.regression.objective import Penalty, Statistics, alpha_max
 
 STATUS: dict[str, SolutionStatus] = {
     "Solved": "ok",

@@ -9,8 +9,7 @@ from sparsefit.cli.output import duration
 from sparsefit.cli.parser import shown
 
 if TYPE_CHECKING:
-    from sparsefit.estimator.estimate import Estimate
-    from sparsefit.estimator.scales import ScaleEstimate
+    from sparsefit.estimator.estimate import Estimate, ScaleEstimate
     from sparsefit.flight import Flight
 
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing

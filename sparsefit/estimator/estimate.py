@@ -4,9 +4,28 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from sparsefit.estimator.scales import ScaleEstimate
-from sparsefit.regression.certificate import Certificate
+from sparsefit.estimator.doubt import Doubt
+from sparsefit.regression.objective import Certificate
 from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """One cellular flow of several.
+
+    Args:
+        mean_velocity: U0 [m/s].
+        length_scale: L [m].
+        timescale: L/U0 [s], NaN where U0 is 0.
+        grid_length_scale: the candidate behind it [m].
+        uncertainty: of a refined scale with the ``rms`` mean velocity, all scales fitted together.
+    """
+
+    mean_velocity: float
+    length_scale: float
+    timescale: float
+    grid_length_scale: float
+    uncertainty: Uncertainty | None = None
 
 
 @dataclass(frozen=True)
@@ -22,7 +41,8 @@ class Estimate:
     parameters are those of the first. uncertainty: of a refined scale with the ``rms`` mean
     velocity, `unidentifiable` or not: it holds within the lobe that was chosen, and says nothing
     of its rival; None with other readouts and below 21 samples; of several scales each has its
-    own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow.
+    own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow. doubt:
+    what kind of doubt the reason of an `unidentifiable` flow puts in words.
     """
 
     mean_velocity: float
@@ -45,6 +65,7 @@ class Estimate:
     wind: tuple[float, float] | None = None
     scales: tuple[ScaleEstimate, ...] = ()
     vehicle_uncertainty: VehicleUncertainty | None = None
+    doubt: Doubt | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

@@ -45,7 +45,7 @@ class CellularFlow:
 
     @property
     def wavenumber(self) -> float:
-        """The wavenumber pi / L [1/m]."""
+        """Return pi / L [1/m]."""
         return math.pi / self.length_scale
 
     @property
@@ -59,10 +59,7 @@ class CellularFlow:
         return (0.0, 0.0)
 
     def velocity(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return the flow velocity w [m/s], shape (..., 2), at positions x, y [m] (Eq. 1).
-
-        x and y are broadcast against each other to the shape (...).
-        """
+        """Return the flow velocity [m/s], shape (..., 2), at positions x, y [m] (Eq. 1)."""
         east, north = np.broadcast_arrays(
             self.wavenumber * np.asarray(x, dtype=np.float64),
             self.wavenumber * np.asarray(y, dtype=np.float64),
@@ -89,15 +86,14 @@ class SuperposedFlow:
 
     def __post_init__(self) -> None:
         """Check the components and the wind, and store them as tuples."""
-        given = self.components
-        parts = tuple(given) if isinstance(given, (tuple, list)) else ()
+        found = self.components
+        parts = tuple(found) if isinstance(found, (tuple, list)) else ()
         object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
-        only_wind = given == () and any(self.wind)
-        cellular = bool(parts) and all(isinstance(part, CellularFlow) for part in parts)
-        if not (only_wind or cellular):
+        bare = found == () and any(self.wind)
+        if not bare and (not parts or not all(isinstance(part, CellularFlow) for part in parts)):
             raise InputError(
                 "SuperposedFlow needs a tuple of at least one CellularFlow, "
-                f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {given!r}"
+                f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {found!r}"
             )
         object.__setattr__(self, "components", parts)
 

@@ -24,6 +24,7 @@ from sparsefit.errors import InputError, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 
 UNKNOWNS = ("response_time", "thrust_acceleration", "wind")
+LOST = 1e-9  # of the columns' inner products: the error of Fourier sums
 RANK = 1e-10  # singular values of N below this, relative, are dropped
 SPANNED = 1e-9  # of a candidate's norm; what is left of it beside N is rounding
 
@@ -115,6 +116,28 @@ class Nuisance:
         )
         return np.array([np.stack(one, axis=1) for one in both])
 
+    def regressed(self, products: Array) -> Array:
+        """RSS (q,) of Phi on the columns, from inner products (q, 2 + j, 2 + j).
+
+        Those of Phi_x, Phi_y and the j rows of `series`.
+        """
+        pairs = [[None if i is None else i + 2 for i in pair] for pair in self.pairs]
+        gram = np.zeros((len(products), len(pairs), len(pairs)))
+        load = np.zeros((len(products), len(pairs), 1))
+        for component in range(2):
+            for row, first in enumerate(pair[component] for pair in pairs):
+                if first is None:
+                    continue
+                load[:, row, 0] += products[:, first, component]
+                for column, second in enumerate(pair[component] for pair in pairs):
+                    if second is not None:
+                        gram[:, row, column] += products[:, first, second]
+        sizes = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+        gram += LOST * sizes * np.eye(len(pairs))
+        explained = np.sum(load * np.linalg.solve(gram, load), axis=(1, 2))
+        residuals: Array = products[:, 0, 0] + products[:, 1, 1] - explained
+        return residuals
+
     def basis(self, velocity: Array) -> Array:
         """An orthonormal basis (m, r) of the span of `series`.
 
@@ -125,10 +148,14 @@ class Nuisance:
         kept: Array = left[:, roots > RANK * roots[0]]
         return kept
 
+    def ratio(self, coefficients: Array) -> float:
+        """tau_0 / tau, by which Phi of the believed vehicle is the true one's."""
+        return 1.0 - float(coefficients[0]) if self.shared else 1.0
+
     def read(self, coefficients: Array) -> VehicleEstimate:
         """The parameters from the coefficients (p,) of `columns`."""
         tau, thrust = self.believed.response_time, self.believed.thrust_acceleration
-        ratio = 1.0 - float(coefficients[0]) if self.shared else 1.0
+        ratio = self.ratio(coefficients)
         shift = coefficients[-2:] if self.constant else np.zeros(2)
         wind = np.zeros(2)
         if "thrust_acceleration" in self.unknown:

@@ -2,17 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of
 from sparsefit.library.builder import candidate_columns
+from sparsefit.library.cells import peak_mean_velocity, rms_mean_velocity
 from sparsefit.regression.problem import RegressionProblem
-
-if TYPE_CHECKING:
-    from sparsefit.modes.rows import Rows
 
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
@@ -20,7 +18,6 @@ Eq24 = Literal["mean-ratio", "pseudo-inverse"]
 Refine = Literal["none", "variable-projection"]
 Scales = Literal["one", "several"]
 Correction = Literal["none", "first-order"]
-CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 
 
 @dataclass(frozen=True)
@@ -78,29 +75,22 @@ class Readout:
         return np.sqrt(sums) if self.length_scale == "group-norm" else sums
 
     def velocity(
-        self,
-        position: Array,
-        flow_velocity: Array,
-        target: Array,
-        length_scale: float,
-        rows: "Rows | None" = None,
+        self, position: Array, flow_velocity: Array, target: Array, length_scale: float
     ) -> float:
-        """U0 [m/s] at a length scale [m]; NaN where the readout has no finite answer.
+        """U0 [m/s] at a length scale [m], refitted; NaN where the readout has no finite answer.
 
-        position, flow_velocity Phi (m, 2); target (m, n) is what the library was regressed on,
-        its last two columns the velocity components: Eq. 22 normalises its refit.
-        rows: refitted in their place, but for ``paper``, which compares sample by sample.
+        Args:
+            position: (m, 2) [m].
+            flow_velocity: Phi (m, 2) [m/s].
+            target: what the library was regressed on (m, n), its last two columns the velocity
+                components: Eq. 22 normalises its refit.
+            length_scale: L [m].
         """
         columns = candidate_columns(position, np.array([length_scale]))
         if self.mean_velocity == "paper":
             field = columns @ _refit(columns, target[:, -2:])
             return paper_mean_velocity(field, flow_velocity, self.eq24)
-        weights = _refit(columns, flow_velocity) if rows is None else rows.weights(length_scale)
-        return (
-            rms_mean_velocity(weights)
-            if self.mean_velocity == "rms"
-            else peak_mean_velocity(weights)
-        )
+        return mean_velocity_of(_refit(columns, flow_velocity), self.mean_velocity)
 
 
 def _refit(columns: Array, target: Array) -> Array:
@@ -121,33 +111,6 @@ def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
         return float(np.sum(flow_velocity * normal) / np.sum(normal * normal))
 
 
-def rms_mean_velocity(weights: Array) -> float:
-    """U0 = sqrt(2 <|w|^2>) over the cell, in closed form.
-
-    weights (8, 2) in the order of CANDIDATES: a single has mean square 1/2, a product 1/4; the
-    cellular flow of Eq. 1 has <|w|^2> = U0^2 / 2.
-    """
-    return float(np.sqrt(2 * (0.5 * np.sum(weights[:4] ** 2) + 0.25 * np.sum(weights[4:] ** 2))))
-
-
-def peak_mean_velocity(weights: Array) -> float:
-    """Largest |w| over the cell, for weights (8, 2): U0 for the cellular flow of Eq. 1."""
-    from scipy.optimize import minimize
-
-    def speed_square(phases: Array) -> Array:
-        velocity = candidate_columns(phases, np.array([np.pi])) @ weights
-        square: Array = np.sum(velocity**2, axis=1)
-        return square
-
-    axis = np.linspace(0, 2 * np.pi, CELL_POINTS, endpoint=False)
-    cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    squares = speed_square(cell)
-    top = float(squares.max())
-    if not top > 0:
-        return top
-
-    def loss(phase: Array) -> float:
-        return -float(speed_square(phase[None, :])[0]) / top
-
-    best = minimize(loss, cell[int(squares.argmax())], tol=1e-14)
-    return float(np.sqrt(-best.fun * top))
+def mean_velocity_of(weights: Array, readout: MeanVelocityReadout) -> float:
+    """U0 [m/s] by its readout, ``rms`` or ``peak``, from the weights (8, 2) [m/s] of one mode."""
+    return rms_mean_velocity(weights) if readout == "rms" else peak_mean_velocity(weights)

@@ -12,7 +12,7 @@ import numpy as np
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, positive
-from sparsefit.modes.readout import rms_mean_velocity
+from sparsefit.library.cells import rms_mean_velocity
 from sparsefit.modes.refine import DX, DX_SIGN, DY, DY_SIGN, centred, columns, project
 from sparsefit.uncertainty.record import Uncertainty
 

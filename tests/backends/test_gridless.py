@@ -17,11 +17,9 @@ from sparsefit.backends.off_grid import columns_at
 from sparsefit.backends.sliding import Atoms, derivatives
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.modes.joint import descend
-from sparsefit.modes.refine import centred
+from sparsefit.modes.space import SearchSpace
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.certificate import duality_gaps
-from sparsefit.regression.objective import Penalty
+from sparsefit.regression.objective import Penalty, duality_gaps
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import VEHICLE, flight, flight_problem
 from tests.references import dual_certificate
@@ -156,9 +154,9 @@ def test_single_flow_noise_free(seed):
     scales = solution.problem.group_scales
     strongest = scales[np.argmax(group_norms(solution.weights))]
     assert strongest == pytest.approx(3.33, rel=0.01)
-    points = centred(problem.position)
-    found = descend(points, problem.target, np.array([np.pi / strongest]), BOUNDS)
-    np.testing.assert_allclose(np.pi / found.wavenumbers, [3.33], rtol=1e-6)
+    space = SearchSpace.plain(problem.position, problem.target, BOUNDS)
+    found = space.descend(np.array([np.pi / strongest]))
+    np.testing.assert_allclose(np.pi / found.parameters, [[3.33]], rtol=1e-6)
 
 
 @pytest.mark.parametrize(("ratio", "seed"), [(1.3, 0), (1.5, 1), (2.0, 2)])
@@ -174,8 +172,9 @@ def test_two_flows_within_one_percent(ratio, seed):
         near = np.abs(scales / scale - 1) < 0.01
         assert group_norms(solution.weights)[near].sum() > 3.0
     nearest = [np.pi / scales[np.argmin(np.abs(scales - scale))] for scale in truth]
-    found = descend(centred(problem.position), problem.target, np.array(nearest), BOUNDS)
-    np.testing.assert_allclose(np.pi / found.wavenumbers, truth, rtol=1e-4)
+    space = SearchSpace.plain(problem.position, problem.target, BOUNDS)
+    found = space.descend(np.array(nearest))
+    np.testing.assert_allclose(np.pi / found.parameters[:, 0], truth, rtol=1e-4)
 
 
 def test_a_small_penalty_on_a_short_flight():

@@ -12,8 +12,7 @@ from problems import flight
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.estimator.scales import proposals
-from sparsefit.modes.scale_search import Window
+from sparsefit.modes.proposals import Window, proposals
 from sparsefit.score import score_scales
 
 SEVERAL = sf.Readout(scales="several")

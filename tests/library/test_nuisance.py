@@ -11,10 +11,13 @@ from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
 from sparsefit.library import builder as library
 from sparsefit.library.builder import Library
+from sparsefit.library.cells import Cells
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate, project_out
-from sparsefit.modes.refine import centred, columns, project, refine, scan
-from sparsefit.modes.rows import Rows
+from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.projection import project
+from sparsefit.modes.search import locate_one
+from sparsefit.modes.space import SearchSpace
 from sparsefit.regression.problem import RegressionProblem
 
 GRID = LengthScaleGrid(2.0, 7.0, step=0.5)
@@ -43,16 +46,15 @@ def flown(unknown=(), vehicle=WRONG, **noise):
 def rows_of(unknown, method="auto", **noise):
     flight = flown(unknown, **noise)
     samples = Derivative(method)(flight)
-    return Rows.of(samples, flight.vehicle, unknown), samples, flight
+    return Rows.of(samples.weak or samples, flight.vehicle, unknown), samples, flight
 
 
 def stacked(rows, k):
     """The joint design of both components, the slow way: 16 weights and the unknown columns."""
-    value = columns(rows.position, k)[0]
-    value = value if rows.operator is None else rows.operator @ value
+    value = rows.averaged(Cells().values(rows.position, np.array([[k]]))[0]).T
     zero = np.zeros_like(value)
     design = np.block([[value, zero], [zero, value]])
-    return np.hstack([design, rows.columns.reshape(len(design), -1)]), rows.target.T.ravel()
+    return np.hstack([design, rows.nuisance.reshape(len(design), -1)]), rows.target.T.ravel()
 
 
 @pytest.mark.parametrize("method", ["auto", "weak"])
@@ -115,20 +117,8 @@ def test_projecting_out_is_the_joint_penalised_problem():
     np.testing.assert_allclose(found.weights, weights.value, atol=1e-5)
 
 
-def test_plain_rows_are_the_plain_projection():
-    samples = Derivative()(flown(velocity_noise=0.3))
-    rows = Rows(
-        centred(samples.position),
-        samples.flow_velocity(VEHICLE),
-        Nuisance((), VEHICLE),
-        np.zeros((2, len(samples.time), 0)),
-        np.zeros((0, len(samples.time))),
-    )
-    for k in (0.5, 0.75, 1.2):
-        one, other = rows.project(k), project(rows.position, rows.target, k)
-        assert one.residual == pytest.approx(other.residual, rel=1e-9)
-        assert one.move == pytest.approx(other.move, rel=1e-6)
-        np.testing.assert_allclose(one.weights, other.weights, rtol=1e-6, atol=1e-9)
+def at(rows, k):
+    return project(Cells(), rows, np.array([[k]]))
 
 
 @pytest.mark.parametrize("method", ["auto", "weak"])
@@ -138,29 +128,29 @@ def test_the_fit_is_joint_least_squares(unknown, method):
     for k in (0.5, 0.7462, 1.2):
         design, target = stacked(rows, k)
         found, residual = np.linalg.lstsq(design, target)[:2]
-        assert rows.project(k).residual == pytest.approx(residual[0], rel=1e-9)
-        np.testing.assert_allclose(
-            rows.project(k).weights.T.ravel(), found[:16], rtol=1e-5, atol=1e-7
-        )
+        assert at(rows, k).residual == pytest.approx(residual[0], rel=1e-9)
+        np.testing.assert_allclose(at(rows, k).weights.T.ravel(), found[:16], rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("unknown", EVERY)
 def test_the_scan_is_the_residual(unknown):
     rows, samples, flight = rows_of(unknown, velocity_noise=0.3)
-    phi = samples.flow_velocity(flight.vehicle)
-    step, first, last = 0.01, 40, 150
-    curve = scan(samples.position, phi, step, first, last, rows)
-    expected = np.array([rows.project(step * j).residual for j in range(first, last + 1)])
-    np.testing.assert_allclose(curve, expected, rtol=2e-3, atol=1e-4 * float(np.sum(phi**2)))
+    space = SearchSpace.of(samples, flight.vehicle, (0.4, 1.5), unknown)
+    curve = space.residuals(space.empty)
+    expected = np.array([at(rows, k).residual for k in space.scan.wavenumbers.tolist()])
+    size = float(np.sum(rows.target**2))
+    np.testing.assert_allclose(curve, expected, rtol=2e-3, atol=1e-4 * size)
     assert curve.argmin() == expected.argmin()
 
 
 @pytest.mark.parametrize("method", ["auto", "weak"])
 def test_the_move_is_the_gauss_newton_step(method):
-    rows, samples, flight = rows_of(("response_time", "wind"), method)
-    phi = samples.flow_velocity(flight.vehicle)
-    k = refine(samples.position, phi, lower=2.0, upper=7.0, rows=rows).wavenumber
-    assert k + 1e-4 + rows.project(k + 1e-4).move == pytest.approx(k, abs=1e-6)
+    unknown = ("response_time", "wind")
+    rows, samples, flight = rows_of(unknown, method)
+    bounds = (math.pi / 7.0, math.pi / 2.0)
+    found = locate_one(SearchSpace.of(samples, flight.vehicle, bounds, unknown))
+    k = float(found.wavenumbers[0])
+    assert k + 1e-4 + at(rows, k + 1e-4).moves[0, 0] == pytest.approx(k, abs=1e-6)
 
 
 @pytest.mark.parametrize("method", ["auto", "weak"])

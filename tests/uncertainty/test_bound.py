@@ -6,7 +6,7 @@ import pytest
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.modes.readout import rms_mean_velocity
+from sparsefit.library.cells import rms_mean_velocity
 from sparsefit.modes.refine import centred, columns, project, refine
 from sparsefit.uncertainty import uncertainty
 from sparsefit.uncertainty.bound import cramer_rao, parametric_jacobian, semiparametric

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from sparsefit.estimator.prepared import Prepared
+from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
 from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.fit import Fit, path

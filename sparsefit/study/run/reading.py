@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from sparsefit.estimator.estimate import Estimate
-from sparsefit.estimator.scales import ScaleEstimate
+from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import CellularFlow, Flow
 from sparsefit.regression.fit import Fit

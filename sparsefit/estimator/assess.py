@@ -1,0 +1,127 @@
+"""What is read at the modes of a flight: their parameters, how sure they are, and the vehicle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.estimator.estimate import ScaleEstimate
+from sparsefit.estimator.locate import Place
+from sparsefit.estimator.prepare import Prepared
+from sparsefit.library.cells import Cells
+from sparsefit.library.nuisance import Nuisance, VehicleEstimate
+from sparsefit.modes.projection import Projection, project
+from sparsefit.modes.readout import Readout, mean_velocity_of
+from sparsefit.modes.rows import Rows as AssessedRows
+from sparsefit.uncertainty import (
+    Assessment,
+    Uncertainty,
+    VehicleUncertainty,
+    assess,
+    assess_rows,
+    assess_scales,
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The cellular flows of a flight, fastest first, and what was unknown of the vehicle.
+
+    assessed: whether standard errors were sought.
+    """
+
+    scales: tuple[ScaleEstimate, ...]
+    vehicle: VehicleEstimate | None = None
+    vehicle_uncertainty: VehicleUncertainty | None = None
+    assessed: bool = False
+
+    @property
+    def impossible(self) -> bool:
+        """Whether the vehicle that fits best cannot be."""
+        return self.vehicle is not None and not self.vehicle.possible
+
+
+def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
+    """The parameters at the modes; standard errors of refined modes with the ``rms`` readout."""
+    assessed = place.located is not None and readout.mean_velocity == "rms"
+    if readout.scales == "several":
+        return _several(prepared, place, readout, assessed)
+    if assessed:
+        known = _assessment(prepared, place, readout.correction != "none")
+        if known is not None:
+            scale = ScaleEstimate(*known.values, place.candidates[0], known.uncertainty)
+            return Reading((scale,), known.vehicle, known.vehicle_uncertainty, True)
+    length_scale, vehicle = place.length_scales[0], None
+    if prepared.library.unknown:
+        fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])
+        vehicle = _nuisance(prepared).read(fit.coefficients)
+    speed = _mean_velocity(prepared, place, readout, vehicle)
+    return Reading((_scale(speed, length_scale, place.candidates[0]),), vehicle, None, assessed)
+
+
+def _nuisance(prepared: Prepared) -> Nuisance:
+    return Nuisance(prepared.library.unknown, prepared.vehicle)
+
+
+def _scale(speed: float, length_scale: float, candidate: float) -> ScaleEstimate:
+    timescale = length_scale / speed if speed else math.nan
+    return ScaleEstimate(speed, length_scale, timescale, candidate)
+
+
+def _mean_velocity(
+    prepared: Prepared, place: Place, readout: Readout, vehicle: VehicleEstimate | None
+) -> float:
+    """U0 of the one mode at its place, by the vehicle that fits it best where it is unknown."""
+    samples, phi, target = prepared.samples, prepared.flow_velocity, prepared.target
+    if vehicle is not None:
+        if not vehicle.possible:
+            return math.nan
+        phi = target = vehicle.flow_velocity(samples.velocity, samples.acceleration)
+    plain = vehicle is None and samples.weak is None
+    if plain or readout.mean_velocity == "paper":
+        return readout.velocity(samples.position, phi, target, place.length_scales[0])
+    fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])
+    return mean_velocity_of(_true_weights(prepared, fit)[0], readout.mean_velocity)
+
+
+def _true_weights(prepared: Prepared, fit: Projection) -> np.ndarray:
+    """Weights (s, 8, 2) in units of the true Phi, where that of the believed vehicle is scaled."""
+    return fit.weights / _nuisance(prepared).ratio(fit.coefficients)
+
+
+def _assessment(prepared: Prepared, place: Place, correct: bool) -> Assessment | None:
+    k = float(place.wavenumbers[0])
+    samples, vehicle = prepared.samples, prepared.vehicle
+
+    def assessed() -> Assessment | None:
+        rows = AssessedRows.of(samples, vehicle, prepared.library.unknown)
+        if rows is not None:
+            return assess_rows(samples, rows, k)
+        phi = prepared.flow_velocity
+        return assess(samples, phi, k, vehicle.response_time, correct=correct)
+
+    return prepared.once(("assessed", k, correct), assessed)
+
+
+def _several(prepared: Prepared, place: Place, readout: Readout, assessed: bool) -> Reading:
+    assert place.fit is not None
+    weights = _true_weights(prepared, place.fit)
+    speeds = [mean_velocity_of(own, readout.mean_velocity) for own in weights]
+    known: tuple[Uncertainty | None, ...] = (None,) * len(speeds)
+    if assessed:
+        known = assess_scales(
+            prepared.samples,
+            prepared.flow_velocity,
+            place.wavenumbers,
+            prepared.vehicle.response_time,
+        )
+    scales = [
+        ScaleEstimate(speed, scale, scale / speed if speed > 0 else math.nan, candidate, own)
+        for speed, scale, candidate, own in zip(
+            speeds, place.length_scales, place.candidates, known, strict=True
+        )
+    ]
+    scales.sort(key=lambda scale: -scale.mean_velocity)
+    return Reading(tuple(scales), assessed=assessed)

@@ -1,0 +1,147 @@
+"""Whether a flight tells its flow, and why not, as a pilot would say it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sparsefit.derivative import Samples
+from sparsefit.estimator.doubt import Doubt, Verdict
+from sparsefit.estimator.estimate import ScaleEstimate
+from sparsefit.modes.search import Located
+from sparsefit.modes.space import FALSE_ALARM
+from sparsefit.uncertainty import LAGS
+
+CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
+RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
+
+
+def judge(
+    located: Located, scales: Sequence[ScaleEstimate], samples: Samples, *, assessed: bool
+) -> Verdict | None:
+    """The first reason not to believe modes off the grid; None where there is none.
+
+    Args:
+        located: the modes and their rivals.
+        scales: the estimates of the modes, fastest first.
+        samples: of the flight.
+        assessed: whether standard errors were asked for: values known too poorly are doubted.
+    """
+    return (
+        _still(located, samples)
+        or _few(located)
+        or _undersampled(located, samples)
+        or _undetected(located)
+        or _at_edge(located)
+        or _left_over(located)
+        or _mistaken(located)
+        or (imprecise(scales) if assessed else None)
+    )
+
+
+def imprecise(scales: Sequence[ScaleEstimate]) -> Verdict | None:
+    """Whether a value is known too poorly.
+
+    Every value must be told at all, and those of the fastest flow well; a weak flow beside it may
+    be known less well, as its intervals say.
+    """
+    for place, scale in enumerate(scales):
+        known = scale.uncertainty
+        if known is None:
+            if len(scales) == 1:  # `_few` has counted the samples
+                return None
+            words = "too few samples for a standard error; fly longer, or sample faster"
+            return Verdict.against(Doubt.FEW_SAMPLES, words)
+        if not place or not math.isfinite(known.mean_velocity + known.length_scale):
+            wide = known.wide((scale.mean_velocity, scale.length_scale, scale.timescale))
+            if wide:
+                return Verdict.against(Doubt.IMPRECISE, wide)
+    return None
+
+
+def _still(located: Located, samples: Samples) -> Verdict | None:
+    speed = float(np.abs(samples.velocity).max())
+    if float(np.abs(located.space.empty.rest).max()) > CALM * speed:
+        return None
+    return Verdict.against(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
+
+
+def _few(located: Located) -> Verdict | None:
+    """Of fewer values of Phi than this nothing is known of their errors."""
+    samples = len(located.space.rows.target)
+    unknowns = located.space.parameters * len(located.candidates)
+    if samples > max(LAGS, unknowns if len(located.candidates) > 1 else 0):
+        return None
+    words = f"{samples} samples are too few for the {unknowns} unknowns of "
+    words += "a length scale" if len(located.candidates) == 1 else "the length scales"
+    return Verdict.against(Doubt.FEW_SAMPLES, f"{words}; fly longer, or sample faster")
+
+
+def _undersampled(located: Located, samples: Samples) -> Verdict | None:
+    """A scale that is told must be resolved; where none is, the least one that was searched."""
+    steps = np.diff(samples.time)
+    if not len(steps):
+        return None
+    step, lower = float(np.median(steps)), math.pi / located.space.bounds[1]
+    speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
+    least = math.pi / float(located.wavenumbers.max()) if located.identifiable else lower
+    moved = speed * step
+    if moved * RESOLVED <= least or 2 * moved <= lower:
+        return None
+    return Verdict.against(
+        Doubt.UNDERSAMPLED,
+        f"the flight moves {moved:.3g} m from sample to sample, too far to follow a length scale "
+        f"of {least:.3g} m; sample at {RESOLVED * speed / least:.3g} Hz or more",
+    )
+
+
+def _undetected(located: Located) -> Verdict | None:
+    if located.detected:
+        return None
+    return Verdict.against(
+        Doubt.NO_FLOW,
+        "no cellular flow detected: no length scale explains more than a uniform wind does, "
+        f"at {1 / FALSE_ALARM:.0f} to 1 against a false alarm",
+    )
+
+
+def _at_edge(located: Located) -> Verdict | None:
+    if math.isnan(located.edge):
+        return None
+    which = "the best" if len(located.candidates) == 1 else "a"
+    return Verdict.against(
+        Doubt.EDGE,
+        f"{which} length scale is at the edge of the search, {math.pi / located.edge:.3g} m; "
+        "widen the grid's bounds",
+    )
+
+
+def _left_over(located: Located) -> Verdict | None:
+    if math.isnan(located.left_over):
+        return None
+    return Verdict.against(
+        Doubt.LEFT_OVER,
+        f"another flow is left, of {math.pi / located.left_over:.3g} m, that the back-end did "
+        "not propose",
+    )
+
+
+def _mistaken(located: Located) -> Verdict | None:
+    """Whether a mode could be its rival."""
+    if located.rival is None:
+        return None
+    scale, other = (math.pi / k for k in (located.rival.mode_wavenumber, located.rival.wavenumber))
+    if located.beaten:
+        words = f"{other:.3g} m fits better than {scale:.3g} m, and the back-end did not propose it"
+        return Verdict.against(Doubt.BEATEN, words)
+    if located.distinct:
+        return None
+    extent = located.space.extent
+    short = f", less than one cell of {scale:.3g} m" if extent < scale else ""
+    return Verdict.against(
+        Doubt.RIVAL,
+        f"cannot tell {scale:.3g} m from {other:.3g} m: the flight covers {extent:.3g} m{short}, "
+        "or too straight a line; fly farther, or turn",
+    )

@@ -1,0 +1,161 @@
+"""The cells of every length scale at once: inner products on a grid of wavenumbers.
+
+Entries of C(k)'C(k) and C(k)'w are sums of exp(i k s) over the rows, with or without weights w,
+s = p x + q y: non-uniform Fourier transforms give them for all k of a uniform grid (finufft;
+Barnett, Magland and af Klinteberg, 2019). The span of the 8 candidates is that of cos k s and
+sin k s for four plane waves s, in which the Gram matrix is made; `CANDIDATES_OF_WAVES` leads back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array, ComplexArray, IntArray
+from sparsefit.cached import cached_property
+from sparsefit.library.cells import WAVES
+
+STEP = 0.15  # of a scan, in 1/extent: 0.6 steps over lobes of the residual
+FEWEST = 8  # steps of a scan, however narrow the interval
+ACCURACY = 1e-9  # of the Fourier sums, relative to the number of rows
+RIDGE = 1e-6  # of the Gram matrix: above the error of its sums, and 2e-6 of |w|^2 at most
+UNKNOWN_RMS = 1e-6  # the square below which a column's mean square is lost in the sums' error
+Bounds = tuple[float, float]
+
+# The 8 candidates from cos k s, then sin k s, of s = x, y, x + y, x - y.
+CANDIDATES_OF_WAVES = np.zeros((8, 8))
+CANDIDATES_OF_WAVES[[0, 1, 2, 3], [4, 5, 0, 1]] = 1.0
+for _candidate, _waves, _signs in (
+    (4, (3, 2), (0.5, -0.5)),
+    (5, (6, 7), (0.5, 0.5)),
+    (6, (6, 7), (0.5, -0.5)),
+    (7, (3, 2), (0.5, 0.5)),
+):
+    CANDIDATES_OF_WAVES[_candidate, list(_waves)] = _signs
+
+
+@dataclass(frozen=True, eq=False)
+class CellScan:
+    """The columns of one mode of cells at every wavenumber of a grid, over one flight's rows.
+
+    Args:
+        position: of the rows, from the middle of their bounding box (m, 2) [m].
+        centre: the middle of the box, to which the candidates' phases refer, (2,) [m].
+        wavenumbers: k (q,) [1/m], uniform, both bounds included.
+        step: between them [1/m].
+    """
+
+    position: Array
+    centre: Array
+    wavenumbers: Array
+    step: float
+
+    @classmethod
+    def of(cls, position: Array, bounds: Bounds) -> CellScan:
+        """The scan over bounds of k [1/m] at a step that resolves the lobes of the rows.
+
+        position (m, 2) [m]: the phases of the candidates are those at these positions. The rows
+        must not all be in one place.
+        """
+        low, high = bounds
+        steps = scan_steps(position, bounds)
+        centre = 0.5 * (position.max(axis=0) + position.min(axis=0))
+        step = (high - low) / steps if steps else STEP / extent_of(position)
+        wavenumbers: Array = low + step * np.arange(steps + 1, dtype=float)
+        return cls(position - centre, centre, wavenumbers, step)
+
+    def sums(self, wave: Array, loads: Array) -> ComplexArray:
+        """Sums of w exp(i k s), s = p x + q y for wave (p, q), of loads w (j, m): (j, q)."""
+        import finufft
+
+        place, middle = self.position @ wave, len(self.wavenumbers) // 2
+        turned = loads * np.exp(1j * float(self.wavenumbers[middle]) * place)
+        sums: ComplexArray = finufft.nufft1d1(
+            (place * self.step).astype(float, copy=False),
+            np.ascontiguousarray(turned),
+            len(self.wavenumbers),
+            eps=ACCURACY,
+            isign=1,
+            nthreads=1,
+        ).reshape(len(loads), -1)
+        shift = float(self.centre @ wave)
+        return sums * np.exp(1j * shift * self.wavenumbers) if shift else sums
+
+    @cached_property
+    def factor(self) -> Array:
+        """Cholesky factors (8, 8, q) of the Gram matrices of the waves, with a ridge."""
+        gram = self.gram
+        gram[:, range(8), range(8)] += RIDGE * len(self.position)
+        return np.ascontiguousarray(np.linalg.cholesky(gram).transpose(1, 2, 0))
+
+    @property
+    def gram(self) -> Array:
+        """Gram matrices (q, 8, 8) of the cosines and sines of the waves.
+
+        Products of two waves a and b are waves of a + b and a - b.
+        """
+        ones = np.ones((1, len(self.position)))
+        sums = np.empty((25, len(self.wavenumbers)), complex)  # (p, q) = divmod(i, 5) - 2
+        sums[12] = len(self.position)
+        for i in range(12):
+            sums[i] = self.sums(np.array(divmod(i, 5)) - 2.0, ones)[0]
+            sums[24 - i] = sums[i].conj()
+        minus, plus = (sums[(WAVES[:, None] + sign * WAVES + 2) @ (5, 1)] for sign in (-1, 1))
+        cosines = np.concatenate([(plus + minus).real, (plus - minus).imag], axis=1)
+        sines = np.concatenate([(plus + minus).imag, (minus - plus).real], axis=1)
+        gram = 0.5 * np.concatenate([cosines, sines], axis=0).transpose(2, 0, 1)
+        return np.ascontiguousarray(gram)
+
+    def cross(self, loads: Array) -> Array:
+        """Inner products (q, 8, j) of the waves' cosines and sines with loads (j, m)."""
+        sums = np.stack([self.sums(wave.astype(float), loads) for wave in WAVES])
+        return np.concatenate([sums.real, sums.imag]).transpose(2, 0, 1)
+
+    def freed(self, loads: Array) -> Array:
+        """Inner products (q, j, j) of loads (j, m) less what the columns at each k explain."""
+        cross, factor = np.ascontiguousarray(self.cross(loads).transpose(1, 2, 0)), self.factor
+        for i in range(8):  # forward substitution, for all k at once
+            cross[i] -= np.einsum("lq,ljq->jq", factor[i, :i], cross[:i])
+            cross[i] /= factor[i, i]
+        left: Array = loads @ loads.T - np.einsum("ijq,ilq->qjl", cross, cross)
+        return left
+
+    @cached_property
+    def rms(self) -> Array:
+        """The rms of each candidate (q, 8); a thousandth where the sums cannot tell it from 0."""
+        ones = np.ones((1, len(self.position)))
+        doubled = (self.sums(2.0 * wave, ones)[0].real / len(self.position) for wave in WAVES)
+        c_x, c_y, c_plus, c_minus = doubled
+        pair, cross = c_x + c_y, 0.5 * (c_plus + c_minus)
+        squares = [(1 - c_x) / 2, (1 - c_y) / 2, (1 + c_x) / 2, (1 + c_y) / 2]
+        squares += [(1 - pair + cross) / 4, (1 - c_x + c_y - cross) / 4]
+        squares += [(1 + c_x - c_y - cross) / 4, (1 + pair + cross) / 4]
+        rms: Array = np.sqrt(np.maximum(np.stack(squares, axis=-1), UNKNOWN_RMS))
+        return rms
+
+    def heights(self, residual: Array) -> Array:
+        """|Z(k)'R|_F / m (q,) of a residual (m, n), Z the candidates in columns of unit rms."""
+        cross = self.cross(np.ascontiguousarray(residual.T) / len(residual))
+        scaled = (CANDIDATES_OF_WAVES @ cross) / self.rms[:, :, None]
+        heights: Array = np.sqrt(np.sum(scaled**2, axis=(1, 2)))
+        return heights
+
+
+def extent_of(position: Array) -> float:
+    """The larger side of the bounding box of positions (m, 2) [m]."""
+    return float(np.ptp(position, axis=0).max())
+
+
+def scan_steps(position: Array, bounds: Bounds) -> int:
+    """The steps that a scan over bounds of k [1/m] takes: they grow with extent and interval."""
+    steps = math.ceil((bounds[1] - bounds[0]) * extent_of(position) / STEP * (1 - 1e-12))
+    return max(steps, FEWEST) if bounds[1] > bounds[0] else 0
+
+
+def local_maxima(curve: Array) -> IntArray:
+    """Indices of the local maxima of a curve (q,), its ends included, highest first."""
+    padded = np.concatenate([[-np.inf], curve, [-np.inf]])
+    tops = np.flatnonzero((curve >= padded[:-2]) & (curve >= padded[2:]))
+    return tops[np.argsort(-curve[tops], kind="stable")]
