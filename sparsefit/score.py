@@ -6,23 +6,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_real
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight.flow import CellularFlow, Flow
 
-TOLERANCE = 0.05  # relative, of the wavenumber: nearer than this, a scale counts as detected
+DETECTED = 0.05  # relative, of the wavenumber: nearer than this, a scale counts as detected
 
 
 @dataclass(frozen=True)
 class ParameterError:
-    """Estimated minus true, in the parameter's unit and in percent of the truth."""
+    """Estimated minus true: ``signed`` in the parameter's unit, also in percent of the truth.
+
+    NaN where there is no estimate.
+    """
 
     signed: float
     signed_percent: float
 
     @property
     def absolute(self) -> float:
-        """|estimated - true|."""
+        """|estimated - true|, in the parameter's unit."""
         return abs(self.signed)
 
     @property
@@ -33,7 +36,11 @@ class ParameterError:
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of the three parameters; ``hit``: the candidate nearest the truth was chosen."""
+    """How far an estimate is from the truth.
+
+    mean_velocity [m/s], length_scale [m], timescale [s]: the errors of the three parameters.
+    hit: whether, of the candidate scales, the one nearest the truth was chosen.
+    """
 
     mean_velocity: ParameterError
     length_scale: ParameterError
@@ -42,22 +49,25 @@ class Score:
 
 
 def strongest(flow: Flow) -> CellularFlow:
-    """The fastest cellular flow of a superposition, the first of equals."""
+    """The cellular flow of largest mean velocity in ``flow``, the first of equals.
+
+    A flow that is only a wind has none: ValueError.
+    """
     return max(flow.components, key=lambda part: part.mean_velocity)
 
 
 def score(estimate: Estimate, flow: Flow, scales: Array) -> Score:
-    """Score an estimate against the true flow; scales (g,) [m] are the candidates it had.
+    """Return the errors of an estimate against the true flow, of several against the `strongest`.
 
-    Of several flows superposed, against the strongest.
+    scales: the candidate length scales [m], (g,), that the estimator had.
     """
-    flow = strongest(flow)
-    nearest = float(scales[int(np.argmin(np.abs(scales - flow.length_scale)))])
+    truth = strongest(flow)
+    nearest = float(scales[int(np.argmin(np.abs(scales - truth.length_scale)))])
     return Score(
-        _error(estimate.mean_velocity, flow.mean_velocity),
-        _error(estimate.length_scale, flow.length_scale),
-        _error(estimate.timescale, flow.timescale),
-        bool(estimate.grid_length_scale == nearest),
+        mean_velocity=_error(estimate.mean_velocity, truth.mean_velocity),
+        length_scale=_error(estimate.length_scale, truth.length_scale),
+        timescale=_error(estimate.timescale, truth.timescale),
+        hit=bool(estimate.grid_length_scale == nearest),
     )
 
 
@@ -67,10 +77,11 @@ def _error(estimated: float, true: float) -> ParameterError:
 
 @dataclass(frozen=True)
 class ScalesScore:
-    """Scales of the truth that were found, and errors in percent of those.
+    """Which scales of the true flow an estimate detected, and how far off it is there.
 
-    true, found: how many there are; length_scale_errors and mean_velocity_errors: signed, one per
-    detected scale, in the order of the flow's components.
+    true, found: the number of scales of the flow and of the estimate. length_scale_errors,
+    mean_velocity_errors: signed, in percent of the truth, one per detected scale in the order of
+    the flow's components.
     """
 
     true: int
@@ -80,17 +91,17 @@ class ScalesScore:
 
     @property
     def detected(self) -> int:
-        """Scales of the truth with an estimate within the tolerance."""
+        """The number of scales of the truth with an estimate within the tolerance."""
         return len(self.length_scale_errors)
 
     @property
     def missed(self) -> int:
-        """Scales of the truth without one."""
+        """The number of scales of the truth without one."""
         return self.true - self.detected
 
     @property
     def spurious(self) -> int:
-        """Estimates that belong to no scale of the truth."""
+        """The number of estimated scales that belong to none of the truth."""
         return self.found - self.detected
 
     @property
@@ -109,29 +120,37 @@ class ScalesScore:
 
 
 def score_scales(
-    estimate: Estimate | tuple[ScaleEstimate, ...], flow: Flow, *, tolerance: float = TOLERANCE
+    estimate: Estimate | tuple[ScaleEstimate, ...], flow: Flow, *, tolerance: float = DETECTED
 ) -> ScalesScore:
     """Match the estimate's scales to the flow's, each to one: the nearest in wavenumber first.
 
-    A pair farther apart than the tolerance, |k_est / k_true - 1|, is none. InputError: a tolerance
-    not above 0.
+    A pair whose wavenumbers differ by more than the tolerance, |k_est / k_true - 1|, is none.
+
+    Raises:
+        InputError: if the tolerance is not above 0.
     """
-    if not tolerance > 0:
+    if not is_real(tolerance) or not tolerance > 0:
         raise InputError(f"score_scales: tolerance must be above 0, not {tolerance!r}")
-    found = estimate.scales if isinstance(estimate, Estimate) else estimate
+    scales = estimate.scales if isinstance(estimate, Estimate) else estimate
     pairs = sorted(
-        (abs(part.length_scale / one.length_scale - 1), i, j)
+        (abs(part.length_scale / scale.length_scale - 1), i, j)
         for i, part in enumerate(flow.components)
-        for j, one in enumerate(found)
+        for j, scale in enumerate(scales)
     )
     match: dict[int, int] = {}
     for distance, i, j in pairs:
         if distance <= tolerance and i not in match and j not in match.values():
             match[i] = j
-    both = [(flow.components[i], found[j]) for i, j in sorted(match.items())]
+    detected = [(scales[j], flow.components[i]) for i, j in sorted(match.items())]
     return ScalesScore(
-        len(flow.components),
-        len(found),
-        tuple(_error(one.length_scale, p.length_scale).signed_percent for p, one in both),
-        tuple(_error(one.mean_velocity, p.mean_velocity).signed_percent for p, one in both),
+        true=len(flow.components),
+        found=len(scales),
+        length_scale_errors=tuple(
+            _error(scale.length_scale, truth.length_scale).signed_percent
+            for scale, truth in detected
+        ),
+        mean_velocity_errors=tuple(
+            _error(scale.mean_velocity, truth.mean_velocity).signed_percent
+            for scale, truth in detected
+        ),
     )

@@ -1,6 +1,7 @@
 """The laws of the house, read from the source: who may import whom, and what nobody may do."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -79,6 +80,12 @@ def test_every_room_has_its_place_in_the_order():
     assert found <= set(ROOMS)
 
 
+def test_contributing_names_the_rooms_in_this_order():
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    order = text.partition("stand before it:")[2].partition(". `tests/")[0]
+    assert tuple(re.findall(r"`(\w+)`", order)) == ROOMS
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_room_imports_only_rooms_above_it(room):
     allowed = set(ROOMS[: ROOMS.index(room) + 1])
@@ -150,6 +157,15 @@ def test_nothing_runs_text_or_pickles_or_opens_a_shell(path):
                     ("allow_pickle", "True"),
                 }
                 assert not forbidden, node.lineno
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_files_are_written_whole_or_not_at_all(path):
+    if room_of(name_of(path)) == "bench":
+        return
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            assert node.func.attr not in {"write_text", "write_bytes"}, f"line {node.lineno}"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)

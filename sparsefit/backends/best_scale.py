@@ -15,7 +15,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends.group_fit import DOUBT, explained, fit_on, residual_square
 from sparsefit.errors import number_setting
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 

@@ -12,7 +12,8 @@ from scipy import sparse
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.backend import Solution, SolutionStatus
-from sparsefit.regression.objective import Penalty, Statistics, alpha_max
+from sparsefit.regression.objective import Penalty, alpha_max
+from sparsefit.regression.statistics import Statistics
 
 STATUS: dict[str, SolutionStatus] = {
     "Solved": "ok",

@@ -14,7 +14,8 @@ from sparsefit.arrays import Array
 from sparsefit.backends.clarabel_direct import solve_clarabel
 from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import Solution, SolutionStatus
-from sparsefit.regression.objective import Penalty, Statistics, alpha_max
+from sparsefit.regression.objective import Penalty, alpha_max
+from sparsefit.regression.statistics import Statistics
 
 STATUS: dict[str, SolutionStatus] = {
     "optimal": "ok",

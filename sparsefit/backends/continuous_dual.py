@@ -23,7 +23,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.modes.refine import fourier_sums, kernel_gain
-from sparsefit.regression.objective import Certificate
+from sparsefit.regression.certificate import Certificate
 from sparsefit.regression.problem import RegressionProblem
 
 Interval = tuple[float, float]

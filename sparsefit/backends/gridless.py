@@ -28,7 +28,7 @@ from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, in
 from sparsefit.backends.sliding import Atoms, slide
 from sparsefit.backends.variational import group_path
 from sparsefit.regression.backend import Solution, checked_alpha_fraction
-from sparsefit.regression.objective import Certificate, CertificateKind
+from sparsefit.regression.certificate import Certificate, CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 ROUNDS = 60

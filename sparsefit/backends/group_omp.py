@@ -17,7 +17,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends.group_fit import explained, fit_on, residual_square
 from sparsefit.errors import integer_setting, number_setting, one_of
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 Stop = Literal["decrease", "bic"]

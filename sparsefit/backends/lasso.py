@@ -16,7 +16,8 @@ from sparsefit.regression.backend import (
     checked_selection,
     numeric_fraction,
 )
-from sparsefit.regression.objective import CertificateKind, Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.certificate import CertificateKind
+from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 
 EXACT = "homotopy"

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from sparsefit.errors import number_setting
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 

@@ -20,7 +20,7 @@ from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, in
 from sparsefit.errors import integer_setting
 from sparsefit.library.builder import CANDIDATES, TARGET_NAMES
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import Certificate, CertificateKind
+from sparsefit.regression.certificate import Certificate, CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 Columns = tuple[Array, Array, Array]

@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, flag_setting, is_integer, number_setting, one_of
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import CertificateKind
+from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 Mode = Literal["scaled", "pysindy"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.bench.problems import KINDS, Kind, Task
-from sparsefit.regression.objective import Statistics, accumulate, row_blocks
+from sparsefit.regression.statistics import Statistics, accumulate, row_blocks
 
 Solve: TypeAlias = Callable[[Task, Array, float], Array]
 """(task, penalty fractions (p,), tolerance setting) -> weights (p, k, n) in original units."""

@@ -15,7 +15,7 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.bench.contender import Contender
 from sparsefit.bench.problems import Kind, Progress, Task
 from sparsefit.cached import cached_property
-from sparsefit.regression.objective import duality_gaps
+from sparsefit.regression.certificate import duality_gaps
 
 LEVELS = (1e-4, 1e-6, 1e-8)
 TOO_LONG = 3.0  # s: no tighter setting of a solver is tried after a run that took longer

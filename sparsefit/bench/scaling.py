@@ -15,7 +15,8 @@ from sparsefit.bench.problems import LOWEST, NAMED, VEHICLE, Kind, NamedFlight, 
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.library.builder import Library, candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.regression.objective import Statistics, accumulate, duality_gaps
+from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.statistics import Statistics, accumulate
 
 BASE = NAMED[3]
 ROWS = 8192

@@ -19,7 +19,7 @@ from sparsefit.backends.stlsq import STLSQ
 from sparsefit.bench.problems import NamedFlight, Task
 from sparsefit.library.builder import candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.regression.objective import duality_gaps
+from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.problem import RegressionProblem
 
 

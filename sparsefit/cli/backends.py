@@ -113,7 +113,7 @@ def run_check(args: argparse.Namespace) -> int:
     from sparsefit.flight.vehicle import PointMassVehicle
     from sparsefit.library.builder import Library
     from sparsefit.library.grid import LengthScaleGrid
-    from sparsefit.regression.gram import product_loop
+    from sparsefit.regression.statistics import product_loop
 
     backend = backends.get(args.name, **collected(args.setting))
     truth = CellularFlow(mean_velocity=15.0, length_scale=4.0)

@@ -19,9 +19,9 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.derivative.smoothing import Channels, Smoothing, polynomial_kernels
+from sparsefit.derivative.steps import nearly_even
 
 DEGREE = 10  # of the polynomials that the weights on samples keep exact: the smoother's own
-UNEVEN = 1e-3  # relative: beyond it weights for even steps mean nothing
 PLAIN = {  # state and difference on neighbouring samples, and where the first one is, in steps
     "forward": ((1.0, 0.0), (-1.0, 1.0), 0.0),
     "midpoint": ((0.5, 0.5), (-1.0, 1.0), -0.5),
@@ -54,32 +54,34 @@ class Filters:
             return None
         steps = np.diff(samples.time)
         step = float(np.mean(steps))
-        found = _kernels(samples.smoothing, step)
-        if found is None:
+        kernels = _kernels(samples.smoothing, step)
+        if kernels is None:
             return None
-        raw, first = found
+        raw, first = kernels
         kicks, path, mean = kicks_through(raw[2], step), None, None
-        if np.abs(steps - step).max() <= UNEVEN * step:
+        if nearly_even(steps, step):
             path, mean = _on_samples(raw, kicks, first, step)
-        chosen = samples.smoothing
-        return cls(raw, kicks, path, mean, chosen.sigma_position, chosen.sigma_velocity)
+        noise = samples.smoothing.sigma_position, samples.smoothing.sigma_velocity
+        return cls(raw, kicks, path, mean, *noise)
 
 
-def _kernels(found: Smoothing, step: float) -> tuple[Array, float] | None:
+def _kernels(smoothing: Smoothing, step: float) -> tuple[Array, float] | None:
     """raw (3, 2, n), and the place of the first raw sample in steps from the filtered one."""
-    if found.method == "auto":
+    if smoothing.method == "auto":
         nothing = np.empty((0, 2))
-        channels = Channels(nothing, nothing, step, found.sigma_position, found.sigma_velocity)
-        state = channels.kernels(found.window, found.coupled)
-        rate = channels.kernels(found.rate_window, found.coupled)[3].reshape(2, -1)
-        trim = (found.window - found.rate_window) // 2
+        channels = Channels(
+            nothing, nothing, step, smoothing.sigma_position, smoothing.sigma_velocity
+        )
+        state = channels.kernels(smoothing.window, smoothing.coupled)
+        rate = channels.kernels(smoothing.rate_window, smoothing.coupled)[3].reshape(2, -1)
+        trim = (smoothing.window - smoothing.rate_window) // 2
         wide = np.pad(rate, ((0, 0), (trim, trim)))
-        return np.stack([*state[[0, 2]].reshape(2, 2, -1), wide]), -(found.window // 2)
-    if found.method == "savgol":
-        value, slope = polynomial_kernels(found.window, found.order, step)
-        first = -(found.window // 2) * 1.0
-    elif found.method in PLAIN:
-        state_weights, difference, first = PLAIN[found.method]
+        return np.stack([*state[[0, 2]].reshape(2, 2, -1), wide]), -(smoothing.window // 2)
+    if smoothing.method == "savgol":
+        value, slope = polynomial_kernels(smoothing.window, smoothing.order, step)
+        first = -(smoothing.window // 2) * 1.0
+    elif smoothing.method in PLAIN:
+        state_weights, difference, first = PLAIN[smoothing.method]
         value, slope = np.array(state_weights), np.array(difference) / step
     else:
         return None
@@ -88,7 +90,10 @@ def _kernels(found: Smoothing, step: float) -> tuple[Array, float] | None:
 
 
 def kicks_through(acceleration: Array, step: float) -> Array:
-    """Weights (n - 1,) of the mean of V' in each step, in the filtered acceleration (2, n).
+    """Weights (n - 1,) of the mean of V' in each step, in what the filter gives for V'.
+
+    acceleration (2, n) [1/s^2, 1/s]: the filter's weights on n positions and n velocities, ``step``
+    [s] apart.
 
     A kick u in step j adds h u to every later velocity, and h^2 (i - j - 1/2) u to position i.
     """
@@ -127,12 +132,12 @@ def _on_samples(raw: Array, kicks: Array, first: float, step: float) -> tuple[Ar
 
 def _least(powers: Array, moments: Array) -> Array:
     """The least weights with these moments."""
-    found: Array = np.linalg.lstsq(powers, moments, rcond=None)[0].astype(float, copy=False)
-    return found
+    weights: Array = np.linalg.lstsq(powers, moments, rcond=None)[0].astype(float, copy=False)
+    return weights
 
 
 def fast_length(samples: int) -> int:
-    """The least 2^i 3^j 5^l that is not below samples: transforms of others are slow."""
+    """The least 2^i 3^j 5^l, of few 3 and 5, not below ``samples``: other transforms are slow."""
     best = 1 << math.ceil(math.log2(samples))
     for factor in (3, 5, 9, 15, 25, 27, 45, 75, 135):
         best = min(best, factor << max(math.ceil(math.log2(samples / factor)), 0))

@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.derivative.smoothing import SHARE, SHORTEST, Channels, Smoothing, smooth
+from sparsefit.derivative.smoothing import FEWEST, Channels, Smoothing, smooth
+from sparsefit.derivative.steps import uniform_step
 from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
 from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
@@ -18,8 +19,8 @@ from sparsefit.flight.vehicle import PointMassVehicle
 # time (m,), state (m, 4), its rate (m, 4), how they were smoothed
 Rates: TypeAlias = tuple[Array, Array, Array, Smoothing]
 
-SAVGOL = {"window": 5, "order": 4}
-UNIFORM_TOLERANCE = 1e-6  # relative; steps that differ by more are not one step
+SAVGOL = {"window": 5, "order": 4}  # the defaults
+WEAK_ORDERS = (2, 32)  # of the test functions: smoother than a corner, wider than a spike
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,8 @@ class Samples:
         smoothing: the filter that was used, and with ``auto`` the noise it found.
         weak: with ``weak`` the rows of the regression, which the library and the readout take in
             place of the samples; these, by ``auto``, then only say where a scan has to look.
+
+    ``smoothing`` is None where the samples were not made by a `Derivative`.
     """
 
     time: Array
@@ -54,6 +57,9 @@ class Samples:
 @dataclass(frozen=True)
 class Derivative:
     """How derivatives are taken from a flight's samples; position and velocity alike.
+
+    Called with a flight of m samples it returns `Samples`, fewer than m where a rule needs
+    neighbours on both sides.
 
     - ``forward``: Eq. 15, first order; the last sample is dropped.
     - ``central``: three points, any spacing, second order; both ends are dropped.
@@ -82,41 +88,39 @@ class Derivative:
     order: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings."""
+        """Check the settings, and store the defaults of the method where none are given."""
         one_of("derivative", self.method, METHODS)
-        if self.method == "weak":
+        if self.method == "savgol":
+            self._check_savgol()
+        elif self.method == "weak":
             self._check_weak()
-            return
-        if self.method != "savgol":
-            if self.window is not None or self.order is not None:
-                raise InputError(
-                    f"derivative {self.method!r} has no window and no order; leave them out, or "
-                    "use method 'savgol' or 'weak'"
-                )
-            return
+        elif self.window is not None or self.order is not None:
+            raise InputError(
+                f"derivative {self.method!r} has no window and no order; leave them out, or "
+                "use method 'savgol' or 'weak'"
+            )
+
+    def _check_savgol(self) -> None:
         for name, default in SAVGOL.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default)
-        self._check_savgol()
-
-    def _check_savgol(self) -> None:
         assert self.window is not None
-        assert self.order is not None
-        integer("window", self.window, 3, odd=True)
-        if not is_integer(self.order, 1, self.window - 1):
+        largest = integer("window", self.window, 3, odd=True) - 1
+        if not is_integer(self.order, 1, largest):
             raise InputError(
-                f"order must be an integer from 1 to window - 1 = {self.window - 1}; "
-                f"got {self.order!r}"
+                f"order must be an integer from 1 to window - 1 = {largest}; got {self.order!r}"
             )
 
     def _check_weak(self) -> None:
         if self.order is None:
             object.__setattr__(self, "order", ORDER)
-        window, order = self.window, self.order
-        if window is not None:
-            integer("weak window", window, 5, odd=True)
-        if not is_integer(order, 2, 32):
-            raise InputError(f"weak order must be an integer from 2 to 32; got {order!r}")
+        if self.window is not None:
+            integer("weak window", self.window, 5, odd=True)
+        if not is_integer(self.order, *WEAK_ORDERS):
+            least, most = WEAK_ORDERS
+            raise InputError(
+                f"weak order must be an integer from {least} to {most}; got {self.order!r}"
+            )
 
     def _weak(self, flight: Flight, time: Array, state: Array, smoothing: Smoothing) -> WeakRows:
         """Rows of the smoothed states; of the measured ones where nothing was smoothed."""
@@ -152,16 +156,17 @@ def _forward(_: Derivative, time: Array, state: Array) -> Rates:
 
 def _central(_: Derivative, time: Array, state: Array) -> Rates:
     """Weight the two quotients by the opposite step, which cancels the second-order term."""
-    quotient, step = _quotients(time, state), np.diff(time)[:, None]
-    before, after = step[:-1], step[1:]
+    quotient, steps = _quotients(time, state), np.diff(time)[:, None]
+    before, after = steps[:-1], steps[1:]
     rate = (after * quotient[:-1] + before * quotient[1:]) / (before + after)
     return time[1:-1], state[1:-1], rate, Smoothing("central", rate_window=3)
 
 
 def _midpoint(_: Derivative, time: Array, state: Array) -> Rates:
     middle = time[:-1] + np.diff(time) / 2.0
-    mean, used = (state[:-1] + state[1:]) / 2.0, Smoothing("midpoint", window=2, rate_window=2)
-    return middle, mean, _quotients(time, state), used
+    mean = (state[:-1] + state[1:]) / 2.0
+    smoothing = Smoothing("midpoint", window=2, rate_window=2)
+    return middle, mean, _quotients(time, state), smoothing
 
 
 def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
@@ -176,51 +181,37 @@ def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
             f"savgol window {window} is longer than the flight of {len(time)} samples: "
             "use a smaller window, or central"
         )
-    step = _uniform_step(time)
-    whole = slice(window // 2, len(time) - window // 2)
-    smooth = savgol_filter(state, window, order, axis=0)
+    step = uniform_step(time)
+    full = slice(window // 2, len(time) - window // 2)
+    smoothed = savgol_filter(state, window, order, axis=0)
     rate = savgol_filter(state, window, order, deriv=1, delta=step, axis=0)
-    used = Smoothing("savgol", window=window, rate_window=window, order=order)
-    return time[whole], smooth[whole], rate[whole], used
+    smoothing = Smoothing("savgol", window=window, rate_window=window, order=order)
+    return time[full], smoothed[full], rate[full], smoothing
 
 
 def _auto(rule: Derivative, time: Array, state: Array) -> Rates:
     """Only full windows are kept, as in savgol; positions are centred to keep their digits."""
-    if len(time) < SHARE * SHORTEST:
-        reason = f"{len(time)} samples are fewer than {SHARE * SHORTEST}"
-        return _fallen_back(rule, time, state, reason)
+    if len(time) < FEWEST:
+        return _fallen_back(rule, time, state, f"{len(time)} samples are fewer than {FEWEST}")
     try:
-        step = _uniform_step(time)
+        step = uniform_step(time)
     except InputError:
         return _fallen_back(rule, time, state, "time steps are not uniform")
     origin = state[:, :2].mean(axis=0)
     channels = Channels.measured(state[:, :2] - origin, state[:, 2:], step)
-    kept, smoothed, rate, used = smooth(channels)
+    kept, smoothed, rate, smoothing = smooth(channels)
     smoothed[:, :2] += origin
-    return time[kept], smoothed, rate, used
+    return time[kept], smoothed, rate, smoothing
 
 
 def _fallen_back(rule: Derivative, time: Array, state: Array, reason: str) -> Rates:
-    *rates, used = _midpoint(rule, time, state)
-    return rates[0], rates[1], rates[2], replace(used, reason=reason)
+    middle, mean, rate, smoothing = _midpoint(rule, time, state)
+    return middle, mean, rate, replace(smoothing, reason=reason)
 
 
 def _quotients(time: Array, state: Array) -> Array:
+    """Difference quotients (m - 1, 4) of neighbours."""
     return np.diff(state, axis=0) / np.diff(time)[:, None]
-
-
-def _uniform_step(time: Array) -> float:
-    """Return the mean step [s], or refuse: steps may differ by 1e-6 and the rounding of time."""
-    steps = np.diff(time)
-    mean = float(time[-1] - time[0]) / len(steps)
-    row = int(np.argmax(np.abs(steps - mean)))
-    rounding = 4.0 * np.spacing(np.abs(time).max())  # clocks that count from 1970 need it
-    if abs(steps[row] - mean) > UNIFORM_TOLERANCE * mean + rounding:
-        raise InputError(
-            f"savgol needs uniform time steps; the step after row {row} is {steps[row]:.6g} s, "
-            f"the mean {mean:.6g} s: use central or midpoint"
-        )
-    return mean
 
 
 _RULES: dict[str, Callable[[Derivative, Array, Array], Rates]] = {

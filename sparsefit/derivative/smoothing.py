@@ -29,7 +29,8 @@ ORDER = 10  # of the velocity; 4 doubles the error of tau_w at 0.5 m/s of noise,
 SHORTEST = ORDER + 1  # either channel alone determines the polynomial
 LONGEST = 1001
 GROWTH = 1.25  # from window to window
-SHARE = 5  # of the flight's samples: longer windows lose more at the ends than they gain
+SIDE_BY_SIDE = 5  # windows in a flight: longer ones lose more at the ends than they gain
+FEWEST = SIDE_BY_SIDE * SHORTEST  # samples of a flight that can be smoothed
 PATIENCE = 2  # windows of rising risk before the search ends
 # v' may be noisy, as regression averages it, but what a window takes from it is missing from U0:
 # its window is shorter. 1 costs twice the mean error of tau_w at 0.5 m/s, 0.35 to 0.6 agree.
@@ -92,7 +93,10 @@ class Channels:
         return min(max(ratio, 1.0 / LONGEST), float(LONGEST)) / self.step
 
     def kernels(self, window: int, coupled: bool) -> Array:
-        """Weights (4, 2n) of n positions, then n velocities, in x, x', v, v' at the middle."""
+        """Weights (4, 2n) of n positions, then n velocities, in x, x', v, v' at the middle.
+
+        coupled: of one polynomial through both channels; otherwise of one through each.
+        """
         if coupled:
             position, velocity, acceleration = coupled_kernels(window, ORDER, self.step, self.ratio)
             return np.stack([position, velocity, velocity, acceleration])
@@ -103,28 +107,30 @@ class Channels:
 
     def filtered(self, kernel: Array) -> Array:
         """The weighted sums (m - n + 1, 2) of a kernel (2n,)."""
-        one, other = np.split(kernel, 2)
-        return _convolved(one, self.position) + _convolved(other, self.velocity)
+        of_position, of_velocity = np.split(kernel, 2)
+        return _convolved(of_position, self.position) + _convolved(of_velocity, self.velocity)
 
     def spread(self, kernel: Array) -> float:
         """Standard deviation of what a kernel (2n,) gives, from the noise alone."""
-        one, other = (float(np.linalg.norm(part)) for part in np.split(kernel, 2))
-        return math.hypot(self.sigma_position * one, self.sigma_velocity * other)
+        of_position, of_velocity = (float(np.linalg.norm(part)) for part in np.split(kernel, 2))
+        return math.hypot(self.sigma_position * of_position, self.sigma_velocity * of_velocity)
 
 
 def noise_level(values: Array) -> float:
     """Standard deviation of white noise on smooth columns (m, c), at least their rounding.
 
+    In the unit of the values; one for all columns.
+
     The q-th difference of white noise has the variance C(2q, q) sigma^2; what is left of the
     signal only adds to it, so the least over several q is taken (Rice, 1984; Gasser, Sroka and
     Jennen-Steinmetz, 1986).
     """
-    found = (
+    variances = (
         float(np.mean(np.diff(values, order, axis=0) ** 2)) / math.comb(2 * order, order)
         for order in DIFFERENCES
         if order < len(values)
     )
-    return max(math.sqrt(min(found)), ROUNDING * float(np.abs(values).max()), SMALLEST)
+    return max(math.sqrt(min(variances)), ROUNDING * float(np.abs(values).max()), SMALLEST)
 
 
 def coupled_kernels(
@@ -144,38 +150,41 @@ def coupled_kernels(
 
 
 def polynomial_kernels(window: int, order: int, step: float) -> tuple[Array, Array]:
-    """Weights (n,) of one channel in its value and slope at the middle (Savitzky and Golay)."""
+    """Weights (n,) of one channel in its value and slope at the middle (Savitzky and Golay).
+
+    step [s]; order: degree of the polynomial, below n.
+    """
     powers = np.vander(np.linspace(-1.0, 1.0, window), order + 1, increasing=True)
     solved = np.linalg.pinv(powers)
     return solved[0], solved[1] / (window // 2 * step)
 
 
-def windows(samples: int) -> Iterator[int]:
-    """Odd windows from `SHORTEST`, each `GROWTH` times the last, up to 1/`SHARE` of the samples."""
+def window_sizes(samples: int) -> Iterator[int]:
+    """Odd windows from `SHORTEST`, each `GROWTH` times the last; `SIDE_BY_SIDE` fit the flight."""
     window = SHORTEST
-    while window <= min(samples // SHARE, LONGEST):
+    while window <= min(samples // SIDE_BY_SIDE, LONGEST):
         yield window
         window = max(window + 2, 2 * round(window * GROWTH / 2) + 1)
 
 
 def choose(channels: Channels) -> tuple[int, bool]:
-    """The window of least risk, and whether position and velocity are coupled.
+    """The window of least risk [samples], and whether position and velocity are coupled.
 
     Uncoupled filters win where the logged velocity is not the derivative of the logged position.
     """
-    reference = _residuals(channels, SHORTEST, False)
-    risk, window = _least_risk(channels, True, reference)
-    other_risk, other_window = _least_risk(channels, False, reference)
-    return (window, True) if risk < other_risk else (other_window, False)
+    reference = _residuals(channels, SHORTEST, coupled=False)
+    risk, window = _least_risk(channels, reference, coupled=True)
+    uncoupled_risk, uncoupled_window = _least_risk(channels, reference, coupled=False)
+    return (window, True) if risk < uncoupled_risk else (uncoupled_window, False)
 
 
 def _least_risk(
-    channels: Channels, coupled: bool, reference: tuple[Array, float]
+    channels: Channels, reference: tuple[Array, float], *, coupled: bool
 ) -> tuple[float, int]:
     """The least risk and its window; bias grows steeply, so a few rising risks end the search."""
     best, rising = (math.inf, SHORTEST), 0
-    for window in windows(len(channels.position)):
-        risk = _risk(channels, window, coupled, reference)
+    for window in window_sizes(len(channels.position)):
+        risk = _risk(channels, window, reference, coupled=coupled)
         rising = 0 if risk < best[0] else rising + 1
         best = min(best, (risk, window))
         if rising == PATIENCE:
@@ -183,7 +192,7 @@ def _least_risk(
     return best
 
 
-def _residuals(channels: Channels, window: int, coupled: bool) -> tuple[Array, float]:
+def _residuals(channels: Channels, window: int, *, coupled: bool) -> tuple[Array, float]:
     """Squared residuals (m - n + 1,) in units of the noise, and the sum of the own weights."""
     kernels, half = channels.kernels(window, coupled), window // 2
     inner = slice(half, len(channels.position) - half)
@@ -193,39 +202,43 @@ def _residuals(channels: Channels, window: int, coupled: bool) -> tuple[Array, f
     return square.mean(axis=1), float(kernels[0, half] + kernels[2, window + half])
 
 
-def _risk(channels: Channels, window: int, coupled: bool, reference: tuple[Array, float]) -> float:
+def _risk(
+    channels: Channels, window: int, reference: tuple[Array, float], *, coupled: bool
+) -> float:
     """The risk less that of the reference on the same rows: the noise of both mostly cancels."""
-    square, weight = _residuals(channels, window, coupled)
+    square, weight = _residuals(channels, window, coupled=coupled)
     trim = (len(reference[0]) - len(square)) // 2
     common = reference[0][trim : len(reference[0]) - trim]
     return float(np.mean(square - common)) + 2.0 * (weight - reference[1])
 
 
 def smooth(channels: Channels) -> tuple[slice, Array, Array, Smoothing]:
-    """The kept rows, the states (m', 4), their rates (m', 4), and what was chosen."""
+    """Smooth the channels by the window of least risk.
+
+    Returns the rows that full windows reach, m' of them; there the states x, y, vx, vy (m', 4)
+    [m, m/s]; their rates (m', 4) [m/s, m/s^2]; and what was chosen.
+    """
     window, coupled = choose(channels)
     shorter = max(SHORTEST, 2 * int(RATE_SHARE * window / 2) + 1)
     state, rate = channels.kernels(window, coupled), channels.kernels(shorter, coupled)
-    used = (state[0], state[2], rate[1], rate[3])
     half = window // 2
     kept = slice(half, len(channels.position) - half)
     trim = half - shorter // 2
-    position, velocity, *rates = (channels.filtered(kernel) for kernel in used)
+    position, velocity, *rates = map(channels.filtered, (state[0], state[2], rate[1], rate[3]))
     rates = [values[trim : len(values) - trim] for values in rates]
-    chosen = Smoothing(
+    smoothing = Smoothing(
         "auto",
-        "",
-        window,
-        shorter,
-        ORDER,
-        coupled,
-        channels.sigma_position,
-        channels.sigma_velocity,
-        channels.spread(state[0]),
-        channels.spread(state[2]),
-        channels.spread(rate[3]),
+        window=window,
+        rate_window=shorter,
+        order=ORDER,
+        coupled=coupled,
+        sigma_position=channels.sigma_position,
+        sigma_velocity=channels.sigma_velocity,
+        position_error=channels.spread(state[0]),
+        velocity_error=channels.spread(state[2]),
+        acceleration_error=channels.spread(rate[3]),
     )
-    return kept, np.hstack([position, velocity]), np.hstack(rates), chosen
+    return kept, np.hstack([position, velocity]), np.hstack(rates), smoothing
 
 
 def _convolved(kernel: Array, values: Array) -> Array:

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
+from sparsefit.derivative.steps import clock_rounding
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 ORDER = 8  # p; 4 needs windows of 60 samples for an error of tau_w of 1e-4 %, 8 of 21
 SHORTEST = 21  # samples: below it, the quadrature errs by more than 1e-5 % of tau_w
 OVERLAP = 10  # test functions over any sample: twice as many change nothing
-FULL = 0.5  # of a window's samples must be there: an integral over a gap in the log is none
+PRESENT = 0.5  # of a window's samples must be there: an integral over a gap in the log is none
 BLOCK = 256  # rows of Psi applied at once: bounds the memory
 
 
@@ -77,7 +78,9 @@ class WeakRows:
 def weak_rows(
     time: Array, position: Array, velocity: Array, window: int, order: int = ORDER
 ) -> WeakRows:
-    """The weak form of states at ``time`` (m,), by test functions ``window`` samples wide.
+    """The weak form of states at ``time`` [s], (m,), by test functions ``window`` samples wide.
+
+    position [m], velocity [m/s]: (m, 2). order: the exponent p of the test functions.
 
     Raises:
         InputError: if no test function fits into the flight.
@@ -85,14 +88,8 @@ def weak_rows(
     from scipy.sparse import csr_array
 
     half, step = window // 2, float(time[-1] - time[0]) / (len(time) - 1)
-    reach, stride = half * step, max(1, window // OVERLAP)
-    slack = 1e-9 * step + 4.0 * float(np.spacing(np.abs(time).max()))
-    inside = (time - time[0] >= reach - slack) & (time[-1] - time >= reach - slack)
-    centres = time[inside][::stride]
-    low = np.searchsorted(time, centres - reach - slack)
-    counts = np.searchsorted(time, centres + reach + slack) - low
-    kept = counts >= FULL * window
-    centres, low, counts = centres[kept], low[kept], counts[kept]
+    stride = max(1, window // OVERLAP)
+    centres, low, counts = _placed(time, half * step, step, stride, PRESENT * window)
     if not len(centres):
         raise InputError(
             f"no weak test function of {window} samples fits into {len(time)} samples: use a "
@@ -101,33 +98,65 @@ def weak_rows(
     ends = np.concatenate([[0], np.cumsum(counts)])
     row = np.repeat(np.arange(len(centres)), counts)
     column = np.arange(ends[-1]) - (ends[:-1] - low)[row]
-    away = time[column] - centres[row]
+    weights = _weights(
+        time[column] - centres[row], np.gradient(time)[column], row, half * step, order
+    )
+    shape = (len(centres), len(time))
+    mean, rate = (csr_array((values, column, ends), shape=shape) for values in weights)
+    return WeakRows(
+        operator=mean,
+        time=mean @ time,
+        position=position,
+        velocity=mean @ velocity,
+        position_rate=rate @ position,
+        acceleration=rate @ velocity,
+        window=window,
+        order=order,
+        correlation=max(1.0, correlation(half, order) / stride),
+        rate=rate,
+    )
+
+
+def _placed(
+    time: Array, reach: float, step: float, stride: int, least: float
+) -> tuple[Array, IntArray, IntArray]:
+    """Centres [s] of the test functions, the first sample under each, and how many there are.
+
+    Every stride-th sample that is ``reach`` [s] away from both ends, if ``least`` samples are
+    there.
+    """
+    slack = 1e-9 * step + clock_rounding(time)
+    inside = (time - time[0] >= reach - slack) & (time[-1] - time >= reach - slack)
+    centres = time[inside][::stride]
+    low = np.searchsorted(time, centres - reach - slack)
+    counts = np.searchsorted(time, centres + reach + slack) - low
+    kept = counts >= least
+    return centres[kept], low[kept], counts[kept]
+
+
+def _weights(
+    away: Array, width: Array, row: IntArray, reach: float, order: int
+) -> tuple[Array, Array]:
+    """Weights of the samples in int psi dt and in -int psi' dt, one after another by row.
+
+    away [s]: of a sample from the centre of its row; width [s]: of its trapezoid.
+    """
     s = np.clip(away / reach, -1.0, 1.0)
-    mass = np.gradient(time)[column] * (1 - s * s) ** order  # gradient of t: trapezoid weights
+    mass = width * (1 - s * s) ** order
     total = np.bincount(row, mass)[row]
-    slope = np.gradient(time)[column] * 2 * order * s * (1 - s * s) ** (order - 1) / (reach * total)
+    slope = width * 2 * order * s * (1 - s * s) ** (order - 1) / (reach * total)
     mass /= total
     # Uneven steps: the quadrature of -psi' is made exact for constant and linear velocities.
     slope -= np.bincount(row, slope)[row] * mass
     slope /= np.bincount(row, slope * away)[row]
-    shape = (len(centres), len(time))
-    mean, rate = (csr_array((one, column, ends), shape=shape) for one in (mass, slope))
-    return WeakRows(
-        mean,
-        mean @ time,
-        position,
-        mean @ velocity,
-        rate @ position,
-        rate @ velocity,
-        window,
-        order,
-        max(1.0, correlation(half, order) / stride),
-        rate,
-    )
+    return mass, slope
 
 
 def correlation(half: int, order: int) -> float:
-    """Sum of the squared autocorrelations of psi' white noise [samples]: m rows tell m/this."""
+    """Sum of the squared autocorrelations of white noise averaged by psi' [samples].
+
+    half: samples on either side of the middle; order: p. Of m rows, m / this are independent.
+    """
     s = np.linspace(-1.0, 1.0, 2 * half + 1)
     slope = s * (1 - s * s) ** (order - 1)
     lagged = np.correlate(slope, slope, "full")

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sparsefit.estimator.doubt import Doubt
-from sparsefit.regression.objective import Certificate
+from sparsefit.regression.certificate import Certificate
 from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
 
 

@@ -13,7 +13,8 @@ _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 
 
 def encode(table: FlightTable) -> bytes:
-    """Return the file's content; ``repr`` gives the digits that read back to the same float."""
+    """Return the file's content, in UTF-8; its numbers read back to the same floats."""
+    # The shortest digits that do are those of repr.
     lines = [f"# {key}={value!r}" for key, value in table.settings.items()]
     lines.append(",".join(COLUMNS))
     rows = zip(*(table.columns[name] for name in COLUMNS), strict=True)
@@ -22,7 +23,11 @@ def encode(table: FlightTable) -> bytes:
 
 
 def decode(content: bytes) -> FlightTable:
-    """Return the table, or raise `InputError` naming line and column."""
+    """Return the table in a file's content.
+
+    Raises:
+        InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
+    """
     try:
         lines = content.decode("utf-8-sig").splitlines()
         return FlightTable(columns=_columns(lines), settings=_settings(lines))

@@ -45,7 +45,7 @@ class CellularFlow:
 
     @property
     def wavenumber(self) -> float:
-        """Return pi / L [1/m]."""
+        """The wavenumber pi / L [1/m]."""
         return math.pi / self.length_scale
 
     @property
@@ -59,7 +59,10 @@ class CellularFlow:
         return (0.0, 0.0)
 
     def velocity(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return the flow velocity [m/s], shape (..., 2), at positions x, y [m] (Eq. 1)."""
+        """Return the flow velocity w [m/s], shape (..., 2), at positions x, y [m] (Eq. 1).
+
+        x and y are broadcast against each other to the shape (...).
+        """
         east, north = np.broadcast_arrays(
             self.wavenumber * np.asarray(x, dtype=np.float64),
             self.wavenumber * np.asarray(y, dtype=np.float64),
@@ -86,14 +89,15 @@ class SuperposedFlow:
 
     def __post_init__(self) -> None:
         """Check the components and the wind, and store them as tuples."""
-        found = self.components
-        parts = tuple(found) if isinstance(found, (tuple, list)) else ()
+        given = self.components
+        parts = tuple(given) if isinstance(given, (tuple, list)) else ()
         object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
-        bare = found == () and any(self.wind)
-        if not bare and (not parts or not all(isinstance(part, CellularFlow) for part in parts)):
+        only_wind = given == () and any(self.wind)
+        cellular = bool(parts) and all(isinstance(part, CellularFlow) for part in parts)
+        if not (only_wind or cellular):
             raise InputError(
                 "SuperposedFlow needs a tuple of at least one CellularFlow, "
-                f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {found!r}"
+                f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {given!r}"
             )
         object.__setattr__(self, "components", parts)
 

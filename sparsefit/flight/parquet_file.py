@@ -13,7 +13,11 @@ from sparsefit.flight.table import COLUMNS, FlightTable, check_header, is_key, n
 
 
 def encode(table: FlightTable) -> bytes:
-    """Return the file's content."""
+    """Return the file's content.
+
+    Raises:
+        MissingExtra: without pyarrow.
+    """
     arrow, parquet = _arrow()
     metadata = {key: repr(value) for key, value in table.settings.items()}
     buffer = io.BytesIO()
@@ -22,7 +26,12 @@ def encode(table: FlightTable) -> bytes:
 
 
 def decode(content: bytes) -> FlightTable:
-    """Return the table, or raise `InputError` naming the column."""
+    """Return the table in a file's content.
+
+    Raises:
+        InputError: naming the column, if it is no Parquet, lacks a column or a value is no number.
+        MissingExtra: without pyarrow.
+    """
     arrow, parquet = _arrow()
     try:
         file = parquet.ParquetFile(io.BytesIO(content))
@@ -40,7 +49,7 @@ def _arrow() -> tuple[ModuleType, ModuleType]:
         return import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:
         raise MissingExtra(
-            'Parquet files need pyarrow: pip install "sparsefit[parquet]", or use a .csv file'
+            "Parquet files need pyarrow: pip install pyarrow, or use a .csv file"
         ) from None
 
 

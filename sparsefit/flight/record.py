@@ -46,7 +46,7 @@ class Flight:
         velocity = _frozen("velocity", self.velocity, ("m", 2))
         _check_lengths(time, position, velocity)
         _check_increasing(time)
-        _check_kinds(self.vehicle, self.flow)
+        check_models(self.vehicle, self.flow)
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "velocity", velocity)
@@ -67,9 +67,9 @@ class Flight:
         return float(np.ptp(self.position, axis=0).max())
 
 
-def _frozen(name: str, value: object, shape: tuple[str | int, ...]) -> Array:
+def _frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
     """Return a read-only float64 copy, or refuse by name, shape and row."""
-    array = _floats(name, value)
+    array = _floats(name, given)
     wanted = (*array.shape[:1], *shape[1:])
     if array.ndim != len(shape) or array.shape != wanted:
         text = "(m,)" if len(shape) == 1 else "(m, 2)"
@@ -77,12 +77,12 @@ def _frozen(name: str, value: object, shape: tuple[str | int, ...]) -> Array:
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         place = f"row {bad[0][0]}" + (f", {'xy'[bad[0][1]]}" if array.ndim == 2 else "")
-        found = array[tuple(bad[0])]
-        raise InputError(f"{name} must be finite: {place} is {found}; drop or repair that sample")
+        value = array[tuple(bad[0])]
+        raise InputError(f"{name} must be finite: {place} is {value}; drop or repair that sample")
     large = np.argwhere(np.abs(array) > LARGEST)
     if len(large):
-        found = array[tuple(large[0])]
-        raise InputError(f"{name} is {found:g} in row {large[0][0]}: no flight; change the unit")
+        value = array[tuple(large[0])]
+        raise InputError(f"{name} is {value:g} in row {large[0][0]}: no flight; change the unit")
     array.flags.writeable = False
     return array
 
@@ -120,7 +120,8 @@ def _check_increasing(time: Array) -> None:
         )
 
 
-def _check_kinds(vehicle: object, flow: object) -> None:
+def check_models(vehicle: object, flow: object) -> None:
+    """Raise `InputError` unless they are a vehicle and a flow, or None, of this package."""
     if not isinstance(vehicle, PointMassVehicle):
         raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
     if flow is not None and not isinstance(flow, (CellularFlow, SuperposedFlow)):

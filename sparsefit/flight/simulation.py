@@ -12,13 +12,14 @@ from scipy.integrate import ode
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, non_negative, pair, positive
-from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
-from sparsefit.flight.record import MINIMUM_SAMPLES, Flight
+from sparsefit.flight.flow import Flow
+from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, check_models
 from sparsefit.flight.vehicle import PointMassVehicle
 
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
-TOLERANCE = 1e-13  # relative and absolute; leaves a defect below 1e-12 m/s per sample
+INTEGRATION = 1e-13  # relative and absolute tolerance; leaves a defect below 1e-12 m/s per sample
+MOST_SAMPLES = 1e9
 STEPS_PER_INTERVAL = 10_000  # beyond this the equation is stiff and deserves a refusal
 
 
@@ -62,7 +63,7 @@ def simulate_flight(
     Raises:
         InputError: if an argument is out of its range, or the equation is too stiff to integrate.
     """
-    _check_models(flow, vehicle)
+    check_models(vehicle, flow)
     start_stream, process_stream, position_stream, velocity_stream = _streams(seed)
     time = _sample_times(duration, sample_rate)
     state = (
@@ -82,13 +83,6 @@ def simulate_flight(
     )
 
 
-def _check_models(flow: object, vehicle: object) -> None:
-    if not isinstance(flow, (CellularFlow, SuperposedFlow, type(None))):
-        raise InputError(f"flow must be a CellularFlow, a SuperposedFlow or None; got {flow!r}")
-    if not isinstance(vehicle, PointMassVehicle):
-        raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
-
-
 def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
     """Return the four streams of ``SeedSequence.spawn(4)``, without its count of past spawns."""
     root = seed if isinstance(seed, np.random.SeedSequence) else _root(seed)
@@ -106,9 +100,10 @@ def _root(seed: int) -> np.random.SeedSequence:
 
 
 def _sample_times(duration: float, sample_rate: float) -> Array:
+    """Return t = 0, 1/rate, 2/rate, ... [s], (m,), up to the duration."""
     span = positive("duration", duration, "s")
     rate = positive("sample_rate", sample_rate, "Hz")
-    if span * rate > 1e9:
+    if span * rate > MOST_SAMPLES:
         raise InputError(f"duration * sample_rate is {span * rate:.3g} samples; keep it below 1e9")
     intervals = round(span * rate)
     if intervals + 1 < MINIMUM_SAMPLES:
@@ -122,6 +117,7 @@ def _sample_times(duration: float, sample_rate: float) -> Array:
 def _start(
     flow: Flow | None, position: Sequence[float] | Array | None, stream: np.random.Generator
 ) -> tuple[float, float]:
+    """Return the initial position [m]: the one given, else one drawn from a period of the flow."""
     if position is not None:
         return pair("initial_position", position, "m")
     if flow is None or not flow.components:
@@ -174,7 +170,7 @@ def _integrate(
     # The compiled DOP853 stops at each sample in 10-45 ms per 1000 samples. solve_ivp with
     # t_eval interpolates (defect 1e-9 m/s at rtol 1e-11); stepping it to each sample costs 5x.
     solver = ode(right_hand_side).set_integrator(
-        "dop853", rtol=TOLERANCE, atol=TOLERANCE, nsteps=STEPS_PER_INTERVAL
+        "dop853", rtol=INTEGRATION, atol=INTEGRATION, nsteps=STEPS_PER_INTERVAL
     )
     solver.set_initial_value(start, time[0])
     fly = _advance_kicked if kicks.any() else _advance
@@ -198,6 +194,7 @@ def _advance_kicked(solver: ode, end: float, kicks: Array) -> None:
 
 
 def _kick(solver: ode, increment: Array) -> None:
+    """Add to the velocity [m/s]; the solver starts anew from there."""
     state = np.array(solver.y)
     state[2:] += increment
     solver.set_initial_value(state, solver.t)

@@ -33,7 +33,7 @@ class FlightTable:
 
     @classmethod
     def from_flight(cls, flight: Flight) -> FlightTable:
-        """Lay out ``flight``; `flight` returns it exactly."""
+        """Return the table of ``flight``; `flight` gives it back exactly."""
         values = np.column_stack([flight.time, flight.position, flight.velocity])
         columns = {name: values[:, place].tolist() for place, name in enumerate(COLUMNS)}
         ax, ay = flight.vehicle.thrust_acceleration
@@ -61,18 +61,25 @@ def is_key(name: str) -> bool:
 
 
 def check_header(names: list[str]) -> None:
-    """Refuse a table that lacks one of `COLUMNS` or has it twice; other columns are welcome."""
+    """Raise `InputError` where one of `COLUMNS` is missing or stands twice.
+
+    Other columns are welcome.
+    """
     missing = [name for name in COLUMNS if name not in names]
     if missing:
-        found = ascii(", ".join(names)[:200])[1:-1] or "nothing"
-        raise InputError(f"no column {', '.join(missing)}; found {found}; rename or add it")
+        present = ascii(", ".join(names)[:200])[1:-1] or "nothing"
+        raise InputError(f"no column {', '.join(missing)}; found {present}; rename or add it")
     twice = [name for name in COLUMNS if names.count(name) > 1]
     if twice:
         raise InputError(f"column {', '.join(twice)} appears more than once; keep one of each")
 
 
 def number(text: str, place: str) -> float:
-    """Parse one finite number; Python's ``1_000`` and ``nan`` are not numbers in a log."""
+    """Return the finite number that ``text`` is; ``1_000`` and ``nan`` are none in a log.
+
+    Raises:
+        InputError: naming ``place``, the line and column, where it is no number.
+    """
     try:
         value = math.nan if "_" in text else float(text)
     except ValueError:

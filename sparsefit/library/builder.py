@@ -16,8 +16,8 @@ from sparsefit.errors import InputError, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import Nuisance, checked_unknowns, project_out, refuse_spanned
-from sparsefit.regression.objective import row_blocks
 from sparsefit.regression.problem import RegressionProblem, compressed
+from sparsefit.regression.statistics import row_blocks
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
 

@@ -35,7 +35,7 @@ class Readout:
     the 8-column fit between the grid's bounds; ``none`` reports the candidate itself.
     scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
-    (`sparsefit.estimator.scales`). Its peaks are those of the Euclidean norm always.
+    (`sparsefit.modes.search`). Its peaks are those of the Euclidean norm always.
     correction: ``first-order`` takes from a refined ``rms`` readout what smoothing, differencing
     and noisy positions are known to do to it; ``none`` leaves it.
     """

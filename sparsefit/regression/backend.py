@@ -7,7 +7,8 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, number_setting, one_of
-from sparsefit.regression.objective import Certificate, CertificateKind, Penalty
+from sparsefit.regression.certificate import Certificate, CertificateKind
+from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
 
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]

@@ -22,7 +22,8 @@ from sparsefit.regression.backend import (
     checked_alpha_fraction,
     numeric_fraction,
 )
-from sparsefit.regression.objective import Certificate, alpha_max, duality_gaps
+from sparsefit.regression.certificate import Certificate, duality_gaps, gram_gaps
+from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.penalty_choice import FRACTIONS, PenaltyChoice, choose_penalty
 from sparsefit.regression.problem import RegressionProblem
 
@@ -120,7 +121,7 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
         certificate = backend.certify(problem, solution) if _usable(solution) else None
     elif isinstance(backend, PenalisedBackend) and backend.certificate_kind == "duality_gap":
         fractions = (numeric_fraction(backend.name, backend.alpha_fraction),)
-        certificate = _gaps(problem, backend, (solution,), fractions)[0]
+        certificate = _gaps(problem, backend, (solution,), fractions, tolerance)[0]
     else:
         certificate = _certify(problem, backend, solution)
     return _judged(problem, backend, solution, certificate, seconds, tolerance)
@@ -164,7 +165,7 @@ def path(
     else:
         timed = [_timed(problem, point) for point in points]
         solutions, seconds = tuple(s for s, _ in timed), [t for _, t in timed]
-    gaps = _gaps(problem, backend, solutions, fractions)
+    gaps = _gaps(problem, backend, solutions, fractions, tolerance)
     judged = (
         _repaired(_judged(problem, *item, tolerance), tolerance)
         for item in zip(points, solutions, gaps, seconds, strict=True)
@@ -197,20 +198,41 @@ def _gaps(
     backend: PenalisedBackend,
     solutions: tuple[Solution, ...],
     fractions: tuple[float, ...],
+    tolerance: float,
 ) -> list[Certificate | None]:
-    penalty = backend.penalty(problem)
-    found = [i for i, s in enumerate(solutions) if _usable(s)]
+    """Duality gaps of the solutions that are finite, None for the others."""
     gaps: list[Certificate | None] = [None] * len(solutions)
-    if found:
-        alphas = alpha_max(problem.statistics.cross, penalty) * np.array(fractions)[found]
-        weights = np.stack([np.asarray(solutions[i].weights) for i in found])
-        rms = problem.statistics.rms
-        certified = duality_gaps(
-            problem.theta, problem.target, rms, weights, alphas, penalty, samples=problem.samples
-        )
-        for i, certificate in zip(found, certified, strict=True):
+    usable = [i for i, solution in enumerate(solutions) if _usable(solution)]
+    if usable:
+        penalty = backend.penalty(problem)
+        alphas = alpha_max(problem.statistics.cross, penalty) * np.array(fractions)[usable]
+        weights = np.stack([np.asarray(solutions[i].weights) for i in usable])
+        certified = _certified(problem, weights, alphas, penalty, tolerance)
+        for i, certificate in zip(usable, certified, strict=True):
             gaps[i] = certificate
     return gaps
+
+
+def _certified(
+    problem: RegressionProblem, weights: Array, alphas: Array, penalty: Penalty, tolerance: float
+) -> list[Certificate]:
+    """Gaps from the Gram matrix where it proves them small enough, from the rows elsewhere."""
+    statistics = problem.statistics
+    certified = list(gram_gaps(statistics, weights, alphas, penalty))
+    doubtful = [i for i, each in enumerate(certified) if not each.proves(tolerance)]
+    if doubtful:
+        by_rows = duality_gaps(
+            problem.theta,
+            problem.target,
+            statistics.rms,
+            weights[doubtful],
+            alphas[doubtful],
+            penalty,
+            samples=problem.samples,
+        )
+        for i, certificate in zip(doubtful, by_rows, strict=True):
+            certified[i] = certificate
+    return certified
 
 
 def _certify(problem: RegressionProblem, backend: Any, solution: Solution) -> Certificate | None:

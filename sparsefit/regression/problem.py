@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
-from sparsefit.regression.gram import products
-from sparsefit.regression.objective import Statistics, accumulate, row_blocks
+from sparsefit.regression.statistics import Statistics, accumulate
+
+FIRST_ROWS = 32  # a column that is not zero in these is not a column of zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,25 +58,25 @@ class RegressionProblem:
 
     def __post_init__(self) -> None:
         _check_shapes(self)
-        squares = np.einsum("ij,ij->j", self.theta, self.theta)
-        _refuse_columns(
-            ~np.isfinite(squares),
+        _refuse_overflow(
+            self.theta,
             self.names,
             "holds NaN, infinity or values whose "
             "squares overflow; clean the data or change the unit",
         )
-        _refuse_columns(
-            squares == 0,
+        _refuse_zeros(
+            self.theta,
             self.names,
             "is zero in every sample (or so small that its "
             "square underflows); drop it or change the unit",
         )
-        squares = np.einsum("ij,ij->j", self.target, self.target)
-        _refuse_columns(
-            ~np.isfinite(squares),
+        _refuse_overflow(
+            self.target,
             self.target_names,
             "of the target holds NaN, infinity or values whose squares overflow",
         )
+        for name in ("theta", "target"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
 
     @classmethod
     def from_arrays(
@@ -86,6 +87,9 @@ class RegressionProblem:
         names: Sequence[str] | None = None,
     ) -> "RegressionProblem":
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
+
+        Arrays that are float64 in C order are not copied but read where they are: leave them
+        unchanged while the problem is in use, or hand in copies. The problem's own are read-only.
 
         ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
         them every column is a group of its own. Raises InputError on shapes that do not match,
@@ -145,8 +149,7 @@ class RegressionProblem:
     @cached_property
     def statistics(self) -> Statistics:
         """Sufficient statistics in scaled columns, formed once and shared by all back-ends."""
-        blocks = row_blocks(self.theta, self.target)
-        return accumulate(blocks, count=self.samples, products=products)
+        return accumulate([(self.theta, self.target)], count=self.samples)
 
     @cached_property
     def compressed(self) -> tuple[Array, Array]:
@@ -202,6 +205,30 @@ def _check_shapes(problem: RegressionProblem) -> None:
         )
     if len(problem.names) != k:
         raise InputError(f"names must have one name per column: {k}, not {len(problem.names)}")
+
+
+def _read_only(values: Array) -> Array:
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+def _refuse_overflow(values: Array, names: Sequence[str], what: str) -> None:
+    flat = values.ravel(order="K")
+    if not np.isfinite(np.vdot(flat, flat)):  # one fast sum clears every column, or none
+        _refuse_columns(~np.isfinite(_squares(values)), names, what)
+
+
+def _refuse_zeros(values: Array, names: Sequence[str], what: str) -> None:
+    empty = np.flatnonzero(_squares(values[:FIRST_ROWS]) == 0)  # few are, but in odd data
+    zero = np.zeros(len(names), dtype=bool)
+    zero[empty] = _squares(values[:, empty]) == 0
+    _refuse_columns(zero, names, what)
+
+
+def _squares(values: Array) -> Array:
+    squares: Array = np.einsum("ij,ij->j", values, values)
+    return squares
 
 
 def _refuse_columns(bad: BoolArray, names: Sequence[str], what: str) -> None:

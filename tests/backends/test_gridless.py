@@ -19,7 +19,8 @@ from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.space import SearchSpace
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import Penalty, duality_gaps
+from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import VEHICLE, flight, flight_problem
 from tests.references import dual_certificate

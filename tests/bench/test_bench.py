@@ -13,7 +13,7 @@ from sparsefit.bench.robustness import ALTERATIONS, draw_problem
 from sparsefit.bench.scaling import exponent
 from sparsefit.bench.targets import judged
 from sparsefit.errors import InputError
-from sparsefit.regression.objective import duality_gaps
+from sparsefit.regression.certificate import duality_gaps
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,16 @@ from hypothesis import strategies as st
 
 from sparsefit.derivative import Derivative
 from sparsefit.derivative.smoothing import (
+    FEWEST,
     ORDER,
-    SHARE,
     SHORTEST,
+    SIDE_BY_SIDE,
     Channels,
     choose,
     coupled_kernels,
     noise_level,
     polynomial_kernels,
-    windows,
+    window_sizes,
 )
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
@@ -115,10 +116,10 @@ def test_noise_level_of_exact_and_of_no_signal_is_rounding():
 
 
 def test_windows_are_odd_rising_and_leave_most_of_the_flight():
-    found = list(windows(1000))
+    found = list(window_sizes(1000))
     assert found[0] == SHORTEST
     assert found == sorted(set(found))
-    assert all(window % 2 == 1 and window <= 1000 / SHARE for window in found)
+    assert all(window % 2 == 1 and window <= 1000 / SIDE_BY_SIDE for window in found)
 
 
 def test_the_window_grows_with_the_noise_and_shrinks_with_the_speed_of_the_flow():
@@ -146,7 +147,7 @@ def test_the_window_chosen_has_nearly_the_least_true_error():
         )
         return sum(float(np.mean(error**2)) for error in errors)
 
-    every = [(true_risk(w, c), c) for w in windows(len(truth.time)) for c in (True, False)]
+    every = [(true_risk(w, c), c) for w in window_sizes(len(truth.time)) for c in (True, False)]
     window, coupled = choose(channels)
     assert coupled
     assert true_risk(window, coupled) < 1.1 * min(every)[0]
@@ -221,7 +222,7 @@ def test_uneven_steps_and_short_flights_fall_back_by_name():
     flight = fly(7, 0.5)
     for rows, reason in (
         (np.r_[0:400, 402:800], "time steps are not uniform"),
-        (np.arange(SHARE * SHORTEST - 1), "54 samples are fewer than 55"),
+        (np.arange(FEWEST - 1), "54 samples are fewer than 55"),
     ):
         part = Flight(
             time=flight.time[rows],

@@ -17,7 +17,7 @@ from sparsefit.estimator.estimator import Estimator
 from sparsefit.estimator.saved import FORMAT
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.regression.objective import Certificate
+from sparsefit.regression.certificate import Certificate
 
 SMALL = Library(SMALL_GRID)
 

@@ -218,12 +218,12 @@ def test_junk_is_not_parquet(tmp_path, content):
         read_flight(path)
 
 
-def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
+def test_parquet_without_pyarrow_tells_how_to_install_it(tmp_path, monkeypatch):
     def absent(name):
         raise ImportError(name)
 
     monkeypatch.setattr(parquet_file, "import_module", absent)
-    with pytest.raises(MissingExtra, match=r"sparsefit\[parquet\]"):
+    with pytest.raises(MissingExtra, match=r"pip install pyarrow"):
         write_flight(flight_with(), tmp_path / "a.parquet")
     assert not list(tmp_path.iterdir())
 

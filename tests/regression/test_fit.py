@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from importlib import import_module
 from typing import ClassVar
 
 import numpy as np
@@ -15,9 +16,11 @@ from sparsefit import backends
 from sparsefit.backends.lasso import Lasso
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import lasso_penalty
+from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.objective import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 
+front_door = import_module("sparsefit.regression.fit")  # the package's own name is the function
 PROBLEM = regular()
 FRACTIONS = (0.9, 0.5, 0.2, 0.05, 0.01)
 NAN, ZERO = np.full((12, 2), np.nan), np.zeros((12, 2))
@@ -129,6 +132,25 @@ def test_a_solution_that_is_not_identifiable_keeps_its_word():
     found = sf.fit(PROBLEM, Plain(answer=Solution(None, "unidentifiable", "empty support")))
     assert (found.status, found.reason) == ("unidentifiable", "empty support")
     assert np.isnan(found.weights).all()
+
+
+def test_a_path_that_the_gram_matrix_proves_never_reads_the_rows(monkeypatch):
+    monkeypatch.setattr(front_door, "duality_gaps", lambda *_args, **_more: pytest.fail("read"))
+    found = sf.path(PROBLEM, backends.get("lasso"), FRACTIONS)
+    assert all(each.status == "ok" for each in found.fits)
+    assert all(0 < each.certificate.rounding <= 1e-9 for each in found.fits)
+
+
+@pytest.mark.parametrize(("tolerance", "wrong"), [(1e-8, 1.001), (1e-14, 1.0)])
+def test_the_rows_decide_what_the_gram_matrix_cannot_prove(tolerance, wrong):
+    backend = backends.get("lasso", alpha_fraction=0.1)
+    weights = backend.solve(PROBLEM).weights * wrong
+    found = sf.fit(PROBLEM, Double(answer=Solution(weights)), tolerance=tolerance)
+    s, penalty = PROBLEM.statistics, lasso_penalty(12)
+    alphas = np.array([0.1]) * alpha_max(s.cross, penalty)
+    rows = duality_gaps(PROBLEM.theta, PROBLEM.target, s.rms, weights[None], alphas, penalty)[0]
+    assert found.certificate == rows
+    assert found.status == ("ok" if rows.value <= tolerance else "inaccurate")
 
 
 @pytest.mark.parametrize("wrong", ["zeros", "nan", "none", "failed zeros"])

@@ -1,0 +1,223 @@
+"""What the caller verifies about a fit; for convex ones a duality gap with a bound of its rounding.
+
+In the notation of `objective`, with R = Y - Z V and, for each target t,
+
+    C = Z'R/m,   r_t = |R_t|^2/m,   q_t = <R_t, Y_t>/m,   y_t = |Y_t|/sqrt(m),   l_t = |V_t|_1,
+
+the dual point s R/m obeys its constraint where s max_g |C_g|/omega_g <= alpha, and there
+
+    P = sum_t r_t/2 + alpha Omega(V),   D = sum_t (s q_t - s^2 r_t/2),   s = q/r, cut to the limit;
+
+targets that the penalty does not couple have an s each. The gap is (P - D) / (|Y|^2/2m). C, r and q
+come from the rows, in m k operations, or from the Gram matrix G = Z'Z/m and B = Z'Y/m, in k^2:
+
+    C = B - G V,   q_t = y_t^2 - <V_t, B_t>,   r_t = q_t - <V_t, C_t>.
+
+Rounding. With u = 2^-53 and gamma_N = N u/(1 - N u), a sum of N products in any order (in blocks,
+in vectors, fused or not) is off by at most gamma_N times the sum of their moduli. Columns of unit
+rms turn that, by Cauchy-Schwarz, into gamma_m for an entry of G, gamma_m y_t of B and gamma_m y_t^2
+of y_t^2; sums over columns add gamma_k (y_t + l_t). With N = m + 2 k n + 20, where 20 covers the
+divisions by m and rms, the rounding of rms and of V = W rms and terms of second order (N < 1e8),
+
+    from G:     |err C| <= gamma_N (y + l),   |err q| <= y |err C|,   |err r| <= (y + l) |err C|
+    from rows:  |err C| <= gamma_N a + rho,   |err q| <= y |err C|,   |err r| <= (2a + rho) |err C|
+
+where a = sqrt(r) and rho = gamma_{k + 8} (y + l), by how much the rms of R itself is off.
+
+What these leave open is reported as ``rounding``: the dual point's limit is taken with |C_g| raised
+by its error, P and D are moved by theirs, and value + rounding is the relative gap that remains, an
+upper bound in exact arithmetic. m is the number of rows held; where these are the triangle of a QR
+of more samples, they are the data. Products that underflow void the bound (`SMALL`).
+
+Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), sections 3.1 and 3.5.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.regression.objective import Penalty
+from sparsefit.regression.statistics import Statistics, row_blocks
+
+CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
+UNIT = 2.0**-53  # the relative rounding of one operation
+SMALL = 1e-140  # rms of a column or target below which products may underflow: no bound is claimed
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What the caller verified about a fit.
+
+    ``duality_gap``: (primal - dual) / (|Y|^2 / 2m), an upper bound of the relative suboptimality;
+    ``rounding``: what rounding can hide at most, so that value + rounding is a proven bound; NaN
+    where none is known.
+    ``normal_equations``: largest |v'theta'R| / (s_max |Y|) over the retained right singular
+    vectors v of theta.
+    ``fixed_point``: share of the coefficients whose membership of the support one more iteration
+    would change; it claims no optimum.
+    """
+
+    kind: CertificateKind
+    value: float
+    primal: float = float("nan")
+    dual: float = float("nan")
+    rounding: float = float("nan")
+
+    def proves(self, tolerance: float) -> bool:
+        """Whether the value is below the tolerance whatever the rounding was, which is small."""
+        return self.rounding <= 0.1 * tolerance and self.value + self.rounding <= tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class _Residual:
+    """C (p, k, n), r and q (p, n) of weights at p penalties, and bounds (p, n) of their errors."""
+
+    correlation: Array
+    square: Array
+    product: Array
+    correlation_error: Array
+    square_error: Array
+    product_error: Array
+    gamma: float
+    safe: bool
+
+
+def duality_gaps(
+    theta: Array,
+    target: Array,
+    rms: Array,
+    weights: Array,
+    alphas: Array,
+    penalty: Penalty,
+    *,
+    samples: int | None = None,
+) -> tuple[Certificate, ...]:
+    """Certificates from the rows theta (m, k) and target (m, n), with column scales rms (k,).
+
+    weights (p, k, n) in original units, at the penalties alphas (p,). ``samples``: the number m
+    that sums are divided by, where the rows are the compressed ones of more samples.
+    """
+    points, columns, targets = weights.shape
+    m = samples or len(theta)
+    correlation, square, product = _row_sums(theta, target, weights)
+    scaled = weights * rms[:, None]
+    target_square = np.einsum("it,it->t", target, target) / m
+    gamma = _gamma(len(theta) + 2 * columns * targets + 20)
+    rho, root = _gamma(columns + 8) * _reach(target_square, scaled), np.sqrt(square / m)
+    error = gamma * root + rho
+    residual = _Residual(
+        (correlation / (rms[:, None] * m)).reshape(columns, points, targets).transpose(1, 0, 2),
+        square / m,
+        product / m,
+        error,
+        (2.0 * root + rho) * error,
+        np.sqrt(target_square) * error,
+        gamma,
+        _safe(rms, target_square),
+    )
+    return _certificates(residual, scaled, alphas, penalty, target_square)
+
+
+def gram_gaps(
+    statistics: Statistics, weights: Array, alphas: Array, penalty: Penalty
+) -> tuple[Certificate, ...]:
+    """The same certificates from the Gram matrix alone, in k^2 operations a point."""
+    gram, target_square = statistics.gram, statistics.target_square
+    scaled = weights * statistics.rms[:, None]
+    points, columns, targets = scaled.shape
+    flat = scaled.transpose(0, 2, 1).reshape(points * targets, columns)
+    used = np.flatnonzero(np.any(flat != 0, axis=0))
+    fitted = flat[:, used] @ gram[used] if 2 * len(used) < columns else flat @ gram
+    correlation = statistics.cross - fitted.reshape(points, targets, columns).transpose(0, 2, 1)
+    product = target_square - np.einsum("pkt,kt->pt", scaled, statistics.cross)
+    square = product - np.einsum("pkt,pkt->pt", scaled, correlation)
+    gamma = _gamma(statistics.rows + 2 * columns * targets + 20)
+    reach = _reach(target_square, scaled)
+    residual = _Residual(
+        correlation,
+        np.maximum(square, 0.0),
+        product,
+        gamma * reach,
+        gamma * reach**2,
+        gamma * reach * np.sqrt(target_square),
+        gamma,
+        _safe(statistics.rms, target_square),
+    )
+    return _certificates(residual, scaled, alphas, penalty, target_square)
+
+
+def _row_sums(theta: Array, target: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """theta'R (k, p n), |R_t|^2 and <R_t, Y_t> (p, n) of R = Y - theta W for weights (p, k, n)."""
+    points, columns, targets = weights.shape
+    flat = np.ascontiguousarray(weights.transpose(1, 0, 2)).reshape(columns, points * targets)
+    used = np.flatnonzero(np.any(flat != 0, axis=1))
+    sparse = 2 * len(used) < columns  # gathering columns costs a copy: worth it when few are used
+    correlation = np.zeros((columns, points * targets))
+    square = np.zeros((points, targets))
+    product = np.zeros((points, targets))
+    for rows, values in row_blocks(theta, target):
+        fitted = rows[:, used] @ flat[used] if sparse else rows @ flat
+        residual = values[:, None, :] - fitted.reshape(len(rows), points, targets)
+        square += np.einsum("ipt,ipt->pt", residual, residual)
+        product += np.einsum("ipt,it->pt", residual, values)
+        correlation += rows.T @ residual.reshape(len(rows), points * targets)
+    return correlation, square, product
+
+
+def _certificates(
+    residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty, target_square: Array
+) -> tuple[Certificate, ...]:
+    """Primal, dual and gap at weights V = ``scaled`` (p, k, n), and what rounding leaves open."""
+    peaks = penalty.dual_norms(residual.correlation)
+    error = penalty.dual_norms(np.ones(scaled.shape[1:])) * residual.correlation_error
+    if penalty.joint:
+        error = error.max(axis=1, keepdims=True)
+    norm = alphas * penalty.norm(scaled)
+    primal = 0.5 * residual.square.sum(axis=1) + norm
+    dual, _ = _dual(residual, alphas, peaks, penalty)
+    certain, doubt = _dual(residual, alphas, peaks * (1.0 + residual.gamma) + error, penalty)
+    doubt = doubt + 0.5 * residual.square_error.sum(axis=1) + residual.gamma * primal
+    null = 0.5 * float(target_square.sum()) or 1.0
+    gaps = np.maximum(primal - dual, 0.0) / null
+    most = np.maximum(primal - certain + doubt, 0.0) / null * (1.0 + 2.0 * residual.gamma)
+    rounding = np.maximum(most - gaps, 0.0) if residual.safe else np.full(len(gaps), np.inf)
+    return tuple(
+        Certificate("duality_gap", float(g), float(p), float(d), float(r))
+        for g, p, d, r in zip(gaps, primal, dual, rounding, strict=True)
+    )
+
+
+def _dual(
+    residual: _Residual, alphas: Array, peaks: Array, penalty: Penalty
+) -> tuple[Array, Array]:
+    """D (p,) at the best s with s * peaks <= alpha, and by how much rounding may have moved it."""
+    square, product = residual.square, residual.product
+    if penalty.joint:
+        square, product = (part.sum(axis=1, keepdims=True) for part in (square, product))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limit = np.where(peaks > 0, alphas[:, None] / peaks, np.inf)
+        best = np.where(square > 0, product / square, 0.0)
+    s = np.clip(best, -limit, limit)
+    linear, quadratic = s * product, 0.5 * s**2 * square
+    error = np.abs(s) * residual.product_error + 0.5 * s**2 * residual.square_error
+    rounding = residual.gamma * (np.abs(linear) + quadratic)
+    return (linear - quadratic).sum(axis=1), error.sum(axis=1) + rounding.sum(axis=1)
+
+
+def _gamma(count: int) -> float:
+    """gamma_N = N u / (1 - N u)."""
+    return count * UNIT / (1.0 - count * UNIT)
+
+
+def _reach(target_square: Array, scaled: Array) -> Array:
+    """y + l (p, n): the most that a target and its weights can sum up to."""
+    reach: Array = np.sqrt(target_square) + np.abs(scaled).sum(axis=1)
+    return reach
+
+
+def _safe(rms: Array, target_square: Array) -> bool:
+    """Whether no product of two columns, or of a column and a target, can underflow."""
+    least = np.min(target_square, where=target_square > 0, initial=1.0)
+    return bool(rms.min() > SMALL and least > SMALL**2)

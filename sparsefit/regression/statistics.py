@@ -1,0 +1,121 @@
+"""Sufficient statistics of a regression problem: Z'Z, Z'Y and |y_t|^2, summed once and shared.
+
+numpy's BLAS sums Z'Z as a symmetric product; on AMD CPUs with AVX-512, which public BLAS builds
+leave unused there, a compiled kernel does it 1.7 times faster. Both sum the same products in
+double precision, in another order; the choice depends on the machine alone, never on the data.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
+
+Products: TypeAlias = Callable[[Array, Array], tuple[Array, Array, Array]]
+
+ROW_BLOCK = 8192  # rows per pass: the block of theta stays in cache for both products
+_KERNEL = "sparsefit.regression._gram"  # compiled; absent where there was no compiler
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Sufficient statistics of a regression problem in scaled columns z_j = theta_j / rms_j.
+
+    samples: the number m of samples; rows: of how many rows the sums were taken, fewer than m
+    where a QR compressed them. gram = Z'Z/m (k, k), cross = Z'Y/m (k, n), target_square =
+    |y_t|^2/m (n,), rms (k,) in the units of theta. The arrays are read-only: every back-end and
+    the certificate read the same ones.
+    """
+
+    samples: int
+    rows: int
+    rms: Array
+    gram: Array
+    cross: Array
+    target_square: Array
+
+    def __post_init__(self) -> None:
+        for array in (self.rms, self.gram, self.cross, self.target_square):
+            array.setflags(write=False)
+
+    @property
+    def null_objective(self) -> float:
+        """The objective at zero weights, |Y|^2 / 2m."""
+        return 0.5 * float(self.target_square.sum())
+
+    @cached_property
+    def rank(self) -> int:
+        """Numerical rank of Z (singular values above k * eps^(1/2) would be lost in Z'Z)."""
+        eigenvalues = np.linalg.eigvalsh(self.gram)
+        floor = len(eigenvalues) * np.finfo(float).eps * max(float(eigenvalues[-1]), 0.0)
+        return int(np.count_nonzero(eigenvalues > floor))
+
+
+def row_blocks(*arrays: Array, size: int = ROW_BLOCK) -> Iterator[tuple[Array, ...]]:
+    """The same rows of every array, ``size`` at a time."""
+    for start in range(0, len(arrays[0]), size):
+        yield tuple(array[start : start + size] for array in arrays)
+
+
+def accumulate(
+    blocks: Iterable[tuple[Array, ...]],
+    *,
+    count: int | None = None,
+    products: Products | None = None,
+) -> Statistics:
+    """Statistics from blocks of rows (theta, target), in memory of order k^2.
+
+    ``count``: the number of samples m, where the rows are the compressed ones of more samples.
+    ``products``: what sums up a block, by default the faster one on this machine. Raises
+    ValueError where there is no block.
+    """
+    products = products or (kernel_products if product_loop() == "compiled" else block_products)
+    gram: Array | None = None
+    for theta, target in blocks:
+        if gram is None:
+            gram, cross, square = products(theta, target)
+            rows = len(theta)
+        else:
+            more = products(theta, target)
+            gram += more[0]
+            cross += more[1]
+            square += more[2]
+            rows += len(theta)
+    if gram is None:
+        raise ValueError("no rows: a regression problem needs at least one block of samples")
+    m = count or rows
+    rms = np.sqrt(np.diagonal(gram) / m)
+    scale = np.where(rms > 0, rms, 1.0)
+    gram /= scale[:, None] * m
+    gram /= scale
+    return Statistics(m, rows, scale, gram, cross / (scale[:, None] * m), square / m)
+
+
+def block_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:
+    """Z'Z (k, k), Z'Y (k, n) and |y_t|^2 (n,) of rows theta (m, k) and target (m, n), by numpy."""
+    return theta.T @ theta, theta.T @ target, np.einsum("ij,ij->j", target, target)
+
+
+def kernel_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:
+    """The same by the compiled kernel, where `product_loop` says that it runs."""
+    kernel = import_module(_KERNEL)
+    k, n = theta.shape[1], target.shape[1]
+    gram, cross, square = np.empty((k, k)), np.empty((k, n)), np.empty(n)
+    rows, values = (np.ascontiguousarray(part, dtype=np.float64) for part in (theta, target))
+    kernel.products(rows, values, gram, cross, square)
+    return gram, cross, square
+
+
+@cache
+def product_loop() -> Literal["compiled", "numpy"]:
+    """Which of the two sums up Gram matrices on this machine."""
+    try:
+        kernel = import_module(_KERNEL)
+    except ImportError:  # not built: no compiler
+        return "numpy"
+    return "compiled" if kernel.preferred() else "numpy"

@@ -1,0 +1,367 @@
+"""The certificate, from rows and from the Gram matrix, against hand values and high precision."""
+
+import itertools
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.regression.certificate import duality_gaps, gram_gaps
+from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.regression.statistics import accumulate
+
+THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
+TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5
+
+
+SOURCES = ("rows", "gram")
+both = pytest.mark.parametrize("source", SOURCES)
+
+
+def statistics_of(theta, target):
+    return accumulate([(np.asarray(theta), np.asarray(target))])
+
+
+def certified(theta, target, weights, alphas, penalty, source="rows"):
+    """Certificates of weights (p, k, n) from the rows or from the Gram matrix."""
+    statistics = statistics_of(theta, target)
+    weights, alphas = np.asarray(weights), np.asarray(alphas)
+    if source == "gram":
+        return gram_gaps(statistics, weights, alphas, penalty)
+    return duality_gaps(theta, target, statistics.rms, weights, alphas, penalty)
+
+
+def certify(theta, target, weights, alpha, penalty, source="rows"):
+    return certified(theta, target, np.asarray(weights)[None], [alpha], penalty, source)[0]
+
+
+def by_hand(theta, target, weights, alpha, groups, omega, joint):
+    """Primal, dual and dual point by loops, one block at a time."""
+    m, n = target.shape
+    rms = np.sqrt(np.mean(theta**2, axis=0))
+    z, v = theta / rms, weights * rms[:, None]
+    residual = target - z @ v
+    blocks = [range(n)] if joint else [[t] for t in range(n)]
+    primal, dual, points = 0.0, 0.0, []
+    for targets in blocks:
+        targets = list(targets)
+        r, y = residual[:, targets], target[:, targets]
+        primal += np.sum(r**2) / (2 * m)
+        worst = 0.0
+        for g, weight in enumerate(omega):
+            on = [j for j in range(theta.shape[1]) if groups[j] == g]
+            primal += alpha * weight * np.sqrt(np.sum(v[np.ix_(on, targets)] ** 2))
+            worst = max(worst, np.sqrt(np.sum((z[:, on].T @ r / m) ** 2)) / weight)
+        s = np.sum(r * y) / np.sum(r * r)
+        s = np.clip(s, -alpha / worst, alpha / worst)
+        dual += (s * np.sum(r * y) - s**2 * np.sum(r * r) / 2) / m
+        points.append((targets, s * r))
+    return primal, dual, points
+
+
+@both
+def test_primal_and_dual_of_two_columns_worked_by_hand(source):
+    # v = (1, 0): r = (2, 0), |r|^2/2m = 1, alpha |v| = 0.5 and so P = 1.5.
+    # Z'r/m = (1, 1), s = min(<r, y>/|r|^2 = 1.5, alpha = 0.5), D = (0.5 * 6 - 0.125 * 4)/2 = 1.25.
+    found = certify(THETA, TARGET, [[1.0], [0.0]], 0.5, lasso_penalty(2), source)
+    assert (found.primal, found.dual) == pytest.approx((1.5, 1.25))
+    assert found.value == pytest.approx(0.25 / 2.5)
+    assert found.kind == "duality_gap"
+
+
+@both
+def test_gap_vanishes_at_the_soft_threshold_of_orthogonal_columns(source):
+    assert certify(THETA, TARGET, [[1.5], [0.5]], 0.5, lasso_penalty(2), source).value <= 1e-16
+    assert certify(THETA, TARGET, [[0.5], [0.0]], 1.5, lasso_penalty(2), source).value <= 1e-16
+
+
+def lasso_by_enumeration(theta, target, rms, alpha):
+    """The least P(V) over all sign patterns, in 50 digits, with V (k,) of one target."""
+    m, k = theta.shape
+    z = mp.matrix([[mp.mpf(theta[i, j]) / mp.mpf(rms[j]) for j in range(k)] for i in range(m)])
+    y, penalty, best = mp.matrix(target.tolist()), mp.mpf(float(alpha)), None
+    for signs in itertools.product((-1, 0, 1), repeat=k):
+        on = [j for j in range(k) if signs[j]]
+        v = mp.matrix(k, 1)
+        if on:
+            part = mp.matrix([[z[i, j] for j in on] for i in range(m)])
+            right = part.T * y - m * penalty * mp.matrix([signs[j] for j in on])
+            for j, value in zip(on, mp.lu_solve(part.T * part, right), strict=True):
+                v[j] = value
+        if any(v[j] * signs[j] < 0 for j in on):
+            continue  # not this orthant
+        value = primal_exactly(z, y, v, penalty)
+        best = value if best is None or value < best else best
+    return z, y, best
+
+
+def primal_exactly(z, y, v, alpha):
+    residual = y - z * v
+    size = mp.fsum(abs(x) for x in v)
+    return mp.fsum(r**2 for r in residual) / (2 * z.rows) + alpha * size
+
+
+@both
+@pytest.mark.parametrize("seed", range(6))
+def test_gap_bounds_the_true_suboptimality_in_high_precision(seed, source):
+    rng = np.random.default_rng(seed)
+    theta, target = rng.normal(size=(7, 3)) * [1.0, 1e3, 1e-3], rng.normal(size=(7, 1))
+    s = statistics_of(theta, target)
+    alpha = float(rng.uniform(0.05, 0.9)) * alpha_max(s.cross, lasso_penalty(3))
+    with mp.workdps(50):
+        z, y, optimum = lasso_by_enumeration(theta, target, s.rms, alpha)
+        for size in (1.0, 1e-2, 1e-5):
+            weights = (rng.normal(size=(3, 1)) * size) / s.rms[:, None]
+            found = certify(theta, target, weights, alpha, lasso_penalty(3), source)
+            v = mp.matrix(
+                [mp.mpf(w) * mp.mpf(r) for w, r in zip(weights[:, 0], s.rms, strict=True)]
+            )
+            exact = primal_exactly(z, y, v, mp.mpf(alpha))
+            null = s.null_objective
+            assert abs(found.primal - float(exact)) <= 1e-14 * null
+            assert found.dual <= float(optimum) + 1e-14 * null
+            assert found.value * null >= float(exact - optimum) - 1e-14 * null
+            assert found.value + found.rounding >= (exact - optimum) / null
+            assert found.rounding <= 1e-12 * (1 + np.abs(weights * s.rms[:, None]).sum()) ** 2
+
+
+def test_gap_is_tight_at_the_high_precision_solution():
+    rng = np.random.default_rng(5)
+    theta, target = rng.normal(size=(9, 3)), rng.normal(size=(9, 1))
+    s = statistics_of(theta, target)
+    alpha = 0.3 * alpha_max(s.cross, lasso_penalty(3))
+    problem = RegressionProblem.from_arrays(theta, target)
+    weights = backends.get("lasso", alpha_fraction=0.3).solve(problem).weights
+    found = certify(theta, target, weights, alpha, lasso_penalty(3))
+    optimum = lasso_by_enumeration(theta, target, s.rms, alpha)[2]
+    assert found.primal == pytest.approx(float(optimum), rel=1e-14)
+    assert found.dual == pytest.approx(float(optimum), rel=1e-13)
+
+
+@both
+@pytest.mark.parametrize("joint", [True, False])
+@pytest.mark.parametrize("seed", range(5))
+def test_certificate_agrees_with_loops_over_unequal_groups(seed, joint, source):
+    rng = np.random.default_rng(seed)
+    theta, target = rng.normal(size=(11, 7)), rng.normal(size=(11, 3))
+    groups = np.array([2, 0, 1, 1, 2, 2, 2])  # sizes 1, 2 and 4, not in order
+    omega = np.sqrt(np.bincount(groups))
+    weights = rng.normal(size=(7, 3)) * (rng.random((7, 3)) < 0.6)
+    penalty = Penalty(groups, omega, joint)
+    found = certify(theta, target, weights, 0.2, penalty, source)
+    primal, dual, points = by_hand(theta, target, weights, 0.2, groups, omega, joint)
+    assert found.primal == pytest.approx(primal, rel=1e-13)
+    assert found.dual == pytest.approx(dual, rel=1e-12)
+    z = theta / np.sqrt(np.mean(theta**2, axis=0))
+    for targets, point in points:  # the dual point obeys its constraint
+        correlation = np.zeros((7, 3))
+        correlation[:, targets] = z.T @ point / 11
+        assert penalty.dual_norms(correlation).max() <= 0.2 * (1 + 1e-12)
+
+
+@both
+@pytest.mark.parametrize("sparse", [True, False])
+def test_gathering_columns_and_points_together_changes_nothing(sparse, source):
+    rng = np.random.default_rng(0)
+    theta, target = rng.normal(size=(50, 8)), rng.normal(size=(50, 2))
+    weights = rng.normal(size=(3, 8, 2))
+    if sparse:
+        weights[:, 2:] = 0.0
+    alphas, penalty = np.array([0.3, 0.2, 0.1]), lasso_penalty(8)
+    together = certified(theta, target, weights, alphas, penalty, source)
+    for one, values, alpha in zip(together, weights, alphas, strict=True):
+        alone = certify(theta, target, values, alpha, penalty, source)
+        assert (one.primal, one.dual) == pytest.approx((alone.primal, alone.dual), rel=1e-13)
+        primal, dual, _ = by_hand(theta, target, values, alpha, np.arange(8), np.ones(8), False)
+        assert (one.primal, one.dual) == pytest.approx((primal, dual), rel=1e-12)
+
+
+@given(
+    theta_unit=st.sampled_from([1e-12, 1e-6, 1.0, 1e6, 1e12]),
+    target_unit=st.sampled_from([1e-12, 1e-6, 1.0, 1e6, 1e12]),
+    seed=st.integers(0, 50),
+    joint=st.booleans(),
+    source=st.sampled_from(SOURCES),
+)
+@settings(max_examples=80)
+def test_gap_does_not_depend_on_units(theta_unit, target_unit, seed, joint, source):
+    problem = regular(seed)
+    weights = np.random.default_rng(seed).normal(size=(12, 2))
+    penalty = Penalty(problem.groups, np.ones(4), joint)
+    plain = certify(problem.theta, problem.target, weights, 0.3, penalty, source)
+    changed = certify(
+        problem.theta * theta_unit,
+        problem.target * target_unit,
+        weights * (target_unit / theta_unit),
+        0.3 * target_unit,
+        penalty,
+        source,
+    )
+    assert changed.value == pytest.approx(plain.value, rel=1e-12)
+    assert changed.rounding == pytest.approx(plain.rounding, rel=1e-2)
+    assert changed.primal == pytest.approx(plain.primal * target_unit**2, rel=1e-12)
+
+
+@given(seed=st.integers(0, 10_000), kind=st.sampled_from(DEGENERATE_KINDS), size=st.floats(0, 3))
+@settings(max_examples=120)
+def test_gap_is_never_negative_and_dual_never_above_primal(seed, kind, size):
+    problem = degenerate(kind, seed)
+    s = problem.statistics
+    rng = np.random.default_rng(seed)
+    unit = np.sqrt(s.target_square) / s.rms[:, None]
+    weights = size * unit * rng.normal(size=(problem.columns, problem.targets))
+    penalty = Penalty(problem.groups, np.ones(problem.groups.max() + 1), bool(seed % 2))
+    found = certify(
+        problem.theta, problem.target, weights, 0.3 * alpha_max(s.cross, penalty), penalty
+    )
+    assert found.value >= 0
+    assert found.dual <= found.primal + 1e-12 * s.null_objective
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    joint=st.booleans(),
+    below=st.floats(0.01, 0.999),
+    above=st.floats(1.0, 100.0),
+)
+@settings(max_examples=80)
+def test_zero_is_the_solution_exactly_from_alpha_max_on(seed, joint, below, above):
+    problem = regular(seed)
+    penalty = Penalty(problem.groups, np.sqrt([1.0, 2.0, 3.0, 4.0]), joint)
+    top = alpha_max(problem.statistics.cross, penalty)
+    zeros = np.zeros((12, 2))
+    assert certify(problem.theta, problem.target, zeros, top * above, penalty).value <= 1e-15
+    lower = certify(problem.theta, problem.target, zeros, top * below, penalty)
+    # alpha_max belongs to the worst block alone, so the gap is positive but not (1 - below)^2.
+    assert lower.value > 0
+    step = np.zeros((12, 2))  # and a step along the worst block does lower the objective
+    cross = problem.statistics.cross
+    ratio = penalty.block_norms(cross) / penalty.weights[:, None]
+    group, t = np.unravel_index(ratio.argmax(), ratio.shape)
+    block = np.ix_(np.flatnonzero(problem.groups == group), range(2) if joint else [t])
+    step[block] = 1e-4 * (1 - below) * cross[block]
+    weights = step / problem.statistics.rms[:, None]
+    moved = certify(problem.theta, problem.target, weights, top * below, penalty)
+    assert moved.primal < lower.primal
+
+
+@both
+def test_zero_target_has_gap_zero(source):
+    found = certify(THETA, np.zeros((2, 1)), np.zeros((2, 1)), 0.0, lasso_penalty(2), source)
+    assert (found.value, found.primal, found.dual, found.rounding) == (0.0, 0.0, 0.0, 0.0)
+
+
+def exact_gap(theta, target, rms, weights, alpha, penalty):
+    """(P - D) / (|Y|^2/2m) in 60 digits at the best s, of the very numbers that are certified."""
+    m, n = target.shape
+    z = [[mp.mpf(x) / mp.mpf(r) for x, r in zip(row, rms, strict=True)] for row in theta.tolist()]
+    v = [[mp.mpf(w) * mp.mpf(r) for w in row] for row, r in zip(weights.tolist(), rms, strict=True)]
+    residual = [
+        [mp.mpf(float(target[i, t])) - mp.fdot(z[i], [row[t] for row in v]) for t in range(n)]
+        for i in range(m)
+    ]
+    primal, dual = mp.mpf(0), mp.mpf(0)
+    for block in [range(n)] if penalty.joint else [[t] for t in range(n)]:
+        square = mp.fsum(residual[i][t] ** 2 for i in range(m) for t in block)
+        product = mp.fsum(residual[i][t] * float(target[i, t]) for i in range(m) for t in block)
+        peak, norm = mp.mpf(0), mp.mpf(0)
+        for group, omega in enumerate(penalty.weights.tolist()):
+            on = np.flatnonzero(penalty.groups == group).tolist()
+            pull = [mp.fsum(z[i][j] * residual[i][t] for i in range(m)) for j in on for t in block]
+            peak = max(peak, mp.sqrt(mp.fsum(x**2 for x in pull)) / m / omega)
+            norm += omega * mp.sqrt(mp.fsum(v[j][t] ** 2 for j in on for t in block))
+        limit = alpha / peak
+        s = max(-limit, min(limit, product / square))
+        primal += square / (2 * m) + alpha * norm
+        dual += (s * product - s**2 * square / 2) / m
+    null = mp.fsum(mp.mpf(y) ** 2 for y in target.ravel().tolist()) / (2 * m)
+    return (primal - dual) / null
+
+
+@both
+@given(
+    seed=st.integers(0, 10_000),
+    size=st.sampled_from([0.0, 1.0, 1e3, 1e6]),
+    fitted=st.booleans(),
+    penalty=st.sampled_from(["lasso", "separate", "joint"]),
+)
+@settings(max_examples=30)
+def test_rounding_covers_what_double_precision_loses(source, seed, size, fitted, penalty):
+    # Nearly equal columns with large opposite weights: they cancel in Z V, and so do the sums.
+    # Where the weights fit the target, the residual is all rounding.
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(20, 6)) * 10.0 ** rng.uniform(-3, 3, 6)
+    theta[:, 1] = theta[:, 0] * (1.0 + 1e-9 * rng.normal(size=20))
+    target = rng.normal(size=(20, 2))
+    weights = rng.normal(size=(6, 2)) / np.sqrt(np.mean(theta**2, axis=0))[:, None]
+    weights[:2] += size * np.array([[1.0], [-1.0]]) / np.abs(theta[:, 0]).mean()
+    target = theta @ weights if fitted else target
+    groups = np.array([0, 1, 2, 0, 1, 2])
+    blocks = Penalty(groups, np.sqrt([1.0, 2.0, 3.0]), penalty == "joint")
+    blocks = lasso_penalty(6) if penalty == "lasso" else blocks
+    found = certify(theta, target, weights, 0.05, blocks, source)
+    with mp.workdps(60):
+        exact = exact_gap(theta, target, statistics_of(theta, target).rms, weights, 0.05, blocks)
+        assert exact <= mp.mpf(found.value) + mp.mpf(found.rounding)
+        assert fitted or exact >= mp.mpf(found.value) - 2 * mp.mpf(found.rounding)
+    reach = 1.0 + np.abs(weights * np.sqrt(np.mean(theta**2, axis=0))[:, None]).sum()
+    assert fitted or found.rounding <= 1e-13 * (reach / np.sqrt(np.mean(target**2))) ** 2
+
+
+def test_the_error_of_sums_over_many_rows_is_within_the_bound():
+    # One large term and many that it swallows: the Gram matrix is wrong in its tenth digit.
+    theta = np.full((4000, 2), 1e-8)
+    theta[0] = 1.0
+    theta[1:, 1] *= -1.0
+    target, weights = theta[:, :1] * 3.0, np.array([[1.0], [1.0]])
+    for source in SOURCES:
+        found = certify(theta, target, weights, 0.01, lasso_penalty(2), source)
+        with mp.workdps(60):
+            rms = statistics_of(theta, target).rms
+            exact = exact_gap(theta, target, rms, weights, 0.01, lasso_penalty(2))
+            assert abs(exact - found.value) <= found.rounding
+
+
+def test_gram_and_rows_agree_within_what_they_claim():
+    problem = flight_problem(velocity_noise=0.1)
+    s = problem.statistics
+    penalty = lasso_penalty(problem.columns)
+    fractions = np.geomspace(1.0, 1e-3, 12)
+    path = sf.path(problem, backends.get("lasso"), fractions)
+    alphas = fractions * alpha_max(s.cross, penalty)
+    by_rows = duality_gaps(problem.theta, problem.target, s.rms, path.weights, alphas, penalty)
+    for gram, rows in zip(gram_gaps(s, path.weights, alphas, penalty), by_rows, strict=True):
+        assert abs(gram.value - rows.value) <= gram.rounding + rows.rounding
+        assert (gram.primal, gram.dual) == pytest.approx((rows.primal, rows.dual), rel=1e-10)
+        assert gram.rounding <= 1e-9
+        assert rows.rounding <= 1e-9
+
+
+def test_a_compressed_problem_has_the_gap_of_its_samples():
+    rng = np.random.default_rng(3)
+    theta, target = rng.normal(size=(900, 5)), rng.normal(size=(900, 2))
+    blocks = ((theta[i : i + 100], target[i : i + 100]) for i in range(0, 900, 100))
+    small = RegressionProblem.from_blocks(blocks)
+    weights = rng.normal(size=(1, 5, 2))
+    assert (small.statistics.samples, small.statistics.rows) == (900, 7)
+    whole = certified(theta, target, weights, [0.1], lasso_penalty(5))[0]
+    alphas, penalty, rms = np.array([0.1]), lasso_penalty(5), small.statistics.rms
+    by_rows = duality_gaps(small.theta, small.target, rms, weights, alphas, penalty, samples=900)
+    by_gram = gram_gaps(small.statistics, weights, alphas, penalty)
+    for found in (by_rows[0], by_gram[0]):
+        assert (found.value, found.primal) == pytest.approx((whole.value, whole.primal), rel=1e-12)
+        assert found.rounding < whole.rounding  # 7 rows are summed, not 900
+
+
+@both
+def test_no_bound_is_claimed_where_products_underflow(source):
+    found = certify(THETA * 1e-145, TARGET, [[1e145], [0.0]], 0.5, lasso_penalty(2), source)
+    assert found.value == pytest.approx(0.25 / 2.5)
+    assert found.rounding == np.inf
+    assert not found.proves(1.0)

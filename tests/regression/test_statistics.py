@@ -1,0 +1,156 @@
+"""Statistics by hand; both products of a block of rows against exact sums; refusals."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import regular
+
+from sparsefit.regression import statistics
+from sparsefit.regression.statistics import (
+    accumulate,
+    block_products,
+    kernel_products,
+    product_loop,
+    row_blocks,
+)
+
+
+def kernel_runs():
+    try:
+        from sparsefit.regression import _gram
+    except ImportError:  # no compiler
+        return False
+    return _gram.supported()
+
+
+needs_kernel = pytest.mark.skipif(not kernel_runs(), reason="not built, or no AVX-512 here")
+
+
+THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
+TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5
+
+
+def products(theta, target):
+    """(name, sums) of each product that runs on this CPU."""
+    yield "numpy", block_products(theta, target)
+    if kernel_runs():
+        yield "compiled", kernel_products(theta, target)
+
+
+def test_statistics_of_two_columns_worked_by_hand():
+    found = accumulate([(THETA * [2.0, 5.0], TARGET)])
+    assert found.rms == pytest.approx([2.0, 5.0])
+    assert found.gram == pytest.approx(np.eye(2))
+    assert found.cross[:, 0] == pytest.approx([2.0, 1.0])
+    assert found.target_square == pytest.approx([5.0])
+    assert found.null_objective == pytest.approx(2.5)
+    assert (found.samples, found.rank) == (2, 2)
+
+
+@given(size=st.integers(1, 70))
+def test_statistics_do_not_depend_on_the_block_size(size):
+    problem = regular()
+    whole = problem.statistics
+    blocks = accumulate(row_blocks(problem.theta, problem.target, size=size))
+    for name in ("samples", "rows", "rms", "gram", "cross", "target_square"):
+        assert getattr(blocks, name) == pytest.approx(getattr(whole, name), rel=1e-13, abs=1e-14)
+
+
+def test_no_rows_are_refused():
+    with pytest.raises(ValueError, match="no rows"):
+        accumulate(iter([]))
+
+
+def test_rank_counts_a_repeated_column_once():
+    theta = regular().theta
+    repeated = np.hstack([theta, theta[:, :2]])
+    assert accumulate([(repeated, regular().target)]).rank == 12
+
+
+@given(st.integers(1, 300), st.integers(1, 60), st.integers(1, 4), st.integers(0, 10**6))
+def test_products_are_those_of_extended_precision(samples, columns, targets, seed):
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(samples, columns)) * 10.0 ** rng.uniform(-6, 6, columns)
+    target = rng.normal(size=(samples, targets))
+    wide, goal = theta.astype(np.longdouble), target.astype(np.longdouble)
+    sizes = np.abs(theta).T @ np.abs(theta), np.abs(theta).T @ np.abs(target), (target**2).sum(0)
+    exact = wide.T @ wide, wide.T @ goal, (goal**2).sum(0)
+    for name, sums in products(theta, target):
+        for found, right, size in zip(sums, exact, sizes, strict=True):
+            assert found.shape == right.shape, name
+            assert np.all(np.abs(found - right) <= samples * np.finfo(float).eps * size), name
+
+
+@needs_kernel
+@pytest.mark.parametrize("columns", [1, 7, 8, 22, 23, 24, 25, 448])
+def test_the_compiled_gram_matrix_is_symmetric_and_agrees_with_numpy(columns):
+    rng = np.random.default_rng(columns)
+    theta, target = rng.normal(size=(517, columns)), rng.normal(size=(517, 2))
+    found = kernel_products(theta, target)
+    np.testing.assert_array_equal(found[0], found[0].T)
+    for one, other in zip(found, block_products(theta, target), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * 517)
+
+
+def test_rows_in_any_layout_and_in_blocks_give_the_same_statistics():
+    rng = np.random.default_rng(1)
+    theta, target = rng.normal(size=(900, 30)), rng.normal(size=(900, 2))
+    plain = accumulate(row_blocks(theta, target))
+    for layout in (np.asfortranarray(theta), np.hstack([theta, theta])[:, :30]):
+        for sums in (block_products, *([kernel_products] if kernel_runs() else [])):
+            found = accumulate(row_blocks(layout, target, size=250), products=sums)
+            np.testing.assert_allclose(found.gram, plain.gram, atol=1e-13)
+            np.testing.assert_allclose(found.cross, plain.cross, atol=1e-13)
+            np.testing.assert_allclose(found.target_square, plain.target_square, rtol=1e-13)
+
+
+def test_what_is_not_finite_stays_in_its_own_row_and_column():
+    theta = np.ones((5, 9))
+    theta[2, 8] = np.inf
+    for name, (found, cross, _) in products(theta, np.ones((5, 1))):
+        assert np.isfinite(found[:8, :8]).all(), name
+        assert not np.isfinite(found[8]).any(), name
+        assert np.isfinite(cross[:8]).all(), name
+
+
+@needs_kernel
+def test_buffers_that_do_not_fit_are_refused():
+    from sparsefit.regression import _gram
+
+    room = np.empty((3, 3)), np.empty((3, 1)), np.empty(1)
+    with pytest.raises(ValueError, match="theta"):
+        _gram.products(np.ones((4, 3)), np.ones((5, 1)), *room)
+    with pytest.raises(ValueError, match="theta"):
+        _gram.products(np.ones(12), np.ones((4, 1)), *room)
+    with pytest.raises((ValueError, BufferError)):
+        _gram.products(np.ones((4, 6))[:, ::2], np.ones((4, 1)), *room)
+
+
+@needs_kernel
+@pytest.mark.parametrize("loop", ["compiled", "numpy"])
+def test_the_loop_that_is_named_is_the_one_that_runs(monkeypatch, loop):
+    calls = []
+    for name, sums in (("compiled", kernel_products), ("numpy", block_products)):
+        spy = lambda *rows, name=name, sums=sums: calls.append(name) or sums(*rows)  # noqa: E731
+        monkeypatch.setattr(statistics, sums.__name__, spy)
+    monkeypatch.setattr(statistics, "product_loop", lambda: loop)
+    accumulate([(THETA, TARGET)])
+    assert calls == [loop]
+
+
+def test_without_the_kernel_numpy_runs(monkeypatch):
+    monkeypatch.setattr(statistics, "_KERNEL", "sparsefit.regression._absent")
+    product_loop.cache_clear()
+    try:
+        assert product_loop() == "numpy"
+        assert accumulate([(THETA, TARGET)]).gram == pytest.approx(np.eye(2))
+    finally:
+        product_loop.cache_clear()
+
+
+def test_statistics_cannot_be_changed_by_who_reads_them():
+    found = regular().statistics
+    for name in ("rms", "gram", "cross", "target_square"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(found, name)[...] = 0.0
