@@ -6,8 +6,8 @@ import argparse
 import sys
 from typing import Any
 
-from sparsefit.cli.output import duration, print_json
-from sparsefit.cli.parser import Verbs, collected, key_value, shown, verb
+from sparsefit.cli.output import duration, print_json, proof
+from sparsefit.cli.parser import Verbs, add_setting, collected, shown, verb
 
 EXAMPLE = """\
   sparsefit backends
@@ -41,23 +41,16 @@ def add(verbs: Verbs) -> None:
         example="  sparsefit backends check lasso --setting solver=osqp\n",
     )
     check.add_argument("name", metavar="NAME", help="a back-end, see sparsefit backends list")
-    check.add_argument(
-        "--setting",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="setting of the back-end; repeat it for more than one",
-    )
-    for one in (listing, check):
+    add_setting(check)
+    for action in (listing, check):
         # Not to undo a --json that stands before the action.
-        one.add_argument(
+        action.add_argument(
             "--json", action="store_true", default=argparse.SUPPRESS, help="print JSON"
         )
 
 
 def run_list(args: argparse.Namespace) -> int:
-    """Every back-end; one that is broken with its error."""
+    """List every back-end; one that is broken with its error."""
     from sparsefit import backends
     from sparsefit.backends.conic import installed_solvers
 
@@ -122,19 +115,17 @@ def run_check(args: argparse.Namespace) -> int:
     )
     library = Library(LengthScaleGrid(3.0, 5.0, 1.0))
     estimate = Estimator(Derivative(), library, backend).estimate(flight)
-    certificate = estimate.certificate
     if args.json:
-        found = {
+        machinery = {
             "loop": loop_of(args.name),
             "gram": product_loop(),
             "cvxpy_solvers": installed_solvers(),
         }
-        print_json({**estimate.to_dict(), **found})
+        print_json({**estimate.to_dict(), **machinery})
     else:
-        proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
         reason = f" ({estimate.reason})" if estimate.reason else ""
         print(
-            f"{args.name}: {estimate.status}{reason}, certificate {proof}, "
+            f"{args.name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
             f"{duration(estimate.seconds)}\n"
             f"  settings: {shown(estimate.settings) or 'none'}\n"
             f"  loop: {loop_of(args.name) or 'no compiled one'}, Gram matrix: {product_loop()}\n"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimate_lines import lines
 from sparsefit.cli.output import print_json
-from sparsefit.cli.parser import Verbs, collected, key_value, number, verb, whole
+from sparsefit.cli.parser import Verbs, add_setting, collected, number, verb, whole
 
 if TYPE_CHECKING:
     from sparsefit.codec import Place
@@ -72,13 +72,7 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
         "--estimator", metavar="FILE", help="estimator.json, as written by sparsefit select"
     )
     group.add_argument("--backend", metavar="NAME", help="default: group-lasso")
-    group.add_argument(
-        "--setting",
-        type=key_value,
-        action="append",
-        metavar="KEY=VALUE",
-        help="setting of the back-end; repeat it for more than one",
-    )
+    add_setting(group)
     group.add_argument(
         "--derivative",
         metavar="METHOD",
@@ -159,7 +153,7 @@ def _built(args: argparse.Namespace, given: list[str]) -> Estimator:
     for (section, key), value in values.items():
         record.setdefault(section, {})[key] = value
     record["library"]["grid"] = record.pop("library.grid", {})
-    record["backend"] |= collected(args.setting or ())
+    record["backend"] |= collected(args.setting)
     return Estimator(**parts_of(record, _place()))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import duration
+from sparsefit.cli.output import duration, proof
 from sparsefit.cli.parser import shown
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
     }
     vehicle = [words for key, words in known.items() if key not in unknown]
     certificate = estimate.certificate
-    proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
     meaning = (
         f"  ({MEANINGS[certificate.kind]})" if certificate and certificate.kind in MEANINGS else ""
     )
@@ -46,7 +45,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         *_scales(estimate),
         ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
         ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
-        ("certificate", proof + meaning),
+        ("certificate", proof(certificate) + meaning),
         ("problem", f"{estimate.samples} samples x {estimate.columns} columns"),
         ("time", duration(estimate.seconds)),
     ]
@@ -78,8 +77,13 @@ def _spread(pair: tuple[float, float] | None) -> str:
         return "  ± unknown"
     if min(pair) < FINEST:
         return f"  ± ({pair[0]:.1e}, {pair[1]:.1e})"
-    places = max(4, 1 - math.floor(math.log10(min(pair))))
+    places = _places(min(pair))
     return f"  ± ({pair[0]:.{places}f}, {pair[1]:.{places}f})"
+
+
+def _places(spread: float) -> int:
+    """Decimals that show two digits of a standard error, four at least."""
+    return max(4, 1 - math.floor(math.log10(spread)))
 
 
 def _scales(estimate: Estimate) -> list[tuple[str, str]]:
@@ -87,19 +91,19 @@ def _scales(estimate: Estimate) -> list[tuple[str, str]]:
     if not estimate.scales:
         return []
     head = f"{'U0 [m/s]':>9} {'L_w [m]':>9} {'tau_w [s]':>9}"
-    if all(one.uncertainty is not None for one in estimate.scales):
+    if all(scale.uncertainty is not None for scale in estimate.scales):
         head = f"{'U0 [m/s]':>9} {'±':<8} {'L_w [m]':>9} {'±':<8} {'tau_w [s]':>9} ±"
-    rows = [(f"  {i}", _flow(one)) for i, one in enumerate(estimate.scales, start=1)]
+    rows = [(f"  {i}", _flow(scale)) for i, scale in enumerate(estimate.scales, start=1)]
     return [(f"cellular flows  {len(rows)}", head), *rows, ("", "")]
 
 
-def _flow(one: ScaleEstimate) -> str:
+def _flow(scale: ScaleEstimate) -> str:
     """U0, L_w and tau_w of one cellular flow, each with its standard error where it is known."""
     cells = []
     for name in ("mean_velocity", "length_scale", "timescale"):
-        cells.append(f"{getattr(one, name):>9.4f}")
-        if one.uncertainty is not None:
-            cells.append(f"{_short(getattr(one.uncertainty, name)):<8}")
+        cells.append(f"{getattr(scale, name):>9.4f}")
+        if scale.uncertainty is not None:
+            cells.append(f"{_short(getattr(scale.uncertainty, name)):<8}")
     return " ".join(cells).rstrip()
 
 
@@ -139,6 +143,6 @@ def _quantity(
         return f"{value:>9.4f} {unit:<3}  ± unknown"
     if spread < FINEST:
         return f"{value:>9.4f} {unit:<3}  ± {spread:.1e}"
-    places = max(4, 1 - math.floor(math.log10(spread)))
+    places = _places(spread)
     low, high = (f"{end:.{places}f}" for end in ends)
     return f"{value:>9.{places}f} {unit:<3}  ± {spread:.{places}f}  (95 %: {low} … {high})"

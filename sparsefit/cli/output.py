@@ -1,4 +1,4 @@
-"""What verbs write: JSON and durations on stdout, and files that are never overwritten unasked."""
+"""What verbs write on stdout: JSON, durations, proofs; and what they do not overwrite unasked."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sparsefit.regression import Certificate
     from sparsefit.study.evidence.table import Table
 
 
 def print_json(record: object) -> None:
-    """One JSON document; what is not finite must be None by now."""
+    """Print one JSON document; what is not finite must be None by now."""
     print(json.dumps(record, indent=2, allow_nan=False, ensure_ascii=False))
 
 
@@ -24,6 +25,11 @@ def refuse_existing(path: str, *, force: bool) -> None:
 
     if Path(path).exists() and not force:
         raise InputError(f"{path} exists; add --force or choose another name")
+
+
+def proof(certificate: Certificate | None) -> str:
+    """`duality_gap 1.2e-10`, or `none`."""
+    return f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
 
 
 def duration(seconds: float) -> str:

@@ -86,6 +86,17 @@ def key_value(text: str) -> tuple[str, Value]:
     return key.strip(), scalar(value.strip())
 
 
+def add_setting(parser: argparse._ActionsContainer) -> None:
+    """Declare `--setting KEY=VALUE`, of which `collected` makes the settings of a back-end."""
+    parser.add_argument(
+        "--setting",
+        type=key_value,
+        action="append",
+        metavar="KEY=VALUE",
+        help="setting of the back-end; repeat it for more than one",
+    )
+
+
 def scalar(text: str) -> Value:
     """`0.1`, `true`, `"text"` as in TOML; anything else is text without quotes."""
     try:
@@ -96,12 +107,12 @@ def scalar(text: str) -> Value:
     return value if len(parsed) == 1 and isinstance(value, bool | int | float | str) else text
 
 
-def collected(pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
-    """Settings by key; one that is given twice is refused."""
+def collected(pairs: Iterable[tuple[str, Value]] | None) -> dict[str, Value]:
+    """Settings by key, none where the option was not given; InputError on one given twice."""
     from sparsefit.errors import InputError
 
     settings: dict[str, Value] = {}
-    for key, value in pairs:
+    for key, value in pairs or ():
         if key in settings:
             raise InputError(f"setting {key} is given twice; keep one")
         settings[key] = value

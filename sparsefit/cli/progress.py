@@ -19,7 +19,7 @@ class Bar:
         self._bar: Any = None
 
     def __call__(self, done: int, planned: int, left: float | None) -> None:
-        """Draw anew."""
+        """Show that ``done`` of ``planned`` cases are finished, with the seconds left if known."""
         if self._bar is None:
             from tqdm import tqdm
 
@@ -43,14 +43,15 @@ class Lines:
         self._last = float("-inf")
 
     def __call__(self, done: int, planned: int, left: float | None) -> None:
-        """Print, if it is time."""
+        """Print how many of ``planned`` cases are done, with the seconds left, if it is time."""
         now = time.monotonic()
         if done < planned and now - self._last < PLAIN_SECONDS:
             return
         self._last = now
-        rest = _left(done, planned, left)
+        time_left = _left(done, planned, left)
         print(
-            f"{done}/{planned} cases, {100 * done // planned} %{', ' + rest if rest else ''}",
+            f"{done}/{planned} cases, {100 * done // planned} %"
+            f"{', ' + time_left if time_left else ''}",
             file=sys.stderr,
             flush=True,
         )
