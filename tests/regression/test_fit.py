@@ -20,7 +20,7 @@ from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.objective import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 
-front_door = import_module("sparsefit.regression.fit")  # the package's own name is the function
+judgement = import_module("sparsefit.regression.judgement")
 PROBLEM = regular()
 FRACTIONS = (0.9, 0.5, 0.2, 0.05, 0.01)
 NAN, ZERO = np.full((12, 2), np.nan), np.zeros((12, 2))
@@ -135,7 +135,7 @@ def test_a_solution_that_is_not_identifiable_keeps_its_word():
 
 
 def test_a_path_that_the_gram_matrix_proves_never_reads_the_rows(monkeypatch):
-    monkeypatch.setattr(front_door, "duality_gaps", lambda *_args, **_more: pytest.fail("read"))
+    monkeypatch.setattr(judgement, "duality_gaps", lambda *_args, **_more: pytest.fail("read"))
     found = sf.path(PROBLEM, backends.get("lasso"), FRACTIONS)
     assert all(each.status == "ok" for each in found.fits)
     assert all(0 < each.certificate.rounding <= 1e-9 for each in found.fits)

@@ -1,0 +1,123 @@
+"""The caller's judgement of a back-end's solution: its certificate, and the status that follows."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.regression.answer import Fit
+from sparsefit.regression.backend import Backend, OffGridBackend, Solution
+from sparsefit.regression.certificate import Certificate, duality_gaps, gram_gaps
+from sparsefit.regression.objective import Penalty
+from sparsefit.regression.problem import RegressionProblem
+
+
+def path_certificates(
+    problem: RegressionProblem,
+    solutions: Sequence[Solution],
+    alphas: Array,
+    penalty: Penalty,
+    tolerance: float,
+) -> list[Certificate | None]:
+    """Duality gaps of solutions at the penalties alphas (p,); None where weights are not finite."""
+    gaps: list[Certificate | None] = [None] * len(solutions)
+    usable = [i for i, solution in enumerate(solutions) if _usable(solution)]
+    if usable:
+        weights = np.stack([np.asarray(solutions[i].weights) for i in usable])
+        certified = _smallest_effort(problem, weights, alphas[usable], penalty, tolerance)
+        for i, certificate in zip(usable, certified, strict=True):
+            gaps[i] = certificate
+    return gaps
+
+
+def _smallest_effort(
+    problem: RegressionProblem, weights: Array, alphas: Array, penalty: Penalty, tolerance: float
+) -> list[Certificate]:
+    """Gaps from the Gram matrix where it proves them small enough, from the rows elsewhere."""
+    statistics = problem.statistics
+    certified = list(gram_gaps(statistics, weights, alphas, penalty))
+    doubtful = [i for i, each in enumerate(certified) if not each.proves(tolerance)]
+    if doubtful:
+        by_rows = duality_gaps(
+            problem.theta,
+            problem.target,
+            statistics.rms,
+            weights[doubtful],
+            alphas[doubtful],
+            penalty,
+            samples=problem.samples,
+        )
+        for i, certificate in zip(doubtful, by_rows, strict=True):
+            certified[i] = certificate
+    return certified
+
+
+def certificate_of(
+    problem: RegressionProblem, backend: Any, solution: Solution
+) -> Certificate | None:
+    """The certificate of a back-end without a penalty on columns; None without finite weights."""
+    if solution.weights is None or not _usable(solution):
+        return None
+    if isinstance(backend, OffGridBackend):
+        return backend.certify(problem, solution)
+    if backend.certificate_kind == "normal_equations":
+        return _normal_equations(problem, solution.weights, backend.rcond)
+    support = solution.weights != 0
+    changed = int(np.sum(backend.next_support(problem, solution.weights) != support))
+    return Certificate("fixed_point", changed / max(int(support.sum()), 1))
+
+
+def _normal_equations(
+    problem: RegressionProblem, weights: Array, rcond: float | None
+) -> Certificate:
+    residual = problem.target - problem.theta @ weights
+    spectrum = problem.spectrum
+    kept = spectrum.right_vectors[spectrum.retained(rcond, problem.samples)]
+    gradient = np.abs(kept @ (problem.theta.T @ residual))
+    scale = spectrum.singular_values[0] * float(np.linalg.norm(problem.target))
+    return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
+
+
+def _usable(solution: Solution) -> bool:
+    # The weights of a solver that failed are not an answer, whatever they look like.
+    return (
+        solution.status != "error"
+        and solution.weights is not None
+        and bool(np.isfinite(solution.weights).all())
+    )
+
+
+def judged(
+    problem: RegressionProblem,
+    backend: Backend,
+    solution: Solution,
+    certificate: Certificate | None,
+    seconds: float,
+    tolerance: float,
+) -> Fit:
+    """The fit that a solution with this certificate makes; without one it is an error."""
+    status: str = solution.status
+    reason, weights = solution.reason, solution.weights
+    if weights is None or certificate is None:
+        weights = np.full((problem.columns, problem.targets), np.nan)
+        status = "unidentifiable" if status == "unidentifiable" else "error"
+        reason = reason or "the back-end returned no finite weights"
+    elif status in ("ok", "inaccurate"):
+        # The certificate decides: a solver's own word is kept beside it, not trusted.
+        status = "ok" if certificate.value <= tolerance else "inaccurate"
+        if status == "inaccurate":
+            words = f"{certificate.kind} {certificate.value:.1e} above tolerance {tolerance:.1e}"
+            reason = f"{words}; {reason}" if reason else words
+    return Fit(
+        weights,
+        status,
+        reason,
+        certificate,
+        seconds,
+        backend,
+        solution.solver_status,
+        solution.iterations,
+        problem=solution.problem or problem,
+        shared_seconds=solution.shared_seconds,
+    )
