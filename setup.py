@@ -1,13 +1,16 @@
 """The compiled loops: from the Python sources of `sparsefit.backends`, with the types beside them.
 
-They are optional: without Cython or a C compiler the same sources run interpreted, slower.  All
+They are optional: without Cython, scipy or a C compiler the same sources run interpreted, slower.  All
 keep to the stable interface, so one wheel a platform.
 """
 
 from setuptools import Extension, setup
 
-LOOPS = ("active_set", "homotopy_walk")  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
-KERNELS = ("backends._variational", "regression._gram")  # C
+LOOPS = (
+    *("active_set", "homotopy_walk"),
+    *("variational_step", "variational_point", "variational_search"),
+)  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
+KERNELS = ("regression._gram",)  # C
 STABLE = {
     "define_macros": [("Py_LIMITED_API", "0x030b0000")],
     "py_limited_api": True,
@@ -16,8 +19,9 @@ STABLE = {
 
 
 def loops() -> list[Extension]:
-    """The loops in C, or none where there is no Cython."""
+    """The loops in C, or none where there is no Cython, or no scipy, whose BLAS they call."""
     try:
+        import scipy.linalg  # noqa: F401
         from Cython.Build import cythonize
     except ImportError:
         return []

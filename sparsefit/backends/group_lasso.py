@@ -87,7 +87,7 @@ class GroupLasso:
             for block in blocks
         ]
         scaled = np.concatenate([path.weights for path in paths], axis=2)
-        engine = "compiled loop" if paths[0].engine == "compiled" else "python loop"
+        loop = f"{paths[0].loop} loop"
         complete = np.all([path.complete for path in paths], axis=0)
         iterations = np.sum([path.iterations for path in paths], axis=0)
         return tuple(
@@ -96,7 +96,7 @@ class GroupLasso:
                 values / statistics.rms[:, None],
                 "ok" if done else "inaccurate",
                 "" if done else "the Newton iteration stalled",
-                f"{'converged' if done else 'stalled'} ({engine})",
+                f"{'converged' if done else 'stalled'} ({loop})",
                 int(count),
             )
             for values, done, count in zip(scaled, complete, iterations, strict=True)

@@ -253,6 +253,13 @@ def exchange(walk: Walk, column: int, sign: float) -> int:
     return outcome
 
 
+def full(walk: Walk, out: Array) -> None:
+    """Weights (k,) in the order of the columns."""
+    dense.fill(walk.k, 0.0, out)
+    dense.multiply(walk.n, walk.sign, walk.weights, walk.fix)
+    dense.put(walk.n, walk.fix, walk.index, out)
+
+
 def reach(walk: Walk, alpha: float, goal: float, found: Array) -> int:
     """Follow the path to `goal`; where it breaks, settle there, at last from the `known` weights.
 
@@ -275,7 +282,7 @@ def reach(walk: Walk, alpha: float, goal: float, found: Array) -> int:
         breach = polish(walk, goal) if outcome == FINE else HOPELESS
         if breach < least:
             least = breach
-            dense.scatter(walk.n, walk.weights, walk.index, walk.sign, found)
+            full(walk, found)
         if breach <= 1.0:
             return FINE
     return SINGULAR

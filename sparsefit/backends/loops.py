@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 Loop: TypeAlias = Literal["compiled", "python"]
 LOOPS: Mapping[str, str] = MappingProxyType(
-    {"lasso": "homotopy_walk", "group-lasso": "_variational"}
+    {"lasso": "homotopy_walk", "group-lasso": "variational_search"}
 )
 """Back-end -> the module of its loop."""
 
@@ -23,10 +23,6 @@ def loop_of(backend: str) -> Loop | None:
     module = LOOPS.get(backend)
     if module is None:
         return None
-    if module == "_variational":
-        from sparsefit.backends.variational_compiled import compiled_loop
-
-        return "python" if compiled_loop()[0] is None else "compiled"
     return "python" if isinstance(_compiled(module), str) else "compiled"
 
 

@@ -1,176 +1,198 @@
 """One point of the variational group-LASSO: objective, residual correlation and Hessian at eta.
 
-Notation and source in `variational`: D holds eta, C = B - G W, W_g = eta_g C_g.
+Notation and source in `variational`: D holds eta, C = B - G W, W_g = eta_g C_g.  Matrices (k, n)
+of columns and targets are stored as (n, k).  One source for two loops, as in `homotopy_walk`.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.backends import dense, linear
 
-_LOST = 1e-14  # of the terms of a curvature, which may cancel: a negative one sends eta to infinity
+LOST = 1e-14  # of the terms of a curvature, which may cancel: a negative one sends eta to infinity
+NEW_GROUPS = 8  # more violators at once only make the subproblem larger: most do not stay
+ROOM = 64  # columns that there is room for at first
+PARTS = 4  # that the triangular solves of a Hessian are done in, for
+LARGE = 96  # columns and more
+
+FINE = 0
+FAILED = 1  # the factorisation
+NO_MEMORY = 2
 
 
-@dataclass(frozen=True, eq=False)
 class Problem:
-    """Statistics with contiguous groups, unit penalty weights, |Y|^2/m = 1; power = tr G_gg."""
+    """Statistics with contiguous groups, unit penalty weights and |Y|^2/m = 1.
 
-    gram: Array
-    cross: Array
-    starts: IntArray
-    sizes: IntArray
-    columns: tuple[IntArray, ...]
-    power: Array
+    `gram` (k, k), `cross` (n, k), `starts` (g + 1,): the first column of each group, then k;
+    `power` (g,): tr G_gg.
+    """
 
-    def columns_of(self, groups: IntArray) -> IntArray:
-        """Columns of the groups given, group by group."""
-        if not groups.size:
-            return np.zeros(0, np.intp)
-        return np.concatenate([self.columns[g] for g in groups])
-
-    def squares(self, matrix: Array) -> Array:
-        """Squared Frobenius norm of every group's rows, (k, n) -> (g,)."""
-        return np.add.reduceat(np.einsum("ij,ij->i", matrix, matrix), self.starts)
+    def __init__(self, gram: Array, cross: Array, starts: IntArray) -> None:
+        self.gram, self.cross, self.starts = gram, cross, starts
+        self.targets, self.columns = cross.shape[0], cross.shape[1]
+        self.groups = len(starts) - 1
+        self.power = np.add.reduceat(np.diagonal(gram), starts[: self.groups])
 
 
-@dataclass(frozen=True, eq=False)
-class Support:
-    """The groups with eta > 0, their columns and the rows of the Gram matrix they need."""
-
-    groups: IntArray
-    columns: IntArray
-    label: IntArray
-    rows: Array
-    block: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Point:
-    """Everything known at one eta: a factorisation of I + D^1/2 G D^1/2 and what follows."""
+    """Everything known at one `eta` (g,): a factorisation of I + D^1/2 G D^1/2 and what follows.
+
+    Of the s groups with eta > 0 and their c columns: `group` (s,), `begin` (s + 1,) in the columns
+    `column` (c,), and `label` (c,); `width` (s,) and `root` (c,) of D^1/2; `inner` C (n, c),
+    `weights` W (n, c), `factor` (c, c), `half` (n, s, c), which gives the `hessian` (s, s), the
+    `square` ||C_g||^2 (s,). Of all columns: `correlation` C (n, k). `value` is f without its
+    last term.
+    """
 
     eta: Array
-    support: Support
+    width: Array
+    square: Array
     root: Array
-    factor: Array
+    spread: Array
     inner: Array
-    correlation: Array
     weights: Array
-    half: Array
+    correlation: Array
+    factor: Array
     hessian: Array
-    value: float
+    half: Array
+    group: IntArray
+    begin: IntArray
+    label: IntArray
+    column: IntArray
+
+    def __init__(self, targets: int, columns: int, groups: int) -> None:
+        n, k, g = targets, columns, groups
+        self.s, self.c, self.value = 0, 0, 0.0
+        self.eta, self.width, self.square = np.zeros(g), np.zeros(g), np.zeros(g)
+        self.root, self.spread = np.zeros(k), np.zeros(k)
+        self.inner, self.weights = np.zeros((n, k)), np.zeros((n, k))
+        self.correlation, self.hessian = np.zeros((n, k)), np.zeros((g, g))
+        self.factor, self.half = np.zeros((0, 0)), np.zeros((n, 0, 0))
+        self.group, self.begin = np.zeros(g, np.intp), np.zeros(g + 1, np.intp)
+        self.label, self.column = np.zeros(k, np.intp), np.zeros(k, np.intp)
+
+    def grown(self) -> bool:
+        """Make room for the factor and for what enters beside it; false where memory is out."""
+        c, s = self.factor.shape[0], self.half.shape[1]
+        if self.c > c:
+            c = min(max(self.c + self.c // 2, ROOM), len(self.column))
+        if self.s + NEW_GROUPS > s:
+            s = self.s + self.s // 2 + NEW_GROUPS
+        try:
+            self.factor = np.zeros((c, c))
+            self.half = np.zeros((len(self.inner), s, c))
+        except MemoryError:
+            return False
+        return True
 
 
-def normalise(
-    gram: ArrayLike, cross: Array, groups: ArrayLike, omega: ArrayLike
-) -> tuple[Problem, IntArray, Array]:
-    """Make groups contiguous and penalty weights one: z_j / omega_g has the weight w_j omega_g."""
-    labels, square = np.asarray(groups), np.asarray(gram, dtype=float)
-    order = np.argsort(labels, kind="stable")
-    scale = np.asarray(omega, dtype=float)[labels[order]]
-    if np.any(order[1:] < order[:-1]):
-        square, cross = square[np.ix_(order, order)], cross[order]
-    if np.any(scale != 1.0):
-        square, cross = square / np.multiply.outer(scale, scale), cross / scale[:, None]
-    sizes = np.bincount(labels)
-    starts = np.cumsum(sizes) - sizes
-    columns = tuple(np.arange(s, s + size) for s, size in zip(starts, sizes, strict=True))
-    power = np.add.reduceat(square.diagonal(), starts)
-    problem = Problem(square, np.asfortranarray(cross), starts, sizes, columns, power)
-    return problem, order, scale
+def exchange(x: Point, y: Point) -> None:
+    """Let each become the other."""
+    x.eta, y.eta = y.eta, x.eta
+    x.width, y.width = y.width, x.width
+    x.square, y.square = y.square, x.square
+    x.root, y.root = y.root, x.root
+    x.inner, y.inner = y.inner, x.inner
+    x.weights, y.weights = y.weights, x.weights
+    x.correlation, y.correlation = y.correlation, x.correlation
+    x.factor, y.factor = y.factor, x.factor
+    x.hessian, y.hessian = y.hessian, x.hessian
+    x.half, y.half = y.half, x.half
+    x.group, y.group = y.group, x.group
+    x.begin, y.begin = y.begin, x.begin
+    x.label, y.label = y.label, x.label
+    x.column, y.column = y.column, x.column
+    x.s, y.s = y.s, x.s
+    x.c, y.c = y.c, x.c
+    x.value, y.value = y.value, x.value
 
 
-def evaluate(problem: Problem, eta: Array, previous: Support | None) -> Point | None:
-    """Objective, residual correlation and Hessian at eta; None if the factorisation fails.
+def correlate(problem: Problem, x: Point, weights: Array, out: Array) -> None:
+    """B - G W (n, k) for weights (n, c) on the support."""
+    for t in range(problem.targets):
+        dense.copy(problem.columns, problem.cross[t], out[t])
+    linear.less_product(x.c, x.column, problem.gram, weights, out)
+
+
+def evaluate(problem: Problem, x: Point) -> int:
+    """Objective, residual correlation and Hessian at `x.eta`.
 
     With A = I + D^1/2 G D^1/2 = LL': C = D^-1/2 A^-1 D^1/2 B on the support, and its Hessian
     is that of K = D^-1/2 (I - A^-1) D^-1/2, which needs no product with G.
     """
-    support = _support(problem, np.flatnonzero(eta > 0), previous)
-    label, size = support.label, support.columns.size
-    if not size:
-        empty = np.zeros((0, problem.cross.shape[1]))
-        none = np.zeros((0, 0))
-        return Point(eta, support, np.zeros(0), none, empty, problem.cross, empty, none, none, 0.0)
-    root = np.sqrt(eta[support.groups])[label]
-    shifted = support.block * root
-    shifted *= root[:, None]
-    shifted.flat[:: size + 1] += 1.0
-    factor, failed = dpotrf(shifted.T, lower=1, clean=0, overwrite_a=1)
-    if failed:
-        return None
-    cross = problem.cross[support.columns]
-    solved = dpotrs(factor, root[:, None] * cross, lower=1)[0]
-    weights, inner = root[:, None] * solved, solved / root[:, None]
-    half = _half(factor, _spread(inner, label))
-    product = half.T @ half
-    hessian = np.negative(product, out=product)
-    hessian.flat[:: len(hessian) + 1] += (1.0 + _LOST) * group_squares(inner, label)
-    width = np.sqrt(eta[support.groups])
-    hessian /= np.multiply.outer(width, width)
-    return Point(
-        eta=eta,
-        support=support,
-        root=root,
-        factor=factor,
-        inner=inner,
-        correlation=problem.cross - support.rows.T @ weights,
-        weights=weights,
-        half=half,
-        hessian=hessian,
-        value=-0.5 * float(np.vdot(cross, weights)),
-    )
+    n = problem.targets
+    x.s = dense.support(problem.groups, x.eta, problem.starts, x.group, x.begin, x.label, x.column)
+    x.c = x.begin[x.s]
+    x.value = 0.0
+    s, c = x.s, x.c
+    if (c > x.factor.shape[0] or s + NEW_GROUPS > x.half.shape[1]) and not x.grown():
+        return NO_MEMORY
+    dense.take(s, x.eta, x.group, x.width)
+    dense.roots(s, x.width)
+    dense.take(c, x.width, x.label, x.root)
+    dense.upper_block(c, problem.gram, x.column, x.root, x.factor)
+    dense.lift(c, 1.0, x.factor)
+    if not linear.factorised(c, x.factor):
+        return FAILED
+    for t in range(n):
+        dense.take(c, problem.cross[t], x.column, x.spread)
+        dense.multiply(c, x.root, x.spread, x.inner[t])
+    linear.solve(c, n, x.factor, x.inner)
+    for t in range(n):
+        dense.multiply(c, x.root, x.inner[t], x.weights[t])
+        dense.divide(c, x.root, x.inner[t], x.inner[t])
+        x.value -= 0.5 * dense.picked_product(c, problem.cross[t], x.column, x.weights[t])
+    correlate(problem, x, x.weights, x.correlation)
+    curve(problem, x)
+    return FINE
 
 
-def _support(problem: Problem, groups: IntArray, previous: Support | None) -> Support:
-    if previous is not None and np.array_equal(previous.groups, groups):
-        return previous
-    columns = problem.columns_of(groups)
-    label = np.repeat(np.arange(groups.size), problem.sizes[groups])
-    rows = problem.gram[columns]
-    return Support(groups, columns, label, rows, rows[:, columns])
+def curve(problem: Problem, x: Point) -> None:
+    """The Hessian on the support, from L^-1 of the groups' columns of C, a row for each group.
+
+    Entries before a group's own stay zero, so groups are solved in parts with what is left of L.
+    """
+    s, c = x.s, x.c
+    part = (s + PARTS - 1) // PARTS if c > LARGE else s
+    for a in range(s):
+        dense.fill(s, 0.0, x.hessian[a])
+    for t in range(problem.targets):
+        dense.spread(s, c, x.label, x.inner[t], x.half[t])
+        first = 0
+        while first < s:
+            last = min(first + part, s)
+            linear.forward(c, x.begin[first], first, last, x.factor, x.half[t])
+            first = last
+        linear.less_overlaps(c, 0, s, x.half[t], x.hessian)
+    dense.group_products(s, x.begin, x.inner, x.inner, x.square)
+    dense.add_diagonal(s, 1.0 + LOST, x.square, x.hessian)
+    dense.mirror(0, s, x.width, x.hessian)
 
 
-def bordered(problem: Problem, point: Point, new: IntArray) -> Array:
-    """Hessian on support and new groups: K = G - V'V there, V = L^-1 D^1/2 G."""
-    columns = problem.columns_of(new)
-    label = np.repeat(np.arange(new.size), problem.sizes[new])
-    spread = _spread(point.correlation[columns], label)
-    flat = spread.reshape(columns.size, -1, order="F")
-    inner = np.asfortranarray(problem.gram[np.ix_(columns, columns)] @ flat)
-    corner = flat.reshape(-1, new.size, order="F").T @ inner.reshape(-1, new.size, order="F")
-    old = point.support.groups.size
-    if not old:
-        return np.asarray(corner)
-    coupling = np.asfortranarray(point.root[:, None] * (point.support.rows[:, columns] @ flat))
-    half = _half(point.factor, coupling.reshape(coupling.shape[0], -1, new.size, order="F"))
-    hessian = np.empty((old + new.size, old + new.size))
-    hessian[:old, :old] = point.hessian
-    cross = point.half.T @ half / np.sqrt(point.eta[point.support.groups])[:, None]
-    hessian[:old, old:], hessian[old:, :old] = cross, cross.T
-    hessian[old:, old:] = corner - half.T @ half
-    return hessian
+def bordered(
+    problem: Problem, x: Point, new: IntArray, count: int, product: Array, out: Array
+) -> None:
+    """Hessian on the support and `count` new groups: K = G - V'V there, V = L^-1 D^1/2 G.
 
-
-def _spread(matrix: Array, label: IntArray) -> Array:
-    """Block-diagonal (c, n, groups) array of the rows of each group: one column a group."""
-    spread = np.zeros((label.size, matrix.shape[1], int(label[-1]) + 1), order="F")
-    spread[np.arange(label.size), :, label] = matrix
-    return spread
-
-
-def _half(factor: Array, columns: Array) -> Array:
-    """L^-1 applied to (c, n, s), targets stacked below one another: (c n, s)."""
-    flat = columns.reshape(columns.shape[0], -1, order="F")
-    solved: Array = dtrtrs(factor, flat, lower=1, overwrite_b=1)[0]
-    return solved.reshape(-1, columns.shape[2], order="F")
-
-
-def group_squares(matrix: Array, label: IntArray) -> Array:
-    """Squared norm of the rows of each label, which are ascending: (c, n) -> (labels,)."""
-    sums: Array = np.bincount(label, np.einsum("ij,ij->i", matrix, matrix))  # type: ignore[assignment]
-    return sums
+    `product` (n, k) is scratch.
+    """
+    n, s, c = problem.targets, x.s, x.c
+    total = s + count
+    for a in range(s):
+        dense.copy(s, x.hessian[a], out[a])
+    for h in range(count):
+        x.width[s + h] = 1.0
+        first, last = problem.starts[new[h]], problem.starts[new[h] + 1]
+        linear.product(first, last, problem.gram, x.correlation, product)
+        dense.fill(s, 0.0, out[s + h])
+        for g in range(h + 1):
+            first, last = problem.starts[new[g]], problem.starts[new[g] + 1]
+            out[s + h, s + g] = dense.inner_product(first, last, x.correlation, product)
+        for t in range(n):
+            dense.take(c, product[t], x.column, x.spread)
+            dense.multiply(c, x.root, x.spread, x.half[t, s + h])
+            dense.scale(c, -1.0, x.half[t, s + h])
+    for t in range(n):
+        linear.forward(c, 0, s, total, x.factor, x.half[t])
+        linear.less_overlaps(c, s, total, x.half[t], out)
+    dense.mirror(s, total, x.width, out)

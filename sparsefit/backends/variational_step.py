@@ -1,69 +1,119 @@
 """The bound-constrained quadratic subproblem of a projected Newton step, by an active set.
 
+One source for two loops, as in `homotopy_walk`.
+
 Source: Nocedal and Wright, "Numerical Optimization" (2006), section 16.5.
 """
 
-from __future__ import annotations
-
 import numpy as np
-from scipy.linalg.lapack import dposv
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, IntArray
+from sparsefit.backends import dense, linear
+
+RIDGE = 1e-13  # on the unit diagonal: duplicated groups make H singular
+ROUNDING = 1e-13  # of the largest pull: what a bound that is left must exceed
+FIRST_RIDGE = 1e-12  # of a face that is singular, tenfold at each of the
+RIDGES = 13  # trials
+TURNS = 10  # per variable, and as many more: what is more is taken for cycling
 
 
-def bounded_minimum(hessian: Array, drive: Array, lower: Array) -> Array:
-    """Minimise x'Hx/2 - drive'x over x >= lower (lower <= 0) by an active set from x = 0.
+class Bounded:
+    """Minimise x'Hx/2 - drive'x over x >= lower (lower <= 0), for up to `size` variables.
 
-    Unit diagonal and a ridge of rounding size: duplicated groups make H singular.
+    `step` (size,) is the solution. On the way the variables have a unit diagonal: `unit` is that
+    H, `pull` the drive and `floor` the bound; `free` is 1 where a variable is not held at it.
     """
-    scale = 1.0 / np.sqrt(np.maximum(hessian.diagonal(), np.finfo(float).tiny))
-    unit = hessian * np.multiply.outer(scale, scale)
-    unit.flat[:: len(unit) + 1] += 1e-13
-    pull, floor = drive * scale, lower / scale
-    full, failed = dposv(unit, pull)[1:]
-    if not failed and np.all(full >= floor):
-        return np.asarray(full * scale)
-    inner = (floor < 0) | ((drive > 0) if failed else (full > 0))
-    return _active_set(unit, pull, floor, inner) * scale
 
+    drive: Array
+    lower: Array
+    step: Array
+    scale: Array
+    pull: Array
+    floor: Array
+    free: Array
+    fixed: Array
+    x: Array
+    target: Array
+    right: Array
+    ones: Array
+    unit: Array
+    block: Array
+    inside: IntArray
 
-def _active_set(hessian: Array, drive: Array, lower: Array, free: BoolArray) -> Array:
-    """Primal active set: move towards each face's minimiser, stop at the first bound met."""
-    x = np.zeros_like(drive)
-    slack = 1e-13 * float(np.max(np.abs(drive)))
-    for _ in range(10 * drive.size + 10):
-        inside = np.flatnonzero(free)
-        target = x.copy()
-        target[inside] = _face(hessian, drive, x, free, inside)
-        move = target - x
-        falling = np.flatnonzero(free & (target < lower))
-        if falling.size:
-            ratio = (lower[falling] - x[falling]) / move[falling]
-            reach = float(np.min(ratio))
-            x = x + reach * move
-            hit = falling[ratio <= reach]
-            x[hit], free[hit] = lower[hit], False
-            continue
-        x = target
-        pull = np.where(free, 0.0, drive - hessian @ x)
-        worst = int(np.argmax(pull))
-        if pull[worst] <= slack:
-            break
-        free[worst] = True
-    return x
+    def __init__(self, size: int) -> None:
+        self.unit, self.block = np.zeros((size, size)), np.zeros((size, size))
+        self.inside = np.zeros(size, np.intp)
+        self.share_out(np.zeros((12, size)))
+        dense.fill(size, 1.0, self.ones)
 
+    def share_out(self, rows: Array) -> None:
+        """Give each vector its memory (size,)."""
+        self.drive, self.lower, self.step, self.scale = rows[0], rows[1], rows[2], rows[3]
+        self.pull, self.floor, self.free, self.fixed = rows[4], rows[5], rows[6], rows[7]
+        self.x, self.target, self.ones = rows[8], rows[9], rows[11]
+        self.right = rows[10:11]
 
-def _face(hessian: Array, drive: Array, x: Array, free: BoolArray, inside: IntArray) -> Array:
-    """Minimiser over the free coordinates, the others fixed; a larger ridge where singular."""
-    if not inside.size:
-        return np.zeros(0)
-    fixed = np.flatnonzero(~free)
-    block = hessian[np.ix_(inside, inside)]
-    pull = drive[inside] - hessian[np.ix_(inside, fixed)] @ x[fixed]
-    solved, failed = dposv(block, pull)[1:]
-    ridge = 1e-12
-    while failed and ridge < 1.0:
-        block.flat[:: len(block) + 1] += ridge
-        solved, failed = dposv(block, pull)[1:]
-        ridge *= 10.0
-    return np.asarray(solved)
+    def minimise(self, n: int, hessian: Array) -> None:
+        """Fill `step` (n,) for H (n, n), `drive` and `lower`."""
+        if n == 0:
+            return
+        dense.unit_scale(n, hessian, self.scale)
+        dense.multiply(n, self.scale, self.drive, self.pull)
+        dense.divide(n, self.scale, self.lower, self.floor)
+        dense.scaled(n, self.scale, hessian, self.block)
+        dense.lift(n, RIDGE, self.block)
+        settled = linear.factorised(n, self.block)
+        if settled:
+            dense.copy(n, self.pull, self.right[0])
+            linear.solve(n, 1, self.block, self.right)
+            dense.copy(n, self.right[0], self.x)
+            settled = dense.all_above(n, self.floor, self.x)
+        else:
+            dense.copy(n, self.pull, self.x)
+        if not settled:
+            dense.start_free(n, self.floor, self.x, self.free)
+            dense.scaled(n, self.scale, hessian, self.unit)
+            dense.lift(n, RIDGE, self.unit)
+            self.search(n)
+        dense.multiply(n, self.scale, self.x, self.step)
+
+    def search(self, n: int) -> None:
+        """Primal active set: move towards each face's minimiser, stop at the first bound met."""
+        slack, pull = ROUNDING * dense.largest(n, self.pull), self.right[0]
+        dense.fill(n, 0.0, self.x)
+        for _ in range(TURNS * n + TURNS):
+            dense.copy(n, self.x, self.target)
+            self.face(n)
+            hit = dense.first_bound(n, self.free, self.floor, self.x, self.target)
+            if hit >= 0:
+                reach = (self.floor[hit] - self.x[hit]) / (self.target[hit] - self.x[hit])
+                dense.advance(n, reach, self.target, self.floor, self.free, self.x)
+                continue
+            dense.copy(n, self.target, self.x)
+            dense.apply(n, self.unit, self.x, pull)
+            dense.subtract(n, self.pull, pull)
+            dense.opposite(n, self.free, self.fixed)
+            dense.multiply(n, self.fixed, pull, pull)
+            worst = dense.highest(n, pull)
+            if not pull[worst] > slack:
+                break
+            self.free[worst] = 1.0
+
+    def face(self, n: int) -> None:
+        """Minimiser over the free variables, the others fixed; a larger ridge where singular."""
+        count, right = dense.chosen(n, self.free, self.inside), self.right[0]
+        dense.opposite(n, self.free, self.fixed)
+        dense.multiply(n, self.x, self.fixed, self.fixed)
+        dense.apply(n, self.unit, self.fixed, right)
+        dense.subtract(n, self.pull, right)
+        dense.take(count, right, self.inside, right)
+        ridge, added = FIRST_RIDGE, 0.0
+        for _ in range(RIDGES + 1):
+            dense.upper_block(count, self.unit, self.inside, self.ones, self.block)
+            dense.lift(count, added, self.block)
+            if linear.factorised(count, self.block):
+                linear.solve(count, 1, self.block, self.right)
+                break
+            added += ridge
+            ridge *= 10.0
+        dense.put(count, right, self.inside, self.target)

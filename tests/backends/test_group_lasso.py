@@ -10,7 +10,7 @@ from problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.backends import variational
+from sparsefit.backends import loops
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.problem import RegressionProblem
@@ -133,9 +133,8 @@ def test_groups_may_come_in_any_order():
 def test_a_fit_names_the_loop_that_ran(monkeypatch, separate):
     problem, backend = regular(3), backends.get("group-lasso", separate=separate)
     usual = sf.fit(problem, backend)
-    loop = "python" if variational.compiled_loop()[0] is None else "compiled"
-    assert usual.solver_status == f"converged ({loop} loop)"
-    monkeypatch.setattr(variational, "compiled_loop", lambda: (None, "not built"))
+    assert usual.solver_status == f"converged ({loops.loop_of('group-lasso')} loop)"
+    monkeypatch.setattr(loops, "_compiled", lambda name: "not built")
     found = sf.fit(problem, backend)
     assert found.solver_status == "converged (python loop)"
     assert found.weights == pytest.approx(usual.weights, rel=1e-5, abs=1e-7)

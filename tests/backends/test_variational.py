@@ -13,15 +13,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.linear_model import Lasso
 
-from sparsefit.backends import loops, variational, variational_compiled
-from sparsefit.backends.variational import Engine, GroupPath, group_path
-from sparsefit.backends.variational_compiled import compiled_loop, compiled_path
-from sparsefit.backends.variational_point import evaluate, normalise
+from sparsefit.backends import loops
+from sparsefit.backends.loops import Loop, loaded, loop_of
+from sparsefit.backends.variational import GroupPath, group_path
+from sparsefit.backends.variational_point import FINE, Point, Problem, evaluate
 from sparsefit.bench.robustness import draw_problem
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
-built = pytest.mark.skipif(compiled_loop()[0] is None, reason=compiled_loop()[1])
+built = pytest.mark.skipif(loop_of("group-lasso") != "compiled", reason="not built")
+LOOPS = ["python", pytest.param("compiled", marks=built)]
 
 
 def norms(matrix: Array, groups: Labels) -> Array:
@@ -45,13 +46,13 @@ def solve(
     omega: Array,
     alphas: Array,
     tolerance: float = 1e-10,
-    engine: Engine | None = None,
+    loop: Loop | None = None,
 ) -> GroupPath:
     m, square = len(z), np.sum(y**2) / len(z)
     return group_path(
         *(z.T @ z / m, z.T @ y / m, groups, omega, alphas, square),
         tolerance=tolerance,
-        engine=engine,
+        loop=loop,
     )
 
 
@@ -265,7 +266,7 @@ def test_the_compiled_loop_finds_the_weights_of_the_one_in_python(seed: int, tar
     alphas = penalties(z, y, groups, omega, 15, 1e-3)
     slow = solve(z, y, groups, omega, alphas, 1e-14, "python")
     fast = solve(z, y, groups, omega, alphas, 1e-14, "compiled")
-    assert (slow.engine, fast.engine) == ("python", "compiled")
+    assert (slow.loop, fast.loop) == ("python", "compiled")
     assert slow.complete.all()
     assert fast.complete.all()
     scale = float(np.abs(slow.weights).max())
@@ -315,46 +316,36 @@ def test_both_loops_are_certified_on_degenerate_problems(
     y[:, 1:2] = 0.0
     omega = rng.uniform(0.1, 10.0, 9)
     alphas = penalties(z, y, groups, omega, 10, 1e-3)
-    for engine in ("python", "compiled"):
-        path = solve(z, y, groups, omega, alphas, 1e-9, engine)
-        assert path.complete.all(), engine
-        scaled = GroupPath(path.weights / unit, path.iterations, path.gaps, path.complete, engine)
-        assert worst_gap(z, y / unit, scaled, groups, omega, alphas / unit) < 1e-8, engine
+    both: tuple[Loop, ...] = ("python", "compiled")
+    for loop in both:
+        path = solve(z, y, groups, omega, alphas, 1e-9, loop)
+        assert path.complete.all(), loop
+        scaled = GroupPath(path.weights / unit, path.iterations, path.gaps, path.complete, loop)
+        assert worst_gap(z, y / unit, scaled, groups, omega, alphas / unit) < 1e-8, loop
 
 
 @built
 def test_threads_do_not_disturb_each_other() -> None:
     made = [ragged(seed, 2) for seed in range(8)]
     inputs = [(*p, penalties(*p, 20, 1e-3)) for p in made]
-    alone = [solve(*one, engine="compiled").weights for one in inputs]
+    alone = [solve(*one, loop="compiled").weights for one in inputs]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda one: solve(*one, engine="compiled").weights, inputs))
+        together = list(pool.map(lambda one: solve(*one, loop="compiled").weights, inputs))
     for one, other in zip(alone, together, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-@built
-def test_the_compiled_loop_refuses_what_it_was_not_written_for() -> None:
-    loop = compiled_loop()[0]
-    assert loop is not None
-    from scipy.linalg import cython_blas, cython_lapack
-
-    blas, lapack = cython_blas.__pyx_capi__, cython_lapack.__pyx_capi__
-    loop.check(blas, lapack)
-    with pytest.raises(ImportError, match="dsyrk has another signature"):
-        loop.check({**blas, "dsyrk": blas["dsymm"]}, lapack)
-    with pytest.raises(ImportError, match="dpotrf has another signature"):
-        loop.check(blas, {**lapack, "dpotrf": lapack["spotrf"]})
-    with pytest.raises(ImportError, match="no dgemv"):
-        loop.check({k: v for k, v in blas.items() if k != "dgemv"}, lapack)
+@pytest.mark.parametrize("loop", LOOPS)
+def test_arrays_that_do_not_fit_are_refused(loop: Loop) -> None:
+    search = loaded("group-lasso", loop)[0]
     gram, cross, starts = np.eye(4), np.ones((1, 4)), np.array([0, 2, 4])
-    out = np.zeros((1, 1, 4)), np.zeros(1, np.int64), np.zeros(1)
-    loop.path(blas, lapack, gram, cross, starts, np.ones(1), 1e-9, *out)
+    out = np.zeros((1, 1, 4)), np.zeros(1, np.intp), np.zeros(1)
+    search.path(gram, cross, starts, np.ones(1), 1e-9, *out)
     for wrong in (np.array([0, 2, 3]), np.array([0, 5, 4]), np.array([0, 2, 2, 4])):
         with pytest.raises(ValueError, match="do not fit"):
-            loop.path(blas, lapack, gram, cross, wrong, np.ones(1), 1e-9, *out)
+            search.path(gram, cross, wrong, np.ones(1), 1e-9, *out)
     with pytest.raises(ValueError, match="do not fit"):
-        loop.path(blas, lapack, gram, cross, starts, np.ones(2), 1e-9, *out)
+        search.path(gram, cross, starts, np.ones(2), 1e-9, *out)
 
 
 def test_without_the_compiled_loop_the_one_in_python_runs_and_says_so(
@@ -362,14 +353,15 @@ def test_without_the_compiled_loop_the_one_in_python_runs_and_says_so(
 ) -> None:
     z, y, groups, omega = ragged(0, 2)
     alphas = penalties(z, y, groups, omega, 5, 1e-2)
-    monkeypatch.setattr(variational, "compiled_loop", lambda: (None, "no compiler"))
-    assert solve(z, y, groups, omega, alphas).engine == "python"
+    monkeypatch.setattr(loops, "_compiled", lambda name: "no compiler")
+    assert loop_of("group-lasso") == "python"
+    assert solve(z, y, groups, omega, alphas).loop == "python"
     with pytest.raises(ImportError, match="no compiler"):
-        solve(z, y, groups, omega, alphas, engine="compiled")
+        solve(z, y, groups, omega, alphas, loop="compiled")
 
 
-@pytest.mark.parametrize("engine", ["python", pytest.param("compiled", marks=built)])
-def test_a_curvature_lost_to_rounding_does_not_stall_the_path(engine: Engine) -> None:
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_curvature_lost_to_rounding_does_not_stall_the_path(loop: Loop) -> None:
     """A flight with groups that have no power in the direction of their correlation."""
     problem = draw_problem(60241)[1]
     known = problem.statistics
@@ -377,7 +369,7 @@ def test_a_curvature_lost_to_rounding_does_not_stall_the_path(engine: Engine) ->
     alphas = float(np.max(norms(known.cross, groups))) * np.geomspace(1.0, 1e-4, 30)
     square = float(known.target_square.sum())
     path = group_path(
-        known.gram, known.cross, groups, omega, alphas, square, tolerance=1e-10, engine=engine
+        known.gram, known.cross, groups, omega, alphas, square, tolerance=1e-10, loop=loop
     )
     assert path.complete.all()
     z = unit_columns(problem.theta)
@@ -386,30 +378,37 @@ def test_a_curvature_lost_to_rounding_does_not_stall_the_path(engine: Engine) ->
 
 def test_a_curvature_that_cancels_is_small_and_positive() -> None:
     # G = diag(1, 1e-18) and C = (0, c): A = I + eta G has the entry 1 for c, and H = 0 / eta.
-    gram, cross = np.diag([1.0, 1e-18]), np.array([[0.0], [1e-3]])
-    point = evaluate(normalise(gram, cross, [0, 0], [1.0])[0], np.array([4.0]), None)
-    assert point is not None
+    gram, cross = np.diag([1.0, 1e-18]), np.array([[0.0, 1e-3]])
+    point = Point(1, 2, 1)
+    point.eta[0] = 4.0
+    assert evaluate(Problem(gram, cross, np.array([0, 2])), point) == FINE
     assert 0.0 < point.hessian[0, 0] < 1e-13 * 1e-6 / 4.0
 
 
 def test_a_loop_that_scipy_does_not_suit_is_not_said_to_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(variational_compiled, "compiled_loop", lambda: (None, "another scipy"))
-    loops._runs.cache_clear()
+    def refuse(name: str) -> None:
+        raise TypeError("C function scipy.linalg.cython_blas.dgemm has wrong signature")
+
+    monkeypatch.setattr(loops, "import_module", refuse)
+    loops._compiled.cache_clear()
     try:
-        assert loops.loop_of("group-lasso") == "python"
+        assert loop_of("group-lasso") == "python"
+        with pytest.raises(ImportError, match="wrong signature"):
+            loaded("group-lasso", "compiled")
     finally:
-        loops._runs.cache_clear()
+        loops._compiled.cache_clear()
 
 
-def test_a_penalty_that_is_none_ends_the_compiled_loop_quietly(
-    capfd: pytest.CaptureFixture[str],
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_penalty_that_is_none_ends_the_loop_quietly(
+    loop: Loop, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    loop, _ = compiled_loop()
-    if loop is None:
-        pytest.skip("not built")
-    problem = normalise(np.eye(2), np.array([[0.6], [0.3]]), [0, 1], [1.0, 1.0])[0]
-    weights, _, _ = compiled_path(loop, problem, np.array([np.nan]), 1e-9)
+    weights, spent, gaps = np.zeros((1, 1, 2)), np.zeros(1, np.intp), np.zeros(1)
+    statistics = np.eye(2), np.array([[0.6, 0.3]]), np.array([0, 1, 2])
+    search = loaded("group-lasso", loop)[0]
+    with np.errstate(all="ignore"):
+        search.path(*statistics, np.array([np.nan]), 1e-9, weights, spent, gaps)
     assert not weights.any()
     assert capfd.readouterr() == ("", "")  # LAPACK complains of an empty matrix

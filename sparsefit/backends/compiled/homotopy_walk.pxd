@@ -23,6 +23,7 @@ cdef double polish(Walk walk, double alpha) noexcept nogil
 cdef void freshen(Walk walk) noexcept nogil
 cdef int settle(Walk walk, double alpha, Py_ssize_t limit) noexcept nogil
 cdef int exchange(Walk walk, Py_ssize_t column, double sign) noexcept nogil
+cdef void full(Walk walk, double[::1] out) noexcept nogil
 cdef int reach(Walk walk, double alpha, double goal, double[::1] found) noexcept nogil
 cdef int visit(
     Walk walk, const double[::1] alphas, double[:, ::1] weights, unsigned char[::1] complete

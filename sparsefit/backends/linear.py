@@ -1,0 +1,48 @@
+"""Factors and products of the group-LASSO's loop, by numpy and LAPACK: `compiled/linear.pxd` has
+each of it by scipy's BLAS and LAPACK in C.
+
+Matrices are stored by rows, leading entries in use; `n` is the order, `count` a number of rows.
+A factor U, with A = U'U, is the upper triangle of its matrix.
+"""
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+
+from sparsefit.arrays import Array, IntArray
+
+
+def factorised(n: int, a: Array) -> bool:
+    """Cholesky's U of A, whose upper triangle is given, in its place; false where it fails."""
+    if n == 0:
+        return True
+    factor, failed = dpotrf(a[:n, :n].T, lower=1, clean=0)
+    a[:n, :n] = factor.T
+    return not failed
+
+
+def solve(n: int, count: int, factor: Array, x: Array) -> None:
+    """x = x A^-1 for the rows of x (count, n)."""
+    if n > 0:
+        x[:count, :n] = dpotrs(factor[:n, :n].T, x[:count, :n].T, lower=1)[0].T
+
+
+def forward(n: int, above: int, first: int, last: int, factor: Array, x: Array) -> None:
+    """x = x U^-1 for rows first ... last - 1 of x, whose entries before `above` are zero."""
+    if above < n and first < last:
+        part = slice(first, last), slice(above, n)
+        x[part] = dtrtrs(factor[above:n, above:n].T, x[part].T, lower=1)[0].T
+
+
+def less_overlaps(n: int, first: int, last: int, x: Array, out: Array) -> None:
+    """out -= x x' of rows (last, n), in rows first ... last - 1 of out, up to the diagonal."""
+    out[first:last, :last] -= x[first:last, :n] @ x[:last, :n].T
+
+
+def less_product(n: int, index: IntArray, matrix: Array, x: Array, out: Array) -> None:
+    """out -= x times the rows `index`, ascending, of the matrix, for every row of x."""
+    out -= x[:, :n] @ matrix[index[:n]]
+
+
+def product(first: int, last: int, matrix: Array, x: Array, out: Array) -> None:
+    """out = x times the matrix, for every row of x, of which entries first ... last - 1 count."""
+    np.matmul(x[:, first:last], matrix[first:last], out=out)
