@@ -1,7 +1,7 @@
 """The compiled loops: from the Python sources of `sparsefit.backends`, with the types beside them.
 
-They are optional: without Cython, scipy or a C compiler the same sources run interpreted, slower.  All
-keep to the stable interface, so one wheel a platform.
+They are optional: without Cython, scipy or a C compiler the same sources run interpreted, slower.
+All keep to the stable interface, so one wheel a platform.
 """
 
 from setuptools import Extension, setup
