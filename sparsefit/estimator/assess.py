@@ -14,15 +14,7 @@ from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
-from sparsefit.modes.rows import Rows as AssessedRows
-from sparsefit.uncertainty import (
-    Assessment,
-    Uncertainty,
-    VehicleUncertainty,
-    assess,
-    assess_rows,
-    assess_scales,
-)
+from sparsefit.uncertainty import Assessment, VehicleUncertainty, assess
 
 
 @dataclass(frozen=True)
@@ -44,21 +36,32 @@ class Reading:
 
 
 def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
-    """The parameters at the modes; standard errors of refined modes with the ``rms`` readout."""
+    """The parameters at the modes; standard errors of refined modes with the ``rms`` readout.
+
+    Bias is corrected for one mode of plain samples and a known vehicle only, where the readout
+    says so.
+    """
     assessed = place.located is not None and readout.mean_velocity == "rms"
+    if assessed:
+        plain = prepared.samples.weak is None and not prepared.library.unknown
+        single = plain and readout.scales == "one"
+        known = _assessment(prepared, place, single and readout.correction != "none")
+        if known is not None:
+            pairs = zip(known.modes, place.candidates, strict=True)
+            scales = [ScaleEstimate(*m.values, own, m.uncertainty) for m, own in pairs]
+            return Reading(_sorted(scales), known.vehicle, known.vehicle_uncertainty, True)
     if readout.scales == "several":
         return _several(prepared, place, readout, assessed)
-    if assessed:
-        known = _assessment(prepared, place, readout.correction != "none")
-        if known is not None:
-            scale = ScaleEstimate(*known.values, place.candidates[0], known.uncertainty)
-            return Reading((scale,), known.vehicle, known.vehicle_uncertainty, True)
     length_scale, vehicle = place.length_scales[0], None
     if prepared.library.unknown:
         fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])
         vehicle = _nuisance(prepared).read(fit.coefficients)
     speed = _mean_velocity(prepared, place, readout, vehicle)
     return Reading((_scale(speed, length_scale, place.candidates[0]),), vehicle, None, assessed)
+
+
+def _sorted(scales: list[ScaleEstimate]) -> tuple[ScaleEstimate, ...]:
+    return tuple(sorted(scales, key=lambda scale: -scale.mean_velocity))
 
 
 def _nuisance(prepared: Prepared) -> Nuisance:
@@ -92,36 +95,28 @@ def _true_weights(prepared: Prepared, fit: Projection) -> np.ndarray:
 
 
 def _assessment(prepared: Prepared, place: Place, correct: bool) -> Assessment | None:
-    k = float(place.wavenumbers[0])
-    samples, vehicle = prepared.samples, prepared.vehicle
-
     def assessed() -> Assessment | None:
-        rows = AssessedRows.of(samples, vehicle, prepared.library.unknown)
-        if rows is not None:
-            return assess_rows(samples, rows, k)
-        phi = prepared.flow_velocity
-        return assess(samples, phi, k, vehicle.response_time, correct=correct)
+        fit, nuisance = place.fit, _nuisance(prepared)
+        assert fit is not None
+        return assess(prepared.samples, prepared.rows, Cells(), fit, nuisance, correct=correct)
 
-    return prepared.once(("assessed", k, correct), assessed)
+    key = ("assessed", tuple(place.wavenumbers.tolist()), correct)
+    return prepared.once(key, assessed)
 
 
 def _several(prepared: Prepared, place: Place, readout: Readout, assessed: bool) -> Reading:
     assert place.fit is not None
-    weights = _true_weights(prepared, place.fit)
-    speeds = [mean_velocity_of(own, readout.mean_velocity) for own in weights]
-    known: tuple[Uncertainty | None, ...] = (None,) * len(speeds)
-    if assessed:
-        known = assess_scales(
-            prepared.samples,
-            prepared.flow_velocity,
-            place.wavenumbers,
-            prepared.vehicle.response_time,
-        )
+    speeds = [
+        mean_velocity_of(weights, readout.mean_velocity)
+        for weights in _true_weights(prepared, place.fit)
+    ]
     scales = [
-        ScaleEstimate(speed, scale, scale / speed if speed > 0 else math.nan, candidate, own)
-        for speed, scale, candidate, own in zip(
-            speeds, place.length_scales, place.candidates, known, strict=True
+        ScaleEstimate(speed, scale, scale / speed if speed > 0 else math.nan, candidate)
+        for speed, scale, candidate in zip(
+            speeds, place.length_scales, place.candidates, strict=True
         )
     ]
-    scales.sort(key=lambda scale: -scale.mean_velocity)
-    return Reading(tuple(scales), assessed=assessed)
+    vehicle = None
+    if prepared.library.unknown:
+        vehicle = _nuisance(prepared).read(place.fit.coefficients)
+    return Reading(_sorted(scales), vehicle, assessed=assessed)

@@ -102,6 +102,18 @@ class Cells:
         bent: Array = x * by_phase[..., :2] + y * by_phase[..., 2:]
         return bent[:, None]
 
+    def bent_gradients(
+        self, position: Array, parameters: Array, values: Array, weights: Array
+    ) -> Array:
+        """The derivatives of `bent` by x and by y [1/(m s)], as (2, s, 1, m, 2)."""
+        k, (x, y) = parameters[:, 0, None, None], position.T[:, :, None]
+        columns, bent = values.transpose(0, 2, 1), []
+        for matrix in _MATRICES:
+            turned = [matrix @ weights, *(other @ matrix @ weights for other in _MATRICES)]
+            parts = columns @ np.concatenate(turned, axis=2)
+            bent.append(parts[..., :2] + k * (x * parts[..., 2:4] + y * parts[..., 4:]))
+        return np.stack(bent)[:, :, None]
+
     def gradients(self, parameters: Array, values: Array) -> Array:
         """The derivatives of the columns by x and by y [1/m], as (2, s, 8, m)."""
         k = parameters[:, 0, None, None]

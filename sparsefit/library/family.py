@@ -51,6 +51,12 @@ class Family(Protocol):
         """The derivatives of each mode's flow by its parameters, (s, p, r, n)."""
         ...
 
+    def bent_gradients(
+        self, position: Array, parameters: Array, values: Array, weights: Array
+    ) -> Array:
+        """The derivatives of `bent` by x and by y, (2, s, p, r, n)."""
+        ...
+
     def gradients(self, parameters: Array, values: Array) -> Array:
         """The derivatives of the columns by x and by y [1/m], (2, s, c, r)."""
         ...

@@ -70,7 +70,8 @@ class Rows:
         """The target (r, n) and the nuisance columns (n, r, j), as a family's columns need them."""
         if family.targets == 2:
             return self.target, self.nuisance
-        return self.target.T.reshape(-1, 1), self.nuisance.reshape(1, -1, self.nuisance.shape[2])
+        both, unknown = self.target.size, self.nuisance.shape[2]
+        return self.target.T.reshape(both, 1), self.nuisance.reshape(1, both, unknown)
 
     def unstacked(self, values: Array) -> Array:
         """Values (r, n) of `stacked` as one row for both velocity components, (q, 2)."""

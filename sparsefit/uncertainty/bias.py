@@ -1,76 +1,201 @@
-"""What smoothing and noisy positions take from the weights, to first order.
+"""What smoothing and noisy columns take from theta, to first order, for any rows.
 
 Truncation. Phi is read through the filters of `sparsefit.derivative.filters`: along the path, with
 V' = (w - v)/tau + a, it is away from w by
 
     b = (P - 1)(w - v) + (S - 1) v - grad w . (X_s - x),
 
-all of it known once w is: C'b is taken from the fit's normal equations, twice, as w itself moves.
+all of it known once w is: J'b is taken from the fit's normal equations, twice, as w itself moves.
+Weak rows average smoothed states, and take no derivative: Psi ((S - 1) v - grad w . (X_s - x)) +
+tau R (S - 1) v.
 
 Noise of the position (variance s^2 per axis after smoothing, covariance q with that of Phi): the
 columns stand at x + n, and with e = Phi - C w the normal equations are off by
 
-    E C'e = s^2/2 C'(|kappa|^2 w) - s^2 sum_a (d_a C)'(d_a w) + q (d_t C_t)' 1,
+    E J'e = s^2/2 J'(-Laplacian w) - s^2 sum_a (d_a J)'(d_a w) + q (d_t J_t)' 1,
 
 which over many cells attenuates a plane wave kappa by exp(-|kappa|^2 s^2 / 2), and more where the
-path leaves a combination of columns ill determined (Carroll et al., 2006).
+path leaves a combination of columns ill determined (Carroll et al., 2006). Of weak averages the
+last two terms, what the noise of the columns shares with that of Phi, are left out.
+
+Noise of the velocity, where the response time is unknown and v is a column: E v'e is the
+covariance of both, row by row; of kicks to the acceleration, which the velocity after them holds,
+tau sigma^2 h sum_j p_j r_j, p_j the weight of step j in the filtered acceleration and r_j in
+the filtered velocity.
 """
+
+from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray
-from sparsefit.derivative.filters import Filters, fast_length
-from sparsefit.uncertainty.model import Fitted, along_x, along_y
-from sparsefit.uncertainty.superposed import Superposed
+from sparsefit.derivative import WeakRows
+from sparsefit.derivative.filters import Filters, fast_length, kicks_through
+from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.model import Model
 
-WAVES = np.array([1.0] * 4 + [2.0] * 4)[:, None]  # |kappa|^2 / k^2 of each candidate
-
-
-def truncation(
-    fitted: Fitted | Superposed, velocity: Array, filters: Filters
-) -> tuple[Array, float]:
-    """b (m, 2) [m/s], 0 at the ends where samples lack; and samples over those that have it."""
-    lost, path, mean = np.zeros(velocity.shape), filters.path, filters.mean
-    samples = len(velocity)
-    if path is None or mean is None or samples < 2 * len(mean):
-        return lost, 1.0
-    excess, half = fitted.flow - velocity, len(mean) // 2
-    inner = slice(half, samples - half)
-    size = fast_length(samples)
-    spectra = [np.fft.rfft(one, size, axis=0) for one in (fitted.position, velocity, excess)]
-
-    def filtered(kernels: list[Array], parts: list[ComplexArray]) -> Array:
-        total = sum(
-            np.fft.rfft(kernel, size).conj()[:, None] * part
-            for kernel, part in zip(kernels, parts, strict=True)
-        )
-        found: Array = np.fft.irfft(total, size, axis=0)[: samples - 2 * half]
-        return found
-
-    place = filtered(list(path[0]), spectra[:2]) - fitted.position[inner]
-    lost[inner] = filtered([mean], spectra[2:]) - excess[inner]
-    lost[inner] += filtered(list(path[1]), spectra[:2]) - velocity[inner]
-    lost[inner] -= np.einsum("imt,mi->mt", fitted.gradient[:, inner], place)
-    return lost, samples / (samples - 2 * half)
+PASSES = 2  # of the truncation: the flow it is computed from moves by it
 
 
-def noisy_positions(fitted: Fitted, filters: Filters, response_time: float) -> Array:
-    """E J'e (17,) of the noise in the positions; response_time tau [s]."""
+@dataclass(frozen=True, eq=False)
+class Distortion:
+    """What the filters take from a path, whatever the flow: 0 at the ends, where samples lack.
+
+    Args:
+        place: X_s - x (2, m) [m].
+        speed: (S - 1) v (2, m) [m/s].
+        mean: the transform of P.
+        half: samples at either end that lack others.
+        size: of the transforms.
+    """
+
+    place: Array
+    speed: Array
+    mean: ComplexArray
+    half: int
+    size: int
+
+    @classmethod
+    def of(cls, position: Array, velocity: Array, filters: Filters) -> Distortion | None:
+        """Of states (m, 2) [m], [m/s]; None where steps are uneven or samples too few."""
+        path, mean, samples = filters.path, filters.mean, len(velocity)
+        if path is None or mean is None or samples < 2 * len(mean):
+            return None
+        size, half = fast_length(samples), len(mean) // 2
+        states = np.concatenate([position.T, velocity.T])
+        spectra = np.fft.rfft(states, size).reshape(2, 2, -1)
+        kernels = np.fft.rfft(path, size).conj()  # (2 of place and speed, 2 from x and v, ...)
+        filtered = np.fft.irfft(np.einsum("osf,saf->oaf", kernels, spectra), size)
+        place, speed = np.zeros((2, 2, samples))
+        inner = slice(half, samples - half)
+        place[:, inner] = filtered[0, :, : samples - 2 * half] - position.T[:, inner]
+        speed[:, inner] = filtered[1, :, : samples - 2 * half] - velocity.T[:, inner]
+        return cls(place, speed, np.fft.rfft(mean, size).conj(), half, size)
+
+    @property
+    def share(self) -> float:
+        """Samples over those of which the distortion is known."""
+        samples = int(self.place.shape[1])
+        return samples / (samples - 2 * self.half)
+
+    def of_samples(self, model: Model, velocity: Array) -> Array:
+        """b at the samples (m, 2) [m/s], of a model of them and their velocity v (m, 2)."""
+        lost, samples = self._bent(model), len(velocity)
+        excess = np.ascontiguousarray((model.flow - velocity).T)
+        filtered = np.fft.irfft(np.fft.rfft(excess, self.size) * self.mean, self.size)
+        inner = slice(self.half, samples - self.half)
+        lost[inner] += (filtered[:, : samples - 2 * self.half] - excess[:, inner]).T
+        return lost
+
+    def of_weak(self, model: Model, weak: WeakRows, response_time: float) -> Array:
+        """What weak rows lose (q, 2) [m/s], of a model of them; tau [s]."""
+        rows: Array = weak.operator @ self._bent(model)
+        return rows + response_time * (weak.rate @ self.speed.T)
+
+    def _bent(self, model: Model) -> Array:
+        """(S - 1) v - grad w . (X_s - x) at the samples (m, 2) [m/s]."""
+        bent: Array = self.speed.T - np.einsum("imt,im->mt", model.gradient, self.place)
+        return bent
+
+
+@dataclass(frozen=True, eq=False)
+class Truncated:
+    """A fit less what its filters took.
+
+    Args:
+        model: the fit, moved by the truncation that it implies.
+        errors: what is then left of the rows, (q, 2) [m/s].
+        at_samples: what is left of Phi at the samples, (m, 2) [m/s].
+    """
+
+    model: Model
+    errors: Array
+    at_samples: Array
+
+
+def without_truncation(fit: Filtered) -> Truncated:
+    """Take the truncation from a fit; nothing is known of it where steps are uneven."""
+    samples, model = fit.samples, fit.model
+    position, velocity = model.rows.position, samples.velocity
+    distortion = Distortion.of(position, velocity, fit.filters)
+    if distortion is None:
+        return Truncated(model, model.residual, fit.plain.residual)
+    moved = model
+    for _ in range(PASSES):
+        base = moved
+        if samples.weak is None:
+            lost, share = distortion.of_samples(base, velocity), distortion.share
+        else:
+            lost, share = distortion.of_weak(base, samples.weak, fit.response_time), 1.0
+        moved = model.moved(-share * model.jacobian.score(lost))
+    errors = at_samples = base.residual - lost
+    if samples.weak is not None:
+        plain = fit.as_samples(base)
+        at_samples = plain.residual - distortion.of_samples(plain, velocity)
+    return Truncated(moved, errors, at_samples)
+
+
+def noisy_columns(fit: Filtered) -> Array:
+    """E J'e (n,) of measured noise in what the columns are taken at."""
+    filters, weak, model = fit.filters, fit.samples.weak, fit.model
     variances = np.array([[filters.sigma_position], [filters.sigma_velocity]]) ** 2
     place, velocity, acceleration = filters.raw
+    through = velocity + fit.response_time * acceleration
     square = float(np.sum(variances * place**2))
-    shared = float(np.sum(variances * place * (velocity + response_time * acceleration)))
-    k, c, (cx, cy) = fitted.wavenumber, fitted.columns, fitted.slopes
-    bowed = 0.5 * square * k * k * (c.T @ (WAVES * fitted.weights))
-    score = c @ bowed
-    steep = square * fitted.gradient
-    score -= k * (cx @ steep[0] + cy @ steep[1])
-    score += shared * k * np.column_stack([cx.sum(axis=1), cy.sum(axis=1)])
-    x, y = fitted.position.T
-    turned = [
-        (slope + k * (x * along_x(slope) + y * along_y(slope))).T @ fitted.weights
-        for slope in (cx, cy)
-    ]
-    by_scale = np.sum(fitted.bend * bowed) - np.sum(np.stack(turned) * steep)
-    by_scale += shared * (turned[0][:, 0].sum() + turned[1][:, 1].sum())
-    return np.concatenate([[by_scale], score.T.ravel()])
+    bowed = np.ascontiguousarray(-0.5 * square * model.laplacian.T)
+    score = model.jacobian.score(model.rows.averaged(bowed).T)
+    if fit.shared:
+        pair = through, velocity
+        if weak is not None:
+            pair = _averaged_velocity(weak, velocity, fit.response_time)
+        score += _in_velocity(model, float(np.sum(variances * pair[0] * pair[1])))
+    if weak is not None:
+        return score
+    load = -square * model.gradient
+    load[[0, 1], :, [0, 1]] += float(np.sum(variances * place * through))
+    return score + _shaken(model, load)
+
+
+def kicked_velocity(fit: Filtered, kicks: float) -> Array:
+    """E J'e (n,) of kicks in the column of the velocity; kicks: the variance of tau times them."""
+    held = kicks_through(fit.filters.raw[1], float(np.mean(np.diff(fit.samples.time))))
+    by_row = kicks / fit.response_time * float(np.sum(fit.filters.kicks * held))
+    return _in_velocity(fit.model, by_row)
+
+
+def _in_velocity(model: Model, by_row: float) -> Array:
+    """J'e (n,) where every row of either component gives the column of v, the first of N, its e."""
+    score = np.zeros(model.jacobian.size)
+    score[-len(model.coefficients)] = model.rows.nuisance[..., 0].size * by_row
+    return score
+
+
+def _shaken(model: Model, load: Array) -> Array:
+    """sum_a (d_a J)' load_a (n,), of loads (2, m, 2) at the samples."""
+    rows, targets = model.rows, model.weights.shape[2]
+    if targets == 1:
+        load = load.transpose(0, 2, 1).reshape(2, -1, 1)
+    along = model.gradients.reshape(2, -1, model.gradients.shape[3])
+    by_weight = np.sum(along @ load, axis=0).reshape(model.weights.shape)
+    bent = model.family.bent_gradients(
+        rows.position, model.parameters, model.columns, model.weights
+    )
+    by_parameter = np.einsum("aspmn,amn->sp", bent, load)
+    return model.joined(by_parameter, by_weight, np.zeros(len(model.coefficients)))
+
+
+def _averaged_velocity(
+    weak: WeakRows, velocity: Array, response_time: float
+) -> tuple[Array, Array]:
+    """Weights (2, n) of raw samples in the Phi and in the velocity of one weak row."""
+    middle = [len(weak.time) // 2]
+    mean, rate = (one[middle].toarray()[0] for one in (weak.operator, weak.rate))
+    used = np.flatnonzero(mean)
+    held = slice(used[0], used[-1] + 1)
+    of_phi, of_velocity = (mean + response_time * rate)[held], mean[held]
+    return (
+        np.stack([np.convolve(of_phi, raw) for raw in velocity]),
+        np.stack([np.convolve(of_velocity, raw) for raw in velocity]),
+    )

@@ -1,8 +1,9 @@
 """How well U0, L and tau_w can be known at best: the Cramer-Rao bound, for a flow that is known.
 
 The model is Phi_t = C(k) w_t + e_t for the two components t, C (m, 8) the candidates at
-k = pi/L. Its parameters are theta = (k, w_1, w_2), 17 of them; the Jacobian of both components,
-stacked, is J (2m, 17) = [dC/dk w, blockdiag(C, C)].
+k = pi/L. Its parameters are theta = (k, w_1, w_2), 17 of them (`sparsefit.uncertainty.model`), and
+with e of variance s^2 a function of theta with the gradient g has at least the variance
+s^2 g'(J'J)^+ g, infinite along what the flight does not tell (`information`).
 """
 
 from dataclasses import dataclass
@@ -10,17 +11,18 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array
 from sparsefit.errors import non_negative, one_of
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.modes.refine import columns
-from sparsefit.uncertainty import Fitted
+from sparsefit.library.cells import Cells
+from sparsefit.library.nuisance import Nuisance
+from sparsefit.modes.fitted_rows import Rows
+from sparsefit.uncertainty.information import Information
+from sparsefit.uncertainty.model import Model
+from sparsefit.uncertainty.reading import cellular
 
-Model = Literal["parametric", "semiparametric"]
-
-NULL = 1e-9  # singular values of the scaled Jacobian below this, relative, are its null space
-LOST = 1e-6  # a gradient with more than this, relative, in the null space: inf
+FlowModel = Literal["parametric", "semiparametric"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ def cramer_rao(
     vehicle: PointMassVehicle,
     *,
     process_noise: float,
-    model: Model = "parametric",
+    model: FlowModel = "parametric",
 ) -> Bound:
     """Bound the standard deviations of U0, L and tau_w under Eq. 7.
 
@@ -49,19 +51,20 @@ def cramer_rao(
     tau_w = L/U0 by the delta method. Raises InputError for an unknown model or sigma < 0.
     """
     deviation = vehicle.response_time * non_negative("process_noise", process_noise, "m/s^2")
-    one_of("model", model, get_args(Model))
+    one_of("model", model, get_args(FlowModel))
     if deviation == 0.0:
         return Bound(0.0, 0.0, 0.0)
     if model == "parametric":
         jacobian = parametric_jacobian(position, flow)
-        gradients = np.array([[1.0, 0.0], [0.0, 1.0], [-flow.timescale / flow.mean_velocity, 1.0]])
-        gradients[2, 1] /= flow.mean_velocity
+        information = Information.of(jacobian.T @ jacobian)
+        by_speed, by_scale = -flow.timescale / flow.mean_velocity, 1 / flow.mean_velocity
+        gradients = np.array([[1.0, 0.0], [0.0, 1.0], [by_speed, by_scale]])
     else:
-        weights = np.zeros((8, 2))
-        weights[5, 0], weights[6, 1] = flow.mean_velocity, -flow.mean_velocity
-        jacobian, gradients = semiparametric(position, weights, flow.wavenumber)
-    rows, lost = _functionals(jacobian, gradients)
-    spreads = np.where(lost, np.inf, deviation * np.linalg.norm(rows, axis=0))
+        free = semiparametric(position, flow)
+        information = free.information
+        gradients = cellular(free, Nuisance((), vehicle)).gradients
+    told = np.linalg.norm(information.basis.T @ gradients.T, axis=0)
+    spreads = np.where(information.lost(gradients), np.inf, deviation * told)
     return Bound(*spreads.tolist())
 
 
@@ -74,25 +77,12 @@ def parametric_jacobian(position: Array, flow: CellularFlow) -> Array:
     return np.column_stack([shape, -u0 * k / flow.length_scale * np.concatenate(along)])
 
 
-def semiparametric(position: Array, weights: Array, wavenumber: float) -> tuple[Array, Array]:
-    """J (2m, 17), and the gradients (3, 17) of U0, L and tau_w."""
-    value, slope = columns(position, wavenumber)
-    zero = np.zeros_like(value)
-    jacobian = np.block([[value, zero], [zero, value]])
-    bend = (slope @ weights).T.ravel()
-    gradients = Fitted(position, wavenumber, weights).gradients
-    return np.column_stack([bend, jacobian]), gradients
-
-
-def _functionals(jacobian: Array, gradients: Array) -> tuple[Array, BoolArray]:
-    """J (J'J)^+ g (rows, 3) for gradients g (3, parameters), and which g the data do not tell."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale[scale == 0] = 1.0
-    triangle = np.linalg.qr(jacobian / scale, mode="r")
-    roots, right = np.linalg.svd(triangle)[1:]
-    kept = np.arange(len(right)) < np.count_nonzero(roots > NULL * roots[0])
-    turned = right @ (gradients / scale).T
-    lost = np.linalg.norm(turned[~kept], axis=0) > LOST * np.linalg.norm(turned, axis=0)
-    inverse = right[kept].T @ (turned[kept] / roots[kept[: len(roots)], None] ** 2)
-    found: Array = (jacobian / scale) @ inverse
-    return found, lost
+def semiparametric(position: Array, flow: CellularFlow) -> Model:
+    """The flow at positions (m, 2) [m] as a fit of one mode with free weights."""
+    period = 2 * flow.length_scale
+    middle = 0.5 * (position.max(axis=0) + position.min(axis=0))
+    near = position - period * np.round(middle / period)  # the same flow, with all its digits
+    weights = np.zeros((1, 8, 2))
+    weights[0, 5, 0], weights[0, 6, 1] = flow.mean_velocity, -flow.mean_velocity
+    rows = Rows(near, flow.velocity(*near.T), np.zeros((2, len(near), 0)))
+    return Model(Cells(), rows, np.array([[flow.wavenumber]]), weights, np.zeros(0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, ComplexArray
 
 
 def frequency_weights(size: int) -> Array:
@@ -12,3 +12,15 @@ def frequency_weights(size: int) -> Array:
     if size % 2 == 0:
         twice[-1] = 1.0 / size
     return twice
+
+
+def power(spectra: ComplexArray, weight: Array) -> Array:
+    """Sums of squares in time (f,) of the spectra (f, 2, frequencies) of both components."""
+    total: Array = (spectra.real**2 + spectra.imag**2).sum(axis=1) @ weight
+    return total
+
+
+def paired(values: Array) -> Array:
+    """Sums (f,) of neighbours in (2 f,): of real and imaginary parts."""
+    sums: Array = values[0::2] + values[1::2]
+    return sums

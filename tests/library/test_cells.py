@@ -60,6 +60,16 @@ def test_the_bent_flow_is_the_slopes_times_the_weights():
     np.testing.assert_allclose(bent, expected, rtol=1e-12, atol=1e-12)
 
 
+def test_the_bent_flow_in_space_is_that_of_differences():
+    cells = Cells()
+    weights = np.random.default_rng(4).standard_normal((3, 8, 2))
+    gradients = cells.bent_gradients(POSITION, K, cells.values(POSITION, K), weights)
+    for axis, shift in enumerate(np.eye(2) * STEP):
+        ends = [POSITION + sign * shift for sign in (1, -1)]
+        above, below = (cells.bent(end, K, cells.values(end, K), weights) for end in ends)
+        np.testing.assert_allclose(gradients[axis], (above - below) / (2 * STEP), atol=1e-6)
+
+
 def test_mean_squares_are_those_over_a_cell():
     axis = np.arange(64) * (2 * math.pi / 64)
     cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)

@@ -22,7 +22,7 @@ from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.reading import Reading, Yardstick, outward
 from sparsefit.study.run.store import write_cases
-from sparsefit.uncertainty import Uncertainty, uncertainty
+from sparsefit.uncertainty import Uncertainty
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 
@@ -213,8 +213,9 @@ def test_a_flight_without_a_flow_has_no_truth_and_is_called_so(calm, tmp_path, m
 
     def with_uncertainty(self, prepared, found):
         estimate = read(self, prepared, found)
-        position, phi = prepared.samples.position, prepared.flow_velocity
-        return replace(estimate, uncertainty=uncertainty(position, phi, estimate.length_scale))
+        values = [estimate.mean_velocity, estimate.length_scale, estimate.timescale]
+        known = Uncertainty.around(values, [0.1, 0.1, 0.1])
+        return replace(estimate, uncertainty=known)
 
     monkeypatch.setattr(Estimator, "read", with_uncertainty)
     every = cells(calm)

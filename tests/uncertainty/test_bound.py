@@ -3,13 +3,17 @@ import math
 import numpy as np
 import pytest
 
+from sparsefit.derivative import Samples
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.library.cells import rms_mean_velocity
-from sparsefit.modes.refine import centred, columns, project, refine
-from sparsefit.uncertainty import uncertainty
+from sparsefit.library.cells import Cells
+from sparsefit.library.nuisance import Nuisance
+from sparsefit.modes.fitted_rows import Rows
+from sparsefit.uncertainty.assessment import assess
 from sparsefit.uncertainty.bound import cramer_rao, parametric_jacobian, semiparametric
+from sparsefit.uncertainty.reading import cellular
+from tests.fits import located
 
 FLOW = CellularFlow(12.0, 4.0)
 VEHICLE = PointMassVehicle(0.5)
@@ -23,11 +27,13 @@ def wander(seed=0, samples=1200):
     return t[:, None] * [2.5, 1.7] + 2.0 * loops
 
 
-def estimates(position, phi):
-    found = refine(position, phi, lower=3.0, upper=5.0)
-    weights = project(centred(position), phi, found.wavenumber).weights
-    speed = rms_mean_velocity(weights)
-    return speed, found.length_scale, found.length_scale / speed
+def assessed(position, phi):
+    """A Phi of unknown origin: nothing is known of its errors but what the fit leaves."""
+    t = np.arange(len(phi)) * 0.01
+    samples, rows = Samples(t, position, phi, phi, phi), Rows.plain(position, phi)
+    fit = located(rows, [[FLOW.wavenumber]])
+    (mode,) = assess(samples, rows, Cells(), fit, Nuisance((), VEHICLE), correct=True).modes
+    return mode
 
 
 def test_parametric_jacobian_is_the_finite_difference():
@@ -42,29 +48,17 @@ def test_parametric_jacobian_is_the_finite_difference():
     np.testing.assert_allclose(jacobian, np.column_stack([by_speed, by_scale]), atol=1e-6)
 
 
-def test_semiparametric_jacobian_and_gradients_are_the_finite_differences():
-    position, k = wander(), 0.8
-    weights = np.random.default_rng(3).standard_normal((8, 2))
-    jacobian, gradients = semiparametric(position, weights, k)
-
-    def split(theta):
-        return theta[0], theta[1:].reshape(2, 8).T
-
-    def phi(theta):
-        wavenumber, w = split(theta)
-        return (columns(position, wavenumber)[0] @ w).T.ravel()
-
-    def parameters(theta):
-        wavenumber, w = split(theta)
-        speed, scale = rms_mean_velocity(w), math.pi / wavenumber
-        return np.array([speed, scale, scale / speed])
-
-    theta, h = np.concatenate([[k], weights.T.ravel()]), 1e-6
-    for j, step in enumerate(h * np.eye(17)):
-        difference = (phi(theta + step) - phi(theta - step)) / (2 * h)
-        np.testing.assert_allclose(jacobian[:, j], difference, atol=1e-6)
-        difference = (parameters(theta + step) - parameters(theta - step)) / (2 * h)
-        np.testing.assert_allclose(gradients[:, j], difference, atol=1e-7)
+def test_the_bound_is_that_of_the_full_jacobian():
+    # By QR and singular values, which square no condition number.
+    model = semiparametric(wander(), FLOW)
+    size = model.jacobian.size
+    jacobian = model.jacobian.times(np.eye(size)).reshape(size, -1).T
+    gradients = cellular(model, Nuisance((), VEHICLE)).gradients
+    expected = 0.5 * np.linalg.norm(np.linalg.pinv(jacobian).T @ gradients.T, axis=0)
+    bound = cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametric")
+    found = [bound.mean_velocity, bound.length_scale, bound.timescale]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    np.testing.assert_allclose(model.residual, 0.0, atol=1e-12)
 
 
 def test_hand_derived_case():
@@ -113,8 +107,6 @@ def test_refuses_bad_arguments():
         cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametrc")
     with pytest.raises(InputError):
         cramer_rao(wander(), FLOW, VEHICLE, process_noise=-1.0)
-    with pytest.raises(InputError, match="samples"):
-        uncertainty(wander()[:20], wander()[:20], 4.0)
 
 
 def test_refinement_attains_the_bound_and_its_intervals_cover():
@@ -125,8 +117,8 @@ def test_refinement_attains_the_bound_and_its_intervals_cover():
     errors, spreads, covered = [], [], []
     for _ in range(runs):
         noisy = phi + 0.5 * sigma * rng.standard_normal(phi.shape)
-        found = np.array(estimates(position, noisy))
-        known = uncertainty(position, noisy, found[1])
+        mode = assessed(position, noisy)
+        found, known = np.array(mode.values), mode.uncertainty
         intervals = np.array(
             [known.mean_velocity_interval, known.length_scale_interval, known.timescale_interval]
         )
@@ -148,5 +140,5 @@ def test_errors_that_cancel_in_time_are_recognised():
     phi = FLOW.velocity(*position.T)
     noise = np.diff(rng.standard_normal((len(phi) + 1, 2)), axis=0)
     white = math.sqrt(2) * rng.standard_normal(phi.shape)
-    cancelling = uncertainty(position, phi + noise, 4.0)
-    assert cancelling.length_scale < 0.5 * uncertainty(position, phi + white, 4.0).length_scale
+    cancelling, plain = (assessed(position, phi + own).uncertainty for own in (noise, white))
+    assert cancelling.length_scale < 0.5 * plain.length_scale

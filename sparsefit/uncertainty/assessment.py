@@ -1,0 +1,132 @@
+"""One assessment of one fit of cellular modes: U0, L and tau_w of each, the vehicle, how sure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.derivative import Samples
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.family import Family
+from sparsefit.library.nuisance import Nuisance, VehicleEstimate
+from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.projection import Projection
+from sparsefit.uncertainty.corrected import Known, corrected
+from sparsefit.uncertainty.model import Model
+from sparsefit.uncertainty.reading import MODE, reader
+from sparsefit.uncertainty.record import Uncertainty
+from sparsefit.uncertainty.vehicle import VehicleUncertainty
+
+
+@dataclass(frozen=True)
+class ModeAssessment:
+    """U0 [m/s], L [m] and tau_w [s] of one mode, and how sure they are."""
+
+    mean_velocity: float
+    length_scale: float
+    timescale: float
+    uncertainty: Uncertainty
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """U0, L and tau_w."""
+        return self.mean_velocity, self.length_scale, self.timescale
+
+    @property
+    def wide(self) -> str:
+        """Which value is known only to more than WIDE, in words; empty if none is."""
+        return self.uncertainty.wide(self.values)
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Every mode of a fit in its order, and the vehicle where something beside the flow is unknown.
+
+    Args:
+        modes: the values of each mode, corrected where asked.
+        vehicle: the vehicle and the wind that fit best, None where all of it was known.
+        vehicle_uncertainty: how sure what was unknown of them is.
+    """
+
+    modes: tuple[ModeAssessment, ...]
+    vehicle: VehicleEstimate | None = None
+    vehicle_uncertainty: VehicleUncertainty | None = None
+
+
+def assess(
+    samples: Samples,
+    rows: Rows,
+    family: Family,
+    fit: Projection,
+    nuisance: Nuisance,
+    *,
+    correct: bool,
+) -> Assessment | None:
+    """Assess a fit of the modes of `Cells` to the rows of a flight, where it is best.
+
+    Args:
+        samples: what the rows were made of.
+        rows: what was fitted, for the vehicle that is believed.
+        family: the family of the modes.
+        fit: the projection of the rows at the best parameters.
+        nuisance: what is unknown beside the flow, and the vehicle that is believed.
+        correct: whether bias that is known to first order is taken from the values; if not, it
+            is left in them and counts in full as a standard error.
+
+    Returns:
+        None below 21 samples, with fewer rows than parameters of a velocity component, or where
+        the vehicle that fits best is impossible.
+    """
+    vehicle, model = nuisance.read(fit.coefficients), Model.of(family, rows, fit)
+    if not vehicle.possible:
+        return None
+    if nuisance.unknown:
+        model, nuisance = _as_found(samples, model, nuisance, vehicle)
+    known = corrected(samples, model, nuisance, reader(nuisance), correct=correct)
+    if known is None:
+        return None
+    count = len(MODE) * len(fit.parameters)
+    values, errors = (array[:count].reshape(-1, 3) for array in (known.values, known.errors))
+    modes = tuple(_mode(*pair) for pair in zip(values, errors, strict=True))
+    if not nuisance.unknown:
+        return Assessment(modes)
+    beside = Known(known.values[count:], known.errors[count:])
+    return Assessment(modes, *_vehicle(vehicle, beside))
+
+
+def _as_found(
+    samples: Samples, model: Model, nuisance: Nuisance, vehicle: VehicleEstimate
+) -> tuple[Model, Nuisance]:
+    """The same fit, of the rows of the vehicle that was found: b_v = 0, W in units of Phi."""
+    found = PointMassVehicle(vehicle.response_time, vehicle.thrust_acceleration)
+    ratio = nuisance.ratio(model.coefficients)
+    left = (*[0.0] * nuisance.shared, *(vehicle.wind if nuisance.constant else ()))
+    turned = replace(
+        model,
+        rows=Rows.of(samples.weak or samples, found, vehicle.unknown),
+        weights=model.weights / ratio,
+        coefficients=np.array(left),
+    )
+    return turned, Nuisance(vehicle.unknown, found)
+
+
+def _mode(values: Array, errors: Array) -> ModeAssessment:
+    speed, scale, _ = values.tolist()
+    each = (speed, scale, scale / speed)  # tau_w is L / U0, whatever was cut of a correction
+    return ModeAssessment(*each, Uncertainty.around(list(each), errors.tolist()))
+
+
+def _vehicle(vehicle: VehicleEstimate, known: Known) -> tuple[VehicleEstimate, VehicleUncertainty]:
+    """The vehicle with the values that were read of it, in the order of what is unknown."""
+    values: dict[str, tuple[float, ...]] = {}
+    errors: dict[str, tuple[float, ...]] = {}
+    first = 0
+    for name in vehicle.unknown:
+        part = slice(first, first + (1 if name == "response_time" else 2))
+        values[name], errors[name] = (tuple(a[part].tolist()) for a in (known.values, known.errors))
+        first = part.stop
+    read: dict[str, Any] = {n: v[0] if n == "response_time" else v for n, v in values.items()}
+    return replace(vehicle, **read), VehicleUncertainty.around(values, errors)

@@ -1,0 +1,99 @@
+"""What is read of a fit, less its bias where asked, and how sure it is.
+
+The variance is that of the noise carried through the filters (`noise`). Of bias (`bias`) that is
+corrected, what is doubtful counts as a standard error; of bias that is left in, all of it. Where
+residuals are no noise at all, the truncation that is left has one sign over many samples: half of
+what it could add up to is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.derivative import Samples
+from sparsefit.library.nuisance import Nuisance
+from sparsefit.uncertainty import bias, noise
+from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.model import Model
+from sparsefit.uncertainty.reading import Reader
+
+# Of a correction, what counts as a standard error: terms of second order are left out.
+DOUBT_OF_TRUNCATION, DOUBT_OF_NOISE = 0.2, 0.5
+REACH = 1.0  # standard errors that noisy columns may move a value: beyond, it is ill determined
+EXACT = 1e-6  # residuals below this, relative: no noise but truncation, which adds up coherently
+COHERENT, QUADRATURE = 0.5, 2.0  # of what it could add up to; weak rows fit most of theirs
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Values (f,) that were read of a fit, and their standard errors (f,), inf where not told."""
+
+    values: Array
+    errors: Array
+
+
+def corrected(
+    samples: Samples, model: Model, nuisance: Nuisance, read: Reader, *, correct: bool
+) -> Known | None:
+    """What is read of a model of the rows of a flight's samples, less its bias if asked.
+
+    The nuisance columns are those of the vehicle that fits best: the coefficient of the velocity
+    is 0, and noise in its column no error to first order. None below 21 samples, or with fewer
+    rows than parameters of a velocity component.
+    """
+    rows, used = len(model.rows.target), model.jacobian.size / 2
+    if len(samples.time) <= noise.LAGS or rows <= used:
+        return None
+    fit, reading = Filtered.of(samples, model, nuisance), read(model)
+    information = model.information
+    lost = information.lost(reading.gradients) | (reading.norms & (not information.whole))
+    if fit is not None:
+        known = _through_filters(fit, read, correct=correct)
+    else:
+        lags = noise.overlap(samples)
+        if rows <= lags:
+            return None
+        influence = model.influence(reading.gradients)
+        variance = noise.lagged(influence, model.residual, lags, used)
+        known = Known(reading.values, np.sqrt(variance))
+    return Known(known.values, np.where(lost, np.inf, known.errors))
+
+
+def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
+    """Values and standard errors where the filters are known."""
+    reading, less = read(fit.model), bias.without_truncation(fit)
+    variance, levels = noise.carried(fit, reading.gradients, less.at_samples)
+    variance = variance + _coherent(fit, reading.gradients, less.errors)
+    spread = np.sqrt(variance)
+    step = read(less.model).values - reading.values
+    correction = np.clip(step, -reading.limits, reading.limits)
+    doubt = (DOUBT_OF_TRUNCATION if correct else 1.0) * correction
+    for score in _scores_of_noise(fit, float(levels[2])):
+        step = read(fit.model.moved(-score)).values - reading.values
+        doubt = np.hypot(doubt, (DOUBT_OF_NOISE if correct else 1.0) * step)
+        correction = correction + np.clip(step, -REACH * spread, REACH * spread)
+    return Known(reading.values + correct * correction, np.hypot(spread, doubt))
+
+
+def _coherent(fit: Filtered, gradients: Array, errors: Array) -> Array:
+    """The square (f,) of what residuals (q, 2) without noise may add up to; 0 with noise."""
+    square = float(np.sum(errors**2))
+    if square > EXACT**2 * float(np.sum(fit.model.flow**2)):
+        return np.zeros(len(gradients))
+    share = COHERENT if fit.samples.weak is None else QUADRATURE
+    influence = fit.model.influence(gradients)
+    added: Array = share**2 * square * np.sum(influence**2, axis=(1, 2))
+    return added
+
+
+def _scores_of_noise(fit: Filtered, kicks: float) -> list[Array]:
+    """J'e (n,) of the noise in what the columns are taken at, one for each source of it."""
+    scores = []
+    if noise.measured_noise_known(fit.filters):
+        scores.append(bias.noisy_columns(fit))
+    if fit.shared:
+        scores.append(bias.kicked_velocity(fit, kicks))
+    return scores

@@ -1,0 +1,99 @@
+"""The Jacobian of fitted rows, a block for each velocity component, and nothing that is zero.
+
+    Phi_t = sum_j Psi C(q_j) W_jt + N_t b + e_t,    t the two velocity components,
+
+is linear in the weights W and the coefficients b, so that the rows of component t depend on theta
+through J_t = [Psi dC/dq W_t, Psi C, N_t]. A family whose components have weights of their own
+(n = 2) has columns C for either, each with its own half of W; where the weights are shared (n = 1)
+the blocks share their columns of theta. theta = (all q, all W of one component after the other, b).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array, ComplexArray, IntArray
+from sparsefit.modes.fitted_rows import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Jacobian:
+    """J of both velocity components, as the columns that differ and where they belong.
+
+    Args:
+        columns: what is not zero in J, each column once, (u, q).
+        picks: which of them are in J_t, (2, k).
+        places: which entries of theta they belong to, (2, k).
+        size: the length of theta.
+    """
+
+    columns: Array
+    picks: IntArray
+    places: IntArray
+    size: int
+
+    @classmethod
+    def of(cls, rows: Rows, values: Array, bent: Array) -> Jacobian:
+        """J of rows, from the columns (s, c, r) of the modes and their `bent` flow (s, p, r, n)."""
+        targets, length = bent.shape[3], values.shape[2]
+        free, bodies = bent.shape[0] * bent.shape[1], values.shape[0] * values.shape[1]
+        unknown, count = rows.nuisance.shape[2], len(rows.target)
+        body = rows.averaged(values.reshape(bodies, length))
+        head = rows.averaged(np.moveaxis(bent, 3, 0).reshape(targets * free, length))
+        if targets == 1:  # both components in one column: part them
+            body = np.concatenate([body[:, :count], body[:, count:]])
+            head = np.concatenate([head[:, :count], head[:, count:]])
+        columns = np.concatenate([head, *rows.nuisance.transpose(0, 2, 1), body])
+        size = free + targets * bodies + unknown
+        heads, tails, middle = np.arange(free), np.arange(unknown), np.arange(bodies)
+        first = 2 * (free + unknown)
+        picks, places = [], []
+        for t in range(2):
+            own, shift = (0, bodies * t) if targets == 2 else (bodies * t, 0)
+            picks.append(
+                np.concatenate(
+                    [heads + free * t, 2 * free + unknown * t + tails, first + own + middle]
+                )
+            )
+            places.append(np.concatenate([heads, size - unknown + tails, free + shift + middle]))
+        return cls(columns, np.stack(picks), np.stack(places), size)
+
+    @property
+    def gram(self) -> Array:
+        """J'J (n, n)."""
+        gram = np.zeros((self.size, self.size))
+        for pick, place in zip(self.picks, self.places, strict=True):
+            block = self.columns[pick]
+            gram[np.ix_(place, place)] += block @ block.T
+        return gram
+
+    def score(self, errors: Array) -> Array:
+        """J'e (n,) of errors (q, 2) of the rows."""
+        score = np.zeros(self.size)
+        products = self.columns @ errors
+        for t in range(2):
+            score[self.places[t]] += products[self.picks[t], t]
+        return score
+
+    def times(self, by_theta: Array) -> Array:
+        """J times directions (n, f) of theta, (f, 2, q)."""
+        return _combined(self, by_theta, self.columns)
+
+    def spectra(self, size: int) -> ComplexArray:
+        """The real transforms (u, size/2 + 1) of `columns`."""
+        spectra: ComplexArray = np.fft.rfft(self.columns, size)
+        return spectra
+
+    def turned(self, by_theta: Array, spectra: ComplexArray) -> ComplexArray:
+        """The transforms (f, 2, size/2 + 1) of `times`, from those of the columns."""
+        return _combined(self, by_theta, spectra.view(np.float64)).view(np.complex128)
+
+
+def _combined(jacobian: Jacobian, by_theta: Array, columns: Array) -> Array:
+    combined = np.empty((by_theta.shape[1], 2, columns.shape[1]))
+    for t in range(2):
+        weights = by_theta[jacobian.places[t]].T
+        np.matmul(weights, columns[jacobian.picks[t]], out=combined[:, t])
+    return combined
