@@ -75,6 +75,15 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value  # what numpy's scalars have
 
 
+def finite_or_none(value: Any) -> Any:
+    """``value`` as JSON can hold it: None for NaN and infinity, at any depth, tuples as lists."""
+    if isinstance(value, dict):
+        return {key: finite_or_none(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_none(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def only(values: Iterable[str], valid: Iterable[str], place: Place) -> None:
     """Refuse the first key that is not in `valid`, with the nearest valid one."""
     known = list(valid)

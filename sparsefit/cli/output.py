@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import sys
 from pathlib import Path
@@ -51,14 +50,11 @@ def terminal_width() -> int:
 
 def table_record(table: Table) -> dict[str, Any]:
     """Every row of a table, JSON-ready; what is not finite is None."""
+    from sparsefit.codec import finite_or_none
+
     return {
         "title": table.title,
         "columns": [column.full_heading for column in table.columns],
-        "rows": [[finite_or_none(cell) for cell in row] for row in table.rows],
+        "rows": finite_or_none(list(table.rows)),
         "notes": list(table.notes),
     }
-
-
-def finite_or_none(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,7 +7,6 @@ import json
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.output import (
-    finite_or_none,
     print_json,
     refuse_existing,
     table_record,
@@ -117,6 +116,8 @@ def _is(cell: Cell, chosen: Selection) -> bool:
 
 
 def _record(chosen: Selection, output: str) -> dict[str, object]:
+    from sparsefit.codec import finite_or_none
+
     scores = {
         name: finite_or_none(getattr(chosen, name))
         for name in ("validate", "evaluate", "failure_rate", "seconds")

@@ -4,6 +4,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from sparsefit.codec import finite_or_none
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.regression.certificate import Certificate
 from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
@@ -71,14 +72,5 @@ class Estimate:
         """The estimate as JSON-ready values; NaN becomes None."""
         values = asdict(self)
         values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
-        values["scales"] = [asdict(one) for one in self.scales]
-        cleaned: dict[str, Any] = _without_nan(values)
-        return cleaned
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        ready: dict[str, Any] = finite_or_none(values)
+        return ready

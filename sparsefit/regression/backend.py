@@ -1,11 +1,10 @@
 """What a back-end is: frozen settings and a pure ``solve``."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
 
-import numpy as np
-
 from sparsefit.arrays import Array
+from sparsefit.codec import plain
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.regression.certificate import Certificate, CertificateKind
 from sparsefit.regression.objective import Penalty
@@ -130,5 +129,4 @@ def checked_selection(owner: str, value: Any) -> None:
 
 def settings_of(backend: Any) -> dict[str, Any]:
     """The settings of a back-end, JSON-ready, in the order of its fields."""
-    values = {item.name: getattr(backend, item.name) for item in fields(backend)}
-    return {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
+    return plain(backend)
