@@ -98,6 +98,13 @@ if __name__ == "__main__":
     run(Study.load(sys.argv[1]), sys.argv[2], processes=int(sys.argv[3]))
 """
 
+DIES_LOCKED = """
+import os, sys, pathlib
+from sparsefit.study.run.lock import locked
+with locked(pathlib.Path(sys.argv[1])):
+    os.kill(os.getpid(), 9)
+"""
+
 Write = Callable[..., Path]
 
 
@@ -340,17 +347,16 @@ def test_two_runs_at_once_are_refused(tmp_path: Path, write: Write, plugin: Path
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, write: Write) -> None:
     study = Study.load(write(deeds("work"), count=1))
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
     lock = tmp_path / "r" / ".lock"
     lock.parent.mkdir()
-    owner = {"pid": ended.pid, "host": os.uname().nodename, "started": "1"}
-    lock.write_text(json.dumps(owner))
+    subprocess.run([sys.executable, "-c", DIES_LOCKED, str(lock.parent)], cwd=ROOT)
+    pid, host, started = lock.read_text().splitlines()
     run(study, tmp_path, processes=1)
     assert not lock.exists()
-    lock.write_text(json.dumps({**owner, "pid": os.getpid()}))  # the id is in use again
+    lock.write_text(f"{os.getpid()}\n{host}\n{started}\n")  # the id is in use again
     run(study, tmp_path, processes=1)
-    lock.write_text(json.dumps({**owner, "host": "elsewhere"}))
+    assert not lock.exists()
+    lock.write_text(f"{pid}\nelsewhere\n{started}\n")
     with pytest.raises(InputError, match="on elsewhere"):
         run(study, tmp_path, processes=1)
     lock.write_text("")  # just being written
