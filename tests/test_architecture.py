@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import sparsefit
 from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
@@ -195,6 +196,11 @@ def test_files_stay_readable_and_records_frozen(path):
                 text = ast.unparse(decorator)
                 if text.startswith("dataclass"):
                     assert "frozen=True" in text, f"{node.name} in line {node.lineno}"
+
+
+@pytest.mark.parametrize("name", sparsefit.__all__)
+def test_every_public_name_is_there(name):
+    assert getattr(sparsefit, name) is not None
 
 
 def test_no_room_is_a_drawer_for_odds_and_ends():

@@ -1,6 +1,6 @@
 """From a flight to the flow's parameters."""
 
-from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.estimator import Estimator
 
-__all__ = ["Estimate", "Estimator"]
+__all__ = ["Estimate", "Estimator", "ScaleEstimate"]
