@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sparsefit.library.builder import candidate_columns
-from sparsefit.library.cells import Cells
+from sparsefit.library.cells import Cells, candidate_columns
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import project
 
@@ -21,7 +20,9 @@ def dual_certificate(problem, residual, alpha, wavenumbers):
     """eta (q,) = |Z(k)'R|_F / (m alpha) at wavenumbers (q,) [1/m], from the rows."""
     heights = []
     for start in range(0, len(wavenumbers), CHUNK):
-        theta = candidate_columns(problem.position, np.pi / wavenumbers[start : start + CHUNK])
+        theta = candidate_columns(
+            problem.continuum.position, np.pi / wavenumbers[start : start + CHUNK]
+        )
         rms = np.sqrt(np.mean(theta * theta, axis=0))
         found = theta.T @ residual / (np.where(rms > 0, rms, 1.0)[:, None] * len(theta))
         heights.append(np.sqrt(np.sum(found.reshape(-1, 8 * residual.shape[1]) ** 2, axis=1)))

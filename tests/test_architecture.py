@@ -14,18 +14,9 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
-    *(
-        "errors",
-        "codec",
-        "whole_file",
-        "arrays",
-        "cached",
-        "flight",
-        "regression",
-        "derivative",
-        "library",
-    ),
-    *("modes", "backends", "uncertainty", "estimator", "score", "study", "bench", "cli"),
+    *("errors", "arrays", "cached", "codec", "whole_file", "flight", "regression", "backends"),
+    *("derivative", "library", "modes", "uncertainty", "estimator", "score", "study", "bench"),
+    "cli",
 )
 BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no other back-end
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
@@ -33,6 +24,7 @@ SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy"}
 STUDY_ROOMS = ("spec", "run", "evidence", "report")
 SOLVER_ROOMS = {"backends", "bench"}  # bench runs the peers that the back-ends are compared with
+NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
@@ -46,18 +38,10 @@ def tree_of(path):
 
 
 def imports_of(path):
-    """(module, line) of every import, wherever it stands, but for those for type checkers only."""
+    """(module, line) of every import, wherever it stands: for type checkers and by name too."""
     package = name_of(path).removesuffix(".__init__").split(".")
     package = package if path.stem == "__init__" else package[:-1]
-    skipped = {
-        child
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-        for child in ast.walk(node)
-    }
     for node in ast.walk(tree_of(path)):
-        if node in skipped:
-            continue
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -65,6 +49,8 @@ def imports_of(path):
             module = ".".join([*stem, *([node.module] if node.module else [])])
             yield module, node.lineno
             yield from ((f"{module}.{alias.name}", node.lineno) for alias in node.names)
+        elif isinstance(node, ast.Constant) and NAMED.fullmatch(str(node.value)):
+            yield node.value.partition(":")[0], node.lineno
 
 
 def room_of(module):

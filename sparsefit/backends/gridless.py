@@ -17,18 +17,17 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import (
-    Interval,
-    Jet,
     Scanner,
     continuous_alpha_max,
     continuous_gap,
     gap_of,
 )
-from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
+from sparsefit.backends.off_grid import checked_bounds, found_by, refusal
 from sparsefit.backends.sliding import Atoms, slide
 from sparsefit.backends.variational import group_path
 from sparsefit.regression.backend import Solution, checked_alpha_fraction
 from sparsefit.regression.certificate import Certificate, CertificateKind
+from sparsefit.regression.continuum import Bounds, Continuum, Jet
 from sparsefit.regression.problem import RegressionProblem
 
 ROUNDS = 60
@@ -62,11 +61,11 @@ class GridlessGroupLasso:
         refused = refusal(self.name, problem, self.lower, self.upper)
         if refused is not None:
             return refused
-        assert problem.position is not None
-        bounds = interval(problem, self.lower, self.upper)
+        assert problem.continuum is not None
+        bounds = problem.continuum.interval(self.lower, self.upper)
         atoms, rounds, done = _sliding_frank_wolfe(problem, self.alpha_fraction, bounds)
         order = np.argsort(-atoms.wavenumbers)
-        found = columns_at(problem, math.pi / atoms.wavenumbers[order])
+        found = problem.at(atoms.wavenumbers[order])
         scaled = atoms.weights[order] / atoms.jet.rms[order][:, :, None]
         return Solution(
             scaled.reshape(-1, problem.targets),
@@ -79,25 +78,25 @@ class GridlessGroupLasso:
 
     def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
         """The duality gap of a solution over the whole interval, from rows and scales alone."""
-        scales, weights = found_by(solution)
-        assert problem.position is not None
-        bounds = interval(problem, self.lower, self.upper)
-        top = continuous_alpha_max(problem.position, problem.target, bounds)
-        own = columns_at(problem, scales)
+        wavenumbers, weights = found_by(solution)
+        assert problem.continuum is not None
+        bounds = problem.continuum.interval(self.lower, self.upper)
+        top = continuous_alpha_max(problem.continuum, problem.target, bounds)
+        own = problem.at(wavenumbers)
         return continuous_gap(own, weights, self.alpha_fraction * top, bounds)
 
 
 def _sliding_frank_wolfe(
-    problem: RegressionProblem, alpha_fraction: float, bounds: Interval
+    problem: RegressionProblem, alpha_fraction: float, bounds: Bounds
 ) -> tuple[Atoms, int, bool]:
     """(atoms, rounds, whether the gap reached STOP)."""
-    position, target = problem.position, problem.target
-    assert position is not None
-    scanner = Scanner.of(position, bounds)
+    continuum, target = problem.continuum, problem.target
+    assert continuum is not None
+    scanner = Scanner.of(continuum, bounds)
     start = scanner.peaks(target)[0]
     alpha = alpha_fraction * start.height
-    nothing = np.zeros((1, 8, target.shape[1]))
-    atoms = Atoms.at(position, target, np.array([start.wavenumber]), nothing, alpha)
+    nothing = np.zeros((1, continuum.size, target.shape[1]))
+    atoms = Atoms.at(continuum, target, np.array([start.wavenumber]), nothing, alpha)
     best, least, since = atoms, math.inf, 0
     for rounds in range(ROUNDS):
         peaks = scanner.peaks(atoms.residual)
@@ -109,59 +108,58 @@ def _sliding_frank_wolfe(
             return best, rounds, least <= STOP
         wanted = 1 + EAGER * (peaks[0].height / alpha - 1)
         new = [p.wavenumber for p in peaks if p.height >= wanted * alpha]
-        atoms = _joined(position, target, atoms, new, alpha, bounds, gap)
+        atoms = _joined(continuum, target, atoms, new, alpha, bounds, gap)
     return best, rounds + 1, False
 
 
 def _joined(
-    position: Array,
+    continuum: Continuum,
     target: Array,
     atoms: Atoms,
     new: list[float],
     alpha: float,
-    bounds: Interval,
+    bounds: Bounds,
     gap: float,
 ) -> Atoms:
     """Fully corrective weights on the old scales and the new, pruned, slid and merged."""
     k = np.unique(np.concatenate([atoms.wavenumbers, new]))
-    k, weights = _corrected(position, target, k, alpha, CORRECTION * gap)
-    here = slide(position, target, k, weights, alpha, bounds)
-    extent = float(np.ptp(position, axis=0).max())
+    k, weights = _corrected(continuum, target, k, alpha, CORRECTION * gap)
+    here = slide(continuum, target, k, weights, alpha, bounds)
     while True:
-        merged = _merged(position, target, here, alpha, extent, bounds)
+        merged = _merged(continuum, target, here, alpha, bounds)
         if merged is None:
             return here
         here = merged
 
 
 def _corrected(
-    position: Array, target: Array, k: Array, alpha: float, tolerance: float
+    continuum: Continuum, target: Array, k: Array, alpha: float, tolerance: float
 ) -> tuple[Array, Array]:
-    """The group-LASSO on scales k: those it keeps, and their weights (s, 8, n)."""
-    m, n = target.shape
-    z = Jet.at(position, k).value.reshape(-1, m)
+    """The group-LASSO on scales k: those it keeps, and their weights (s, c, n)."""
+    (m, n), size = target.shape, continuum.size
+    z = Jet.of(*continuum.columns(k)).value.reshape(-1, m)
     path = group_path(
         z @ z.T / m,
         z @ target / m,
-        np.repeat(np.arange(len(k)), 8),
+        np.repeat(np.arange(len(k)), size),
         np.ones(len(k)),
         [alpha],
         np.sum(target**2, axis=0) / m,
         tolerance=tolerance,
     )
-    weights = path.weights[0].reshape(-1, 8, n)
+    weights = path.weights[0].reshape(-1, size, n)
     kept = np.any(weights != 0, axis=(1, 2))
     kept = kept if kept.any() else np.arange(len(k)) == 0
     return k[kept], weights[kept]
 
 
 def _merged(
-    position: Array, target: Array, atoms: Atoms, alpha: float, extent: float, bounds: Interval
+    continuum: Continuum, target: Array, atoms: Atoms, alpha: float, bounds: Bounds
 ) -> Atoms | None:
     """The two nearest scales as one, where that is no worse; None where they stay two."""
     order = np.argsort(atoms.wavenumbers)
     k, v = atoms.wavenumbers[order], atoms.weights[order]
-    if len(k) < 2 or np.diff(k).min() * extent > APART:
+    if len(k) < 2 or np.diff(k).min() * continuum.extent > APART:
         return None
     i = int(np.argmin(np.diff(k)))
     share = np.sqrt(np.sum(v[i : i + 2] ** 2, axis=(1, 2)))
@@ -169,5 +167,5 @@ def _merged(
     k[i] = float(k[i : i + 2] @ share) / total if total > 0 else k[i]
     v[i] += v[i + 1]
     kept = np.arange(len(k)) != i + 1
-    one = slide(position, target, k[kept], v[kept], alpha, bounds)
+    one = slide(continuum, target, k[kept], v[kept], alpha, bounds)
     return one if one.value <= atoms.value * (1 + 1e-12) else None

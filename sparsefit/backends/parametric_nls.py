@@ -14,16 +14,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from sparsefit.arrays import Array
-from sparsefit.backends.continuous_dual import MODES, Scanner, climb
-from sparsefit.backends.off_grid import checked_bounds, columns_at, found_by, interval, refusal
+from sparsefit.arrays import Array, local_maxima
+from sparsefit.backends.continuous_dual import climb
+from sparsefit.backends.off_grid import checked_bounds, found_by, refusal
 from sparsefit.errors import integer_setting
-from sparsefit.library.builder import CANDIDATES, TARGET_NAMES
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import Certificate, CertificateKind
+from sparsefit.regression.continuum import Bounds, Continuum
 from sparsefit.regression.problem import RegressionProblem
 
-Columns = tuple[Array, Array, Array]
+LEAST = 1e-6  # of a row, the mean square of f: below it the sums of a scan err
 
 
 @dataclass(frozen=True)
@@ -48,70 +48,67 @@ class ParametricNLS:
         refused = refusal(self.name, problem, self.lower, self.upper)
         if refused is not None:
             return refused
-        assert problem.position is not None
-        if problem.target_names != TARGET_NAMES["flow-velocity"]:
+        continuum, phi = problem.continuum, problem.target
+        assert continuum is not None
+        if continuum.pattern is None:
             return Solution(
                 None,
                 "error",
                 f"{self.name} knows the flow velocity (w_x, w_y), not "
                 f"({', '.join(problem.target_names)}); use Library(target='flow-velocity')",
             )
-        position, phi = problem.position, problem.target
-        bounds = interval(problem, self.lower, self.upper)
-        starts, step = _starts(position, phi, bounds, self.starts)
+        known = _Known(continuum, continuum.pattern)
+        bounds = continuum.interval(self.lower, self.upper)
+        starts, step = _starts(known, phi, bounds, self.starts)
         if not len(starts):
             return Solution(None, "unidentifiable", "no cellular flow of Eq. 1 fits with U0 > 0")
-        peaks = [climb(lambda k: _height(position, phi, k), k, step, bounds) for k in starts]
+        peaks = [climb(lambda k: _height(known, phi, k), k, step, bounds) for k in starts]
         k = max(peaks, key=lambda peak: peak[1])[0]
-        found = columns_at(problem, np.array([math.pi / k]))
-        f = _flow(position, k)[0]
-        weights = np.zeros((len(CANDIDATES), 2))
-        weights[_SIN_COS, 0] = float(np.sum(f * phi) / np.sum(f * f))
-        weights[_COS_SIN, 1] = -weights[_SIN_COS, 0]
+        f = known.jet(k)[0]
         edge = k in bounds
         return Solution(
-            weights,
+            float(np.sum(f * phi) / np.sum(f * f)) * continuum.pattern,
             "unidentifiable" if edge else "ok",
             f"the best length scale is at the edge of the interval, {math.pi / k:g} m; widen it"
             if edge
             else "",
             iterations=len(starts),
-            problem=found,
+            problem=problem.at(np.array([k])),
         )
 
     def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
         """Stationarity in (U0, k): max of |<J, R>| / (|J| |Phi|), J = f and U0 df/dk."""
-        scales, weights = found_by(solution)
-        assert problem.position is not None
-        k = math.pi / float(scales[0])
-        f, slope, _ = _flow(problem.position, k)
-        residual = problem.target - float(weights[_SIN_COS, 0]) * f
+        wavenumbers, weights = found_by(solution)
+        assert problem.continuum is not None
+        assert problem.continuum.pattern is not None
+        known = _Known(problem.continuum, problem.continuum.pattern)
+        f, slope, _ = known.jet(float(wavenumbers[0]))
+        pattern = known.pattern
+        speed = float(np.sum(weights * pattern) / np.sum(pattern * pattern))
+        residual = problem.target - speed * f
         size = float(np.linalg.norm(problem.target)) or 1.0
         parts = [abs(float(np.sum(j * residual))) / float(np.linalg.norm(j)) for j in (f, slope)]
         return Certificate("normal_equations", max(parts) / size)
 
 
-_SIN_COS, _COS_SIN = CANDIDATES.index("sin x cos y"), CANDIDATES.index("cos x sin y")
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """The flow f(k) = theta(k) S (m, n) that is known up to its speed."""
+
+    continuum: Continuum
+    pattern: Array
+
+    def jet(self, k: float) -> tuple[Array, Array, Array]:
+        """f (m, n) and its first and second derivatives by k."""
+        value, slope, bend = (
+            part[0].T @ self.pattern for part in self.continuum.columns(np.array([k]))
+        )
+        return value, slope, bend
 
 
-def _flow(position: Array, k: float) -> Columns:
-    """f (m, 2) and its first and second derivatives by k."""
-    s, (x, y) = k * position, position.T
-    (sin_x, sin_y), (cos_x, cos_y) = np.sin(s).T, np.cos(s).T
-    u, v = sin_x * cos_y, cos_x * sin_y
-    both, cross, twice = x * cos_x * cos_y, sin_x * sin_y, x * x + y * y
-    du, dv = both - y * cross, y * cos_x * cos_y - x * cross
-    ddu, ddv = -twice * u - 2 * x * y * v, -twice * v - 2 * x * y * u
-    return (
-        np.column_stack([u, -v]),
-        np.column_stack([du, -dv]),
-        np.column_stack([ddu, -ddv]),
-    )
-
-
-def _height(position: Array, phi: Array, k: float) -> tuple[float, float, float]:
+def _height(known: _Known, phi: Array, k: float) -> tuple[float, float, float]:
     """h = a^2/b and its derivatives by k, a = <f, Phi>, b = <f, f>; 0 where U0 would be < 0."""
-    f, slope, bend = _flow(position, k)
+    f, slope, bend = known.jet(k)
     a, da, dda = (float(np.sum(part * phi)) for part in (f, slope, bend))
     b, db = float(np.sum(f * f)), 2 * float(np.sum(f * slope))
     ddb = 2 * float(np.sum(slope * slope) + np.sum(f * bend))
@@ -122,18 +119,11 @@ def _height(position: Array, phi: Array, k: float) -> tuple[float, float, float]
     return (a * u, rate, turn) if a > 0 else (0.0, rate, turn)
 
 
-def _starts(
-    position: Array, phi: Array, bounds: tuple[float, float], most: int
-) -> tuple[Array, float]:
+def _starts(known: _Known, phi: Array, bounds: Bounds, most: int) -> tuple[Array, float]:
     """The highest peaks of h on a scan of the interval, and the scan's step."""
-    scanner = Scanner.of(position, bounds)
-    loads = np.ascontiguousarray(phi.T)
-    plus, minus = (scanner.sums(mode, loads) for mode in MODES[2:])
-    wide = [scanner.sums(2 * mode, loads[:0])[0].real for mode in MODES[2:]]
-    # sin x cos y = (sin(x + y) + sin(x - y)) / 2, and sums hold exp(-i k s).
-    a = 0.5 * (-(plus[1] + minus[1]) + (plus[2] - minus[2])).imag
-    b = 0.5 * len(phi) - 0.25 * (wide[0] + wide[1])
-    height = np.where(a > 0, a * a / np.maximum(b, 1e-6 * len(phi)), 0.0)
-    padded = np.concatenate([[0.0], height, [0.0]])
-    top = np.flatnonzero((height > 0) & (height >= padded[:-2]) & (height >= padded[2:]))
-    return scanner.wavenumbers[top[np.argsort(-height[top], kind="stable")][:most]], scanner.step
+    scan = known.continuum.scan(bounds)
+    a, b = scan.matched(known.pattern, phi)
+    height = np.where(a > 0, a * a / np.maximum(b, LEAST * len(phi)), 0.0)
+    tops = local_maxima(height)
+    tops = tops[height[tops] > 0]
+    return scan.wavenumbers[tops[:most]], scan.step

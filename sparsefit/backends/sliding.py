@@ -9,7 +9,7 @@ is smooth where no V_j is zero. With R the residual, D_j = dZ/dk (k_j), A_j = D_
     d2F/dV_i dk_j = Z_i'A_j / m - [i = j] D_j'R / m
     d2F/dk_i dk_j = <A_i, A_j> / m - [i = j] <R, d2Z/dk2 V_j> / m
 
-alpha = 0 is nonlinear least squares over several scales at once; `joint` does it faster.
+alpha = 0 is nonlinear least squares over several k at once.
 Source: Denoyelle, Duval, Peyre and Soubies, "The sliding Frank-Wolfe algorithm" (2019).
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.backends.continuous_dual import Interval, Jet
+from sparsefit.regression.continuum import Bounds, Continuum, Jet
 
 ITERATIONS = 60
 REACH = 0.5  # the largest move of a wavenumber in one step, in 1/extent: within a lobe
@@ -29,7 +29,7 @@ END = 1e-10  # predicted relative decrease below which rounding hides the object
 
 @dataclass(frozen=True, eq=False)
 class Atoms:
-    """Wavenumbers k (s,) [1/m] and scaled weights V (s, 8, n), with what they make of Y.
+    """Wavenumbers k (s,) and scaled weights V (s, c, n), with what they make of Y.
 
     residual (m, n); value: F; jet: Z and its derivatives at k.
     """
@@ -42,10 +42,10 @@ class Atoms:
 
     @classmethod
     def at(
-        cls, position: Array, target: Array, wavenumbers: Array, weights: Array, alpha: float
+        cls, continuum: Continuum, target: Array, wavenumbers: Array, weights: Array, alpha: float
     ) -> "Atoms":
         """Evaluate F at (k, V)."""
-        jet = Jet.at(position, wavenumbers)
+        jet = Jet.of(*continuum.columns(wavenumbers))
         flat = weights.reshape(-1, weights.shape[-1])
         residual = target - jet.value.reshape(-1, len(target)).T @ flat
         value = float(np.sum(residual**2)) / (2 * len(target)) + alpha * float(
@@ -60,19 +60,19 @@ def _norms(weights: Array) -> Array:
 
 
 def slide(
-    position: Array,
+    continuum: Continuum,
     target: Array,
     wavenumbers: Array,
     weights: Array,
     alpha: float,
-    bounds: Interval,
+    bounds: Bounds,
 ) -> Atoms:
     """The stationary point of F that Newton's method reaches from (k, V), never going up.
 
-    position (m, 2), target Y (m, n); wavenumbers stay in bounds.
+    target Y (m, n); wavenumbers stay in bounds.
     """
-    here = Atoms.at(position, target, wavenumbers, weights, alpha)
-    extent = float(np.ptp(position, axis=0).max())
+    here = Atoms.at(continuum, target, wavenumbers, weights, alpha)
+    extent = continuum.extent
     null = float(np.sum(target**2)) / (2 * len(target)) or 1.0
     slope = np.inf
     for _ in range(ITERATIONS):
@@ -87,7 +87,7 @@ def slide(
         if settled and (steepness >= 0.5 * slope or steepness <= 1e-15 * null):
             break
         slope = steepness if settled else np.inf
-        there = _moved(position, target, here, step, alpha, extent, bounds, predicted, settled)
+        there = _moved(continuum, target, here, step, alpha, extent, bounds, predicted, settled)
         if there is None:
             break
         here = there
@@ -95,32 +95,32 @@ def slide(
 
 
 def derivatives(atoms: Atoms, alpha: float, extent: float) -> tuple[Array, Array]:
-    """Gradient (N,) and Hessian (N, N) of F in (k extent, V), N = s + 8 s n, V as (s, 8, n)."""
-    (s, _, n), (m, _) = atoms.weights.shape, atoms.residual.shape
+    """Gradient (N,) and Hessian (N, N) of F in (k extent, V), N = s + c s n, V as (s, c, n)."""
+    (s, c, n), (m, _) = atoms.weights.shape, atoms.residual.shape
     jet, residual, weights = atoms.jet, atoms.residual, atoms.weights
-    z = jet.value.reshape(8 * s, m)
+    z = jet.value.reshape(c * s, m)
     bent = weights.transpose(0, 2, 1) @ jet.slope / extent  # A_j' (s, n, m)
     bent_flat = bent.reshape(s, n * m)
     gradient_k = -bent_flat @ residual.T.ravel() / m
     norms = _norms(weights)
     unit = weights / np.where(norms > 0, norms, 1.0)[:, None, None]
-    gradient_v = alpha * unit - (z @ residual / m).reshape(s, 8, n)
-    hessian = np.zeros((s + 8 * s * n, s + 8 * s * n))
+    gradient_v = alpha * unit - (z @ residual / m).reshape(s, c, n)
+    hessian = np.zeros((s + c * s * n, s + c * s * n))
     bend = np.sum((jet.bend @ residual) * weights, axis=(1, 2)) / (m * extent**2)
     hessian[:s, :s] = bent_flat @ bent_flat.T / m - np.diag(bend)
-    mixed = (bent.reshape(s * n, m) @ z.T / m).reshape(s, n, 8 * s).transpose(0, 2, 1).copy()
-    mixed.reshape(s, s, 8, n)[range(s), range(s)] -= jet.slope @ residual / (m * extent)
+    mixed = (bent.reshape(s * n, m) @ z.T / m).reshape(s, n, c * s).transpose(0, 2, 1).copy()
+    mixed.reshape(s, s, c, n)[range(s), range(s)] -= jet.slope @ residual / (m * extent)
     hessian[:s, s:] = mixed.reshape(s, -1)
     hessian[s:, :s] = hessian[:s, s:].T
     hessian[s:, s:] = np.kron(z @ z.T / m, np.eye(n))
     for j in range(s):
-        block = slice(s + 8 * n * j, s + 8 * n * (j + 1))
+        block = slice(s + c * n * j, s + c * n * (j + 1))
         u = unit[j].ravel()
-        hessian[block, block] += alpha / max(norms[j], 1e-300) * (np.eye(8 * n) - np.outer(u, u))
+        hessian[block, block] += alpha / max(norms[j], 1e-300) * (np.eye(c * n) - np.outer(u, u))
     return np.concatenate([gradient_k, gradient_v.ravel()]), hessian
 
 
-def _free(atoms: Atoms, gradient: Array, bounds: Interval) -> IntArray:
+def _free(atoms: Atoms, gradient: Array, bounds: Bounds) -> IntArray:
     """Variables that may move: not the wavenumbers that press against a bound."""
     k = atoms.wavenumbers
     pressed = (k <= bounds[0]) & (gradient[: len(k)] > 0)
@@ -143,13 +143,13 @@ def _descent(gradient: Array, hessian: Array) -> Array:
 
 
 def _moved(
-    position: Array,
+    continuum: Continuum,
     target: Array,
     here: Atoms,
     step: Array,
     alpha: float,
     extent: float,
-    bounds: Interval,
+    bounds: Bounds,
     predicted: float,
     settled: bool,
 ) -> Atoms | None:
@@ -159,7 +159,7 @@ def _moved(
         part = 0.5**halving
         k = np.clip(here.wavenumbers + part * step[:s] / extent, *bounds)
         v = here.weights + part * step[s:].reshape(here.weights.shape)
-        there = Atoms.at(position, target, k, v, alpha)
+        there = Atoms.at(continuum, target, k, v, alpha)
         if settled or there.value <= here.value - 1e-4 * part * predicted:
             return there
     return None

@@ -13,7 +13,8 @@ from sparsefit.arrays import Array
 from sparsefit.backends.homotopy import lasso_path
 from sparsefit.bench.problems import LOWEST, NAMED, VEHICLE, Kind, NamedFlight, Progress, task
 from sparsefit.flight.flow import CellularFlow
-from sparsefit.library.builder import Library, candidate_columns
+from sparsefit.library.builder import Library
+from sparsefit.library.cells import candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.statistics import Statistics, accumulate

@@ -17,7 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.backends.stlsq import STLSQ
 from sparsefit.bench.problems import NamedFlight, Task
-from sparsefit.library.builder import candidate_columns
+from sparsefit.library.cells import candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.problem import RegressionProblem

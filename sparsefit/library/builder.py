@@ -14,31 +14,22 @@ from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.errors import InputError, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.cells import CANDIDATES, candidate_columns
+from sparsefit.library.continuum import EQUATION_1, CellContinuum
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import Nuisance, checked_unknowns, project_out, refuse_spanned
+from sparsefit.library.scan import extent_of
 from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.regression.statistics import row_blocks
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
 
-CANDIDATES = (
-    "sin x",
-    "sin y",
-    "cos x",
-    "cos y",
-    "sin x sin y",
-    "sin x cos y",
-    "cos x sin y",
-    "cos x cos y",
-)
 TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "flow-velocity": ("w_x", "w_y"),
     "acceleration": ("dv_x/dt", "dv_y/dt"),
     "state-derivative": ("dx/dt", "dy/dt", "dv_x/dt", "dv_y/dt"),
 }
-BUILD_ROWS = 64
 STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
-MAX_THETA_BYTES = 8 * 2**30
 
 
 @dataclass(frozen=True)
@@ -73,8 +64,7 @@ class Library:
         Flights whose theta would exceed 1 GiB are compressed block by block
         (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
         """
-        extent = float(np.ptp(samples.position, axis=0).max())
-        scales = self.grid.resolving(extent).scales
+        scales = self.grid.resolving(extent_of(samples.position)).scales
         for axis, values in zip("xy", samples.position.T, strict=True):
             if not values.any():
                 raise InputError(
@@ -95,11 +85,12 @@ class Library:
                 (candidate_columns(position, scales), values) for position, values in pieces
             )
             theta, target = triangle[:, :columns].copy(), triangle[:, columns:].copy()
-            position = None
-        else:
-            theta, count = candidate_columns(samples.position, scales), len(target)
-            position = samples.position
-        return self._problem(theta, target, scales, count, position)
+            return self._problem(theta, target, scales, count, None)
+        theta = candidate_columns(samples.position, scales)
+        pattern = EQUATION_1 if self.target == "flow-velocity" else None
+        bounds = float(np.pi / scales.max()), float(np.pi / scales.min())
+        continuum = CellContinuum(samples.position, bounds, pattern)
+        return self._problem(theta, target, scales, len(target), continuum)
 
     def _reduced(
         self,
@@ -137,7 +128,7 @@ class Library:
         target: Array,
         scales: Array,
         count: int | None,
-        position: Array | None,
+        continuum: CellContinuum | None,
     ) -> RegressionProblem:
         return RegressionProblem(
             theta,
@@ -147,7 +138,7 @@ class Library:
             TARGET_NAMES[self.target],
             scales,
             count,
-            position,
+            continuum,
         )
 
 
@@ -161,28 +152,3 @@ def _candidate_blocks(source: Samples | WeakRows, scales: Array) -> Iterator[tup
     for (position,) in row_blocks(source.position):
         yield slice(start, start + len(position)), candidate_columns(position, scales)
         start += len(position)
-
-
-def candidate_columns(position: Array, scales: Array) -> Array:
-    """Theta (m, 8 g) of Eq. 19, group-major: one sine and cosine per scale and axis, then products.
-
-    position (m, 2) [m]; scales (g,) [m].
-    """
-    size = len(position) * len(scales) * len(CANDIDATES) * 8
-    if size > MAX_THETA_BYTES:
-        raise InputError(
-            f"a library of {len(position)} samples x {len(scales)} scales x 8 needs "
-            f"{size / 2**30:.1f} GiB; use fewer scales or samples"
-        )
-    theta = np.empty((len(position), len(scales), len(CANDIDATES)))
-    wavenumbers = np.pi / scales
-    # Rows in blocks, so that sines, cosines and their products stay in cache.
-    for rows, block in row_blocks(theta, position, size=BUILD_ROWS):
-        x, y = block[:, :1] * wavenumbers, block[:, 1:] * wavenumbers
-        sin_x, cos_x, sin_y, cos_y = np.sin(x), np.cos(x), np.sin(y), np.cos(y)
-        rows[..., 0], rows[..., 1], rows[..., 2], rows[..., 3] = sin_x, sin_y, cos_x, cos_y
-        np.multiply(sin_x, sin_y, out=rows[..., 4])
-        np.multiply(sin_x, cos_y, out=rows[..., 5])
-        np.multiply(cos_x, sin_y, out=rows[..., 6])
-        np.multiply(cos_x, cos_y, out=rows[..., 7])
-    return theta.reshape(len(position), -1)

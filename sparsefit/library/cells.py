@@ -17,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.errors import InputError
 
 CANDIDATES = (
     "sin x",
@@ -34,6 +35,8 @@ MEAN_SQUARE = np.array([0.5] * 4 + [0.25] * 4)
 """The mean square of each candidate over a cell."""
 LAPLACIAN = np.array([1.0] * 4 + [2.0] * 4)
 """-(d2/dx2 + d2/dy2) of each candidate, over k^2 times the candidate."""
+BUILD_ROWS = 64  # of theta at once: they stay in cache
+MAX_THETA_BYTES = 8 * 2**30
 CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 _ALONG = (  # each candidate's derivative by the phases k x and k y: which candidate, what sign
     ((2, 0, 0, 0, 6, 7, 4, 5), (1.0, 0.0, -1.0, 0.0, 1.0, 1.0, -1.0, -1.0)),
@@ -58,6 +61,34 @@ def along(values: Array, axis: int) -> Array:
     """The derivative by the phase k x (axis 0) or k y (axis 1) of candidates (..., 8, m)."""
     derivative: Array = _SIGNED[axis] * values[..., _PERMUTED[axis], :]
     return derivative
+
+
+def candidate_columns(position: Array, scales: Array) -> Array:
+    """Theta (m, 8 g) of Eq. 19, group-major: one sine and cosine per scale and axis, then products.
+
+    Args:
+        position: (m, 2) [m].
+        scales: length scales (g,) [m].
+
+    Raises:
+        InputError: if theta would not fit in memory.
+    """
+    size = len(position) * len(scales) * len(CANDIDATES) * 8
+    if size > MAX_THETA_BYTES:
+        raise InputError(
+            f"a library of {len(position)} samples x {len(scales)} scales x 8 needs "
+            f"{size / 2**30:.1f} GiB; use fewer scales or samples"
+        )
+    theta = np.empty((len(position), len(scales), len(CANDIDATES)))
+    wavenumbers = np.pi / scales
+    # Rows in blocks, so that sines, cosines and their products stay in cache.
+    for start in range(0, len(theta), BUILD_ROWS):
+        rows = theta[start : start + BUILD_ROWS]
+        block = position[start : start + BUILD_ROWS]
+        x, y = block[:, :1] * wavenumbers, block[:, 1:] * wavenumbers
+        sines, cosines = (np.sin(x), np.sin(y)), (np.cos(x), np.cos(y))
+        products(sines, cosines, [rows[..., i] for i in range(len(CANDIDATES))])
+    return theta.reshape(len(position), -1)
 
 
 @dataclass(frozen=True)

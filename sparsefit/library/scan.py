@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array, ComplexArray, IntArray
+from sparsefit.arrays import Array, ComplexArray
 from sparsefit.cached import cached_property
 from sparsefit.library.cells import WAVES
 
@@ -142,6 +142,14 @@ class CellScan:
         heights: Array = np.sqrt(np.sum(scaled**2, axis=(1, 2)))
         return heights
 
+    def matched(self, pattern: Array, target: Array) -> tuple[Array, Array]:
+        """<f, Y> and <f, f> (q,) of f = C(k) S, for weights S (8, n) and a target Y (m, n)."""
+        in_waves = CANDIDATES_OF_WAVES.T @ pattern
+        cross = self.cross(np.ascontiguousarray(target.T))
+        product = np.einsum("qct,ct->q", cross, in_waves)
+        square = np.einsum("ct,qcd,dt->q", in_waves, self.gram, in_waves, optimize=True)
+        return product, square
+
 
 def extent_of(position: Array) -> float:
     """The larger side of the bounding box of positions (m, 2) [m]."""
@@ -152,10 +160,3 @@ def scan_steps(position: Array, bounds: Bounds) -> int:
     """The steps that a scan over bounds of k [1/m] takes: they grow with extent and interval."""
     steps = math.ceil((bounds[1] - bounds[0]) * extent_of(position) / STEP * (1 - 1e-12))
     return max(steps, FEWEST) if bounds[1] > bounds[0] else 0
-
-
-def local_maxima(curve: Array) -> IntArray:
-    """Indices of the local maxima of a curve (q,), its ends included, highest first."""
-    padded = np.concatenate([[-np.inf], curve, [-np.inf]])
-    tops = np.flatnonzero((curve >= padded[:-2]) & (curve >= padded[2:]))
-    return tops[np.argsort(-curve[tops], kind="stable")]

@@ -8,8 +8,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of
-from sparsefit.library.builder import candidate_columns
-from sparsefit.library.cells import peak_mean_velocity, rms_mean_velocity
+from sparsefit.library.cells import candidate_columns, peak_mean_velocity, rms_mean_velocity
 from sparsefit.regression.problem import RegressionProblem
 
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]

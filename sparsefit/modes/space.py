@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, local_maxima
 from sparsefit.cached import cached_property
 from sparsefit.derivative import Samples
 from sparsefit.errors import InputError
@@ -20,7 +20,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import Cells
 from sparsefit.library.family import Family
 from sparsefit.library.nuisance import Nuisance
-from sparsefit.library.scan import Bounds, CellScan, extent_of, local_maxima, scan_steps
+from sparsefit.library.scan import Bounds, CellScan, extent_of, scan_steps
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection, project
 

@@ -212,7 +212,7 @@ def _log_models(weights: Array, penalty: Penalty) -> float:
 
 
 def _compressed(problem: RegressionProblem) -> bool:
-    return problem.sample_count is not None and problem.position is None
+    return problem.sample_count is not None and problem.continuum is None
 
 
 def _pieces(problem: RegressionProblem, count: int, selection: str) -> list[IntArray]:
@@ -238,7 +238,7 @@ def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[
             theta=problem.theta[rows],
             target=problem.target[rows],
             sample_count=None,
-            position=None if problem.position is None else problem.position[rows],
+            continuum=None if problem.continuum is None else problem.continuum.at(rows),
         )
     except InputError as error:
         raise InputError(

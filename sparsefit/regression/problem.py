@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
+from sparsefit.regression.continuum import Continuum
 from sparsefit.regression.statistics import Statistics, accumulate
 
 FIRST_ROWS = 32  # a column that is not zero in these is not a column of zeros
@@ -41,10 +42,10 @@ class RegressionProblem:
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
     theta and target are finite and no column of theta is zero. ``groups`` (k,) numbers the
-    group of each column from 0; ``group_scales`` (g,) gives its length scale [m] where it has one.
+    group of each column from 0; ``group_scales`` (g,) gives each group's scale, where it has one.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
-    the m original ones (`from_blocks`). ``position`` (m, 2) [m]: where theta's rows were taken, for
-    back-ends that make columns of their own; None where it is not known row by row.
+    the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
+    back-ends that make columns of their own; None where they are not known row by row.
     """
 
     theta: Array
@@ -54,7 +55,7 @@ class RegressionProblem:
     target_names: tuple[str, ...]
     group_scales: Array | None = None
     sample_count: int | None = None
-    position: Array | None = None
+    continuum: Continuum | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)
@@ -130,6 +131,16 @@ class RegressionProblem:
         triangle, count, columns = compressed(blocks)
         plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
         return replace(plain, sample_count=count)
+
+    def at(self, wavenumbers: Array) -> "RegressionProblem":
+        """The same rows and target, with the continuum's columns at each k (s,) as groups."""
+        if self.continuum is None:
+            raise InputError("this problem has the columns of its groups and no others")
+        theta, scales, names = self.continuum.design(wavenumbers)
+        groups = np.repeat(np.arange(len(scales)), self.continuum.size)
+        return replace(
+            self, theta=theta, groups=groups, names=names, group_scales=scales, sample_count=None
+        )
 
     @property
     def samples(self) -> int:

@@ -129,7 +129,7 @@ def test_parametric_recovers_the_flow(seed):
 def test_parametric_exact_on_exact_data():
     problem = flight_problem(3.37)
     flow = sf.CellularFlow(12.0, 2.9)
-    exact = dataclasses.replace(problem, target=flow.velocity(*problem.position.T))
+    exact = dataclasses.replace(problem, target=flow.velocity(*problem.continuum.position.T))
     solution = ParametricNLS().solve(exact)
     assert solution.problem.group_scales[0] == pytest.approx(2.9, rel=1e-12)
     assert solution.weights[5, 0] == pytest.approx(12.0, rel=1e-11)
@@ -140,7 +140,7 @@ def test_parametric_is_no_worse_than_a_fine_scan():
     solution = ParametricNLS().solve(problem)
     found = np.sum((problem.target - solution.problem.theta @ solution.weights) ** 2)
     for k in np.linspace(math.pi / 7, math.pi / 2, 2000):
-        f = sf.CellularFlow(1.0, math.pi / k).velocity(*problem.position.T)
+        f = sf.CellularFlow(1.0, math.pi / k).velocity(*problem.continuum.position.T)
         speed = max(np.sum(f * problem.target) / np.sum(f * f), 0.0)
         assert found <= np.sum((problem.target - speed * f) ** 2) * (1 + 1e-12)
 

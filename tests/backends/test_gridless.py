@@ -13,7 +13,6 @@ from sparsefit.backends.continuous_dual import (
 )
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.backends.group_lasso import GroupLasso
-from sparsefit.backends.off_grid import columns_at
 from sparsefit.backends.sliding import Atoms, derivatives
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
@@ -45,16 +44,16 @@ def group_norms(weights):
 
 def test_scan_agrees_with_the_columns():
     problem = flight_problem()
-    scanner = Scanner.of(problem.position, BOUNDS)
-    slow = dual_certificate(problem, problem.target, 1.0, scanner.wavenumbers)
-    np.testing.assert_allclose(scanner.heights(problem.target), slow, atol=1e-6 * slow.max())
+    scan = problem.continuum.scan(BOUNDS)
+    slow = dual_certificate(problem, problem.target, 1.0, scan.wavenumbers)
+    np.testing.assert_allclose(scan.heights(problem.target), slow, atol=1e-6 * slow.max())
 
 
 def test_no_wavenumber_exceeds_the_supremum_found():
     problem = flight_problem(seed=3)
     rng = np.random.default_rng(0)
     for residual in (problem.target, rng.normal(size=problem.target.shape)):
-        top = Scanner.of(problem.position, BOUNDS).peaks(residual)[0].height
+        top = Scanner.of(problem.continuum, BOUNDS).peaks(residual)[0].height
         fine = dual_certificate(problem, residual, top, np.linspace(*BOUNDS, 5000))
         assert 1 - 1e-3 < fine.max() <= 1 + 1e-12
 
@@ -67,7 +66,7 @@ def test_derivatives_of_the_slide(alpha):
 
     def at(point):
         k, weights = point[:2] / 40.0, point[2:].reshape(2, 8, 2)
-        return Atoms.at(problem.position, problem.target, k, weights, alpha)
+        return Atoms.at(problem.continuum, problem.target, k, weights, alpha)
 
     gradient, hessian = derivatives(at(start), alpha, 40.0)
     steps = 1e-5 * np.eye(len(start))
@@ -91,7 +90,7 @@ def test_gap_over_the_continuum(alpha_fraction, noise):
     certificate = backend.certify(problem, solution)
     assert certificate.kind == "duality_gap"
     assert certificate.value < 1e-9
-    alpha = alpha_fraction * continuous_alpha_max(problem.position, problem.target, BOUNDS)
+    alpha = alpha_fraction * continuous_alpha_max(problem.continuum, problem.target, BOUNDS)
     residual = problem.target - solution.problem.theta @ solution.weights
     eta = dual_certificate(problem, residual, alpha, np.linspace(*BOUNDS, 2000))
     assert eta.max() <= 1 + 1e-7
@@ -105,7 +104,7 @@ def test_certificate_sees_a_wrong_answer():
     good = backend.solve(problem)
     for weights, found in (
         (1.01 * good.weights, good.problem),
-        (good.weights, columns_at(problem, good.problem.group_scales * 1.01)),
+        (good.weights, problem.at(math.pi / (good.problem.group_scales * 1.01))),
     ):
         wrong = Solution(weights, problem=found)
         assert backend.certify(problem, wrong).value > 1e-5
@@ -114,7 +113,7 @@ def test_certificate_sees_a_wrong_answer():
 def test_gap_on_the_grid_bounds_the_gap_on_the_continuum():
     """One formula: with the dual norm over fewer scales, the gap can only be smaller."""
     problem = flight_problem()
-    alpha = 0.1 * continuous_alpha_max(problem.position, problem.target, BOUNDS)
+    alpha = 0.1 * continuous_alpha_max(problem.continuum, problem.target, BOUNDS)
     weights = GroupLasso(0.1).solve(problem).weights
     penalty = Penalty(problem.groups, np.ones(len(problem.group_scales)), joint=True)
     grid = duality_gaps(
@@ -135,7 +134,7 @@ def test_finer_grids_descend_to_the_gridless_optimum():
     backend = GridlessGroupLasso(0.1, lower=3.0, upper=4.0)
     bounds = (math.pi / 4, math.pi / 3)
     limit = backend.certify(problem, backend.solve(problem)).primal
-    alpha = 0.1 * continuous_alpha_max(problem.position, problem.target, bounds)
+    alpha = 0.1 * continuous_alpha_max(problem.continuum, problem.target, bounds)
     values = []
     for count in (5, 9, 33):
         grid = LengthScaleGrid(3.0, 4.0, count=count, spacing="wavenumber")
@@ -155,7 +154,7 @@ def test_single_flow_noise_free(seed):
     scales = solution.problem.group_scales
     strongest = scales[np.argmax(group_norms(solution.weights))]
     assert strongest == pytest.approx(3.33, rel=0.01)
-    space = SearchSpace.plain(problem.position, problem.target, BOUNDS)
+    space = SearchSpace.plain(problem.continuum.position, problem.target, BOUNDS)
     found = space.descend(np.array([np.pi / strongest]))
     np.testing.assert_allclose(np.pi / found.parameters, [[3.33]], rtol=1e-6)
 
@@ -164,7 +163,7 @@ def test_single_flow_noise_free(seed):
 def test_two_flows_within_one_percent(ratio, seed):
     truth = np.array([2.57, 2.57 * ratio])
     problem = library_problem(two_flows(*truth, seed))
-    assert np.ptp(problem.position, axis=0).max() > 30 * truth[1]
+    assert np.ptp(problem.continuum.position, axis=0).max() > 30 * truth[1]
     backend = GridlessGroupLasso(0.1)
     solution = backend.solve(problem)
     assert backend.certify(problem, solution).value < 1e-9
@@ -173,7 +172,7 @@ def test_two_flows_within_one_percent(ratio, seed):
         near = np.abs(scales / scale - 1) < 0.01
         assert group_norms(solution.weights)[near].sum() > 3.0
     nearest = [np.pi / scales[np.argmin(np.abs(scales - scale))] for scale in truth]
-    space = SearchSpace.plain(problem.position, problem.target, BOUNDS)
+    space = SearchSpace.plain(problem.continuum.position, problem.target, BOUNDS)
     found = space.descend(np.array(nearest))
     np.testing.assert_allclose(np.pi / found.parameters[:, 0], truth, rtol=1e-4)
 

@@ -9,7 +9,8 @@ from sparsefit.derivative import Derivative
 from sparsefit.derivative.weak import automatic_window, correlation, weak_rows
 from sparsefit.errors import InputError
 from sparsefit.library import builder as library
-from sparsefit.library.builder import Library, candidate_columns
+from sparsefit.library.builder import Library
+from sparsefit.library.cells import candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))

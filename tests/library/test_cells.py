@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from sparsefit.flight.flow import CellularFlow
-from sparsefit.library.builder import candidate_columns
-from sparsefit.library.cells import CANDIDATES, MEAN_SQUARE, Cells, rms_mean_velocity
+from sparsefit.library.cells import (
+    CANDIDATES,
+    MEAN_SQUARE,
+    Cells,
+    candidate_columns,
+    rms_mean_velocity,
+)
 from sparsefit.library.family import Family
 
 POSITION = np.random.default_rng(1).uniform(-9, 9, (40, 2))

@@ -6,7 +6,7 @@ from problems import VEHICLE, flight, flight_problem
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.library.builder import CANDIDATES, candidate_columns
+from sparsefit.library.cells import CANDIDATES, candidate_columns
 from sparsefit.modes.readout import (
     Readout,
     paper_mean_velocity,

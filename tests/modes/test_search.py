@@ -9,8 +9,7 @@ from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.library.builder import candidate_columns
-from sparsefit.library.cells import rms_mean_velocity
+from sparsefit.library.cells import candidate_columns, rms_mean_velocity
 from sparsefit.modes.search import locate_one
 from sparsefit.modes.space import SearchSpace
 

@@ -8,7 +8,7 @@ from references import residual_curve
 
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow
-from sparsefit.library.builder import candidate_columns
+from sparsefit.library.cells import candidate_columns
 from sparsefit.modes.fitted_rows import centred
 from sparsefit.modes.search import locate_one
 from sparsefit.modes.space import SearchSpace

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from sparsefit.arrays import Array
 from sparsefit.backends.continuous_dual import Scanner
 from sparsefit.backends.gridless import GridlessGroupLasso
-from sparsefit.backends.off_grid import interval
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
 from sparsefit.study.evidence.summary import StudyRecord
@@ -88,23 +87,21 @@ def _curve(study: Study, cell: Cell) -> Curve:
     estimator = study.estimator(cell)
     prepared = estimator.prepare(flown)
     found = estimator.fit(prepared)
-    position, target = found.problem.position, found.problem.target
+    continuum, target = found.problem.continuum, found.problem.target
     scales = found.problem.group_scales
-    if position is None or scales is None or not np.isfinite(found.weights).all():
+    if continuum is None or scales is None or not np.isfinite(found.weights).all():
         raise InputError(f"{study.name}: no certificate to draw: {found.status}: {found.reason}")
     rms = np.sqrt(np.mean(found.problem.theta**2, axis=0))[:, None]
     sizes = np.sqrt(np.sum((found.weights * rms).reshape(len(scales), -1) ** 2, axis=1))
     backend = found.backend
     assert isinstance(backend, GridlessGroupLasso)
-    low, high = interval(prepared.problem, backend.lower, backend.upper)
-    scanner = Scanner.of(position, (low, high))
+    scanner = Scanner.of(continuum, continuum.interval(backend.lower, backend.upper))
     residual = target - found.problem.theta @ found.weights
     alpha = backend.alpha_fraction * scanner.peaks(target)[0].height
-    inside = (scanner.wavenumbers >= low) & (scanner.wavenumbers <= high)
     largest = max(part.length_scale for part in draw.flow.components)
     return Curve(
-        math.pi / scanner.wavenumbers[inside],
-        scanner.heights(residual)[inside] / alpha,
+        math.pi / scanner.scan.wavenumbers,
+        scanner.scan.heights(residual) / alpha,
         scales[sizes > 0],
         sizes[sizes > 0],
         draw.flow,
