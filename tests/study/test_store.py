@@ -131,6 +131,23 @@ def test_partial_rows_read_back_exactly(tmp_path: Path) -> None:
     assert [repr(row) for row in found] == [repr(row) for row in rows]
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+def test_a_full_disk_is_told_with_the_file_of_the_rows(study: Study) -> None:
+    with Path("/dev/full").open("ab", buffering=0) as file:
+        writer = partial.Writer(file)
+        with pytest.raises(InputError, match=r"^cannot write /dev/full: No space .*; make room"):
+            writer.append(outcomes(study)[0])
+
+
+def test_a_link_that_waits_for_the_cases_is_not_followed(study: Study, tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text("precious")
+    for name in ("cases.parquet", "cases.parquet.writing", "manifest.json.writing"):
+        (tmp_path / name).symlink_to(tmp_path / "victim")
+    write_cases(study, outcomes(study), tmp_path)
+    assert (tmp_path / "victim").read_text() == "precious"
+    assert len(read_cases(tmp_path)) == study.planned
+
+
 @pytest.mark.parametrize("torn", [b'{"flight":', b"\x00\x00\n", b"{}\n", b'{"flight":1}\nmore'])
 def test_a_torn_end_is_cut_off(tmp_path: Path, torn: bytes) -> None:
     partial.begin(tmp_path, {})
