@@ -1,4 +1,4 @@
-"""Group orthogonal matching pursuit: one length scale at a time, all weights fitted again.
+"""Group orthogonal matching pursuit: one group at a time, all weights fitted again.
 
     g* = argmax over g of |P_g R|^2,    W = least squares on all groups so far,    R = Y - theta W
 

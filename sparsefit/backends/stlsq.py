@@ -33,8 +33,8 @@ class STLSQ:
     relative to the rms of the target, so neither depends on units or the number of samples.
     ``pysindy`` is PySINDy's STLSQ: threshold and ridge (its alpha) act on the plain sum of
     squares; ``normalize_columns`` divides columns by their 2-norm first, as its option does.
-    threshold: None is 0.03 in mode ``scaled`` and PySINDy's 0.1 in mode ``pysindy``. Neighbouring
-    length scales share a ridge's weight, so the largest scaled weight is well below 1.
+    threshold: None is 0.03 in mode ``scaled`` and PySINDy's 0.1 in mode ``pysindy``. Columns
+    that resemble each other share a ridge's weight: the largest scaled weight is well below 1.
     """
 
     name: ClassVar[str] = "stlsq"

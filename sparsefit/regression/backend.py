@@ -22,7 +22,7 @@ class Solution:
 
     ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
     verbatim. Weights are None where there is no solution, never zeros. ``problem``: the columns
-    that the weights belong to, where the back-end found its own (scales off the grid).
+    that the weights belong to, where the back-end found its own in a continuum.
     ``shared_seconds``: what a factorisation cost that this answer needs and an earlier one made.
     """
 
@@ -54,10 +54,10 @@ class Backend(Protocol):
 
 @runtime_checkable
 class OffGridBackend(Backend, Protocol):
-    """A back-end that finds its own length scales, whose optimality is over a continuum."""
+    """A back-end that finds columns of its own in a continuum, over which it is optimal."""
 
     def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
-        """The certificate of a solution, from the rows and the scales found alone."""
+        """The certificate of a solution, from the rows and the columns found alone."""
         ...
 
 
@@ -107,7 +107,7 @@ def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> Non
     """Raise InputError unless value is a penalty fraction in (0, 1], or "auto" where it may be."""
     if auto and isinstance(value, str) and value == "auto":
         return
-    meaning = ALPHA_MEANING + (', or "auto", to be chosen from the flight' if auto else "")
+    meaning = ALPHA_MEANING + (', or "auto", to be chosen from the data' if auto else "")
     number_setting(
         owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=meaning
     )

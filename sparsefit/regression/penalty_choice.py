@@ -1,4 +1,4 @@
-"""How strong the penalty should be, told from the flight alone: ``alpha_fraction = "auto"``.
+"""How strong the penalty should be, told from the data alone: ``alpha_fraction = "auto"``.
 
 Every rule walks the same 30 fractions, strongest first, and picks one; it keeps the criterion that
 it compared. Nothing is drawn at random, the truth is not asked, and units do not matter.
@@ -18,7 +18,7 @@ from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
 
 FRACTIONS = tuple(np.geomspace(1.0, 1e-3, 30).tolist())
-FOLDS = 5  # of cross-validation: each a fifth of the flight, in one piece
+FOLDS = 5  # of cross-validation: each a fifth of the samples, in one piece
 PIECES = 6  # of stability selection: their 20 halves are fitted
 THRESHOLD = 0.75  # share of the halves that makes a group stable: the middle of 0.6 ... 0.9
 FLOOR = float(np.finfo(float).eps)  # of a residual relative to the target: a perfect fit
@@ -52,8 +52,8 @@ def choose_penalty(
 ) -> PenaltyChoice:
     """The choice of ``backend.selection`` among FRACTIONS; the strongest where none is solved.
 
-    weights (p, k, n): the path on the whole flight, in original units, NaN where it failed.
-    Raises InputError where cross-validation or stability selection cannot cut the flight up.
+    weights (p, k, n): the path on all samples, in original units, NaN where it failed.
+    Raises InputError where cross-validation or stability selection cannot cut the samples up.
     """
     return RULES[backend.selection](problem, backend, weights)
 
@@ -127,8 +127,8 @@ def degrees_of_freedom(gram: Array, weights: Array, alpha: float, penalty: Penal
 def effective_samples(residual: Array) -> float:
     """m' = m / (1 + 2 sum_j rho_j): how many independent samples would say as much, in [2, m].
 
-    residual (m, n), in the order flown. The autocorrelations rho_j, pooled over the targets, are
-    summed in pairs up to the first pair that is not positive (Geyer 1992).
+    residual (m, n), in the order of the samples. The autocorrelations rho_j, pooled over the
+    targets, are summed in pairs up to the first pair that is not positive (Geyer 1992).
     """
     m = len(residual)
     spectrum = np.abs(np.fft.rfft(residual, 2 * m, axis=0)) ** 2
@@ -173,7 +173,7 @@ def stability_selection(
 ) -> PenaltyChoice:
     """The weakest penalty with at most one falsely selected group (Meinshausen, Buehlmann 2010).
 
-    From zero down to a penalty, halves of the flight select q of the G groups on average; of those
+    From zero down to a penalty, halves of the samples select q of the G groups on average; of those
     that more than THRESHOLD of the halves select, at most q^2 / ((2 THRESHOLD - 1) G) are false.
     A half is 3 of 6 pieces, whole so that neighbours stay together; all complementary pairs are
     used (Shah and Samworth 2013).
@@ -242,7 +242,7 @@ def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[
         )
     except InputError as error:
         raise InputError(
-            f"selection {backend.selection!r}: on a part of the flight, {error}, or use selection "
+            f"selection {backend.selection!r}: on a part of the samples, {error}, or use selection "
             '"ebic"'
         ) from None
     missing = np.full((problem.columns, problem.targets), np.nan)

@@ -1,4 +1,4 @@
-"""The regression problem that every back-end solves, from a library or from any design matrix."""
+"""The regression problem that every back-end solves, from any design matrix."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -254,7 +254,9 @@ def test_what_cannot_be_cut_up_is_refused(selection):
     theta = np.random.default_rng(0).normal(size=(40, 2))
     theta[1:, 1] = 0.0  # the second column is zero but for the first sample
     problem = RegressionProblem.from_arrays(theta, theta[:, 0])
-    with pytest.raises(InputError, match=r"part of the flight, column '1' is zero.*ebic") as caught:
+    with pytest.raises(
+        InputError, match=r"part of the samples, column '1' is zero.*ebic"
+    ) as caught:
         sf.fit(problem, auto(selection=selection))
     assert "\n" not in str(caught.value)
 

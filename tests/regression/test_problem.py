@@ -1,0 +1,67 @@
+"""What a regression problem takes and refuses, column by column, and that nobody changes it."""
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.regression.problem import FIRST_ROWS, RegressionProblem
+
+ROWS = 3 * FIRST_ROWS
+
+
+def columns(**changed):
+    """Four columns of ones, some with other values in their last row."""
+    theta = np.ones((ROWS, 4))
+    for name, value in changed.items():
+        theta[-1, "abcd".index(name)] = value
+    return theta
+
+
+@pytest.mark.parametrize("layout", [np.ascontiguousarray, np.asfortranarray])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+def test_a_column_that_is_not_finite_is_named(value, layout):
+    theta = layout(columns(c=value))
+    with pytest.raises(InputError, match="column 'c' holds NaN, infinity or values whose squares"):
+        RegressionProblem.from_arrays(theta, np.ones(ROWS), names=list("abcd"))
+    with pytest.raises(InputError, match=r"column '1' of the target holds NaN"):
+        RegressionProblem.from_arrays(np.ones((ROWS, 1)), theta[:, 1:3])
+
+
+def test_only_a_column_whose_own_squares_overflow_is_refused():
+    size = 0.9 * np.sqrt(np.finfo(float).max)  # one square is in range, the sum of all is not
+    theta = columns(a=size, b=size, c=size, d=size)
+    assert RegressionProblem.from_arrays(theta, np.ones(ROWS)).columns == 4
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-170])
+def test_a_column_of_zeros_is_named_wherever_the_others_begin(value):
+    theta = np.zeros((ROWS, 3))
+    theta[:, 0] = 1.0
+    theta[-1, 1] = 1.0  # not a column of zeros, though all but its last row are
+    theta[5, 2] = value
+    with pytest.raises(InputError, match="column '2' is zero in every sample") as caught:
+        RegressionProblem.from_arrays(theta, np.ones(ROWS))
+    assert "more" not in str(caught.value)
+    theta[-1, 2] = 1.0
+    assert RegressionProblem.from_arrays(theta, np.ones(ROWS)).columns == 3
+
+
+def test_the_arrays_of_a_problem_are_read_only_and_the_callers_stay_as_they_are():
+    theta, target = np.ones((ROWS, 2)), np.ones((ROWS, 1))
+    problem = RegressionProblem.from_arrays(theta, target)
+    for array in (problem.theta, problem.target):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 2.0
+    assert np.shares_memory(problem.theta, theta)
+    assert theta.flags.writeable
+    assert target.flags.writeable
+
+
+@pytest.mark.parametrize("change", [np.float32, np.int64, np.asfortranarray])
+def test_arrays_of_other_kinds_and_layouts_are_taken_as_copies(change):
+    theta = np.arange(1.0, 13.0).reshape(4, 3)
+    given = change(theta)
+    problem = RegressionProblem.from_arrays(given, np.ones(4))
+    assert not np.shares_memory(problem.theta, given)
+    assert problem.theta.flags.c_contiguous
+    np.testing.assert_array_equal(problem.theta, theta)
