@@ -290,10 +290,10 @@ def support(
     return s
 
 
-def spread(n: int, width: int, label: IntArray, x: Array, out: Array) -> None:
-    """Row g of out (n, width) = the x whose label is g, in their places, and zero elsewhere."""
-    out[:n, :width] = 0.0
-    out[label[:width], np.arange(width)] = x[:width]
+def spread(n: int, width: int, t: int, label: IntArray, x: Array, out: Array) -> None:
+    """out[g, t] = the x whose label is g, in their places (width,), else zero; g < n."""
+    out[:n, t, :width] = 0.0
+    out[label[:width], t, np.arange(width)] = x[:width]
 
 
 def group_products(n: int, starts: IntArray, x: Array, y: Array, out: Array) -> None:

@@ -27,15 +27,16 @@ def solve(n: int, count: int, factor: Array, x: Array) -> None:
 
 
 def forward(n: int, above: int, first: int, last: int, factor: Array, x: Array) -> None:
-    """x = x U^-1 for rows first ... last - 1 of x, whose entries before `above` are zero."""
+    """x = x U^-1 for rows of x[first:last], whose entries before `above` are zero."""
     if above < n and first < last:
-        part = slice(first, last), slice(above, n)
-        x[part] = dtrtrs(factor[above:n, above:n].T, x[part].T, lower=1)[0].T
+        rows = x[first:last, :, above:n]
+        flat = rows.reshape(-1, n - above)
+        rows[:] = dtrtrs(factor[above:n, above:n].T, flat.T, lower=1)[0].T.reshape(rows.shape)
 
 
-def less_overlaps(n: int, first: int, last: int, x: Array, out: Array) -> None:
-    """out -= x x' of rows (last, n), in rows first ... last - 1 of out, up to the diagonal."""
-    out[first:last, :last] -= x[first:last, :n] @ x[:last, :n].T
+def less_overlaps(n: int, first: int, last: int, t: int, x: Array, out: Array) -> None:
+    """out -= x x' of the rows x[:last, t], in rows first ... last - 1, up to the diagonal."""
+    out[first:last, :last] -= x[first:last, t, :n] @ x[:last, t, :n].T
 
 
 def less_product(n: int, index: IntArray, matrix: Array, x: Array, out: Array) -> None:

@@ -39,7 +39,7 @@ class Point:
 
     Of the s groups with eta > 0 and their c columns: `group` (s,), `begin` (s + 1,) in the columns
     `column` (c,), and `label` (c,); `width` (s,) and `root` (c,) of D^1/2; `inner` C (n, c),
-    `weights` W (n, c), `factor` (c, c), `half` (n, s, c), which gives the `hessian` (s, s), the
+    `weights` W (n, c), `factor` (c, c), `half` (s, n, c), which gives the `hessian` (s, s), the
     `square` ||C_g||^2 (s,). Of all columns: `correlation` C (n, k). `value` is f without its
     last term.
     """
@@ -63,24 +63,28 @@ class Point:
     def __init__(self, targets: int, columns: int, groups: int) -> None:
         n, k, g = targets, columns, groups
         self.s, self.c, self.value = 0, 0, 0.0
-        self.eta, self.width, self.square = np.zeros(g), np.zeros(g), np.zeros(g)
-        self.root, self.spread = np.zeros(k), np.zeros(k)
-        self.inner, self.weights = np.zeros((n, k)), np.zeros((n, k))
-        self.correlation, self.hessian = np.zeros((n, k)), np.zeros((g, g))
-        self.factor, self.half = np.zeros((0, 0)), np.zeros((n, 0, 0))
-        self.group, self.begin = np.zeros(g, np.intp), np.zeros(g + 1, np.intp)
-        self.label, self.column = np.zeros(k, np.intp), np.zeros(k, np.intp)
+        self.factor, self.half = np.zeros((0, 0)), np.zeros((0, n, 0))
+        self.hessian = np.zeros((g, g))
+        self.share_out(np.zeros((5, k)), np.zeros((3, n, k)), np.zeros((4, k + 1), np.intp))
+
+    def share_out(self, rows: Array, matrices: Array, integers: IntArray) -> None:
+        """Give each vector and each (n, c) or (n, k) its memory."""
+        self.eta, self.width, self.square = rows[0], rows[1], rows[2]
+        self.root, self.spread = rows[3], rows[4]
+        self.inner, self.weights, self.correlation = matrices[0], matrices[1], matrices[2]
+        self.group, self.begin = integers[0], integers[1]
+        self.label, self.column = integers[2], integers[3]
 
     def grown(self) -> bool:
         """Make room for the factor and for what enters beside it; false where memory is out."""
-        c, s = self.factor.shape[0], self.half.shape[1]
+        c, s = self.factor.shape[0], self.half.shape[0]
         if self.c > c:
             c = min(max(self.c + self.c // 2, ROOM), len(self.column))
         if self.s + NEW_GROUPS > s:
             s = self.s + self.s // 2 + NEW_GROUPS
         try:
             self.factor = np.zeros((c, c))
-            self.half = np.zeros((len(self.inner), s, c))
+            self.half = np.zeros((s, len(self.inner), c))
         except MemoryError:
             return False
         return True
@@ -125,7 +129,7 @@ def evaluate(problem: Problem, x: Point) -> int:
     x.c = x.begin[x.s]
     x.value = 0.0
     s, c = x.s, x.c
-    if (c > x.factor.shape[0] or s + NEW_GROUPS > x.half.shape[1]) and not x.grown():
+    if (c > x.factor.shape[0] or s + NEW_GROUPS > x.half.shape[0]) and not x.grown():
         return NO_MEMORY
     dense.take(s, x.eta, x.group, x.width)
     dense.roots(s, x.width)
@@ -157,13 +161,14 @@ def curve(problem: Problem, x: Point) -> None:
     for a in range(s):
         dense.fill(s, 0.0, x.hessian[a])
     for t in range(problem.targets):
-        dense.spread(s, c, x.label, x.inner[t], x.half[t])
-        first = 0
-        while first < s:
-            last = min(first + part, s)
-            linear.forward(c, x.begin[first], first, last, x.factor, x.half[t])
-            first = last
-        linear.less_overlaps(c, 0, s, x.half[t], x.hessian)
+        dense.spread(s, c, t, x.label, x.inner[t], x.half)
+    first = 0
+    while first < s:
+        last = min(first + part, s)
+        linear.forward(c, x.begin[first], first, last, x.factor, x.half)
+        first = last
+    for t in range(problem.targets):
+        linear.less_overlaps(c, 0, s, t, x.half, x.hessian)
     dense.group_products(s, x.begin, x.inner, x.inner, x.square)
     dense.add_diagonal(s, 1.0 + LOST, x.square, x.hessian)
     dense.mirror(0, s, x.width, x.hessian)
@@ -190,9 +195,9 @@ def bordered(
             out[s + h, s + g] = dense.inner_product(first, last, x.correlation, product)
         for t in range(n):
             dense.take(c, product[t], x.column, x.spread)
-            dense.multiply(c, x.root, x.spread, x.half[t, s + h])
-            dense.scale(c, -1.0, x.half[t, s + h])
+            dense.multiply(c, x.root, x.spread, x.half[s + h, t])
+            dense.scale(c, -1.0, x.half[s + h, t])
+    linear.forward(c, 0, s, total, x.factor, x.half)
     for t in range(n):
-        linear.forward(c, 0, s, total, x.factor, x.half[t])
-        linear.less_overlaps(c, s, total, x.half[t], out)
+        linear.less_overlaps(c, s, total, t, x.half, out)
     dense.mirror(s, total, x.width, out)

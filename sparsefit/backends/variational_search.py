@@ -51,16 +51,15 @@ class Search(variational_point.Problem):
         n, k, g = self.targets, self.columns, self.groups
         self.bounded = variational_step.Bounded(g)
         self.alpha, self.goal, self.gap, self.best_gap, self.count = 0.0, goal, NEVER, NEVER, 0
-        self.eta, self.width, self.square = np.zeros(g), np.zeros(g), np.zeros(g)
-        self.spread, self.hessian = np.zeros(k), np.zeros((g, g))
-        self.fresh = np.zeros(NEW_GROUPS, np.intp)
-        self.inner, self.pushed = np.zeros((n, k)), np.zeros((n, k))
-        self.trial, self.weights, self.best = (
-            np.zeros((n, k)),
-            np.zeros((n, k)),
-            np.zeros((n, k)),
-        )
-        self.trial_correlation, self.correlation = np.zeros((n, k)), np.zeros((n, k))
+        self.fresh, self.hessian = np.zeros(NEW_GROUPS, np.intp), np.zeros((g, g))
+        self.place(np.zeros((4, k)), np.zeros((7, n, k)))
+
+    def place(self, rows: Array, matrices: Array) -> None:
+        """Give each vector and each (n, c) or (n, k) its memory."""
+        self.eta, self.width, self.square, self.spread = rows[0], rows[1], rows[2], rows[3]
+        self.inner, self.pushed, self.trial = matrices[0], matrices[1], matrices[2]
+        self.weights, self.best, self.correlation = matrices[3], matrices[4], matrices[5]
+        self.trial_correlation = matrices[6]
 
 
 def copied(n: int, rows: int, x: Array, out: Array) -> None:

@@ -337,13 +337,13 @@ cdef inline Py_ssize_t support(
     return s
 
 cdef inline void spread(
-    Py_ssize_t n, Py_ssize_t width, const Py_ssize_t[::1] label, const double[::1] x,
-    double[:, ::1] out
+    Py_ssize_t n, Py_ssize_t width, Py_ssize_t t, const Py_ssize_t[::1] label,
+    const double[::1] x, double[:, :, ::1] out
 ) noexcept nogil:
     for g in range(n):
-        fill(width, 0.0, out[g])
+        fill(width, 0.0, out[g, t])
     for i in range(width):
-        out[label[i], i] = x[i]
+        out[label[i], t, i] = x[i]
 
 cdef inline double inner_product(
     Py_ssize_t first, Py_ssize_t last, const double[:, ::1] x, const double[:, ::1] y

@@ -51,32 +51,32 @@ cdef inline void solve(int n, int count, const double[:, ::1] factor, double[:, 
         dtrsv("L", "T", "N", &n, u, &stride, &x[t, 0], &one)
 
 cdef inline void forward(
-    int n, int above, int first, int last, const double[:, ::1] factor, double[:, ::1] x
+    int n, int above, int first, int last, const double[:, ::1] factor, double[:, :, ::1] x
 ) noexcept nogil:
-    cdef int size = n - above, count = last - first, stride = stride_of(factor)
-    cdef int x_stride = stride_of(x)
+    cdef int size = n - above, count = (last - first) * x.shape[1], stride = stride_of(factor)
+    cdef int x_stride = x.shape[2]
     cdef double one = 1.0
     if size > 0 and count > 0:
         dtrsm(
             "L", "L", "N", "N", &size, &count, &one, <double *>&factor[above, above], &stride,
-            &x[first, above], &x_stride
+            &x[first, 0, above], &x_stride
         )
 
 cdef inline void less_overlaps(
-    int n, int first, int last, const double[:, ::1] x, double[:, ::1] out
+    int n, int first, int last, int t, const double[:, :, ::1] x, double[:, ::1] out
 ) noexcept nogil:
-    cdef int count = last - first, stride = stride_of(x), out_stride = stride_of(out)
+    cdef int count = last - first, stride = x.shape[1] * x.shape[2], out_stride = stride_of(out)
     cdef double minus = -1.0, one = 1.0
     if n <= 0 or count <= 0:
         return
     if first == 0:
         dsyrk(
-            "U", "T", &last, &n, &minus, <double *>&x[0, 0], &stride, &one, &out[0, 0], &out_stride
+            "U", "T", &last, &n, &minus, <double *>&x[0, t, 0], &stride, &one, &out[0, 0], &out_stride
         )
     else:
         dgemm(
-            "T", "N", &last, &count, &n, &minus, <double *>&x[0, 0], &stride,
-            <double *>&x[first, 0], &stride, &one, &out[first, 0], &out_stride
+            "T", "N", &last, &count, &n, &minus, <double *>&x[0, t, 0], &stride,
+            <double *>&x[first, t, 0], &stride, &one, &out[first, 0], &out_stride
         )
 
 cdef inline void less_product(

@@ -18,6 +18,9 @@ cdef class Point:
     cdef double[:, :, ::1] half
     cdef Py_ssize_t[::1] group, begin, label, column
 
+    cdef void share_out(
+        self, double[:, ::1] rows, double[:, :, ::1] matrices, Py_ssize_t[:, ::1] integers
+    ) noexcept nogil
     cdef bint grown(self) noexcept with gil
 
 cdef void exchange(Point x, Point y) noexcept nogil

@@ -13,6 +13,8 @@ cdef class Search(Problem):
     cdef double[:, ::1] inner, pushed, trial, trial_correlation, weights, correlation, best, hessian
     cdef Py_ssize_t[::1] fresh
 
+    cdef void place(self, double[:, ::1] rows, double[:, :, ::1] matrices) noexcept nogil
+
 cdef void copied(
     Py_ssize_t n, Py_ssize_t rows, const double[:, ::1] x, double[:, ::1] out
 ) noexcept nogil
