@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, is_number, number_setting
+from sparsefit.errors import InputError, number_setting
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
     Backend,
@@ -71,15 +71,14 @@ def path(
     InputError for back-ends that have no penalty, and as `fit` does.
     """
     _check(problem, tolerance)
-    if not isinstance(backend, PenalisedBackend):
+    if not isinstance(backend, PathBackend) and not isinstance(backend, PenalisedBackend):
         _check_backend(backend)
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
     asked = np.atleast_1d(np.asarray(alpha_fractions, dtype=float))
     if asked.ndim != 1 or not asked.size:
         raise InputError(f"path needs a list of at least one alpha_fraction, not {asked.tolist()}")
-    for value in asked.tolist():
-        if not is_number(value, 0.0, 1.0, open_low=True):
-            checked_alpha_fraction(backend.name, value)
+    for value in asked[~((asked > 0) & (asked <= 1))].tolist():
+        checked_alpha_fraction(backend.name, value)
     return _along(problem, backend, asked, tolerance)
 
 

@@ -22,12 +22,15 @@ def path_certificates(
 ) -> list[Certificate | None]:
     """Duality gaps of solutions at the penalties alphas (p,); None where weights are not finite."""
     gaps: list[Certificate | None] = [None] * len(solutions)
-    usable = [i for i, solution in enumerate(solutions) if _usable(solution)]
-    if usable:
-        weights = np.stack([np.asarray(solutions[i].weights) for i in usable])
-        certified = _smallest_effort(problem, weights, alphas[usable], penalty, tolerance)
-        for i, certificate in zip(usable, certified, strict=True):
-            gaps[i] = certificate
+    answered = [i for i, each in enumerate(solutions) if _weights_of(each) is not None]
+    if not answered:
+        return gaps
+    weights = np.stack([np.asarray(solutions[i].weights) for i in answered])
+    usable = np.flatnonzero(np.isfinite(weights).all(axis=(1, 2)))
+    points = np.array(answered)[usable]
+    certified = _smallest_effort(problem, weights[usable], alphas[points], penalty, tolerance)
+    for i, certificate in zip(points.tolist(), certified, strict=True):
+        gaps[i] = certificate
     return gaps
 
 
@@ -57,14 +60,15 @@ def certificate_of(
     problem: RegressionProblem, backend: Any, solution: Solution
 ) -> Certificate | None:
     """The certificate of a back-end without a penalty on columns; None without finite weights."""
-    if solution.weights is None or not _usable(solution):
+    weights = _weights_of(solution)
+    if weights is None or not np.isfinite(weights).all():
         return None
     if isinstance(backend, OffGridBackend):
         return backend.certify(problem, solution)
     if backend.certificate_kind == "normal_equations":
-        return _normal_equations(problem, solution.weights, backend.rcond)
-    support = solution.weights != 0
-    changed = int(np.sum(backend.next_support(problem, solution.weights) != support))
+        return _normal_equations(problem, weights, backend.rcond)
+    support = weights != 0
+    changed = int(np.sum(backend.next_support(problem, weights) != support))
     return Certificate("fixed_point", changed / max(int(support.sum()), 1))
 
 
@@ -79,13 +83,9 @@ def _normal_equations(
     return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
 
 
-def _usable(solution: Solution) -> bool:
+def _weights_of(solution: Solution) -> Array | None:
     # The weights of a solver that failed are not an answer, whatever they look like.
-    return (
-        solution.status != "error"
-        and solution.weights is not None
-        and bool(np.isfinite(solution.weights).all())
-    )
+    return None if solution.status == "error" else solution.weights
 
 
 def judged(
