@@ -31,10 +31,11 @@ class Penalty:
     @cached_property
     def _layout(self) -> tuple[IntArray | None, IntArray]:
         """Columns in group order (None where they are already) and the start of each group."""
-        order = np.argsort(self.groups, kind="stable")
-        starts = np.searchsorted(self.groups[order], np.arange(len(self.weights)))
-        in_order = bool(np.array_equal(order, np.arange(len(order))))
-        return (None if in_order else order), starts
+        groups, order = self.groups, None
+        if np.any(groups[1:] < groups[:-1]):
+            order = np.argsort(groups, kind="stable")
+            groups = groups[order]
+        return order, np.searchsorted(groups, np.arange(len(self.weights)))
 
     @property
     def elementwise(self) -> bool:
