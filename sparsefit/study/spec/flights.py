@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,23 +51,33 @@ SUPERPOSED = (
     ("second_scale_ratio", "second_velocity_ratio"),
     ("third_scale_ratio", "third_velocity_ratio"),
 )
+SUPERPOSED_KEYS = tuple(key for pair in SUPERPOSED for key in pair)
 RATIOS = (0.01, 100.0)
-KEYS = (
-    "flow",
-    *FLOW_KEYS,
-    "response_time",
-    "thrust_acceleration",
-    "duration",
-    "sample_rate",
-    *NOISE_KEYS,
-    "initial_position",
-    "initial_velocity",
-    "wind",
-    "measurement_noise",
-    *RATIO_KEYS,
-    *(key for pair in SUPERPOSED for key in pair),
-)
 REQUIRED = ("response_time", "duration", "sample_rate")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A key of [flights]: the streams it fills (two: a pair [x, y]) and the least it may be."""
+
+    streams: tuple[str, ...]
+    least: float | None = None
+    open_end: bool = False  # the least itself is not allowed
+
+
+QUANTITIES = {
+    **{
+        key: Quantity((key,), 0.0, open_end=True)
+        for key in (*FLOW_KEYS, *REQUIRED, *SUPERPOSED_KEYS, "believed_response_time_ratio")
+    },
+    **{key: Quantity((key,), 0.0) for key in (*NOISE_KEYS, "believed_thrust_ratio")},
+    "thrust_acceleration": Quantity(("thrust_x", "thrust_y")),
+    "initial_position": Quantity(("position_x", "position_y")),
+    "initial_velocity": Quantity(("velocity_x", "velocity_y")),
+    "wind": Quantity(("wind_x", "wind_y")),
+    "measurement_noise": Quantity(("velocity_noise", "position_noise"), 0.0),
+}
+KEYS = ("flow", *QUANTITIES)
 
 
 @dataclass(frozen=True)
@@ -180,9 +191,33 @@ def _flow(values: dict[str, float]) -> Flow:
 
 
 def read_flight_rules(section: Section, place: Place) -> FlightRules:
-    """The rules from the [flights] table without `count`; `InputError` names the bad key."""
+    """The rules from the [flights] section without `count`; `InputError` names the bad key."""
     only(section, KEYS, place)
     calm = _flow_kind(section, place) == "none"
+    _check_keys(section, place, calm=calm)
+    entries = {
+        name: entry
+        for key, value in section.items()
+        if key != "flow"
+        for name, entry in _entries(QUANTITIES[key], value, place.at(key))
+    }
+    _check_superposed(entries, place)
+    # A protocol without a flow cannot remove the keys of the others': they are left out here.
+    left_out = (*FLOW_KEYS, *SUPERPOSED_KEYS) if calm else ()
+    if not calm:
+        _check_third(entries, place)
+    kept = [name for name in STREAMS if name in entries and name not in left_out]
+    return FlightRules(tuple((name, entries[name]) for name in kept))
+
+
+def _flow_kind(section: Section, place: Place) -> str:
+    kind = text(section.get("flow", "cellular"), place.at("flow"))
+    if kind not in FLOWS:
+        raise place.at("flow").error(f'has unknown value "{kind}"{suggestion(kind, FLOWS)}')
+    return kind
+
+
+def _check_keys(section: Section, place: Place, *, calm: bool) -> None:
     given = [key for key in FLOW_KEYS if key in section]
     if len(given) != 2 and not calm:
         have = ", ".join(given) or "none"
@@ -194,30 +229,23 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
         raise place.at("measurement_noise").error(
             "is [velocity_noise, position_noise]: drop those two"
         )
-    _check_superposed(section, place)
-    if not calm:
-        _check_third(section, place)
-    # A protocol without a flow cannot remove the keys of the others': they are left out here.
-    of_flow = (*FLOW_KEYS, *(key for pair in SUPERPOSED for key in pair)) if calm else ()
-    kept = [key for key in section if key not in ("flow", *of_flow)]
-    named = {name: entry for key in kept for name, entry in _entries(key, section[key], place)}
-    return FlightRules(tuple((name, named[name]) for name in STREAMS if name in named))
 
 
-def _flow_kind(section: Section, place: Place) -> str:
-    kind = text(section.get("flow", "cellular"), place.at("flow"))
-    if kind not in FLOWS:
-        raise place.at("flow").error(f'has unknown value "{kind}"{suggestion(kind, FLOWS)}')
-    return kind
+def _entries(quantity: Quantity, value: object, place: Place) -> Iterator[tuple[str, Entry]]:
+    values = [value] if len(quantity.streams) == 1 else _pair(value, place)
+    for name, item in zip(quantity.streams, values, strict=True):
+        yield name, read_entry(item, place, least=quantity.least, open_end=quantity.open_end)
 
 
-def _check_third(section: Section, place: Place) -> None:
+def _pair(value: object, place: Place) -> list[object]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise place.error("must be a pair [x, y]")
+    return value
+
+
+def _check_third(entries: Mapping[str, Entry], place: Place) -> None:
     """U0 = L/tau_w and L = U0 tau_w must be finite and above 0 at all extremes of what is drawn."""
-    one, other = (
-        read_entry(section[key], place.at(key), least=0.0, open_end=True).values
-        for key in FLOW_KEYS
-        if key in section
-    )
+    one, other = (entries[key].values for key in FLOW_KEYS if key in entries)
     for first in (min(one), max(one)):
         for second in (min(other), max(other)):
             for third in (first * second, first / second):
@@ -225,34 +253,13 @@ def _check_third(section: Section, place: Place) -> None:
                     raise place.error(f"{first:g} and {second:g} give no flow that can be flown")
 
 
-def _check_superposed(section: Section, place: Place) -> None:
+def _check_superposed(entries: Mapping[str, Entry], place: Place) -> None:
     """A flow beside the first needs both its ratios, the third a second; each within RATIOS."""
-    given = [key for pair in SUPERPOSED for key in pair if key in section]
-    for pair in SUPERPOSED[: 2 if any(key in SUPERPOSED[1] for key in given) else 1]:
-        for key in pair if given else ():
-            if key not in section:
-                raise place.at(key).error(f"missing: {given[0]} needs it too")
-            values = read_entry(section[key], place.at(key), least=0.0, open_end=True).values
-            if not RATIOS[0] <= min(values) <= max(values) <= RATIOS[1]:
-                low, high = RATIOS
-                raise place.at(key).error(f"must lie between {low:g} and {high:g}")
-
-
-def _entries(key: str, value: object, place: Place) -> list[tuple[str, Entry]]:
-    here = place.at(key)
-    if key in ("thrust_acceleration", "initial_position", "initial_velocity"):
-        stem = key.removeprefix("initial_").removesuffix("_acceleration")
-        return list(zip((f"{stem}_x", f"{stem}_y"), _pair(value, here), strict=True))
-    if key == "wind":
-        return list(zip(("wind_x", "wind_y"), _pair(value, here), strict=True))
-    if key == "measurement_noise":
-        pair = _pair(value, here, least=0.0)
-        return list(zip(("velocity_noise", "position_noise"), pair, strict=True))
-    noise = key in NOISE_KEYS or key == "believed_thrust_ratio"
-    return [(key, read_entry(value, here, least=0.0, open_end=not noise))]
-
-
-def _pair(value: object, place: Place, least: float | None = None) -> list[Entry]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise place.error("must be a pair [x, y]")
-    return [read_entry(item, place, least=least, open_end=False) for item in value]
+    given = [key for key in SUPERPOSED_KEYS if key in entries]
+    needed = SUPERPOSED_KEYS if set(given) & set(SUPERPOSED[1]) else SUPERPOSED[0]
+    low, high = RATIOS
+    for key in needed if given else ():
+        if key not in entries:
+            raise place.at(key).error(f"missing: {given[0]} needs it too")
+        if not low <= min(entries[key].values) <= max(entries[key].values) <= high:
+            raise place.at(key).error(f"must lie between {low:g} and {high:g}")
