@@ -16,8 +16,16 @@ import numpy as np
 
 from sparsefit.errors import InputError, is_integer
 from sparsefit.study.run import partial, store
+from sparsefit.study.run.folder import (
+    Outcomes,
+    clear,
+    is_finished,
+    made_folder,
+    refuse_foreign,
+    resume,
+)
 from sparsefit.study.run.lock import locked
-from sparsefit.study.run.manifest import MANIFEST, read_manifest, sparsefit_version, write_manifest
+from sparsefit.study.run.manifest import write_manifest
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.pool import outcomes
@@ -27,7 +35,6 @@ from sparsefit.study.spec.study import Study
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
 Publish: TypeAlias = Callable[[Study, Path], None]
-Outcomes: TypeAlias = dict[tuple[int, int], Outcome]
 
 PROGRESS_SECONDS = 0.2
 
@@ -86,12 +93,12 @@ def run(
         InputError: if the folder cannot be written, is in use, or is another study's.
     """
     workers = _checked_processes(processes)
-    folder = _folder(study, results_dir)
+    folder = made_folder(study, results_dir)
     with locked(folder):
         if fresh:
-            _clear(folder)
-        _refuse_foreign(study, folder)
-        if _finished(folder):
+            clear(folder)
+        refuse_foreign(study, folder)
+        if is_finished(folder):
             statuses = Counter(store.read_cases(folder)["status"])
             summary = RunSummary(folder, study.planned, study.planned, statuses, 0.0)
         else:
@@ -104,7 +111,7 @@ def run(
 def _finish(study: Study, folder: Path, processes: int, progress: Progress | None) -> RunSummary:
     """Do what is missing; only when all of it is written are the unfinished rows let go."""
     begun = time.monotonic()
-    known = _resume(study, folder)
+    known = resume(study, folder)
     done = _work(study, folder, dict(known), processes, progress)
     seconds = time.monotonic() - begun
     statuses = Counter(outcome.status for outcome in done.values())
@@ -139,8 +146,8 @@ def solver_seconds(study: Study, rows: Iterable[Outcome]) -> float:
 def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
     """How far `study` is in `results_dir/<name>`; changes nothing, also while it runs."""
     folder = Path(results_dir) / study.name
-    _refuse_foreign(study, folder)
-    if _finished(folder):
+    refuse_foreign(study, folder)
+    if is_finished(folder):
         statuses = Counter(store.read_cases(folder)["status"])
         return RunStatus(folder, study.planned, study.planned, True, statuses)
     rows = partial.read_rows(folder)
@@ -214,60 +221,3 @@ def _processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _folder(study: Study, results_dir: str | Path) -> Path:
-    folder = Path(results_dir) / study.name
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made: {error.strerror}: choose another results folder"
-        ) from None
-    return folder
-
-
-def _clear(folder: Path) -> None:
-    partial.discard(folder)
-    for name in (store.CASES, store.WEIGHTS, MANIFEST):
-        (folder / name).unlink(missing_ok=True)
-
-
-def _refuse_foreign(study: Study, folder: Path) -> None:
-    """Rows of another study, or of another version, are never mixed with these."""
-    header = partial.read_header(folder)
-    for made in (header, read_manifest(folder)):
-        if made is not None and made.get("study_hash") != study.hash:
-            short = str(made.get("study_hash"))[:12]
-            raise InputError(
-                f"{folder} was made by a different study (hash {short}): "
-                "use --fresh to start over, or rename this study"
-            )
-    if header is not None and header.get("sparsefit") != sparsefit_version():
-        raise InputError(
-            f"{folder} was begun by sparsefit {header.get('sparsefit')}, this is "
-            f"{sparsefit_version()}: use --fresh to start over, or go on with that version"
-        )
-    if header is None and (folder / store.CASES).exists() and read_manifest(folder) is None:
-        raise InputError(
-            f"{folder} holds cases of an unknown study: use --fresh to start over, or rename"
-        )
-
-
-def _finished(folder: Path) -> bool:
-    done = partial.read_header(folder) is None and read_manifest(folder) is not None
-    return done and (folder / store.CASES).exists()
-
-
-def _resume(study: Study, folder: Path) -> Outcomes:
-    """The rows that are there; without a header there is nothing to trust, and all begins anew."""
-    if partial.read_header(folder) is None:
-        versions = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
-        partial.begin(folder, {**versions, "study": study.name, "planned": study.planned})
-        return {}
-    rows = partial.read_rows(folder)
-    return {
-        key: row
-        for key, row in rows.items()
-        if row.flight < study.count and row.cell < len(study.cells)
-    }
