@@ -83,7 +83,7 @@ class Distortion:
     def of_samples(self, model: Model, velocity: Array) -> Array:
         """b at the samples (m, 2) [m/s], of a model of them and their velocity v (m, 2)."""
         lost, samples = self._bent(model), len(velocity)
-        excess = np.ascontiguousarray((model.flow - velocity).T)
+        excess = model.flow.T - velocity.T
         filtered = np.fft.irfft(np.fft.rfft(excess, self.size) * self.mean, self.size)
         inner = slice(self.half, samples - self.half)
         lost[inner] += (filtered[:, : samples - 2 * self.half] - excess[:, inner]).T
@@ -96,7 +96,7 @@ class Distortion:
 
     def _bent(self, model: Model) -> Array:
         """(S - 1) v - grad w . (X_s - x) at the samples (m, 2) [m/s]."""
-        bent: Array = self.speed.T - np.einsum("imt,im->mt", model.gradient, self.place)
+        bent: Array = self.speed.T - np.sum(model.gradient * self.place[:, None], axis=0).T
         return bent
 
 
@@ -144,8 +144,8 @@ def noisy_columns(fit: Filtered) -> Array:
     place, velocity, acceleration = filters.raw
     through = velocity + fit.response_time * acceleration
     square = float(np.sum(variances * place**2))
-    bowed = np.ascontiguousarray(-0.5 * square * model.laplacian.T)
-    score = model.jacobian.score(model.rows.averaged(bowed).T)
+    bowed = model.rows.averaged(-0.5 * square * model.laplacian)
+    score = model.jacobian.score(bowed.T)
     if fit.shared:
         pair = through, velocity
         if weak is not None:
@@ -154,7 +154,7 @@ def noisy_columns(fit: Filtered) -> Array:
     if weak is not None:
         return score
     load = -square * model.gradient
-    load[[0, 1], :, [0, 1]] += float(np.sum(variances * place * through))
+    load[[0, 1], [0, 1]] += float(np.sum(variances * place * through))
     return score + _shaken(model, load)
 
 
@@ -173,17 +173,16 @@ def _in_velocity(model: Model, by_row: float) -> Array:
 
 
 def _shaken(model: Model, load: Array) -> Array:
-    """sum_a (d_a J)' load_a (n,), of loads (2, m, 2) at the samples."""
-    rows, targets = model.rows, model.weights.shape[2]
-    if targets == 1:
-        load = load.transpose(0, 2, 1).reshape(2, -1, 1)
-    along = model.gradients.reshape(2, -1, model.gradients.shape[3])
-    by_weight = np.sum(along @ load, axis=0).reshape(model.weights.shape)
+    """sum_a (d_a J)' load_a (n,), of loads (2, 2, m) by axis and component at the samples."""
+    modes, size, targets = model.weights.shape
+    stacked = load.reshape(2, targets, -1).swapaxes(1, 2)  # (2, r, n), as the columns are
+    products = model.columns.reshape(modes * size, -1) @ stacked
+    along = model.maps[1:3] @ products.reshape(2, modes, size, targets)
     bent = model.family.bent_gradients(
-        rows.position, model.parameters, model.columns, model.weights
+        model.rows.position, model.parameters, model.columns, model.weights
     )
-    by_parameter = np.einsum("aspmn,amn->sp", bent, load)
-    return model.joined(by_parameter, by_weight, np.zeros(len(model.coefficients)))
+    by_parameter = np.sum(bent * stacked[:, None, None], axis=(0, 3, 4))
+    return model.joined(by_parameter, along.sum(axis=0), np.zeros(len(model.coefficients)))
 
 
 def _averaged_velocity(

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
+from sparsefit.cached import cached_property
 from sparsefit.modes.projection import RANK
 
 LOST = 1e-6  # a gradient with more than this, relative, in the null space: not told
@@ -48,7 +49,7 @@ class Information:
         """Whether the rows tell every direction of theta."""
         return bool(self.kept.all())
 
-    @property
+    @cached_property
     def basis(self) -> Array:
         """B (n, rank) with J B orthonormal: (J'J)^+ = B B'."""
         kept = self.kept

@@ -63,11 +63,7 @@ class Jacobian:
     @property
     def gram(self) -> Array:
         """J'J (n, n)."""
-        gram = np.zeros((self.size, self.size))
-        for pick, place in zip(self.picks, self.places, strict=True):
-            block = self.columns[pick]
-            gram[np.ix_(place, place)] += block @ block.T
-        return gram
+        return self.onto_theta(self.columns @ self.columns.T)
 
     def score(self, errors: Array) -> Array:
         """J'e (n,) of errors (q, 2) of the rows."""
@@ -79,7 +75,7 @@ class Jacobian:
 
     def times(self, by_theta: Array) -> Array:
         """J times directions (n, f) of theta, (f, 2, q)."""
-        return _combined(self, by_theta, self.columns)
+        return self._combined(by_theta, self.columns)
 
     def spectra(self, size: int) -> ComplexArray:
         """The real transforms (u, size/2 + 1) of `columns`."""
@@ -88,12 +84,24 @@ class Jacobian:
 
     def turned(self, by_theta: Array, spectra: ComplexArray) -> ComplexArray:
         """The transforms (f, 2, size/2 + 1) of `times`, from those of the columns."""
-        return _combined(self, by_theta, spectra.view(np.float64)).view(np.complex128)
+        return self._combined(by_theta, spectra.view(np.float64)).view(np.complex128)
 
+    def onto_theta(self, products: Array) -> Array:
+        """sum_t J_t'S J_t (n, n), from the products (u, u) of `columns` under some S."""
+        summed = np.zeros((self.size, self.size))
+        for pick, place in zip(self.picks, self.places, strict=True):
+            summed[np.ix_(place, place)] += products[np.ix_(pick, pick)]
+        return summed
 
-def _combined(jacobian: Jacobian, by_theta: Array, columns: Array) -> Array:
-    combined = np.empty((by_theta.shape[1], 2, columns.shape[1]))
-    for t in range(2):
-        weights = by_theta[jacobian.places[t]].T
-        np.matmul(weights, columns[jacobian.picks[t]], out=combined[:, t])
-    return combined
+    def onto_columns(self, form: Array) -> Array:
+        """The form (u, u) in `columns` that is sum_t J_t K J_t', K (n, n) in theta."""
+        summed = np.zeros((len(self.columns), len(self.columns)))
+        for pick, place in zip(self.picks, self.places, strict=True):
+            summed[np.ix_(pick, pick)] += form[np.ix_(place, place)]
+        return summed
+
+    def _combined(self, by_theta: Array, columns: Array) -> Array:
+        weights = np.zeros((by_theta.shape[1], 2, len(columns)))
+        for t in range(2):
+            weights[:, t, self.picks[t]] = by_theta[self.places[t]].T
+        return weights @ columns

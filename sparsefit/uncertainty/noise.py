@@ -24,6 +24,7 @@ from sparsefit.arrays import Array, ComplexArray
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.derivative.filters import Filters, fast_length, kicks_through
 from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.spectra import frequency_weights, power
 
 LAGS = 20  # samples: twice the memory of a smoothing window of 11
@@ -86,7 +87,7 @@ def powers(fit: Filtered, passage: Passage, influence: Array, spectra: ComplexAr
 
     influence c (f, 2, m) of the samples, and its transforms (f, 2, size/2 + 1).
     """
-    bent = np.fft.rfft(np.einsum("imt,ftm->fim", fit.model.gradient, influence), passage.size)
+    bent = np.fft.rfft(_bent(fit.model, influence), passage.size)
     through = passage.of_flow_velocity(fit.response_time)
     weight, kicked = frequency_weights(passage.size), np.abs(passage.kicks) ** 2
     by_raw = [
@@ -102,7 +103,7 @@ def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Arra
     flat, shape = influence.reshape(-1, influence.shape[2]).T, (*influence.shape[:2], count)
     mean = (weak.operator.T @ flat).T.reshape(shape)
     rate = (weak.rate.T @ flat).T.reshape(shape)
-    bent = np.fft.rfft(np.einsum("imt,ftm->fim", fit.model.gradient, mean), size)
+    bent = np.fft.rfft(_bent(fit.model, mean), size)
     total = np.fft.rfft(mean + fit.response_time * rate, size)
     by_raw = [
         power(total * velocity - bent * place, frequency_weights(size))
@@ -116,6 +117,12 @@ def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Arra
     return np.array([*by_raw, kicked])
 
 
+def _bent(model: Model, influence: Array) -> Array:
+    """How errors of the positions of samples move functions, (f, 2, m), by c (f, 2, m) of Phi."""
+    bent: Array = np.sum(influence[:, None] * model.gradient, axis=2)
+    return bent
+
+
 def levels(fit: Filtered, passage: Passage, spectra: ComplexArray, errors: Array) -> Array:
     """Variances (3,) of the raw position and velocity, and of tau times that of acceleration.
 
@@ -124,7 +131,7 @@ def levels(fit: Filtered, passage: Passage, spectra: ComplexArray, errors: Array
     velocity, their ratio is known and measured noise has one level; elsewhere only velocity is
     noisy.
     """
-    steep = float(np.mean(np.sum(fit.plain.gradient**2, axis=0)))
+    steep = float(np.mean(np.sum(fit.plain.gradient**2, axis=0)))  # along an axis
     through, kicked = passage.of_flow_velocity(fit.response_time), np.abs(passage.kicks) ** 2
     measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
     squares, filters = np.array([0.0, 1.0]), fit.filters
@@ -154,8 +161,13 @@ def likeliest(shapes: Array, observed: Array) -> Array:
     level = np.full(len(shapes), observed.mean() / len(shapes))
     least = 1e-300 + 1e-12 * float(observed.max())
     for _ in range(ROUNDS):
-        inverse = 1.0 / (level @ scaled + least)
-        level = level * (scaled @ (observed * inverse**2)) / (scaled @ inverse)
+        inverse = level @ scaled
+        inverse += least
+        np.reciprocal(inverse, out=inverse)
+        below = scaled @ inverse
+        inverse *= inverse
+        inverse *= observed
+        level = level * (scaled @ inverse) / below
     found: Array = level / size
     return found
 

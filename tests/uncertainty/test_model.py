@@ -161,12 +161,12 @@ def test_a_step_in_theta_is_that_of_its_parts(family):
 @families
 def test_the_flow_in_space_is_that_of_differences(family):
     model, step = model_of(family, rows_of(weak=False, unknown=False)), 1e-4
-    second = np.zeros_like(model.flow)
+    second = np.zeros_like(model.laplacian)
     for axis, shift in enumerate(np.eye(2) * step):
         ends = [model.rows.position + sign * shift for sign in (1, -1)]
         above, below = (replace(model, rows=replace(model.rows, position=x)) for x in ends)
         expected = (above.flow - below.flow) / (2 * step)
-        np.testing.assert_allclose(model.gradient[axis], expected, atol=1e-6)
+        np.testing.assert_allclose(model.gradient[axis].T, expected, atol=1e-6)
         second += (above.gradient[axis] - below.gradient[axis]) / (2 * step)
     np.testing.assert_allclose(model.laplacian, second, atol=1e-5)
 

@@ -62,7 +62,7 @@ def test_variance_is_that_of_white_noise_through_the_filters():
 
         place, velocity, acceleration = (read(kernel) for kernel in filters.raw)
         errors = velocity + VEHICLE.response_time * acceleration
-        errors = errors - np.einsum("imt,mi->mt", fit.model.gradient, place)
+        errors = errors - np.einsum("itm,mi->mt", fit.model.gradient, place)
         sums.append(np.einsum("ftm,mt->f", influence, errors))
     # The level is read from one draw of the errors.
     variance, level = carried(fit, gradients, errors)
@@ -127,9 +127,7 @@ def test_noise_reaches_the_rows_through_every_filter(method):
             expected[2, f] += np.sum((influence[f, component] @ by_kick) ** 2)
         for raw in range(2):
             for axis in range(2):  # noise of one axis: of both components, through the gradient
-                total = -sum(
-                    (influence[f, t] @ mean) * model.gradient[axis, :, t] for t in range(2)
-                )
+                total = -sum((influence[f, t] @ mean) * model.gradient[axis, t] for t in range(2))
                 row = total @ place[raw]
                 row = row + influence[f, axis] @ (mean @ velocity[raw] + 0.5 * rate[raw])
                 expected[raw, f] += np.sum(row**2)
