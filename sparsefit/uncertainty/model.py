@@ -71,12 +71,14 @@ class Model:
         modes, size, targets = self.weights.shape
         turned = (self.maps.swapaxes(2, 3) @ self.weights).transpose(0, 3, 1, 2)
         columns = self.columns.reshape(modes * size, -1)
-        return (turned.reshape(4 * targets, -1) @ columns).reshape(4, 2, -1)
+        fields: Array = (turned.reshape(4 * targets, -1) @ columns).reshape(4, 2, -1)
+        return fields
 
     @property
     def flow(self) -> Array:
         """The summed flow velocity at the samples, (m, 2) [m/s]."""
-        return self._fields[0].T
+        flow: Array = self._fields[0].T
+        return flow
 
     @property
     def gradient(self) -> Array:
@@ -86,7 +88,8 @@ class Model:
     @property
     def laplacian(self) -> Array:
         """The Laplacian of the flow's components, (2, m) [1/(m s)]."""
-        return self._fields[3]
+        laplacian: Array = self._fields[3]
+        return laplacian
 
     @property
     def fitted(self) -> Array:

@@ -35,11 +35,11 @@ TRUTH = {"response_time": [0.5], "thrust_acceleration": [5.0, 3.0], "wind": [*WI
 MEASURED = {"velocity_noise": 0.2, "position_noise": 0.05}
 
 
-def flown(unknown=(), seed=3, duration=10.0, flows=(FLOW,), **noise):
+def flown(unknown=(), seed=3, duration=10.0, flows=(FLOW,), rate=100.0, **noise):
     wind = WIND if "wind" in unknown else (0.0, 0.0)
     flow = sf.SuperposedFlow(flows, wind) if len(flows) > 1 or any(wind) else flows[0]
     return sf.simulate_flight(
-        flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed, **noise
+        flow, VEHICLE, duration=duration, sample_rate=rate, seed=seed, **noise
     )
 
 
@@ -224,7 +224,7 @@ def measured_flights(windy, modes):
         if modes == 2:
             flows.append(sf.CellularFlow(0.6 * scale / timescale, 1.5 * scale))
         unknown = ("wind",) if windy else ()
-        flight = flown(unknown, seed + 40, duration=14.0, flows=tuple(flows), **MEASURED)
+        flight = flown(unknown, seed + 40, 14.0, tuple(flows), rate=50.0 * modes, **MEASURED)
         flights.append((flows, Derivative("weak")(flight)))
     return flights
 
