@@ -11,7 +11,7 @@ from sparsefit.bench.problems import KINDS, Kind
 from sparsefit.bench.result import BenchResult, geometric_mean
 from sparsefit.bench.scaling import Scaling, exponent
 from sparsefit.bench.targets import judged
-from sparsefit.study.evidence.table import Cell, Column, Table, significant
+from sparsefit.study.evidence.table import Column, Table, Value, significant
 
 TITLES: dict[Kind, str] = {
     "lasso": "LASSO, one target",
@@ -23,7 +23,7 @@ TITLES: dict[Kind, str] = {
 def ratio_table(result: BenchResult, kind: Kind, level: float, measure: str) -> Table:
     """Time to a level, as a multiple of ours; our own time in ms above it."""
     columns = (Column("contender", align="left"), *(Column(name) for name in result.problems))
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[Value, ...]] = [
         (
             f"{name} [ms]",
             *(_milliseconds(result, kind, problem, name) for problem in result.problems),
@@ -49,7 +49,7 @@ def _milliseconds(result: BenchResult, kind: Kind, problem: str, name: str) -> s
 
 def _ratio_row(
     result: BenchResult, kind: Kind, contender: Contender, level: float, measure: str
-) -> tuple[Cell, ...]:
+) -> tuple[Value, ...]:
     if not contender.installed:
         reason = result.absent[contender.name]
         return (contender.name, reason, *("" for _ in result.problems[1:]))
@@ -73,7 +73,7 @@ def _ratio_cell(
     return f"*{best}" if at.at_least is None else f">{significant(at.at_least / ours)} ({best})"
 
 
-def _best_row(result: BenchResult, kind: Kind, level: float, measure: str) -> tuple[Cell, ...]:
+def _best_row(result: BenchResult, kind: Kind, level: float, measure: str) -> tuple[Value, ...]:
     cells, ratios = [], []
     for problem in result.problems:
         peer = result.best_peer(kind, problem, level, measure)
@@ -158,7 +158,7 @@ def runs_table(result: BenchResult) -> Table:
     return Table("Every run", columns, rows)
 
 
-def _run_row(run: Run, points: int) -> tuple[Cell, ...]:
+def _run_row(run: Run, points: int) -> tuple[Value, ...]:
     solved = min(run.timed, points) or points
     name = (run.kind, run.problem, run.contender, run.setting)
     return (*name, run.median, len(run.seconds), solved, run.gap, run.sub, run.error)
@@ -172,7 +172,7 @@ def ratios_table(result: BenchResult) -> Table:
         Column("first / second", format="significant"),
         Column("relative difference", format=".1e"),
     )
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[Value, ...]] = [
         (r.name, 1e3 * r.baseline, 1e3 * r.ours, r.note or r.factor, r.difference)
         for r in result.ratios
     ]

@@ -66,9 +66,11 @@ def _no_action(args: argparse.Namespace) -> int:
 
 def check(args: argparse.Namespace) -> int:
     """Exit 0 if the study file is valid."""
+    from sparsefit.study.report.pages import check_outputs
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
+    check_outputs(study)
     if args.json:
         print_json({"study": study.name, "cases": study.planned, "hash": study.hash})
     else:
@@ -78,6 +80,7 @@ def check(args: argparse.Namespace) -> int:
 
 def plan(args: argparse.Namespace) -> int:
     """What will be simulated, fitted and written."""
+    from sparsefit.study.spec.outputs import name_of
     from sparsefit.study.spec.plan import counts
     from sparsefit.study.spec.study import Study
 
@@ -108,9 +111,9 @@ def plan(args: argparse.Namespace) -> int:
             f"{counted.simulations} simulations, {counted.problems} regression problems, "
             f"{counted.fits} fits",
         ),
-        ("tables", ", ".join(study.tables) or "those that fit the cases"),
-        ("figures", ", ".join(study.figures) or "those that fit the cases"),
-        ("answers", ", ".join(study.answers) or "none"),
+        ("tables", ", ".join(map(name_of, study.tables)) or "those that fit the cases"),
+        ("figures", ", ".join(map(name_of, study.figures)) or "those that fit the cases"),
+        ("answers", ", ".join(map(name_of, study.answers)) or "none"),
     ]
     width = max(len(label) for label, _ in rows)
     print("\n".join(f"{label:<{width}}  {value}" for label, value in rows))

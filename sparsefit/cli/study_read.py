@@ -89,7 +89,7 @@ def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
 def show(args: argparse.Namespace) -> int:
     """The tables of the study, or those asked for."""
     from sparsefit.errors import one_of
-    from sparsefit.study.evidence.tables import TABLES, tables_for
+    from sparsefit.study.evidence.tables import TABLES, tables_of
     from sparsefit.study.report.pages import render_show
     from sparsefit.study.report.render import to_text
 
@@ -100,8 +100,8 @@ def show(args: argparse.Namespace) -> int:
     if not args.table and not args.json:
         print(render_show(study, cases, width=width), end="")
         return 0
-    names = args.table or study.tables or tables_for(cases)
-    tables = {name: TABLES[name](study, cases) for name in names}
+    named = {name: TABLES[name](study, cases) for name in args.table or ()}
+    tables = named or tables_of(study, cases)
     if args.json:
         print_json({name: table_record(table) for name, table in tables.items()})
     else:

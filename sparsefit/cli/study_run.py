@@ -36,10 +36,12 @@ def add_options(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run to the end; write and print what came out."""
+    from sparsefit.study.report.pages import check_outputs
     from sparsefit.study.run import runner
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
+    check_outputs(study)
     if args.fresh:
         args.stopped = STOPPED_FRESH
     progress = Bar() if sys.stderr.isatty() else Lines()
@@ -84,11 +86,11 @@ def write_pages(study: Study, results: str, cases: pd.DataFrame) -> list[Path]:
 
 
 def _main_table(study: Study, cases: pd.DataFrame) -> str:
-    from sparsefit.study.evidence.tables import TABLES, tables_for
+    from sparsefit.study.evidence.tables import tables_of
     from sparsefit.study.report.render import to_text
 
-    first = (*study.tables, *tables_for(cases))[0]
-    return to_text(TABLES[first](study, cases), width=terminal_width())
+    first = next(iter(tables_of(study, cases).values()))
+    return to_text(first, width=terminal_width())
 
 
 def _what_was_done(summary: RunSummary) -> str:
@@ -105,7 +107,7 @@ def _what_was_done(summary: RunSummary) -> str:
 
 def by_status(statuses: Mapping[str, int]) -> str:
     """`93 ok, 2 unidentifiable`, in the order of the vocabulary."""
-    from sparsefit.study.evidence.summary import STATUSES
+    from sparsefit.study.evidence.cases import STATUSES
 
     order = [name for name in STATUSES if name in statuses]
     return ", ".join(f"{statuses[name]} {name}" for name in order) or "none"

@@ -8,14 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from test_tables import STUDY, case, column, frame
+from test_tables import STUDY, TABLE1, beside, case, column, frame
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells
-from sparsefit.study.evidence.answers import ANSWERS, sentences
+from sparsefit.study.evidence.along import level_needed
+from sparsefit.study.evidence.answers import answer, sentences
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.sentence import extremes, listed, some
 from sparsefit.study.evidence.tables import TABLES
-from sparsefit.study.evidence.windows import seconds_to
 from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.runner import solver_seconds
@@ -70,8 +71,16 @@ class TestEfficiency:
             bounded(0, (2.0, 3.0), 1.0, backend="lasso", label="lasso"),
             bounded(0, (8.0, 3.0), 1.0, backend="stlsq", label="stlsq"),
         )
-        said = ANSWERS["efficiency"](STUDY, cases)
+        measures = ["length-scale-efficiency", "mean-velocity-efficiency"]
+        said = answer({"measure": measures}, STUDY, cases)
+        assert said.startswith("Rms L_w and U0 error / Cramér-Rao bound (1 flights).")
         assert "L_w 3.00 (all), U0 2.00 (lasso) to 8.00 (stlsq)" in said
+
+
+def seconds_to(cases, limit, summary):
+    """Seconds from which on the largest error keeps the limit."""
+    measure = replace(MEASURES["largest-error"], summary=summary)
+    return level_needed(cases, "flights.duration", measure, limit)
 
 
 def flown(sizes):
@@ -92,22 +101,22 @@ def flown(sizes):
 class TestWindows:
     def test_the_duration_from_which_on_all_are_within(self):
         cases = flown({1.0: [9, 9], 2.0: [4, 4], 3.0: [6, 6], 5.0: [4, 4], 8.0: [0.5, 0.5]})
-        assert seconds_to(cases, 5.0, 0.5) == 5.0  # 3 s is not within: 2 s was luck
-        assert seconds_to(cases, 1.0, 0.5) == 8.0
-        assert seconds_to(cases, 0.1, 0.5) == math.inf
-        assert seconds_to(cases, 10.0, 0.5) == 1.0
+        assert seconds_to(cases, 5.0, "median") == 5.0  # 3 s is not within: 2 s was luck
+        assert seconds_to(cases, 1.0, "median") == 8.0
+        assert seconds_to(cases, 0.1, "median") == math.inf
+        assert seconds_to(cases, 10.0, "median") == 1.0
 
     def test_a_failure_is_infinitely_wrong(self):
         cases = flown({1.0: [1, None, None], 2.0: [1, 1, None], 3.0: [1, 1, 1]})
-        assert seconds_to(cases, 5.0, 0.5) == 2.0
-        assert seconds_to(cases, 5.0, 0.9) == 3.0
+        assert seconds_to(cases, 5.0, "median") == 2.0
+        assert seconds_to(cases, 5.0, "9 of 10") == 3.0
 
     def test_the_largest_of_the_three_errors_counts(self):
         # tau_w = L / U0 is off by 1 - 1/1.05 where U0 is by 5 %: less; L by -4 % adds to it.
         cases = frame(case(percent=(5.0, -4.0), **{"flights.duration": 1.0}))
         worst = 100 * (1 - 0.96 / 1.05)
-        assert seconds_to(cases, worst - 1e-9, 1.0) == math.inf
-        assert seconds_to(cases, worst + 1e-9, 1.0) == 1.0
+        assert seconds_to(cases, worst - 1e-9, "median") == math.inf
+        assert seconds_to(cases, worst + 1e-9, "median") == 1.0
 
     def test_table_and_answer(self):
         cases = flown({1.0: [9, 9], 2.0: [4, None], 3.0: [0.5, 4]})
@@ -117,7 +126,8 @@ class TestWindows:
         assert column(table, "within 1 %", "median flight") == [3.0]
         assert column(table, "within 5 %", "9 of 10 flights") == [3.0]
         assert column(table, "within 1 %", "9 of 10 flights") == [None]
-        said = ANSWERS["windows"](STUDY, cases)
+        asked = {"measure": "largest-error", "compare": "until", "limits": [5.0, 1.0]}
+        said = answer(asked | {"along": "flights.duration"}, STUDY, cases)
         assert said.endswith("matched: every back-end 2 / 3 s and 3 / never s.")
 
     def test_a_study_of_one_duration_is_refused(self):
@@ -125,16 +135,17 @@ class TestWindows:
             TABLES["windows"](STUDY, flown({1.0: [1, 2]}))
 
 
-def test_the_answer_of_grids_compares_the_worst_with_the_best():
+def test_a_spread_over_protocols_compares_the_worst_with_the_best():
     rows = [
         case(protocol=grid, percent=(0.0, size), **{"readout.refine": refine})
         for refine, sizes in (("none", (2.0, 6.0)), ("variable-projection", (0.5, 0.5)))
         for grid, size in zip(("coarse", "fine"), sizes, strict=True)
     ]
-    said = ANSWERS["grids"](STUDY, frame(*rows))
-    assert said.startswith("Over 2 grids: ")
-    assert "L_w is 2.00 to 6.00 %, and the worst grid's is 3.00 (lasso) times" in said
-    assert "L_w is 0.500 %, and the worst grid's is 1.00 (lasso) times" in said
+    asked = {"measure": "length-scale-error", "compare": "spread", "over": "protocol"}
+    said = answer(asked, STUDY, frame(*rows))
+    assert said.startswith("Median |error| of L_w, and how far the protocol alone moves it.")
+    assert "2.00 % to 6.00 %, the worst protocol's 3.00 (lasso) times" in said
+    assert "0.500 % to 0.500 %, the worst protocol's 1.00 (lasso) times" in said
 
 
 class TestPaperAnswers:
@@ -146,8 +157,9 @@ class TestPaperAnswers:
             case(1, backend="stlsq", label="stlsq", percent=(0.0, 30.0)),
         ]
         rows = [row | {"split": "all"} for row in rows]
-        said = ANSWERS["least-errors"](STUDY, frame(*rows))
-        assert said.endswith("matched 20.0 % (stlsq).")
+        said = answer("least-errors", STUDY, frame(*rows))
+        assert "a flight without an estimate counting as 100 %" in said
+        assert said.endswith("20.0 % (stlsq).")
 
     def test_rules_of_the_penalty_stand_beside_the_best_and_the_worst_fixed_one(self):
         def row(fraction, size, **more):
@@ -155,27 +167,36 @@ class TestPaperAnswers:
             return case(settings=settings, percent=(0.0, size)) | {"split": "all"}
 
         rows = [row(0.1, 2.0), row(0.3, 5.0), row("auto", 3.0, selection="bic")]
-        said = ANSWERS["penalty"](STUDY, frame(*rows))
-        assert said.endswith("lasso bic 3.00 %, fixed 2.00 to 5.00 %.")
+        asked = {"measure": "timescale-error", "summary": "mean", "failures": "miss"}
+        every = {"within": "backend", "settings": "every", "show": "every"}
+        said = answer(asked | every, STUDY, frame(*rows))
+        assert "2.00 % (alpha_fraction=0.1 selection" not in said
+        order = [said.index(size) for size in ("2.00 % (", "3.00 % (", "5.00 % (")]
+        assert order == sorted(order)
+        assert "3.00 % (alpha_fraction=auto selection=bic)" in said
 
     def test_parameters_by_closeness(self):
         cases = frame(
             case(backend="lasso", label="lasso", percent=(0.0, 2.0)),
             case(backend="stlsq", label="stlsq", percent=(0.0, -40.0)),
         )
-        said = ANSWERS["parameters"](STUDY, cases)
-        assert "closest by lasso (+2.00 %), farthest by stlsq (-40.00 %)" in said
+        asked = {"measure": "timescale-signed-error", "settings": "every"}
+        assert "+2.00 % (lasso) to -40.00 % (stlsq)." in answer(asked, STUDY, cases)
+        printed = answer(asked, beside(TABLE1), cases)
+        assert printed.endswith("(stlsq); paper, Table 1: -3.70 %.")
 
     def test_completeness(self):
         study = SimpleNamespace(**{**vars(STUDY), "planned": 2})
-        assert ANSWERS["completeness"](study, frame(case(), case(1))).startswith("Yes: 2 of 2")
+        assert answer("completeness", study, frame(case(), case(1))).startswith("Yes: 2 of 2")
         broken = frame(case(), case(1, status="crashed"))
-        assert ANSWERS["completeness"](study, broken).startswith("Not wholly: 2 of 2")
+        assert answer("completeness", study, broken).startswith("Not wholly: 2 of 2")
 
     def test_sentences_are_those_that_the_study_names(self):
-        study = SimpleNamespace(**{**vars(STUDY), "answers": ("completeness", "parameters")})
+        study = SimpleNamespace(
+            **{**vars(STUDY), "answers": ("completeness", {"measure": "seconds"})}
+        )
         cases = frame(case(), case(1))
-        expected = [ANSWERS[name](study, cases) for name in study.answers]
+        expected = [answer(entry, study, cases) for entry in study.answers]
         assert sentences(study, cases) == expected
         assert sentences(STUDY, cases) == []
 

@@ -15,9 +15,10 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.evidence.scale_sets import Regime, answer, has_scales, scales
-from sparsefit.study.evidence.tables import tables_for
-from sparsefit.study.report.certificate_figure import certificate_figure
+from sparsefit.study.evidence.answers import answer
+from sparsefit.study.evidence.measures import MEASURES, at_least
+from sparsefit.study.evidence.tables import TABLES, has_any, tables_for
+from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.figures import FIGURES, figures_for
 from sparsefit.study.run.columns import KINDS
 from sparsefit.study.run.execution import run_flight
@@ -49,6 +50,8 @@ name = "best-scale"
 [[backends]]
 name = "gridless-group-lasso"
 """
+RESOLVED = {"cells": 30.0, "scale-ratio": 1.3, "velocity-ratio": 0.3}
+FOUND = {"measure": "scales-found", "show": "every", "at_least": RESOLVED}
 RESULTS = Path(__file__).parents[2] / "results"
 
 
@@ -162,14 +165,15 @@ def test_a_readout_of_one_scale_is_a_set_of_one() -> None:
 
 
 def test_the_regime_worked_by_hand() -> None:
-    regime = Regime.of(pd.DataFrame([row(ratio=1.3, velocity=0.3, extent=156.0), row(extent=90.0)]))
-    assert regime.cells == pytest.approx([156.0 / 5.2, 90.0 / 6.0])
-    assert regime.ratio == pytest.approx([1.3, 1.5])
-    assert regime.velocity_ratio == pytest.approx([0.3, 0.5])
-    assert list(regime.resolved) == [True, False]
+    cases = pd.DataFrame([row(ratio=1.3, velocity=0.3, extent=156.0), row(extent=90.0)])
+    read = {name: MEASURES[name].read(cases) for name in RESOLVED}
+    assert read["cells"] == pytest.approx([156.0 / 5.2, 90.0 / 6.0])
+    assert read["scale-ratio"] == pytest.approx([1.3, 1.5])
+    assert read["velocity-ratio"] == pytest.approx([0.3, 0.5])
+    assert list(at_least(cases, RESOLVED)) == [True, False]
 
 
-STUDY = SimpleNamespace(name="demo")
+STUDY = SimpleNamespace(name="demo", reference=None)
 
 
 def test_the_table_counts_planned_cases() -> None:
@@ -178,12 +182,16 @@ def test_the_table_counts_planned_cases() -> None:
         scales_spurious=math.nan, scales_max_length_scale_error=math.nan,
         scales_max_mean_velocity_error=math.nan,
     )  # fmt: skip
-    table = scales(STUDY, pd.DataFrame([row(), row(found=False), row(), failed]))
-    assert [one[3:8] for one in table.rows] == [
-        (None, None, 4, 50.0, pytest.approx(1 / 3)),
-        ("flights.second_scale_ratio", 1.5, 3, pytest.approx(200 / 3), pytest.approx(1 / 3)),
-        ("flights.second_scale_ratio", 1.1, 1, 0.0, None),
+    table = TABLES["scales"](STUDY, pd.DataFrame([row(), row(found=False), row(), failed]))
+    assert [one[3:5] for one in table.rows] == [
+        (None, None),
+        ("flights.second_scale_ratio", 1.5),
+        ("flights.second_scale_ratio", 1.1),
     ]
+    counted = [pytest.approx(row, nan_ok=True) for row in (
+        (4, 50.0, 1 / 3), (3, 200 / 3, 1 / 3), (1, 0.0, math.nan),
+    )]  # fmt: skip
+    assert [one[5:8] for one in table.rows] == counted
     assert table.rows[0][9:] == (0.5, 2.0, 1)
 
 
@@ -198,18 +206,19 @@ def test_the_answer_is_of_the_cases() -> None:
         row("group-lasso", extent=50.0, found=False),
         row("best-scale", extent=50.0, found=False),
     ]
-    said = answer(STUDY, pd.DataFrame(far + near))
-    assert "at least 30 cells" in said
-    assert "group-lasso 100 %, best-scale 50 % (2 flights)." in said
-    assert "All other flights: group-lasso, best-scale 0 % (1 flights)." in said
-    assert answer(STUDY, pd.DataFrame([row(true_scales="", extent=math.nan)])).startswith("No case")
+    said = answer(FOUND, STUDY, pd.DataFrame(far + near))
+    assert "Where cells flown at least 30, scale ratio at least 1.3" in said
+    assert "100 % (group-lasso), 50 % (best-scale)." in said
+    assert "Elsewhere (1 flights): 0 % (all)." in said
+    blank = pd.DataFrame([row(true_scales="", extent=math.nan)])
+    assert answer(FOUND, STUDY, blank).startswith("No case")
 
 
 def test_cases_of_older_files_have_no_scales_and_are_read() -> None:
     cases = read_cases(RESULTS / "table1").drop(
         columns=[name for name in KINDS if "scales" in name or name == "extent"], errors="ignore"
     )
-    assert not has_scales(cases)
+    assert not has_any(cases, "scales-found")
     assert "scales" not in tables_for(cases)
     assert "scales" not in figures_for(cases, None)
 
@@ -220,7 +229,7 @@ def test_figures_say_what_they_need(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no gridless-group-lasso"):
         certificate_figure(alone, pd.DataFrame(), None)
     one = pd.DataFrame([row()]).drop(columns="flights.second_scale_ratio")
-    with pytest.raises(InputError, match="no set of scales"):
+    with pytest.raises(InputError, match="sweeps no number"):
         FIGURES["scales"](STUDY, one, None)
 
 

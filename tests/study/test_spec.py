@@ -8,10 +8,6 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study
-from sparsefit.study.evidence.answers import ANSWERS
-from sparsefit.study.evidence.tables import TABLES
-from sparsefit.study.report.figures import FIGURES
-from sparsefit.study.spec.outputs import NAMES
 
 GOOD = """
 name = "good"
@@ -179,20 +175,14 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("case_timeout = 30.0", "case_timeout = 0", '"case_timeout" must be above 0'),
         ("case_timeout = 30.0", "case_timout = 1", 'did you mean "case_timeout"?'),
         ("tolerance = 1e-6", "tolerance = 1.0", '"tolerance" must be below 1'),
-        ("[run]", '[outputs]\ntables = ["nonesuch"]\n[run]', 'names "nonesuch", unknown'),
+        ("[run]", "[outputs]\ntables = [3]\n[run]", "[outputs]"),
+        ("[run]", '[outputs.reference]\nname = "x"\nestimate = [1]\n[run]', "three numbers"),
         ("[run]", "[outputs]\ntables = []\n[run]", "must not be an empty list"),
         ("[flights]", "flights = 3\n[flight]", ":"),
     ],
 )  # fmt: skip
 def test_refusals(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert said in refusal(tmp_path, changed(old, new))
-
-
-def test_every_name_in_outputs_is_made_by_the_room_it_belongs_to() -> None:
-    made = {"tables": TABLES, "figures": FIGURES, "answers": ANSWERS}
-    assert {kind: set(names) for kind, names in NAMES.items()} == {
-        kind: set(registry) for kind, registry in made.items()
-    }
 
 
 def test_not_toml_names_the_line(tmp_path: Path) -> None:

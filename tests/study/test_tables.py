@@ -4,15 +4,18 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from sparsefit.study.evidence import paper
-from sparsefit.study.evidence.readings import distance
-from sparsefit.study.evidence.summary import by_setting, estimated, hits, percent_errors
+from sparsefit.errors import InputError
+from sparsefit.study import Study
+from sparsefit.study.evidence.cases import by_setting, estimated
+from sparsefit.study.evidence.measures import MEASURES, percent_errors
+from sparsefit.study.evidence.reference import distance
 from sparsefit.study.evidence.table import (
     SIGNIFICANT,
     Column,
@@ -25,6 +28,7 @@ from sparsefit.study.evidence.table import (
 from sparsefit.study.evidence.tables import TABLES, tables_for
 from sparsefit.study.report.escape import escape_markdown, escape_tex
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.spec.outputs import Reference
 
 STUDY = SimpleNamespace(
     name="demo",
@@ -32,11 +36,30 @@ STUDY = SimpleNamespace(
     seed=1,
     hash="ab" * 32,
     planned=0,
+    path="demo.toml",
     given={},
     tables=(),
     figures=(),
     answers=(),
+    reference=None,
 )
+TABLE1 = Reference(
+    "paper, Table 1",
+    estimate=(15.95, 4.20, 0.26),
+    signed_error=(3.37, -0.24, -3.70),
+    note="rounded",
+)
+TABLE2 = Reference(
+    "paper, Table 2",
+    flights=95,
+    deviation=(-4.43, -0.17, 0.10),
+    signed_error=(-18.80, -5.91, 33.30),
+)
+
+
+def beside(reference):
+    """The study with printed numbers to be held against."""
+    return SimpleNamespace(**{**vars(STUDY), "reference": reference})
 
 
 def case(flight=0, *, percent=(0.0, 0.0), status="ok", true=(10.0, 5.0), **more):
@@ -74,6 +97,7 @@ def column(table, name, group=""):
     return [row[place] for row in table.rows]
 
 
+STUDIES = Path(__file__).parents[2] / "studies"
 NASTY = r"a|b&c%d$e#f_g{h}~i^j\k`<l>"
 TABLE = Table(
     "Title 100 % & more",
@@ -200,7 +224,7 @@ class TestSummary:
             case(3, status="ok", est_timescale=math.inf), case(4, status="inaccurate"),
         )  # fmt: skip
         assert estimated(cases).tolist() == [True, False, False, False, True]
-        assert hits(cases).tolist() == [True, False, False, False, True]
+        assert MEASURES["hits"].values(cases).tolist() == [1, 0, 0, 0, 1]
         assert percent_errors(cases)[0].tolist() == pytest.approx([10, 0, -100 / 11])
         assert np.isnan(percent_errors(cases)[1:4]).all()
 
@@ -222,22 +246,25 @@ class TestSummary:
 class TestParameters:
     def test_the_paper_flight_stands_beside_the_paper(self):
         cases = frame(case(0, percent=(1, -2), true=(15.43, 4.21)))
-        table = TABLES["parameters"](STUDY, cases)
+        table = TABLES["parameters"](beside(TABLE1), cases)
+        assert table.notes == ("rounded",)
         assert [row[1] for row in table.rows] == ["true value", "paper, Table 1", "matched"]
         assert column(table, "U0", "error")[1:] == [3.37, pytest.approx(1.0)]
         assert column(table, "L_w", "value") == [4.21, 4.20, pytest.approx(4.21 * 0.98)]
         assert column(table, "τ_w", "error")[2] == pytest.approx(100 * (0.98 / 1.01 - 1))
 
-    def test_another_flight_has_no_paper_row(self):
+    def test_without_a_reference_there_is_no_such_row(self):
         table = TABLES["parameters"](STUDY, frame(case(0), case(0, status="error")))
         assert [row[1] for row in table.rows] == ["true value", "matched", "matched"]
         assert table.rows[2][-1] == "error"
         assert "–" in to_text(table)
 
-    def test_the_note_on_rounding_is_right(self):
-        printed = paper.ESTIMATE[1] / paper.ESTIMATE[0]
+    def test_the_note_of_table_1_on_rounding_is_right(self):
+        reference = Study.load(STUDIES / "table1.toml").reference
+        printed = reference.estimate[1] / reference.estimate[0]
         assert 100 * (printed / (4.21 / 15.43) - 1) == pytest.approx(-3.49, abs=0.005)
         assert pytest.approx(-3.70, abs=0.005) == 100 * (0.26 / 0.27 - 1)
+        assert "-3.49 %" in reference.note
 
 
 class TestErrors:
@@ -247,7 +274,7 @@ class TestErrors:
     )  # fmt: skip
 
     def test_signed_means_by_hand(self):
-        table = TABLES["errors"](STUDY, self.cases)
+        table = TABLES["errors"](beside(TABLE2), self.cases)
         assert table.rows[0][:1] == ("paper, Table 2",)
         assert table.rows[0][-7:-1] == (-4.43, -0.17, 0.10, -18.80, -5.91, 33.30)
         assert table.rows[1][3:6] == (4, 2, 1)
@@ -268,7 +295,7 @@ class TestErrors:
     def test_nobody_answered(self):
         cases = frame(case(0, status="crashed"), case(1, status="skipped"))
         for name in ("errors", "errors-absolute", "readings", "times", "sensitivity"):
-            to_text(TABLES[name](STUDY, cases))
+            to_text(TABLES[name](beside(TABLE2), cases))
         table = TABLES["errors-absolute"](STUDY, cases)
         assert column(table, "failures") == [2]
         assert math.isnan(column(table, "U0", "mean |error|")[0])
@@ -282,9 +309,11 @@ class TestErrors:
 
 class TestReadings:
     def test_distance_is_zero_at_the_printed_numbers(self):
-        assert distance(paper.MEAN_PERCENT) == 0.0
-        assert distance((-18.80 + 3, -5.91, 33.30)) == pytest.approx(math.sqrt(3))
-        assert math.isnan(distance((math.nan, 0.0, 0.0)))
+        assert distance(TABLE2.signed_error, TABLE2.signed_error) == 0.0
+        assert distance((-18.80 + 3, -5.91, 33.30), TABLE2.signed_error) == pytest.approx(
+            math.sqrt(3)
+        )
+        assert math.isnan(distance((math.nan, 0.0, 0.0), TABLE2.signed_error))
 
     def test_closest_first_and_unanswered_last(self):
         levels = {"near": (-18.0, -6.0), "far": (50.0, 50.0), "none": (0.0, 0.0)}
@@ -293,15 +322,19 @@ class TestReadings:
                  **{"readout.eq24": name})
             for name, percent in reversed(levels.items())
         ]  # fmt: skip
-        table = TABLES["readings"](STUDY, frame(*rows))
+        table = TABLES["readings"](beside(TABLE2), frame(*rows))
         assert column(table, "readout.eq24") == ["near", "far", "none"]
         assert column(table, "hits") == [1, 1, 0]
         near = ((-18 + 18.8) ** 2 + (-6 + 5.91) ** 2 + (100 * (0.94 / 0.82 - 1) - 33.3) ** 2) / 3
         assert column(table, "distance")[0] == pytest.approx(math.sqrt(near))
 
+    def test_without_a_reference_nothing_is_close(self):
+        with pytest.raises(InputError, match=r"give \[outputs.reference\]"):
+            TABLES["readings"](STUDY, frame(case(0)))
+
     def test_fifteen_are_shown_and_all_are_in_the_csv(self):
         rows = [case(0, percent=(i, 0), **{"library.step": float(i)}) for i in range(20)]
-        table = TABLES["readings"](STUDY, frame(*rows))
+        table = TABLES["readings"](beside(TABLE2), frame(*rows))
         assert len(table.visible_rows) == 15
         assert len(to_csv(table).splitlines()) == 21
 

@@ -14,8 +14,8 @@ from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.evidence.answers import ANSWERS
-from sparsefit.study.evidence.confidence import Share, held
+from sparsefit.study.evidence.answers import answer
+from sparsefit.study.evidence.measures import MEASURES, Share
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.run.columns import values_of
 from sparsefit.study.run.execution import run_flight
@@ -24,6 +24,11 @@ from sparsefit.study.run.reading import Reading, Yardstick, outward
 from sparsefit.study.run.store import write_cases
 from sparsefit.uncertainty import Uncertainty
 
+COVERAGE = {
+    "compare": "regimes",
+    "measure": ["mean-velocity-coverage", "length-scale-coverage", "timescale-coverage"],
+    "limits": [93.0, 97.0],
+}
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 
 
@@ -79,20 +84,22 @@ class TestCoverage:
         assert column(table, "to")[0] == pytest.approx(high)
 
     def test_the_answer_names_the_regimes_that_fail(self):
-        said = ANSWERS["coverage"](STUDY, self.CASES)
-        assert "in 77.8 % of the flights called ok, 66.7 to 100.0 %" in said
+        said = answer(COVERAGE, STUDY, self.CASES)
+        assert "hold the truth: 77.8 % over all, 66.7 to 100.0 %" in said
+        assert said.startswith("Share of 95 % intervals of U0, L_w and τ_w in flights called ok")
         assert "not within 93 to 97 %: matched (66.7 to 100.0 %)" in said
 
     def test_an_interval_without_end_holds_the_truth(self):
         row = case(percent=(900.0, 0.0))
         row |= {f"low_{name}": -math.inf for name in PARAMETERS}
         row |= {f"high_{name}": math.inf for name in PARAMETERS}
-        assert held(frame(row), "mean_velocity") == (Share(1, 1), math.inf)
+        assert Share.of(MEASURES["mean-velocity-coverage"], frame(row)) == Share(1, 1)
+        assert MEASURES["mean-velocity-half-width"].summarise(frame(row)) == math.inf
 
     def test_cases_from_before_there_were_intervals_have_none(self):
         table = TABLES["coverage"](STUDY, frame(case()))
         assert column(table, "with interval") == [0] * 3
-        assert "not known" in ANSWERS["coverage"](STUDY, frame(case()))
+        assert "No case has a number" in answer(COVERAGE, STUDY, frame(case()))
 
 
 def refused(flight, percent, reason="cannot tell 2 m from 1 m", **more):
@@ -136,12 +143,18 @@ class TestIdentifiability:
         assert table.rows[0][-3:] == (None, None, None)
 
     def test_the_answer(self):
-        said = ANSWERS["identifiability"](STUDY, self.CASES)
+        said = answer("identifiability", STUDY, self.CASES)
         assert said.startswith("Of 3 flights called ok 1 (33.33 %, at most ")
-        assert "of 3 called unidentifiable 67 % deserved it" in said
+        assert "of 3 flights called unidentifiable 2 (66.67 %) deserved it" in said
         assert said.endswith(
-            "of 3 flights without a flow 33.3 % were called so, with 1 false alarms."
+            "of 3 flights without a flow 1 (33.33 %) were called so, "
+            "1 (33.33 %, at most 79.23 %) were false alarms."
         )
+
+    def test_the_kind_of_doubt_is_believed_before_the_prose(self):
+        doubts = ["", "no-flow", "edge"]
+        empty = self.CASES.iloc[[9, 8, 7]].assign(doubt=doubts)
+        assert Share.of(MEASURES["called-so"], empty) == Share(1, 3)
 
 
 class TestIntervals:

@@ -1,37 +1,420 @@
-"""The answers of a study, by name: each a sentence that its cases, not its author, give."""
+"""The answers of a study: sentences that its cases, not its author, give.
+
+An answer is a measure and a comparison. A new comparison is one function here, which says which
+cases stand against which; it is named in `COMPARISONS` and then speaks of every measure.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
 import pandas as pd
 
-from sparsefit.study.evidence import accuracy_answers, paper_answers, scale_sets, trust_answers
-from sparsefit.study.evidence.methods import derivatives_answer, vehicle_answer
-from sparsefit.study.evidence.penalty_answer import penalty
-from sparsefit.study.evidence.summary import StudyRecord
+from sparsefit.study.evidence import candidates
+from sparsefit.study.evidence.along import FLIGHTS, level_needed, unit_of, words_of
+from sparsefit.study.evidence.asked import Asked, read_entry, refuse
+from sparsefit.study.evidence.cases import (
+    PARAMETERS,
+    STATUSES,
+    Group,
+    by_level,
+    by_setting,
+    estimated,
+    factors,
+    failures,
+    first_settings,
+    groups_by,
+    in_a_flow,
+    level_text,
+)
+from sparsefit.study.evidence.measures import (
+    MEASURES,
+    SUMMARY_WORDS,
+    TINY,
+    Failure,
+    Measure,
+    Share,
+    at_least,
+    together,
+)
+from sparsefit.study.evidence.reference import closest_readings, sensitivity_rows
+from sparsefit.study.evidence.sentence import extremes, listed, ranged, shown, some
+from sparsefit.study.spec.outputs import Entry
 
-AnswerFunction: TypeAlias = Callable[[StudyRecord, pd.DataFrame], str]
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
-ANSWERS: dict[str, AnswerFunction] = {
-    "derivatives": derivatives_answer,
-    "vehicle": vehicle_answer,
-    "multiscale": scale_sets.answer,
-    "parameters": paper_answers.parameters,
-    "least-errors": paper_answers.least_errors,
-    "readings": paper_answers.readings,
-    "selection": paper_answers.selection,
-    "penalty": penalty,
-    "completeness": paper_answers.completeness,
-    "efficiency": accuracy_answers.efficiency,
-    "windows": accuracy_answers.windows,
-    "grids": accuracy_answers.grids,
-    "coverage": trust_answers.coverage,
-    "identifiability": trust_answers.identifiability,
+Compare: TypeAlias = Callable[[Asked, "Study", pd.DataFrame], str]
+
+
+def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say which settings are best and worst, protocol by protocol or back-end by back-end."""
+    asked.needs(study.name, "measure")
+    if not asked.at_least:
+        ranked = f"{_ranked(asked, cases)}{_printed(asked, study)}"
+        return f"{_head(asked)} ({_flights(cases)} flights). {ranked}."
+    reached = at_least(cases, dict(asked.at_least))
+    least = [f"{MEASURES[name].words} at least {to:g}" for name, to in asked.at_least.items()]
+    known = np.isfinite([MEASURES[name].read(cases) for name in asked.at_least]).any(axis=0)
+    parts = [(f"Where {listed(least)}", reached), ("Elsewhere", ~reached & known)]
+    said = [
+        f"{words} ({_flights(cases[kept])} flights): {_ranked(asked, cases[kept])}."
+        for words, kept in parts
+        if kept.any()
+    ]
+    return " ".join([f"{_head(asked)}.", *said]) if said else _nothing(asked)
+
+
+def _head(asked: Asked) -> str:
+    """The measures in words, and how a failure counts where it is a number."""
+    words = f"{SUMMARY_WORDS[asked.measure.summary]} {together(asked.measures)}"
+    if asked.measure.failure is Failure.MISS and asked.measure.miss:
+        words = f"{words}, {asked.measure.convention}"
+    return words[0].upper() + words[1:]
+
+
+def _printed(asked: Asked, study: Study) -> str:
+    """What the study's reference has of a signed error."""
+    reference, place = study.reference, PARAMETERS.index(asked.measure.of or PARAMETERS[0])
+    if not (reference and reference.signed_error and asked.measure.name.endswith("signed-error")):
+        return ""
+    return f"; {reference.name}: {asked.measure.say(reference.signed_error[place])}"
+
+
+def _nothing(asked: Asked) -> str:
+    return f"No case has a number for the {asked.measure.phrase}."
+
+
+def _flights(cases: pd.DataFrame) -> int:
+    return len(cases.drop_duplicates(["flight", *factors(cases)]))
+
+
+def _ranked(asked: Asked, cases: pd.DataFrame) -> str:
+    groups = by_setting(cases) if asked.settings == "every" else first_settings(cases)
+    divided: dict[str, list[Group]] = {}
+    for group in groups:
+        divided.setdefault(str(group.key[asked.within]), []).append(group)
+    said = []
+    for name, compared in divided.items():
+        told = [_order(measure, compared, asked) for measure in asked.measures]
+        if any(measure.failure is Failure.LEFT_OUT for measure in asked.measures):
+            lost = [100.0 * failures(group.cases) / len(group.cases) for group in compared]
+            told += [f"no estimate in {ranged(lost, ' %')} of the cases"] if any(lost) else []
+        said.append(f"{name}: {', '.join(told)}" if len(divided) > 1 else ", ".join(told))
+    return "; ".join(said)
+
+
+def _order(measure: Measure, groups: list[Group], asked: Asked) -> str:
+    """`0.98 % (lasso) to 4.1 % (stlsq)`, `0.98 % (lasso)`, or all of them in order."""
+    names: dict[str, list[str]] = {}
+    sizes: dict[str, float] = {}
+    for group in groups:
+        value = measure.summarise(group.cases)
+        text = measure.say(value)
+        title = group.title if asked.within == "protocol" else group.setting
+        names.setdefault(text, []).append(title)
+        sizes[text] = -value if measure.more else abs(value)
+    order = sorted(names, key=lambda text: (math.isnan(sizes[text]), sizes[text]))
+    chosen = {"best": order[:1], "ends": [order[0], order[-1]][: len(order)], "every": order}
+    words = [
+        f"{text} ({'all' if len(order) == 1 < len(groups) else some(names[text])})"
+        for text in chosen[asked.show]
+    ]
+    symbol = f"{measure.symbol} " if len(asked.measures) > 1 else ""
+    return symbol + (" to " if asked.show == "ends" else ", ").join(words)
+
+
+def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say how protocols compare at each level of a factor, each by its median setting.
+
+    Both ends at every level; or, with show = "every", each protocol over the levels and, in
+    brackets, against the first at the last level.
+    """
+    asked.needs(study.name, "measure")
+    along = axis_of(asked, study, cases)
+    told = _each if asked.show == "every" else _ends
+    said = [
+        f"{words}{told(asked.measure, _by_level(asked.measure, part, along))}"
+        for words, part in _others(cases, (along, "protocol"))
+    ]
+    levels = ", ".join(level_text(level.key[along]) for level in by_level(cases, along))
+    note = "; in brackets, against the first at the last" if asked.show == "every" else ""
+    name = words_of(along)
+    return f"{_head(asked)} by protocol at {name} {levels}{note}. {'. '.join(said)}."
+
+
+def axis_of(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """The factor that is compared along.
+
+    Raises:
+        InputError: if the study does not sweep it.
+    """
+    swept = factors(cases)
+    along = asked.along or (swept[0] if swept else "")
+    if along not in swept:
+        what = f'"{along}"' if along else "anything"
+        raise refuse(study.name, f"does not sweep {what}", f'"{asked.name or asked.compare}"')
+    return along
+
+
+def _others(cases: pd.DataFrame, left: tuple[str, ...]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The cases at each level of the remaining swept factors, and that level in words."""
+    names = [name for name in factors(cases) if name not in left]
+    for part in groups_by(cases, names) if names else [Group({}, cases)]:
+        told = [
+            f"{name.rpartition('.')[2]} = {level_text(level)}" for name, level in part.key.items()
+        ]
+        yield (f"With {', '.join(told)}: " if told else ""), part.cases
+
+
+def _by_level(measure: Measure, cases: pd.DataFrame, along: str) -> dict[str, dict[str, float]]:
+    """Per level and protocol, the median over the settings of the summary of the measure."""
+    table: dict[str, dict[str, float]] = {}
+    for level in by_level(cases, along):
+        for group in groups_by(level.cases, ["protocol"]):
+            values = [measure.summarise(one.cases) for one in by_setting(group.cases)]
+            middle = float(np.quantile(values, 0.5, method="inverted_cdf"))
+            table.setdefault(level_text(level.key[along]), {})[group.protocol] = middle
+    return table
+
+
+def _ends(measure: Measure, table: dict[str, dict[str, float]]) -> str:
+    said = []
+    for level, values in table.items():
+        low, high = min(values.values()), max(values.values())
+        ends = (high, low) if measure.more else (low, high)
+        told = [
+            f"{measure.say(end)} ({some([name for name in values if values[name] == end])})"
+            for end in ends
+        ]
+        said.append(f"at {level} {told[0] if low == high else ' to '.join(told)}")
+    return ", ".join(said)
+
+
+def _each(measure: Measure, table: dict[str, dict[str, float]]) -> str:
+    last = list(table.values())[-1]
+    first = next(iter(last))
+    said = []
+    for name in last:
+        known = math.isfinite(last[name]) and TINY < last[first] < math.inf and name != first
+        ratio = f" (× {shown(last[name] / last[first])})" if known else ""
+        values = ", ".join(measure.say(level[name]) for level in table.values() if name in level)
+        said.append(f"{name} {values}{ratio}")
+    return "; ".join(said)
+
+
+def spread(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say by what factor protocols, or settings, move a measure with everything else fixed."""
+    asked.needs(study.name, "measure")
+    over = asked.over
+    said = []
+    for words, part in _others(cases, (asked.along,)):
+        values: list[float] = []
+        ratios: dict[str, float] = {}
+        levels = by_level(part, asked.along) if asked.along else [Group({}, part)]
+        for level in levels:
+            told: dict[str, list[float]] = {}
+            for group in by_setting(level.cases):
+                name = group.title if over == "protocol" else group.protocol
+                told.setdefault(name, []).append(asked.measure.summarise(group.cases))
+            values += [value for sizes in told.values() for value in sizes]
+            for name, sizes in told.items():
+                ratios[name] = max(ratios.get(name, 1.0), _ratio(sizes))
+        said.append(
+            f"{words}{asked.measure.say(min(values))} to {asked.measure.say(max(values))}, "
+            f"the worst {over}'s {extremes(ratios)} times the best's"
+        )
+    return f"{_head(asked)}, and how far the {over} alone moves it. {'. '.join(said)}."
+
+
+def _ratio(values: list[float]) -> float:
+    """Largest over least; 1 where nobody answers, infinite from an answer to none."""
+    low, high = max(min(values), TINY), max(*values, TINY)
+    return high / low if math.isfinite(low) else 1.0
+
+
+def until(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say from which level of a factor on the typical case, and 9 in 10, keep the limits."""
+    asked.needs(study.name, "limits")
+    along, said = axis_of(asked, study, cases), []
+    for name, compared in _by_protocol(cases).items():
+        titles: dict[str, list[str]] = {}
+        for group in compared:
+            reached = [
+                " / ".join(
+                    _or_never(level_needed(group.cases, along, replace(one, summary=share), at))
+                    for at in asked.limits
+                )
+                for one in asked.measures
+                for share in FLIGHTS
+            ]
+            never = all(set(words.split(" / ")) == {"never"} for words in reached)
+            told = [f"{words} {unit_of(along)}".strip() for words in reached]
+            titles.setdefault("never" if never else " and ".join(told), []).append(group.title)
+        words = [
+            f"{'every back-end' if len(titles) == 1 else some(who)} {reached}"
+            for reached, who in titles.items()
+        ]
+        said.append(f"{name}: {', '.join(words)}")
+    limits = " / ".join(f"{limit:g} {asked.measure.unit}" for limit in asked.limits)
+    name = words_of(along)
+    head = f"The {name} from which on the {asked.measure.words} stays within {limits}"
+    return f"{head} (median flight and 9 of 10 flights). {'; '.join(said)}."
+
+
+def _or_never(level: float) -> str:
+    return "never" if math.isinf(level) else f"{level:g}"
+
+
+def _by_protocol(cases: pd.DataFrame) -> dict[str, list[Group]]:
+    divided: dict[str, list[Group]] = {}
+    for group in first_settings(cases):
+        divided.setdefault(group.protocol, []).append(group)
+    return divided
+
+
+def regimes(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say from where to where shares go by protocol and level, and which leave the limits."""
+    asked.needs(study.name, "limits")
+    low, high = min(asked.limits), max(asked.limits)
+    swept, every, outside = factors(cases), [], []
+    for group in by_setting(cases[in_a_flow(cases)], *swept):
+        shares = [Share.of(measure, group.cases) for measure in asked.measures]
+        shares = [share for share in shares if share.whole]
+        every += shares
+        if not all(low <= share.percent <= high for share in shares):
+            where = ", ".join(str(group.key[name]) for name in ("protocol", *swept))
+            outside.append(f"{where} ({_percents(shares)})")
+    if not every:
+        return _nothing(asked)
+    total = Share(sum(share.part for share in every), sum(share.whole for share in every))
+    words = f"not within {low:g} to {high:g} %: {listed(outside)}"
+    return (
+        f"Share of {together(asked.measures)}: {total.percent:.1f} % over all, "
+        f"{_percents(every)} by regime and parameter; "
+        f"{words if outside else f'all within {low:g} to {high:g} %'}."
+    )
+
+
+def _percents(shares: list[Share]) -> str:
+    low, high = (f"{end(share.percent for share in shares):.1f}" for end in (min, max))
+    return f"{low} %" if low == high else f"{low} to {high} %"
+
+
+def pooled(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say what share of all cases each measure is, with its Wilson limit where it is small."""
+    said: dict[str, list[str]] = {}
+    for measure in asked.measures:
+        share = Share.of(measure, cases)
+        if share.whole:
+            most = "" if measure.more else f", at most {share.interval[1]:.2f} %"
+            words = f"{share.part} ({share.percent:.2f} %{most}) {measure.words}"
+            said.setdefault(f"of {share.whole} {measure.asked}", []).append(words)
+    text = "; ".join(f"{of} {', '.join(told)}" for of, told in said.items())
+    return f"{text[:1].upper()}{text[1:]}." if text else _nothing(asked)
+
+
+def splits(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say who is best on the validate flights, and what that is on the evaluate flights."""
+    criterion = asked.measure
+    scored = candidates.candidates_of(cases, criterion)
+    least = shown(min(one.validate for one in scored))
+    best = [one for one in scored if shown(one.validate) == least]
+    scores = sorted({shown(one.evaluate) for one in best})
+    return (
+        f"Least {criterion.phrase} on the validate flights, {criterion.convention}: {least} "
+        f"{criterion.unit}, by {some([one.title for one in best])}; on the evaluate flights "
+        f"{listed(scores)} {criterion.unit}. Of equals, sparsefit select takes the fastest."
+    )
+
+
+def reference(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say which reading comes closest to the study's reference numbers."""
+    table = closest_readings(study, cases)
+    row, names = table.rows[0], [column.name for column in table.columns]
+    levels = [
+        f"{name.partition('.')[2]} {row[place]}"
+        for place, name in enumerate(names[: names.index("n")])
+        if "." in name
+    ]
+    chosen = f" with {', '.join(levels)}" if levels else ""
+    return (
+        f"Of {len(table.rows)} readings {row[names.index('setting')]}{chosen} comes closest, "
+        f"{shown(float(row[-1] or 0))} percentage points from {study.reference.name}."
+        if study.reference
+        else ""
+    )
+
+
+def one_at_a_time(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say which factor, alone, moves the median error of tau_w most."""
+    rows = sensitivity_rows(cases)
+    if not rows:
+        return "Nothing was varied."
+    return (
+        f"The error of τ_w hangs most on {rows[0][0]}: changed alone, it moves the median by "
+        f"{shown(float(rows[0][5] or 0))} percentage points."
+    )
+
+
+def plan(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """Say how many planned cases ended as rows, and how."""
+    ended = Counter(cases["status"])
+    statuses = [f"{ended[name]} {name}" for name in STATUSES if ended[name]]
+    answered = int(estimated(cases).sum())
+    verdict = "Yes" if len(cases) == study.planned and answered == len(cases) else "Not wholly"
+    return (
+        f"{verdict}: {len(cases)} of {study.planned} planned cases ended as rows, "
+        f"{answered} of them with an estimate ({', '.join(statuses)})."
+    )
+
+
+COMPARISONS: dict[str, Compare] = {
+    "settings": settings,
+    "protocols": protocols,
+    "spread": spread,
+    "until": until,
+    "regimes": regimes,
+    "all": pooled,
+    "splits": splits,
+    "reference": reference,
+    "one-at-a-time": one_at_a_time,
+    "plan": plan,
+}
+# Names that need no options; what a study compares is better told in its own [outputs].
+ANSWERS: Mapping[str, Asked] = {
+    "completeness": Asked(compare="plan"),
+    "identifiability": Asked(
+        compare="all",
+        measures=tuple(MEASURES[one] for one in ("off", "deserved", "called-so", "false-alarms")),
+    ),
+    "selection": Asked(compare="splits", measures=(candidates.measure_of(candidates.CRITERIA[0]),)),
+    "least-errors": Asked(
+        measures=(candidates.measure_of(candidates.CRITERIA[0]),), settings="every", show="best"
+    ),
 }
 
 
-def sentences(study: StudyRecord, cases: pd.DataFrame) -> list[str]:
-    """What the study's [outputs] asks to be said, computed from its cases."""
-    return [ANSWERS[name](study, cases) for name in study.answers]
+def read_answer(entry: Entry) -> Asked:
+    """Return what an entry of the answers asks for.
+
+    Raises:
+        InputError: for a name, measure or comparison that is not known.
+    """
+    return read_entry(entry, ANSWERS, COMPARISONS)
+
+
+def answer(entry: Entry, study: Study, cases: pd.DataFrame) -> str:
+    """Return the sentence that an entry of the answers asks for."""
+    asked = read_answer(entry)
+    return COMPARISONS[asked.compare](asked, study, cases)
+
+
+def sentences(study: Study, cases: pd.DataFrame) -> list[str]:
+    """Return what the study's [outputs] asks to be said, computed from its cases."""
+    return [answer(entry, study, cases) for entry in study.answers]

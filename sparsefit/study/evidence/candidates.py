@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.study.evidence.summary import (
-    PARAMETERS,
+from sparsefit.study.evidence.cases import (
     Group,
     by_setting,
     estimated,
     factors,
-    grouped,
+    groups_by,
     is_condition,
     numbers,
-    percent_errors,
 )
-from sparsefit.study.evidence.table import Cell
+from sparsefit.study.evidence.measures import MEASURES, Failure, Measure
+from sparsefit.study.evidence.table import Value
 
 CRITERIA = tuple(
     f"{statistic}-absolute-percentage-error-{parameter}"
     for statistic in ("mean", "median")
     for parameter in ("timescale", "length_scale", "mean_velocity")
 )
-MISS = 100.0
 RESAMPLES = 2000
+
+
+def measure_of(criterion: str) -> Measure:
+    """Return the measure that a criterion names: an error that counts a failure as a miss."""
+    summary, _, parameter = criterion.partition("-absolute-percentage-error-")
+    measure = MEASURES[f"{parameter.replace('_', '-')}-error"]
+    return replace(measure, failure=Failure.MISS, summary=summary)
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Candidate:
     """One protocol, back-end, setting and estimator factors; losses per flight [%]."""
 
     group: Group
-    factors: Mapping[str, Cell]
+    factors: Mapping[str, Value]
     validate: float
     evaluate: float
     failure_rate: float
@@ -75,7 +80,7 @@ class Candidate:
         return too_many + (max(0.0, late) if np.isfinite(late) else np.inf)
 
 
-def candidates_of(cases: pd.DataFrame, criterion: str) -> list[Candidate]:
+def candidates_of(cases: pd.DataFrame, criterion: Measure) -> list[Candidate]:
     """Return every candidate, scored, in the order in which the study lists them.
 
     Raises:
@@ -99,46 +104,31 @@ def _evidence_of(group: Group, conditions: list[str]) -> list[tuple[str, ...]]:
     return sorted(tuple(map(str, row)) for row in group.cases[names].itertuples(index=False))
 
 
-def _candidate(group: Group, own: list[str], criterion: str) -> Candidate:
+def _candidate(group: Group, own: list[str], criterion: Measure) -> Candidate:
     validate = group.cases[group.cases["split"] == "validate"]
     evaluate = group.cases[group.cases["split"] == "evaluate"].sort_values("flight", kind="stable")
     seconds = numbers(validate, "seconds")
     timed = seconds[np.isfinite(seconds)]
-    per_flight = [losses(flight.cases, criterion) for flight in grouped(evaluate, ["flight"])]
+    per_flight = [criterion.values(flight.cases) for flight in groups_by(evaluate, ["flight"])]
     return Candidate(
         group=group,
         factors={name: group.key[name] for name in own},
-        validate=float(statistic(losses(validate, criterion), criterion)),
-        evaluate=float(statistic(losses(evaluate, criterion), criterion)),
+        validate=criterion.summarise(validate),
+        evaluate=criterion.summarise(evaluate),
         failure_rate=float(1.0 - np.mean(estimated(validate))),
         seconds=float(np.median(timed)) if timed.size else np.nan,
         losses=np.array(per_flight),
     )
 
 
-def losses(cases: pd.DataFrame, criterion: str) -> Array:
-    """(rows,) |percentage error| of the criterion's parameter; 100 % without an estimate."""
-    parameter = criterion.rpartition("-")[2]
-    percent = np.abs(percent_errors(cases)[:, PARAMETERS.index(parameter)])
-    answered: BoolArray = estimated(cases)
-    return np.where(answered & ~np.isnan(percent), percent, MISS)
+def paired_interval(first: Array, second: Array, summary: str, seed: int) -> tuple[float, float]:
+    """95 % percentile interval of a summary, mean or median, of first minus that of second.
 
-
-def statistic(values: Array, criterion: str) -> Array:
-    """Return the mean or median, as the criterion says, over the last axis."""
-    chosen = np.mean if criterion.startswith("mean") else np.median
-    return np.asarray(chosen(values, axis=-1))
-
-
-def paired_interval(first: Array, second: Array, criterion: str, seed: int) -> tuple[float, float]:
-    """95 % percentile interval of criterion(first) - criterion(second), both (flights, cases).
-
-    The same flights are drawn for both (paired), whole flights with all their conditions.
+    Both are (flights, cases). The same flights are drawn for both (paired), whole flights with
+    all their conditions.
     """
     draws = np.random.default_rng(seed).integers(len(first), size=(RESAMPLES, len(first)))
-    one, other = first[draws], second[draws]
-    difference = statistic(one.reshape(RESAMPLES, -1), criterion) - statistic(
-        other.reshape(RESAMPLES, -1), criterion
-    )
-    low, high = np.quantile(difference, [0.025, 0.975])
+    over = np.mean if summary == "mean" else np.median
+    one, other = (over(values[draws].reshape(RESAMPLES, -1), axis=1) for values in (first, second))
+    low, high = np.quantile(one - other, [0.025, 0.975])
     return float(low), float(high)

@@ -9,21 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from sparsefit.errors import InputError, one_of
 from sparsefit.study.evidence.candidates import (
     CRITERIA,
-    MISS,
     RESAMPLES,
     Candidate,
     Limits,
     candidates_of,
+    measure_of,
     paired_interval,
 )
-from sparsefit.study.evidence.summary import StudyRecord
-from sparsefit.study.evidence.table import SIGNIFICANT, Cell, Column, Table
+from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
 __all__ = ["CRITERIA", "Limits", "Selection", "select"]
 
@@ -44,7 +47,7 @@ class Selection:
     backend: str
     label: str
     settings: str
-    factors: Mapping[str, Cell]
+    factors: Mapping[str, Value]
     validate: float
     evaluate: float
     failure_rate: float
@@ -55,7 +58,7 @@ class Selection:
 
 
 def select(
-    study: StudyRecord,
+    study: Study,
     cases: pd.DataFrame,
     *,
     criterion: str = CRITERIA[0],
@@ -84,7 +87,7 @@ def select(
     one_of("criterion", criterion, CRITERIA)
     limits = Limits(max_failure_rate, max_seconds)
     _check_finished(study, cases)
-    candidates = candidates_of(cases, criterion)
+    candidates = candidates_of(cases, measure_of(criterion))
     eligible = [one for one in candidates if one.excess(limits) == 0.0]
     if not eligible:
         raise _none_within(candidates, limits)
@@ -95,7 +98,7 @@ def select(
 
 
 def _selection(
-    study: StudyRecord,
+    study: Study,
     winner: Candidate,
     criterion: str,
     candidates: int,
@@ -121,7 +124,7 @@ def _selection(
     )
 
 
-def _check_finished(study: StudyRecord, cases: pd.DataFrame) -> None:
+def _check_finished(study: Study, cases: pd.DataFrame) -> None:
     """Refuse what would compare candidates on unequal evidence."""
     if len(cases) < study.planned or cases.empty:
         raise InputError(
@@ -156,7 +159,7 @@ def _none_within(candidates: list[Candidate], limits: Limits) -> InputError:
 
 
 def _evidence(
-    study: StudyRecord, ranked: list[Candidate], candidates: int, criterion: str, seed: int
+    study: Study, ranked: list[Candidate], candidates: int, criterion: str, seed: int
 ) -> Table:
     winner = ranked[0]
     names = list(winner.factors)
@@ -173,7 +176,7 @@ def _evidence(
         Column("to", "pp", SIGNIFICANT, group="evaluate"),
     )
     notes = (
-        f"Criterion: {criterion}; a case without an estimate counts as {MISS:g} %. "
+        f"Criterion: {criterion}; {measure_of(criterion).convention}. "
         f"Chosen on validate, scored once on evaluate ({len(winner.losses)} flights). Of equals, "
         "to six digits, the faster ranks first.",
         f"{len(ranked)} of {candidates} candidates keep the limits. Minus winner: positive is "
@@ -186,11 +189,11 @@ def _evidence(
 
 def _row(
     place: int, one: Candidate, winner: Candidate, criterion: str, seed: int
-) -> tuple[Cell, ...]:
+) -> tuple[Value, ...]:
     key = one.group.key
-    against: tuple[Cell, ...] = (None, None, None)
+    against: tuple[Value, ...] = (None, None, None)
     if one is not winner:
-        interval = paired_interval(one.losses, winner.losses, criterion, seed)
+        interval = paired_interval(one.losses, winner.losses, criterion.partition("-")[0], seed)
         against = (one.evaluate - winner.evaluate, *interval)
     named = (key["protocol"], key["backend"], one.group.setting, *one.factors.values())
     scores = (one.validate, 100.0 * one.failure_rate, one.seconds, one.evaluate)

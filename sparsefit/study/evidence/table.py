@@ -1,4 +1,4 @@
-"""The `Table` record: what every renderer reads, and how one of its cells becomes text."""
+"""The `Table` record: what every renderer reads, and how one of its values becomes text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import pandas as pd
 
-Cell: TypeAlias = str | float | int | bool | None
+Value: TypeAlias = str | float | int | bool | None
 SIGNIFICANT = "significant"
 NOTHING = "–"
 
@@ -49,7 +49,7 @@ class Table:
 
     title: str
     columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[Value, ...], ...]
     notes: tuple[str, ...] = ()
     shown: int | None = None
 
@@ -59,7 +59,7 @@ class Table:
                 raise ValueError(f"{len(row)} cells in a row of {len(self.columns)} columns")
 
     @property
-    def visible_rows(self) -> tuple[tuple[Cell, ...], ...]:
+    def visible_rows(self) -> tuple[tuple[Value, ...], ...]:
         """The rows that renderers other than CSV print."""
         return self.rows[: self.shown]
 
@@ -80,7 +80,7 @@ class Table:
         return (*self.notes, f"Rows that only the CSV file of this table has: {hidden}.")
 
 
-def cell_text(cell: Cell, column: Column) -> str:
+def cell_text(cell: Value, column: Column) -> str:
     """One cell as plain text: `–` for nothing or NaN, control characters made visible."""
     if cell is None:
         return NOTHING
@@ -153,7 +153,7 @@ def padded(row: Sequence[str], widths: Sequence[int], columns: Sequence[Column])
     ]
 
 
-def plain(value: object) -> Cell:
+def plain(value: object) -> Value:
     """Return a value of a data frame as a cell: a NumPy scalar unwrapped, absence as None."""
     if isinstance(value, np.generic):
         return plain(value.item())

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -20,6 +22,7 @@ DPI = 150
 # Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "D", "v", "P", "X", "*")
+STYLES = ("-", "--", ":", "-.")
 GREY = "#666666"
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -74,6 +77,32 @@ def ticked(axes: Axes, levels: Array) -> None:
         # The levels themselves are the ticks: nothing was measured between them.
         axes.set_xticks(np.unique(levels), [f"{level:g}" for level in np.unique(levels)])
         axes.xaxis.set_minor_locator(NullLocator())
+
+
+def share_y(row: list[Axes], *, alike: bool, highest: float) -> None:
+    """Number the logarithmic y axes of a row; those that show alike share their range."""
+    ends = [axes.get_ylim() for axes in row]
+    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+    for axes, (first, last) in zip(row, ends, strict=True):
+        bottom, top = (low, min(high, highest)) if alike else (first, last)
+        axes.set_ylim(bottom, top)
+        logarithmic(axes.yaxis, bottom, top)
+
+
+def legend(figure: Figure, every: Sequence[Axes], more: Sequence[Artist] = ()) -> None:
+    """Put one legend above all panels: what any of them names, and `more`.
+
+    From all panels: one whose fit failed has nothing to explain.
+    """
+    handles = {
+        label: handle
+        for axes in every
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    shown = [*handles.values(), *more]
+    longest = max(len(str(handle.get_label())) for handle in shown)
+    columns = 3 if longest > 24 else 4 if longest > 16 else 5
+    figure.legend(handles=shown, loc="outside upper center", ncols=min(len(shown), columns))
 
 
 def shortened(text: str, length: int) -> str:

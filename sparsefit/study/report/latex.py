@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from sparsefit.study.evidence.table import Cell, Column, Table, column_groups
+from sparsefit.study.evidence.table import Column, Table, Value, column_groups
 from sparsefit.study.report.escape import escape_tex
 
 WIDE = 10
@@ -68,7 +68,7 @@ def _tex_rows(table: Table) -> Iterator[list[str]]:
         yield [_tex_cell(cell, text) for cell, text in zip(row, texts, strict=True)]
 
 
-def _tex_cell(cell: Cell, text: str) -> str:
+def _tex_cell(cell: Value, text: str) -> str:
     if isinstance(cell, str):
         return f"{{{escape_tex(text)}}}" if text.startswith(("[", "*")) else escape_tex(text)
     return f"${text}$" if text[:1] in ("+", "-") else escape_tex(text)

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from sparsefit.errors import InputError
-from sparsefit.study.evidence import paper
-from sparsefit.study.evidence.answers import sentences
-from sparsefit.study.evidence.summary import STATUSES, StudyRecord
+from sparsefit.study.evidence.answers import read_answer, sentences
+from sparsefit.study.evidence.cases import STATUSES
 from sparsefit.study.evidence.table import Table
-from sparsefit.study.evidence.tables import TABLES, tables_for
+from sparsefit.study.evidence.tables import read_table, tables_of
 from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
-from sparsefit.study.report.figures import CAPTIONS, FIGURES, figures_for
+from sparsefit.study.report.figures import caption, figures_for, read_figure
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.spec.outputs import Entry
 from sparsefit.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
 
 def write_report(
-    study: StudyRecord,
+    study: Study,
     results_dir: str | Path,
     cases: pd.DataFrame,
     weights: pd.DataFrame | None = None,
@@ -40,32 +44,54 @@ def write_report(
             cannot be written.
     """
     _refuse_empty(study, cases)
-    tables = _tables(study, cases)
-    figures = list(study.figures) or figures_for(cases, weights)
+    tables = tables_of(study, cases)
+    entries: Sequence[Entry] = study.figures or figures_for(cases, weights)
     files = dict(_table_files(study, tables))
-    for name in figures:
-        figure = FIGURES[name](study, cases, weights)
+    captions = {}
+    for entry in entries:
+        name, draw = read_figure(entry)
+        figure = draw(study, cases, weights)
         files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
-    files["README.md"] = readme(study, cases, tables, figures).encode()
+        captions[name] = caption(entry)
+    files["README.md"] = readme(study, cases, tables, captions).encode()
     return _write(Path(results_dir) / study.name, files)
 
 
-def write_table(study: StudyRecord, folder: Path, name: str, table: Table) -> list[Path]:
+def check_outputs(study: Study) -> None:
+    """Refuse a table, figure or answer of [outputs] that is not known.
+
+    Raises:
+        InputError: with the file, the kind of output and the nearest name that is known.
+    """
+    checks = (
+        ("tables", study.tables, read_table),
+        ("figures", study.figures, read_figure),
+        ("answers", study.answers, read_answer),
+    )
+    for kind, entries, read in checks:
+        for entry in entries:
+            try:
+                read(entry)
+            except InputError as error:
+                raise InputError(f"{study.path}: [outputs].{kind}: {error}") from None
+
+
+def write_table(study: Study, folder: Path, name: str, table: Table) -> list[Path]:
     """Write one table as `name`.md, .tex and .csv into the results folder of the study."""
     return _write(folder, dict(_table_files(study, {name: table})))
 
 
-def render_show(study: StudyRecord, cases: pd.DataFrame, *, width: int = 100) -> str:
+def render_show(study: Study, cases: pd.DataFrame, *, width: int = 100) -> str:
     """Return the study's tables for a terminal `width` columns wide, its question first."""
     _refuse_empty(study, cases)
-    tables = _tables(study, cases).values()
+    tables = tables_of(study, cases).values()
     answers = sentences(study, cases)
     head = [f"{study.name}: {study.question}", *answers, _progress(study, cases)]
     return "\n".join(["\n".join(head), "", *(to_text(table, width=width) for table in tables)])
 
 
 def readme(
-    study: StudyRecord, cases: pd.DataFrame, tables: dict[str, Table], figures: list[str]
+    study: Study, cases: pd.DataFrame, tables: dict[str, Table], captions: dict[str, str]
 ) -> str:
     """Return the report as Markdown, its figures linked as files beside it."""
     parts = [
@@ -74,9 +100,9 @@ def readme(
         *(escape_markdown(sentence) for sentence in sentences(study, cases)),
         f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
         "Written by `sparsefit study report`; do not edit.",
-        *(f"![{name}]({name}.svg)\n\n*{CAPTIONS[name]}*" for name in figures),
+        *(f"![{name}]({name}.svg)\n\n*{words}*" for name, words in captions.items()),
         *(_section(name, table) for name, table in tables.items()),
-        *_unprinted(study),
+        *_settings(study),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
@@ -86,41 +112,27 @@ def _section(name: str, table: Table) -> str:
     return f"{to_markdown(table)}\nThis table: {links}."
 
 
-def _unprinted(study: StudyRecord) -> list[str]:
-    """List the settings that a reproduction has to choose, and what this study chose."""
-    lines = [
-        f"- {words}: `{study.given[f'flights.{key}']}`"
-        for key, words in paper.UNPRINTED.items()
-        if f"flights.{key}" in study.given
-    ]
-    lines += [
-        f"- {key}: `{value}`"
-        for key, value in study.given.items()
-        if not key.startswith("flights.")
-    ]
-    if not lines:
+def _settings(study: Study) -> list[str]:
+    """List what the study file sets of flights, derivative, library and readout."""
+    if not study.given:
         return []
-    intro = "Chosen here; swept factors and protocols in the tables override them."
-    return ["### Settings the paper does not print", intro, "\n".join(lines)]
+    lines = [f"- {key}: `{value}`" for key, value in study.given.items()]
+    intro = "Swept factors and protocols in the tables override them."
+    return ["### Settings", intro, "\n".join(lines)]
 
 
-def _progress(study: StudyRecord, cases: pd.DataFrame) -> str:
+def _progress(study: Study, cases: pd.DataFrame) -> str:
     counted = Counter(cases["status"])
     statuses = ", ".join(f"{counted[name]} {name}" for name in STATUSES if counted[name])
     return f"{len(cases)} of {study.planned} planned cases: {statuses}."
 
 
-def _refuse_empty(study: StudyRecord, cases: pd.DataFrame) -> None:
+def _refuse_empty(study: Study, cases: pd.DataFrame) -> None:
     if cases.empty:
         raise InputError(f"{study.name} has no cases yet: run it first (sparsefit study run)")
 
 
-def _tables(study: StudyRecord, cases: pd.DataFrame) -> dict[str, Table]:
-    names = list(study.tables) or tables_for(cases)
-    return {name: TABLES[name](study, cases) for name in names}
-
-
-def _table_files(study: StudyRecord, tables: dict[str, Table]) -> Iterator[tuple[str, bytes]]:
+def _table_files(study: Study, tables: dict[str, Table]) -> Iterator[tuple[str, bytes]]:
     for name, table in tables.items():
         yield f"{name}.md", to_markdown(table).encode()
         yield f"{name}.tex", to_latex(table, label=f"tab:{study.name}-{name}").encode()

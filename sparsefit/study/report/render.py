@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Sequence
 
-from sparsefit.study.evidence.table import Cell, Column, Table, column_widths, padded
+from sparsefit.study.evidence.table import Column, Table, Value, column_widths, padded
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.latex import to_latex
 from sparsefit.study.report.terminal import to_text
@@ -43,7 +43,7 @@ def to_csv(table: Table) -> str:
     return stream.getvalue()
 
 
-def _csv_cell(cell: Cell) -> str:
+def _csv_cell(cell: Value) -> str:
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return ""
     return repr(cell) if isinstance(cell, float) else str(cell)

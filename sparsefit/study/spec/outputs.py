@@ -1,56 +1,94 @@
-"""What a study shows of its cases: the names of its tables, figures and answers.
+"""What a study shows of its cases: the entries of [outputs].
 
-They are declared here, above the rooms that make them, so that a study file is checked without
-loading any of those; tests hold these names and the registries of those rooms together.
+An entry is a name, or a mapping of options. Only its form is checked here: which names, measures
+and comparisons there are, the rooms that make them say (`sparsefit.study.report.outputs`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
-from sparsefit.codec import Place, only
-from sparsefit.errors import suggestion
-from sparsefit.study.spec.document import distinct, items, read_section, text
+from sparsefit.codec import Place, integer, number, only
+from sparsefit.study.spec.document import distinct, items, read_section, required, text
 
-NAMES = {
-    "tables": (
-        *("parameters", "errors", "errors-absolute", "readings", "sensitivity", "scales", "times"),
-        *("methods", "efficiency", "coverage", "identifiability", "windows"),
-    ),
-    "figures": (
-        *("weights", "scatter", "errors", "sweep", "methods", "scales", "dual-certificate"),
-        *("efficiency", "windows", "coverage", "grids"),
-    ),
-    "answers": (
-        *("derivatives", "vehicle", "multiscale", "parameters", "least-errors", "readings"),
-        *("selection", "penalty", "completeness", "efficiency", "windows", "grids"),
-        *("coverage", "identifiability"),
-    ),
-}
+Entry: TypeAlias = str | Mapping[str, object]
+KINDS = ("tables", "figures", "answers")
+THREE = ("estimate", "deviation", "signed_error")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Printed numbers that a study is held against; each triple is U0, L_w and tau_w.
+
+    estimate: of one flight [m/s, m, s]; deviation: mean signed errors [m/s, m, s];
+    signed_error: in percent; flights: their number; note: printed under the table.
+    """
+
+    name: str
+    flights: int | None = None
+    estimate: tuple[float, float, float] | None = None
+    deviation: tuple[float, float, float] | None = None
+    signed_error: tuple[float, float, float] | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """The names of the tables, figures and answers asked for; empty: what fits the cases."""
+    """The tables, figures and answers asked for; empty: what fits the cases."""
 
-    tables: tuple[str, ...] = ()
-    figures: tuple[str, ...] = ()
-    answers: tuple[str, ...] = ()
+    tables: tuple[Entry, ...] = ()
+    figures: tuple[Entry, ...] = ()
+    answers: tuple[Entry, ...] = ()
+    reference: Reference | None = None
 
 
 def read_outputs(value: object, place: Place) -> Outputs:
-    """The names in [outputs]; `InputError` names the first that is not in `NAMES`."""
+    """Read [outputs]; `InputError` names the first entry that has not the right form."""
     section = read_section(value, place.at("outputs"))
     here = place.within("outputs")
-    only(section, NAMES, here)
-    return Outputs(**{kind: _names(section[kind], kind, here) for kind in NAMES if kind in section})
+    only(section, (*KINDS, "reference"), here)
+    return Outputs(
+        **{kind: _entries(section[kind], here.at(kind)) for kind in KINDS if kind in section},
+        reference=_reference(section["reference"], here) if "reference" in section else None,
+    )
 
 
-def _names(value: object, kind: str, place: Place) -> tuple[str, ...]:
-    here = place.at(kind)
-    names = tuple(text(item, here) for item in items(value, here))
-    distinct(names, here)
-    for name in names:
-        if name not in NAMES[kind]:
-            raise here.error(f'names "{name}", unknown' + suggestion(name, NAMES[kind]))
-    return names
+def name_of(entry: Entry) -> str:
+    """The name of an entry, or what it measures and compares."""
+    if isinstance(entry, str):
+        return entry
+    return str(
+        entry.get("name") or f"{entry.get('measure', '')} {entry.get('compare', '')}".strip()
+    )
+
+
+def _entries(value: object, place: Place) -> tuple[Entry, ...]:
+    entries = tuple(
+        read_section(item, place) if isinstance(item, dict) else text(item, place)
+        for item in items(value, place)
+    )
+    distinct([entry if isinstance(entry, str) else repr(entry) for entry in entries], place)
+    return entries
+
+
+def _reference(value: object, place: Place) -> Reference:
+    section = read_section(value, place.at("reference"))
+    here = place.within("outputs.reference")
+    only(section, ("name", "flights", *THREE, "note"), here)
+    given = {key: _three(section[key], here.at(key)) for key in THREE if key in section}
+    flights = section.get("flights")
+    return Reference(
+        name=text(required(section, "name", here), here.at("name")),
+        flights=None if flights is None else integer(flights, here.at("flights"), least=1),
+        note=text(section["note"], here.at("note")) if "note" in section else "",
+        **given,
+    )
+
+
+def _three(value: object, place: Place) -> tuple[float, float, float]:
+    values = [number(item, place) for item in items(value, place)]
+    if len(values) != 3:
+        raise place.error(f"must be three numbers, for U0, L_w and tau_w, not {len(values)}")
+    return values[0], values[1], values[2]

@@ -24,7 +24,7 @@ from sparsefit.study.spec.document import (
     text,
 )
 from sparsefit.study.spec.flights import Draw
-from sparsefit.study.spec.outputs import read_outputs
+from sparsefit.study.spec.outputs import Entry, Reference, name_of, read_outputs
 from sparsefit.study.spec.setup import SECTION_KEYS, read_setup
 
 MAX_CASES = 2_000_000
@@ -68,9 +68,10 @@ class Study:
     validate_count: int | None
     case_timeout: float
     tolerance: float
-    tables: tuple[str, ...]
-    figures: tuple[str, ...]
-    answers: tuple[str, ...]
+    tables: tuple[Entry, ...]
+    figures: tuple[Entry, ...]
+    answers: tuple[Entry, ...]
+    reference: Reference | None
     hash: str
 
     @classmethod
@@ -93,7 +94,7 @@ class Study:
     @property
     def store_weights(self) -> bool:
         """Whether weights per length scale are kept beside the cases."""
-        return "weights" in self.figures
+        return "weights" in map(name_of, self.figures)
 
     def split(self, flight: int) -> str:
         """`validate`, `evaluate` or, without [split], `all`.
@@ -152,6 +153,7 @@ def _read(document: Section, place: Place) -> Study:
         tables=output.tables,
         figures=output.figures,
         answers=output.answers,
+        reference=output.reference,
         hash=study_hash(document),
     )
 

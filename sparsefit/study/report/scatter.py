@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -10,11 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.summary import (
+from sparsefit.study.evidence.cases import (
     SYMBOLS,
     UNITS,
     Group,
-    StudyRecord,
     by_setting,
     estimated,
     factors,
@@ -22,6 +22,9 @@ from sparsefit.study.evidence.summary import (
     numbers,
 )
 from sparsefit.study.report.drawing import GREY, colours, logarithmic, markers, panels, shortened
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
 ORDER = ("timescale", "length_scale", "mean_velocity")
 LOG_RANGE = 8.0
@@ -45,7 +48,7 @@ class Frame:
         return cls(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin, False)
 
 
-def scatter(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+def scatter(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
     """Draw Fig. 2: a row per back-end (its first listed setting), a colour per protocol.
 
     The first listed setting, and the first level of every swept factor: nothing here was chosen
@@ -53,7 +56,7 @@ def scatter(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | Non
     """
     firsts = first_listed(cases)
     backends = list(dict.fromkeys(str(group.key["backend"]) for group in firsts))
-    protocols = list(dict.fromkeys(str(group.key["protocol"]) for group in firsts))
+    protocols = list(dict.fromkeys(group.protocol for group in firsts))
     figure, grid = panels(len(backends), 3, height=0.75 + 2.15 * len(backends))
     for backend, row in zip(backends, grid, strict=True):
         shown = [group for group in firsts if group.key["backend"] == backend]
@@ -70,7 +73,7 @@ def first_listed(cases: pd.DataFrame) -> list[Group]:
     """Return, for every protocol and back-end, its first setting and first sweep level."""
     firsts: dict[tuple[object, object], Group] = {}
     for group in by_setting(cases[in_a_flow(cases)], *factors(cases)):
-        firsts.setdefault((group.key["protocol"], group.key["backend"]), group)
+        firsts.setdefault((group.protocol, group.key["backend"]), group)
     return list(firsts.values())
 
 
@@ -82,7 +85,7 @@ def _panel(axes: Axes, name: str, shown: list[Group], protocols: list[str]) -> N
         axes.set_ylabel(f"estimated {SYMBOLS[name]} [{UNITS[name]}]")
     colour, marker = colours(protocols), markers(protocols)
     for group in shown:
-        protocol = str(group.key["protocol"])
+        protocol = group.protocol
         _points(axes, name, group.cases, frame, protocol, colour[protocol], marker[protocol])
     _counts(axes, name, every, frame)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -9,13 +11,16 @@ from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.study.evidence.summary import Group, StudyRecord, numbers
+from sparsefit.study.evidence.cases import Group, numbers
 from sparsefit.study.evidence.table import plain
-from sparsefit.study.report.drawing import COLOURS, GREY, panels, shortened
-from sparsefit.study.report.scatter_figure import first_listed
+from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels, shortened
+from sparsefit.study.report.scatter import first_listed
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
 
-def weights_figure(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+def weights_figure(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
     """Draw Fig. 1 for the first flight: a panel per protocol and back-end, first listed setting.
 
     Raises:
@@ -29,22 +34,16 @@ def weights_figure(study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFram
     rows = -(-len(groups) // columns)
     figure, grid = panels(rows, columns, height=0.6 + 1.25 * rows)
     flat = [axes for row in grid for axes in row]
-    many = len({str(group.key["protocol"]) for group in groups}) > 1
+    many = len({group.protocol for group in groups}) > 1
     for axes, group in zip(flat, groups, strict=False):
         _panel(axes, group, weights)
-        title = f"{group.title} ({group.key['protocol']})" if many else group.title
+        title = f"{group.title} ({group.protocol})" if many else group.title
         axes.set_title(shortened(title, 72 if columns == 1 else 32), loc="left")
     for axes in flat[len(groups) :]:
         axes.set_visible(False)
     _share(flat[: len(groups)], columns)
     figure.align_ylabels()
-    # From all panels: one whose fit failed has no chosen scale to explain.
-    handles = {
-        label: handle
-        for axes in flat[: len(groups)]
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=3)
+    legend(figure, flat[: len(groups)])
     return figure
 
 

@@ -15,8 +15,7 @@ from sparsefit.backends.continuous_dual import Scanner
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
-from sparsefit.study.evidence.summary import StudyRecord
-from sparsefit.study.report.drawing import COLOURS, GREY, panels
+from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.flights import SIMULATION, stream
 from sparsefit.study.spec.study import Study
@@ -40,9 +39,7 @@ class Curve:
     title: str
 
 
-def certificate_figure(
-    study: StudyRecord, cases: pd.DataFrame, weights: pd.DataFrame | None
-) -> Figure:
+def certificate_figure(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
     """Draw eta(k) of the first flight, computed again from the study file.
 
     A panel per duration, where it is swept; the middle level of every other factor.
@@ -50,8 +47,8 @@ def certificate_figure(
     Raises:
         InputError: if the study has no gridless back-end, or it found nothing on this flight.
     """
-    chosen = _chosen(study) if isinstance(study, Study) else []
-    if not isinstance(study, Study) or not chosen:
+    chosen = _chosen(study)
+    if not chosen:
         raise InputError(
             f"{study.name} lists no {GridlessGroupLasso.name}: "
             'drop the figure "dual-certificate" from [outputs]'
@@ -63,8 +60,7 @@ def certificate_figure(
     for (axes,) in grid[:-1]:
         axes.tick_params(labelbottom=False)
     grid[-1][0].set_xlabel("length scale [m], uniform in wavenumber")
-    handles, labels = grid[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend(figure, grid[0])
     return figure
 
 

@@ -1,0 +1,40 @@
+"""A measure along a swept factor: its summaries, and the level from which it suffices."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from sparsefit.arrays import Array
+from sparsefit.study.evidence.cases import by_level
+from sparsefit.study.evidence.measures import Measure
+
+FLIGHTS = {"median": "median flight", "9 of 10": "9 of 10 flights"}  # a summary, in words
+UNITS = {"duration": "s", "sample_rate": "Hz", "process_noise": "m/s²"}
+
+
+def unit_of(factor: str) -> str:
+    """Return the unit of the levels of a factor, nothing where they have none."""
+    return UNITS.get(factor.rpartition(".")[2], "")
+
+
+def words_of(factor: str) -> str:
+    """Return a factor in words, `measurement noise`."""
+    return factor.rpartition(".")[2].replace("_", " ")
+
+
+def summaries(cases: pd.DataFrame, factor: str, measure: Measure) -> tuple[Array, Array]:
+    """Return the levels of a factor of numbers, ascending, and the summary at each."""
+    levels = by_level(cases, factor)
+    at = np.array([float(level.key[factor] or 0.0) for level in levels])
+    return at, np.array([measure.summarise(level.cases) for level in levels])
+
+
+def level_needed(cases: pd.DataFrame, factor: str, measure: Measure, limit: float) -> float:
+    """Return the level from which on, at every later one too, a measure keeps a limit; or inf."""
+    levels, values = summaries(cases, factor, measure)
+    late = np.flatnonzero(~((values >= limit) if measure.more else (values <= limit)))
+    first = int(late[-1]) + 1 if late.size else 0
+    return float(levels[first]) if first < len(levels) else math.inf

@@ -1,0 +1,188 @@
+"""Which reading comes closest to a study's reference numbers, and what the answer hangs on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError
+from sparsefit.study.evidence.cases import (
+    Group,
+    by_setting,
+    factors,
+    failures,
+    groups_by,
+    parsed,
+    varied_settings,
+)
+from sparsefit.study.evidence.columns import (
+    PLANNED,
+    Statistic,
+    counted,
+    name_column,
+    setting_columns,
+    setting_values,
+    statistics,
+    table_of,
+)
+from sparsefit.study.evidence.measures import MEASURES, Failure, Measure, Share, three
+from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
+
+Contexts: TypeAlias = list[list[pd.DataFrame]]
+CLOSEST_SHOWN = 15
+DISTANCE_NOTE = (
+    "Distance: root mean square, over U0, L_w and τ_w, of the difference between the signed mean "
+    "percentage error and that of {name} ({numbers}), in percentage points (pp). "
+    "A small distance is agreement of three numbers, not proof that {name} was computed so."
+)
+RANGE_NOTE = (
+    "Range: largest minus smallest value of the statistic of |percentage error| or percentage "
+    "error over the levels of the one factor, everything else held fixed, in percentage points "
+    "(pp); the median over all such comparisons, and the largest of them. Errors are over the "
+    "cases with an estimate; failures is the largest change of their number."
+)
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+SIGNED = three("signed-error")
+SIZES = tuple(replace(measure, failure=Failure.LEFT_OUT) for measure in three("error"))
+
+
+def distance(percent: Sequence[float], printed: Sequence[float]) -> float:
+    """Return the root mean square difference of three percentage errors to three others [pp].
+
+    NaN as soon as one of the three is: a reading without estimates is at no distance.
+    """
+    return float(np.sqrt(np.mean((np.asarray(percent) - np.asarray(printed)) ** 2)))
+
+
+def closest_readings(study: Study, cases: pd.DataFrame) -> Table:
+    """Return every combination of settings and swept factors, closest to the reference first.
+
+    Raises:
+        InputError: if the study has no reference with signed errors.
+    """
+    reference = study.reference
+    if reference is None or reference.signed_error is None:
+        raise InputError(
+            f"{study.name}: nothing to compare readings with: give [outputs.reference] a name "
+            "and signed_error = [U0, L_w, tau_w] in percent"
+        )
+    printed = reference.signed_error
+
+    def away(group: pd.DataFrame) -> float:
+        return distance([measure.summarise(group) for measure in SIGNED], printed)
+
+    swept = factors(cases)
+    table = table_of(
+        f"Readings, closest to {reference.name} first ({study.name})",
+        setting_columns(swept),
+        ((setting_values(group, swept), group.cases) for group in by_setting(cases, *swept)),
+        (
+            PLANNED,
+            counted("failures", failures),
+            counted("hits", lambda group: Share.of(MEASURES["hits"], group).part),
+            *statistics(SIGNED, group="mean signed % error"),
+            Statistic(Column("distance", "pp", SIGNIFICANT), away),
+        ),
+        (
+            DISTANCE_NOTE.format(
+                name=reference.name, numbers=", ".join(f"{p:.2f}" for p in printed)
+            ),
+        ),
+        CLOSEST_SHOWN,
+    )
+    return replace(table, rows=tuple(sorted(table.rows, key=_last)))
+
+
+def _last(row: tuple[Value, ...]) -> tuple[bool, float]:
+    """Sort key: the distance, and what has none at the end."""
+    value = float(row[-1] or 0.0)
+    return bool(np.isnan(value)), value
+
+
+def sensitivity(study: Study, cases: pd.DataFrame) -> Table:
+    """Return, for each factor, how far errors move when only this factor changes."""
+    columns = (
+        name_column("factor"),
+        Column("levels", format="d"),
+        Column("comparisons", format="d"),
+        *(
+            Column(measure.symbol, "pp", SIGNIFICANT, group=group, tex=measure.tex)
+            for group in (
+                "range of median |error|", "the largest such range", "range of mean signed %",
+            )
+            for measure in SIGNED
+        ),
+        Column("failures", format="d"),
+    )  # fmt: skip
+    title = f"How far the errors depend on each factor ({study.name})"
+    return Table(title, columns, tuple(sensitivity_rows(cases)), (RANGE_NOTE,))
+
+
+def sensitivity_rows(cases: pd.DataFrame) -> list[tuple[Value, ...]]:
+    """Return the rows of `sensitivity`, what moves tau_w most first."""
+    rows = [
+        _factor_row(name, levels, contexts)
+        for name, levels, contexts in _varied(cases, factors(cases))
+        if contexts
+    ]
+    return sorted(rows, key=lambda row: -float(row[5] or 0.0))
+
+
+def _factor_row(name: str, levels: int, contexts: Contexts) -> tuple[Value, ...]:
+    sizes, means = (
+        np.array([_ranges(one, measures) for one in contexts]) for measures in (SIZES, SIGNED)
+    )
+    failed = max(int(np.ptp([failures(level) for level in one])) for one in contexts)
+    told = [*_over(sizes, 0.5), *_over(sizes, 1.0), *_over(means, 0.5)]
+    return (name, levels, len(contexts), *told, failed)
+
+
+def _over(values: Array, share: float) -> list[float]:
+    """The quantile of each column over its finite entries."""
+    finite = [column[np.isfinite(column)] for column in values.T]
+    return [float(np.quantile(one, share)) if one.size else np.nan for one in finite]
+
+
+def _ranges(levels: list[pd.DataFrame], measures: Sequence[Measure]) -> Array:
+    """(3,) largest minus smallest over the levels that have estimates; NaN below two of them."""
+    values = np.array([[one.summarise(level) for one in measures] for level in levels])
+    values = values[np.isfinite(values).all(axis=1)]
+    spread: Array = np.ptp(values, axis=0) if len(values) > 1 else np.full(3, np.nan)
+    return spread
+
+
+def _varied(cases: pd.DataFrame, swept: list[str]) -> Iterator[tuple[str, int, Contexts]]:
+    """(factor, number of its levels, comparisons): what sweeps, protocols and settings vary."""
+    every = ["protocol", "backend", "settings", *swept]
+    for name in ("protocol", *swept):
+        yield name, *_contexts(cases, [name], [other for other in every if other != name])
+    setting = ["backend", "settings"]
+    yield "back-end and setting", *_contexts(cases, setting, ["protocol", *swept])
+    for backend in groups_by(cases, ["backend"]):
+        spread, names = _with_settings(backend)
+        for name in names:
+            fixed = ["protocol", *swept, *(other for other in names if other != name)]
+            label = name.removeprefix("setting ")
+            yield f"{backend.key['backend']} {label}", *_contexts(spread, [name], fixed)
+
+
+def _with_settings(backend: Group) -> tuple[pd.DataFrame, list[str]]:
+    """The cases of one back-end with a column, `setting NAME`, per setting that varies."""
+    ((_, names),) = varied_settings(backend.cases).items()
+    settings = [parsed(text) for text in backend.cases["settings"]]
+    columns = {f"setting {name}": [str(one.get(name)) for one in settings] for name in names}
+    return backend.cases.assign(**columns), list(columns)
+
+
+def _contexts(cases: pd.DataFrame, varied: list[str], fixed: list[str]) -> tuple[int, Contexts]:
+    """Number of levels, and per fixed rest the cases of each level where at least two differ."""
+    split = [groups_by(group.cases, varied) for group in groups_by(cases, fixed)]
+    contexts = [[level.cases for level in levels] for levels in split if len(levels) > 1]
+    return len(groups_by(cases, varied)), contexts

@@ -1,0 +1,279 @@
+"""Measures along a swept factor: lines over numbers with bands, marks over names."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from sparsefit.arrays import Array
+from sparsefit.study.evidence.along import unit_of, words_of
+from sparsefit.study.evidence.asked import Asked, refuse
+from sparsefit.study.evidence.cases import (
+    Group,
+    by_level,
+    by_setting,
+    factors,
+    first_settings,
+    groups_by,
+    level_text,
+    numeric_factors,
+)
+from sparsefit.study.evidence.measures import MEASURES, TINY, Failure, Measure
+from sparsefit.study.report.drawing import (
+    GREY,
+    STYLES,
+    colours,
+    legend,
+    markers,
+    panels,
+    share_y,
+    shortened,
+    ticked,
+)
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+SETTING = "setting"  # as a dimension, beside the protocol and the swept factors
+OTHERS = "others"  # as rows: every swept factor that has no other place
+SPREAD = 0.62  # of the distance between two names on an axis
+HIGHEST = 300.0  # percent: what is worse is no answer, and leaves a frame that has limits
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What one panel shows: cases, a measure, its horizontal axis, and its two titles."""
+
+    cases: pd.DataFrame
+    measure: Measure
+    along: str
+    rows: tuple[str, ...]
+    title: str
+    heading: str = ""
+
+    @property
+    def named(self) -> bool:
+        """Whether the axis has names instead of numbers."""
+        return self.along not in numeric_factors(self.cases)
+
+
+def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> Figure:
+    """Draw measures along a factor: a line per setting, or per protocol.
+
+    A row of panels per protocol or per level of `rows`; a column per measure or per level of
+    `columns`. Without `along`, every swept number has rows of its own. What is neither is pooled;
+    a protocol that has no rows is a line style.
+
+    Raises:
+        InputError: if the factor is not swept, or no case has the measure.
+    """
+    asked.needs(study.name, "measure")
+    shown = _titled(cases, every=asked.settings == "every")
+    axes_of = [asked.along] if asked.along else numeric_factors(cases)
+    dimensions = ("protocol", SETTING, *factors(cases))
+    for name in (*asked.rows, *asked.columns):
+        if name not in (*dimensions, OTHERS):
+            raise refuse(study.name, f'does not sweep "{name}"', f'the figure "{asked.file_name}"')
+    output = f'the figure "{asked.file_name}"'
+    if not axes_of or not set(axes_of) <= set(dimensions):
+        what = f'"{asked.along}"' if asked.along else "number"
+        verb = "does not sweep" if asked.along else "sweeps no"
+        raise refuse(study.name, f"{verb} {what}", output)
+    if not any(np.isfinite(one.read(cases)).any() for one in asked.measures):
+        raise refuse(study.name, f"has no {asked.measure.words}", output)
+    grid = [row for along in axes_of for row in _rows(asked, shown, along)]
+    columns = len(grid[0])
+    each = 2.1 if len(grid) < 4 else 1.6
+    figure, axes_grid = panels(len(grid), columns, height=0.9 + each * len(grid))
+    names = [str(name) for name in dict.fromkeys(shown[_line(asked)])]
+    used = {_line(asked), *asked.columns, *axes_of, *(name for row in grid for name in row[0].rows)}
+    styles = [] if "protocol" in used else [str(one) for one in dict.fromkeys(shown["protocol"])]
+    for row, axes_row in zip(grid, axes_grid, strict=True):
+        for panel, axes in zip(row, axes_row, strict=True):
+            _draw(axes, panel, asked, names, styles)
+        _finish(row, axes_row, asked)
+        if row[0].title and not row[0].heading:
+            axes_row[0].set_title(row[0].title, loc="left", fontweight="bold")
+    for row, below, axes_row in zip(grid, [*grid[1:], None], axes_grid, strict=True):
+        along = row[0].along
+        if along != "protocol" and (below is None or below[0].along != along):
+            unit = f" [{unit_of(along)}]" if unit_of(along) else ""
+            for axes in axes_row:
+                axes.set_xlabel(f"{words_of(along)}{unit}")
+    if asked.limits:
+        share_y([axes for row in axes_grid for axes in row], alike=True, highest=HIGHEST)
+    _legend(figure, axes_grid, asked, styles)
+    return figure
+
+
+def _line(asked: Asked) -> str:
+    """The dimension that a line stands for."""
+    return "protocol" if asked.over == "protocol" else SETTING
+
+
+def _titled(cases: pd.DataFrame, *, every: bool) -> pd.DataFrame:
+    """The cases of the settings to draw, with the setting's title as a column."""
+    groups = by_setting(cases) if every else first_settings(cases)
+    return pd.concat([group.cases.assign(**{SETTING: group.title}) for group in groups])
+
+
+def _rows(asked: Asked, cases: pd.DataFrame, along: str) -> list[list[Panel]]:
+    """The panels of one axis: a list per row."""
+    placed = {along, *asked.columns}
+    if OTHERS in asked.rows:
+        names = [name for name in factors(cases) if name not in placed]
+    else:
+        free = asked.over != "protocol" and "protocol" not in placed
+        names = [*(asked.rows or (["protocol"] if free else []))]
+    rows = []
+    for row in groups_by(cases, names) if names else [Group({}, cases)]:
+        many = cases["protocol"].nunique() > 1 or names != ["protocol"]
+        title = _words(row) if names and many else ""
+        parts = [Group({}, row.cases)]
+        if asked.columns:
+            every = [level for name in asked.columns for level in by_level(row.cases, name)]
+            parts = every[:4] if SETTING in asked.columns else every
+        rows.append(
+            [
+                Panel(part.cases, measure, along, tuple(names), title, _words(part))
+                for part in parts
+                for measure in asked.measures
+            ]
+        )
+    return rows
+
+
+def _words(group: Group) -> str:
+    return ", ".join(
+        shortened(str(level).replace("alpha_fraction=", "alpha "), 24)
+        if name in ("protocol", SETTING)
+        else f"{words_of(name)} = {level_text(level)}{f' {unit_of(name)}' if unit_of(name) else ''}"
+        for name, level in group.key.items()
+    )
+
+
+def _draw(axes: Axes, panel: Panel, asked: Asked, names: list[str], styles: Sequence[str]) -> None:
+    colour, marker = colours(names), markers(names)
+    keys = [_line(asked), *(["protocol"] if styles else [])]
+    series = groups_by(panel.cases, keys)
+    ticks = [level_text(one.key[panel.along]) for one in by_level(panel.cases, panel.along)]
+    for order, group in enumerate(series):
+        name = str(group.key[keys[0]])
+        # Lines that agree lie on each other: the first are drawn wider, so that all are seen.
+        width = 2.6 - 1.7 * order / max(len(series) - 1, 1)
+        at, middle, low, high = _summaries(group.cases, panel, ticks)
+        style = "-" if names.index(name) < len(colours(names[:7])) else "--"
+        if styles:
+            style = STYLES[styles.index(str(group.key["protocol"])) % len(STYLES)]
+        if panel.along == "protocol":  # names without an order: marks, side by side
+            at = at + SPREAD * ((names.index(name) + 0.5) / len(names) - 0.5)
+            style, width = "", 1.8
+            axes.vlines(at, low, np.where(np.isnan(high), middle, high), color=colour[name], lw=1)
+        elif asked.band:
+            axes.fill_between(at, low, high, color=colour[name], alpha=0.15, lw=0)
+        axes.plot(
+            at, middle, color=colour[name], marker=marker[name], ms=1.5 + 1.4 * width, mew=0,
+            lw=width, ls=style, label=name, zorder=3, clip_on=panel.measure.summary != "share",
+        )  # fmt: skip
+    if panel.measure.beside:
+        _beside(axes, panel, [group.cases for group in series])
+    if panel.measure.target is not None:
+        axes.axhline(panel.measure.target, color="black", lw=1.0, zorder=4)
+    if panel.named:
+        wrapped = [textwrap.fill(tick, 12).replace(" / ", "/\n") for tick in ticks]
+        axes.set_xticks(range(len(ticks)), wrapped)
+    else:
+        ticked(axes, panel.cases[panel.along].to_numpy(float))
+
+
+def _summaries(
+    cases: pd.DataFrame, panel: Panel, ticks: list[str]
+) -> tuple[Array, Array, Array, Array]:
+    """Places on the axis, and there the summary and both quartiles; a gap where none is finite."""
+    levels = by_level(cases, panel.along)
+    texts = [level_text(level.key[panel.along]) for level in levels]
+    at = [
+        float(ticks.index(text)) if panel.named else float(level.key[panel.along] or 0.0)
+        for text, level in zip(texts, levels, strict=True)
+    ]
+    told = [
+        [panel.measure.summarise(level.cases, name) for level in levels]
+        for name in ("", "first quartile", "third quartile")
+    ]
+    values = np.array(told)
+    least = 0.0 if panel.measure.summary == "share" else TINY
+    middle, low, high = np.where(np.isfinite(values), np.maximum(values, least), np.nan)
+    return np.array(at), middle, low, high
+
+
+def _beside(axes: Axes, panel: Panel, series: list[pd.DataFrame]) -> None:
+    """Draw the measure that stands beside, over the flights that every line has a number of.
+
+    Those that a line gave up are the hardest: with them it would stand above the line.
+    """
+    beside = MEASURES[panel.measure.beside]
+    every = pd.concat([one[~np.isnan(beside.read(one))] for one in series])
+    same = ["flight", *factors(every)]
+    shared = every.groupby(same)[panel.along].transform("size") == len(series)
+    once = every[shared].drop_duplicates(same)
+    if len(once):
+        at, middle, _, _ = _summaries(once, replace(panel, measure=beside), [])
+        axes.plot(at, middle, color="black", lw=1.0, zorder=4)
+
+
+def _finish(row: list[Panel], axes_row: list[Axes], asked: Asked) -> None:
+    for panel, axes in zip(row, axes_row, strict=True):
+        measure = panel.measure
+        unit = f" [{measure.unit}]" if measure.unit else ""
+        words = f"{measure.phrase}{unit}".replace("Cramér-Rao ", "")
+        said = [panel.title, words] if panel.title and panel.heading else [words]
+        axes.set_ylabel("\n".join(textwrap.fill(line, 30) for line in said))
+        if panel.along == "protocol":
+            axes.grid(False, axis="x")
+        if panel.heading:
+            axes.set_title(panel.heading, loc="left")
+        if measure.summary == "share":
+            axes.set_ylim(0, 103)
+            continue
+        axes.set_yscale("log")
+        for limit in asked.limits:
+            axes.axhline(limit, color=GREY, lw=0.9, ls="--", zorder=2)
+            axes.text(
+                1.01, limit, f"{limit:g} {measure.unit}", transform=axes.get_yaxis_transform(),
+                ha="left", va="center", fontsize=6.5, color=GREY,
+            )  # fmt: skip
+    if row[0].measure.summary != "share":
+        share_y(axes_row, alike=bool(asked.columns), highest=np.inf)
+    if asked.columns and len(asked.measures) == 1:
+        for axes in axes_row[1:]:
+            axes.set_ylabel("")
+
+
+def _legend(figure: Figure, grid: list[list[Axes]], asked: Asked, styles: Sequence[str]) -> None:
+    more: list[Line2D] = []
+    if any(one.beside or one.target is not None for one in asked.measures):
+        more.append(Line2D([], [], color="black", lw=1.0, label="Cramér-Rao bound"))
+    if len(styles) > 1:
+        more += [
+            Line2D([], [], color=GREY, ls=STYLES[place % len(STYLES)], label=name)
+            for place, name in enumerate(styles)
+        ]
+    legend(figure, [axes for row in grid for axes in row], more)
+
+
+def pooling_note(measures: Sequence[Measure]) -> str:
+    """How failures count in a picture of these measures, in a sentence."""
+    said = {
+        Failure.INFINITE: "A failure counts as infinite: where it decides, the line breaks.",
+        Failure.MISS: "A failure counts as a miss.",
+        Failure.LEFT_OUT: "Failures are left out; their number is in the tables.",
+    }
+    return " ".join(dict.fromkeys(said[one.failure] for one in measures))

@@ -1,0 +1,125 @@
+"""A row per setting: the distribution of an error, or a share with its interval."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sparsefit.study.evidence.asked import Asked
+from sparsefit.study.evidence.cases import Group, by_setting, estimated, factors, in_a_flow
+from sparsefit.study.evidence.measures import TINY, Measure, Share
+from sparsefit.study.report.drawing import COLOURS, GREY, colours, logarithmic, panels, shortened
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+ROWS = 30
+LOWEST = 80.0  # percent, of an axis of shares, unless something lies below
+
+
+def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> Figure:
+    """Draw every measure of the entry for every setting, one panel per measure.
+
+    Sizes: each case a point, quartiles a box, failures counted, all levels together. Shares: a
+    point with its Wilson interval for every setting and level, and a band between the limits.
+    """
+    asked.needs(study.name, "measure")
+    shares = asked.measure.summary == "share"
+    kept = cases[in_a_flow(cases)] if shares else cases
+    every = by_setting(kept, *(factors(cases) if shares else ()))
+    groups = every[:ROWS]
+    figure, (row,) = panels(1, len(asked.measures), height=1.0 + 0.27 * len(groups))
+    colour = colours(list(dict.fromkeys(group.protocol for group in groups)))
+    for measure, axes in zip(asked.measures, row, strict=True):
+        for place, group in enumerate(groups):
+            if shares:
+                _interval(axes, measure, group.cases, place)
+            else:
+                _strip(axes, measure, group.cases, place, colour[group.protocol])
+        axes.set_ylim(len(groups) - 0.4, -0.6)
+        axes.set_yticks(range(len(groups)), [""] * len(groups))
+        axes.grid(False, axis="y")
+        axes.tick_params(axis="y", length=0)
+        words = f"coverage of {measure.symbol}" if shares and measure.of else measure.words
+        axes.set_xlabel(f"{words} [{measure.unit}]")
+    if shares:
+        _band(row, asked.limits)
+        names = _names(groups, factors(cases))
+    else:
+        for axes in row:
+            axes.set_xscale("log")
+            logarithmic(axes.xaxis, *axes.get_xlim())
+        _failures(row[-1], groups)
+        _protocol_legend(figure, colour)
+        names = [shortened(group.title, 34) for group in groups]
+    row[0].set_yticks(range(len(groups)), names)
+    if len(every) > ROWS:
+        figure.suptitle(f"the first {ROWS} of {len(every)} settings", fontsize=7)
+    return figure
+
+
+def _strip(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int, colour: str) -> None:
+    values = np.sort(np.maximum(measure.read(cases), TINY))
+    sizes = values[np.isfinite(values)]
+    if not sizes.size:
+        return
+    # A fixed pattern instead of random jitter: the same cases give the same picture.
+    height = place + 0.28 * np.resize([-1.0, 0.2, 0.8, -0.4, 0.5, -0.7, 1.0, 0.0], sizes.size)
+    axes.scatter(sizes, height, s=3, color=colour, alpha=0.45, linewidth=0, rasterized=True)
+    low, first, median, third, high = np.quantile(sizes, [0.05, 0.25, 0.5, 0.75, 0.95])
+    axes.plot([low, high], [place, place], color="black", lw=0.6, zorder=3)
+    axes.barh(
+        place, third - first, left=first, height=0.5, facecolor="white", edgecolor="black",
+        linewidth=0.6, alpha=0.75, zorder=4,
+    )  # fmt: skip
+    axes.plot([median, median], [place - 0.25, place + 0.25], color=colour, lw=2.2, zorder=5)
+
+
+def _interval(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int) -> None:
+    share = Share.of(measure, cases)
+    if not share.whole:
+        axes.text(95.0, place, "none", fontsize=6.5, color=GREY, va="center", ha="center")
+    axes.plot(share.interval, [place, place], color="black", lw=0.9, zorder=3)
+    axes.plot([share.percent], [place], "o", ms=4, color=COLOURS[0], zorder=4)
+
+
+def _band(row: list[Axes], limits: tuple[float, ...]) -> None:
+    lowest = min([LOWEST, *(axes.dataLim.x0 - 2.0 for axes in row if axes.lines)])
+    for axes in row:
+        if limits:
+            axes.axvspan(min(limits), max(limits), color="#DDE8F0", lw=0, zorder=0)
+            axes.axvline(sum(limits) / len(limits), color=GREY, lw=0.8, zorder=1)
+        axes.set_xlim(max(lowest, -1.0) if np.isfinite(lowest) else LOWEST, 101.0)
+
+
+def _names(groups: list[Group], swept: list[str]) -> list[str]:
+    """Protocol and levels, with the setting where they do not tell rows apart."""
+    keys = [[group.key[name] for name in ("protocol", *swept)] for group in groups]
+    names = [", ".join(map(str, key)) for key in keys]
+    if len(set(names)) < len(names):
+        names = [f"{name}, {group.title}" for name, group in zip(names, groups, strict=True)]
+    return [shortened(name, 44) for name in names]
+
+
+def _failures(axes: Axes, groups: list[Group]) -> None:
+    right = axes.get_yaxis_transform()
+    axes.text(1.04, -0.75, "failed", transform=right, fontsize=6.5, color=GREY, va="bottom")
+    for place, group in enumerate(groups):
+        failed, planned = int((~estimated(group.cases)).sum()), len(group.cases)
+        axes.text(
+            1.04, place, f"{failed}/{planned}", transform=right, fontsize=6.5, va="center",
+            color="black" if failed else GREY,
+        )  # fmt: skip
+
+
+def _protocol_legend(figure: Figure, colour: dict[str, str]) -> None:
+    if len(colour) > 1:
+        handles = [
+            figure.axes[0].scatter([], [], s=14, color=one, label=name)
+            for name, one in colour.items()
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 5))

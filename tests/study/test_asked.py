@@ -1,0 +1,109 @@
+"""What an entry of [outputs] may ask for: one's own study gets the pages of a shipped one."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from test_figures import LEVELS, study, synthetic
+
+from sparsefit.errors import InputError
+from sparsefit.study.evidence.answers import COMPARISONS, sentences
+from sparsefit.study.evidence.asked import Asked, read_entry
+from sparsefit.study.evidence.measures import MEASURES, Failure
+from sparsefit.study.evidence.tables import TABLE_COMPARISONS, tables_of
+from sparsefit.study.report.figures import DRAWN, read_figure
+from sparsefit.study.report.pages import check_outputs, write_report
+
+NOISE = "flights.velocity_noise"
+CASES = synthetic(6, LEVELS)
+SMALL = synthetic(2, LEVELS[::2], ("paper",))
+
+
+def read(**options: object) -> Asked:
+    return read_entry(options, {}, COMPARISONS)
+
+
+def test_a_failure_counts_as_the_entry_says() -> None:
+    (measure,) = read(measure="timescale-error", summary="mean", failures="miss").measures
+    assert (measure.failure, measure.summary) == (Failure.MISS, "mean")
+    (plain,) = read(measure="timescale-error").measures
+    assert (plain.failure, plain.summary) == (Failure.INFINITE, "median")
+
+
+def test_the_three_conventions_on_one_set_of_cases() -> None:
+    cases = CASES.iloc[:4].assign(status=["ok", "ok", "ok", "error"])
+    cases["est_timescale"] = cases["true_timescale"] * [1.1, 1.2, 1.3, 1.0]
+    by = {
+        failure: read(measure="timescale-error", failures=failure, summary="mean").measure
+        for failure in ("left out", "miss", "infinite")
+    }
+    told = [measure.summarise(cases) for measure in by.values()]
+    assert told == [pytest.approx(20.0), pytest.approx(40.0), float("inf")]
+    assert by["miss"].summarise(cases, "median") == pytest.approx(25.0)
+    assert by["infinite"].summarise(cases, "median") == pytest.approx(20.0)  # an observed value
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"measure": "timescale-eror"}, 'did you mean "timescale-error"'),
+        ({"compare": "seting"}, 'did you mean "settings"'),
+        ({"failures": "ignored"}, "known: left out, miss, infinite"),
+        ({"alnog": NOISE}, 'did you mean "along"'),
+        ({"limits": ["five"]}, "limits must be a number, not 'five'"),
+        ({"along": 3}, "along must be a name"),
+        ({"at_least": 3}, "at_least must be a table"),
+        ({"at_least": {"cels": 3.0}}, 'did you mean "cells"'),
+        ({"band": "yes"}, "band must be true or false"),
+    ],
+)
+def test_refusals_name_the_nearest(options: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said.replace("(", r"\(")):
+        read(**options)
+
+
+def test_the_check_names_file_and_kind() -> None:
+    for kind in ("tables", "figures", "answers"):
+        with pytest.raises(InputError, match=rf"^demo.toml: \[outputs\].{kind}: unknown"):
+            check_outputs(study(**{kind: ("nonesuch",)}))
+
+
+@pytest.mark.parametrize("compare", list(TABLE_COMPARISONS))
+@pytest.mark.parametrize("measure", ["timescale-error", "seconds", "hits"])
+def test_every_table_takes_every_measure(compare: str, measure: str) -> None:
+    if compare == "reference":
+        return
+    entry = {"name": "mine", "measure": measure, "compare": compare, "limits": [5.0]}
+    tables = tables_of(study(tables=(entry | {"along": NOISE},)), SMALL)
+    assert tables["mine"].rows
+
+
+@pytest.mark.parametrize(
+    ("compare", "measure"),
+    [
+        *(("settings", measure) for measure in MEASURES),
+        *itertools.product(("protocols", "spread", "until"), ("length-scale-efficiency", "hits")),
+    ],
+)
+def test_every_sentence_takes_every_measure(compare: str, measure: str) -> None:
+    entry = {"measure": measure, "compare": compare, "along": NOISE, "limits": [5.0]}
+    (said,) = sentences(study(answers=(entry,)), SMALL)
+    assert said.endswith(".")
+    assert "nan" not in said
+
+
+@pytest.mark.parametrize("compare", list(DRAWN))
+def test_a_picture_of_ones_own(compare: str) -> None:
+    entry = {"measure": "seconds", "compare": compare, "along": NOISE, "over": "setting"}
+    name, draw = read_figure(entry)
+    assert name == f"seconds-{compare}"
+    assert draw(study(), CASES, None).axes
+
+
+def test_pages_of_a_study_of_ones_own(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    entry = {"name": "speed", "measure": ["seconds", "mean-velocity-error"]}
+    asked = study(tables=(entry,), figures=("errors",), answers=({"measure": "seconds"},))
+    written = write_report(asked, tmp_path, CASES)
+    assert {"speed.csv", "speed.tex", "errors.svg"} <= {path.name for path in written}
+    assert "Median time of a case" in written[-1].read_text("utf-8")
