@@ -14,7 +14,8 @@ import pytest
 from sparsefit.errors import InputError
 from sparsefit.study import Study
 from sparsefit.study.evidence.cases import by_setting, estimated
-from sparsefit.study.evidence.measures import MEASURES, percent_errors
+from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.readings import percent_errors
 from sparsefit.study.evidence.reference import distance
 from sparsefit.study.evidence.table import (
     SIGNIFICANT,

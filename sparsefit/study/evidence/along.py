@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.cases import by_level
+from sparsefit.study.evidence.asked import Asked, refuse
+from sparsefit.study.evidence.cases import by_level, factors
 from sparsefit.study.evidence.measures import Measure
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
 FLIGHTS = {"median": "median flight", "9 of 10": "9 of 10 flights"}  # a summary, in words
 UNITS = {"duration": "s", "sample_rate": "Hz", "process_noise": "m/s²"}
@@ -38,3 +43,17 @@ def level_needed(cases: pd.DataFrame, factor: str, measure: Measure, limit: floa
     late = np.flatnonzero(~((values >= limit) if measure.more else (values <= limit)))
     first = int(late[-1]) + 1 if late.size else 0
     return float(levels[first]) if first < len(levels) else math.inf
+
+
+def axis_of(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
+    """The factor that is compared along.
+
+    Raises:
+        InputError: if the study does not sweep it.
+    """
+    swept = factors(cases)
+    along = asked.along or (swept[0] if swept else "")
+    if along not in swept:
+        what = f'"{along}"' if along else "anything"
+        raise refuse(study.name, f"does not sweep {what}", f'"{asked.name or asked.compare}"')
+    return along

@@ -8,34 +8,27 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.study.evidence import candidates
-from sparsefit.study.evidence.along import FLIGHTS, level_needed, unit_of, words_of
-from sparsefit.study.evidence.asked import Asked, read_entry, refuse
+from sparsefit.study.evidence.asked import Asked, read_entry
 from sparsefit.study.evidence.cases import (
     PARAMETERS,
     STATUSES,
     Group,
-    by_level,
     by_setting,
     estimated,
     factors,
     failures,
     first_settings,
-    groups_by,
     in_a_flow,
-    level_text,
 )
 from sparsefit.study.evidence.measures import (
     MEASURES,
-    SUMMARY_WORDS,
-    TINY,
     Failure,
     Measure,
     Share,
@@ -43,11 +36,13 @@ from sparsefit.study.evidence.measures import (
     together,
 )
 from sparsefit.study.evidence.reference import closest_readings, sensitivity_rows
-from sparsefit.study.evidence.sentence import extremes, listed, ranged, shown, some
+from sparsefit.study.evidence.sentence import listed, ranged, shown, some
 from sparsefit.study.spec.outputs import Entry
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
+
+from sparsefit.study.evidence.level_answers import head, protocols, spread, until
 
 Compare: TypeAlias = Callable[[Asked, "Study", pd.DataFrame], str]
 
@@ -57,7 +52,7 @@ def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     asked.needs(study.name, "measure")
     if not asked.at_least:
         ranked = f"{_ranked(asked, cases)}{_printed(asked, study)}"
-        return f"{_head(asked)} ({_flights(cases)} flights). {ranked}."
+        return f"{head(asked)} ({_flights(cases)} flights). {ranked}."
     reached = at_least(cases, dict(asked.at_least))
     least = [f"{MEASURES[name].words} at least {to:g}" for name, to in asked.at_least.items()]
     known = np.isfinite([MEASURES[name].read(cases) for name in asked.at_least]).any(axis=0)
@@ -67,15 +62,7 @@ def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
         for words, kept in parts
         if kept.any()
     ]
-    return " ".join([f"{_head(asked)}.", *said]) if said else _nothing(asked)
-
-
-def _head(asked: Asked) -> str:
-    """The measures in words, and how a failure counts where it is a number."""
-    words = f"{SUMMARY_WORDS[asked.measure.summary]} {together(asked.measures)}"
-    if asked.measure.failure is Failure.MISS and asked.measure.miss:
-        words = f"{words}, {asked.measure.convention}"
-    return words[0].upper() + words[1:]
+    return " ".join([f"{head(asked)}.", *said]) if said else _nothing(asked)
 
 
 def _printed(asked: Asked, study: Study) -> str:
@@ -127,155 +114,6 @@ def _order(measure: Measure, groups: list[Group], asked: Asked) -> str:
     ]
     symbol = f"{measure.symbol} " if len(asked.measures) > 1 else ""
     return symbol + (" to " if asked.show == "ends" else ", ").join(words)
-
-
-def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
-    """Say how protocols compare at each level of a factor, each by its median setting.
-
-    Both ends at every level; or, with show = "every", each protocol over the levels and, in
-    brackets, against the first at the last level.
-    """
-    asked.needs(study.name, "measure")
-    along = axis_of(asked, study, cases)
-    told = _each if asked.show == "every" else _ends
-    said = [
-        f"{words}{told(asked.measure, _by_level(asked.measure, part, along))}"
-        for words, part in _others(cases, (along, "protocol"))
-    ]
-    levels = ", ".join(level_text(level.key[along]) for level in by_level(cases, along))
-    note = "; in brackets, against the first at the last" if asked.show == "every" else ""
-    name = words_of(along)
-    return f"{_head(asked)} by protocol at {name} {levels}{note}. {'. '.join(said)}."
-
-
-def axis_of(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
-    """The factor that is compared along.
-
-    Raises:
-        InputError: if the study does not sweep it.
-    """
-    swept = factors(cases)
-    along = asked.along or (swept[0] if swept else "")
-    if along not in swept:
-        what = f'"{along}"' if along else "anything"
-        raise refuse(study.name, f"does not sweep {what}", f'"{asked.name or asked.compare}"')
-    return along
-
-
-def _others(cases: pd.DataFrame, left: tuple[str, ...]) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The cases at each level of the remaining swept factors, and that level in words."""
-    names = [name for name in factors(cases) if name not in left]
-    for part in groups_by(cases, names) if names else [Group({}, cases)]:
-        told = [
-            f"{name.rpartition('.')[2]} = {level_text(level)}" for name, level in part.key.items()
-        ]
-        yield (f"With {', '.join(told)}: " if told else ""), part.cases
-
-
-def _by_level(measure: Measure, cases: pd.DataFrame, along: str) -> dict[str, dict[str, float]]:
-    """Per level and protocol, the median over the settings of the summary of the measure."""
-    table: dict[str, dict[str, float]] = {}
-    for level in by_level(cases, along):
-        for group in groups_by(level.cases, ["protocol"]):
-            values = [measure.summarise(one.cases) for one in by_setting(group.cases)]
-            middle = float(np.quantile(values, 0.5, method="inverted_cdf"))
-            table.setdefault(level_text(level.key[along]), {})[group.protocol] = middle
-    return table
-
-
-def _ends(measure: Measure, table: dict[str, dict[str, float]]) -> str:
-    said = []
-    for level, values in table.items():
-        low, high = min(values.values()), max(values.values())
-        ends = (high, low) if measure.more else (low, high)
-        told = [
-            f"{measure.say(end)} ({some([name for name in values if values[name] == end])})"
-            for end in ends
-        ]
-        said.append(f"at {level} {told[0] if low == high else ' to '.join(told)}")
-    return ", ".join(said)
-
-
-def _each(measure: Measure, table: dict[str, dict[str, float]]) -> str:
-    last = list(table.values())[-1]
-    first = next(iter(last))
-    said = []
-    for name in last:
-        known = math.isfinite(last[name]) and TINY < last[first] < math.inf and name != first
-        ratio = f" (× {shown(last[name] / last[first])})" if known else ""
-        values = ", ".join(measure.say(level[name]) for level in table.values() if name in level)
-        said.append(f"{name} {values}{ratio}")
-    return "; ".join(said)
-
-
-def spread(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
-    """Say by what factor protocols, or settings, move a measure with everything else fixed."""
-    asked.needs(study.name, "measure")
-    over = asked.over
-    said = []
-    for words, part in _others(cases, (asked.along,)):
-        values: list[float] = []
-        ratios: dict[str, float] = {}
-        levels = by_level(part, asked.along) if asked.along else [Group({}, part)]
-        for level in levels:
-            told: dict[str, list[float]] = {}
-            for group in by_setting(level.cases):
-                name = group.title if over == "protocol" else group.protocol
-                told.setdefault(name, []).append(asked.measure.summarise(group.cases))
-            values += [value for sizes in told.values() for value in sizes]
-            for name, sizes in told.items():
-                ratios[name] = max(ratios.get(name, 1.0), _ratio(sizes))
-        said.append(
-            f"{words}{asked.measure.say(min(values))} to {asked.measure.say(max(values))}, "
-            f"the worst {over}'s {extremes(ratios)} times the best's"
-        )
-    return f"{_head(asked)}, and how far the {over} alone moves it. {'. '.join(said)}."
-
-
-def _ratio(values: list[float]) -> float:
-    """Largest over least; 1 where nobody answers, infinite from an answer to none."""
-    low, high = max(min(values), TINY), max(*values, TINY)
-    return high / low if math.isfinite(low) else 1.0
-
-
-def until(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
-    """Say from which level of a factor on the typical case, and 9 in 10, keep the limits."""
-    asked.needs(study.name, "limits")
-    along, said = axis_of(asked, study, cases), []
-    for name, compared in _by_protocol(cases).items():
-        titles: dict[str, list[str]] = {}
-        for group in compared:
-            reached = [
-                " / ".join(
-                    _or_never(level_needed(group.cases, along, replace(one, summary=share), at))
-                    for at in asked.limits
-                )
-                for one in asked.measures
-                for share in FLIGHTS
-            ]
-            never = all(set(words.split(" / ")) == {"never"} for words in reached)
-            told = [f"{words} {unit_of(along)}".strip() for words in reached]
-            titles.setdefault("never" if never else " and ".join(told), []).append(group.title)
-        words = [
-            f"{'every back-end' if len(titles) == 1 else some(who)} {reached}"
-            for reached, who in titles.items()
-        ]
-        said.append(f"{name}: {', '.join(words)}")
-    limits = " / ".join(f"{limit:g} {asked.measure.unit}" for limit in asked.limits)
-    name = words_of(along)
-    head = f"The {name} from which on the {asked.measure.words} stays within {limits}"
-    return f"{head} (median flight and 9 of 10 flights). {'; '.join(said)}."
-
-
-def _or_never(level: float) -> str:
-    return "never" if math.isinf(level) else f"{level:g}"
-
-
-def _by_protocol(cases: pd.DataFrame) -> dict[str, list[Group]]:
-    divided: dict[str, list[Group]] = {}
-    for group in first_settings(cases):
-        divided.setdefault(group.protocol, []).append(group)
-    return divided
 
 
 def regimes(asked: Asked, study: Study, cases: pd.DataFrame) -> str:

@@ -7,7 +7,6 @@ is one `Measure` in `MEASURES`: tables, sentences and pictures take it by its na
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,12 +29,24 @@ from sparsefit.study.evidence.cases import (
     numbers,
     three_of,
 )
+from sparsefit.study.evidence.readings import (
+    OFF,
+    bounded,
+    half_width,
+    held,
+    is_off,
+    largest_errors,
+    nearest_hits,
+    percent_errors,
+    regime,
+    signed_errors,
+    where,
+)
 from sparsefit.study.evidence.sentence import listed, shown
-from sparsefit.study.evidence.table import SIGNIFICANT, Value, plain
+from sparsefit.study.evidence.table import SIGNIFICANT
 
 Read: TypeAlias = Callable[[pd.DataFrame], Array]
 NORMAL_95 = 1.959963984540054
-OFF = 5.0  # percent: an estimate off by more, in any parameter, should have been flagged
 TINY = 1e-6  # percent: a smaller error is quadrature and rounding, no ratio of them says anything
 HAIR = 1e-6  # 1.3 L / L is not 1.3 in binary, and stored scales keep 7 digits
 
@@ -188,83 +199,6 @@ class Share:
         return 100.0 * max(middle - half, 0.0), 100.0 * min(middle + half, 1.0)
 
 
-def signed_errors(cases: pd.DataFrame) -> Array:
-    """(rows, 3) estimate - truth of U0 [m/s], L_w [m], tau_w [s]; NaN without an estimate."""
-    errors = three_of(cases, "est") - three_of(cases, "true")
-    errors[~estimated(cases)] = np.nan
-    return errors
-
-
-def percent_errors(cases: pd.DataFrame) -> Array:
-    """(rows, 3) signed errors in percent of the truth; NaN where there is no estimate."""
-    percent: Array = 100.0 * signed_errors(cases) / three_of(cases, "true")
-    return percent
-
-
-def largest_errors(cases: pd.DataFrame) -> Array:
-    """(rows,) the largest |% error| of the three parameters."""
-    return np.asarray(np.abs(percent_errors(cases)).max(axis=1))
-
-
-def bounded(cases: pd.DataFrame) -> BoolArray:
-    """(rows,) whether a case has status ok, and its flight a finite Cramér-Rao bound."""
-    bounds = three_of(cases, "bound")
-    known = np.isfinite(bounds).all(axis=1) & (bounds > 0).all(axis=1)
-    both: BoolArray = known & has_status(cases, "ok")
-    return both
-
-
-def _where(kept: BoolArray, values: Array | BoolArray) -> Array:
-    return np.where(kept, values, np.nan)
-
-
-def _in_intervals(cases: pd.DataFrame, place: int) -> tuple[BoolArray, Array, Array, Array, Array]:
-    """Which cases called ok have truth, estimate and interval; those four columns."""
-    columns = [three_of(cases, name)[:, place] for name in ("true", "est", "low", "high")]
-    known = ~np.isnan(np.column_stack(columns)).any(axis=1)
-    true, found, low, high = columns
-    return known & has_status(cases, "ok"), true, found, low, high
-
-
-def _held(cases: pd.DataFrame, place: int) -> Array:
-    kept, true, _, low, high = _in_intervals(cases, place)
-    return _where(kept, (low <= true) & (true <= high))
-
-
-def _half_width(cases: pd.DataFrame, place: int) -> Array:
-    kept, _, found, low, high = _in_intervals(cases, place)
-    return _where(kept, 50.0 * (high - low) / np.abs(found))
-
-
-def is_off(cases: pd.DataFrame) -> BoolArray:
-    """(rows,) whether the numbers, flagged or not, miss the truth by > 5 %, or are missing."""
-    true, found = three_of(cases, "true"), three_of(cases, "est")
-    near = 100.0 * np.abs(found - true) <= OFF * np.abs(true)
-    return np.asarray(~near.all(axis=1), dtype=bool)
-
-
-def _hits(cases: pd.DataFrame) -> Array:
-    """(rows,) whether a case chose the grid scale nearest the truth."""
-    hit = np.array([plain(value) is True for value in cases["hit"]], dtype=bool)
-    return _where(estimated(cases), hit)
-
-
-def _regime(cases: pd.DataFrame, place: int) -> Array:
-    """(rows,) largest scale [m], least ratio of neighbouring scales, and of U0; NaN of none."""
-    texts = cases["true_scales"] if "true_scales" in cases else [None] * len(cases)
-    rows = [_apart(plain(text)) for text in texts]
-    return np.array(rows, dtype=float).reshape(-1, 3)[:, place]
-
-
-def _apart(text: Value) -> tuple[float, float, float]:
-    pairs = np.array(json.loads(str(text or "[]")), dtype=float).reshape(-1, 2)
-    if not len(pairs):
-        return np.nan, np.nan, np.nan
-    scales, speeds = np.sort(pairs[:, 0]), pairs[:, 1]
-    apart = float(np.min(scales[1:] / scales[:-1])) if len(scales) > 1 else np.inf
-    return float(scales[-1]), apart, float(speeds.min() / speeds.max())
-
-
 def _of_parameter(place: int, name: str) -> list[Measure]:
     """The measures that each of U0, L_w and tau_w has."""
     symbol, dashed = SYMBOLS[name], name.replace("_", "-")
@@ -273,13 +207,13 @@ def _of_parameter(place: int, name: str) -> list[Measure]:
         return percent_errors(cases)[:, place]
 
     def relative(cases: pd.DataFrame) -> Array:
-        return _where(bounded(cases), signed_errors(cases)[:, place] / _bounds(cases))
+        return where(bounded(cases), signed_errors(cases)[:, place] / _bounds(cases))
 
     def _bounds(cases: pd.DataFrame) -> Array:
         return three_of(cases, "bound")[:, place]
 
     def bound(cases: pd.DataFrame) -> Array:
-        return _where(bounded(cases), 100.0 * _bounds(cases) / numbers(cases, f"true_{name}"))
+        return where(bounded(cases), 100.0 * _bounds(cases) / numbers(cases, f"true_{name}"))
 
     error = Measure(
         f"{dashed}-error", f"|error| of {symbol}", "%", lambda cases: np.abs(percent(cases)),
@@ -302,18 +236,18 @@ def _of_parameter(place: int, name: str) -> list[Measure]:
         ),
         Measure(
             f"{dashed}-bounded-error", f"{symbol} error", "%",
-            lambda cases: _where(bounded(cases), percent(cases)), summary="rms", of=name,
+            lambda cases: where(bounded(cases), percent(cases)), summary="rms", of=name,
             beside=f"{dashed}-bound",
         ),
         Measure(f"{dashed}-bound", f"{symbol} bound", "%", bound, summary="rms", of=name),
         Measure(
             f"{dashed}-coverage", "hold the truth", "%",
-            lambda cases: _held(cases, place), summary="share", format=".1f", of=name, more=True,
+            lambda cases: held(cases, place), summary="share", format=".1f", of=name, more=True,
             asked=f"95 % intervals of {symbol} in flights called ok",
         ),
         Measure(
             f"{dashed}-half-width", f"half-width of the 95 % interval of {symbol}", "%",
-            lambda cases: _half_width(cases, place), of=name,
+            lambda cases: half_width(cases, place), of=name,
         ),
     ]  # fmt: skip
 
@@ -322,14 +256,14 @@ def _flow_called(status: str, found: Callable[[pd.DataFrame], BoolArray]) -> Rea
     """`found`, of the cases in a flow that ended in this status."""
 
     def read(cases: pd.DataFrame) -> Array:
-        return _where(in_a_flow(cases) & has_status(cases, status), found(cases))
+        return where(in_a_flow(cases) & has_status(cases, status), found(cases))
 
     return read
 
 
 def _of_empty(found: Callable[[pd.DataFrame], BoolArray]) -> Read:
     """`found`, of the cases without a flow."""
-    return lambda cases: _where(~in_a_flow(cases), found(cases))
+    return lambda cases: where(~in_a_flow(cases), found(cases))
 
 
 def _alarm(cases: pd.DataFrame) -> BoolArray:
@@ -360,11 +294,11 @@ _EVERY = [
         "largest-error", "largest |error| of U0, L_w and τ_w", "%", largest_errors,
         failure=Failure.INFINITE,
     ),
-    _share("hits", "chose the nearest grid scale", _hits, more=True,
+    _share("hits", "chose the nearest grid scale", nearest_hits, more=True,
            failure=Failure.MISS),
     Measure("seconds", "time of a case", "s", _column("seconds")),
     Measure("certificate", "certificate",
-            "", lambda cases: _where(estimated(cases), numbers(cases, "certificate")),
+            "", lambda cases: where(estimated(cases), numbers(cases, "certificate")),
             summary="largest", format=".1e"),
     _share("answered", "have an estimate", lambda cases: estimated(cases).astype(float),
            more=True),
@@ -386,9 +320,9 @@ _EVERY = [
     Measure("scales-mean-velocity-error", "largest error of U0", "%",
             _column("scales_max_mean_velocity_error"), of="mean_velocity"),
     Measure("cells", "cells flown", "",
-            lambda cases: numbers(cases, "extent") / _regime(cases, 0), more=True),
-    Measure("scale-ratio", "scale ratio", "", lambda cases: _regime(cases, 1), more=True),
-    Measure("velocity-ratio", "velocity ratio", "", lambda cases: _regime(cases, 2), more=True),
+            lambda cases: numbers(cases, "extent") / regime(cases, 0), more=True),
+    Measure("scale-ratio", "scale ratio", "", lambda cases: regime(cases, 1), more=True),
+    Measure("velocity-ratio", "velocity ratio", "", lambda cases: regime(cases, 2), more=True),
 ]  # fmt: skip
 MEASURES: dict[str, Measure] = {measure.name: measure for measure in _EVERY}
 

@@ -15,22 +15,17 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.errors import unknown
-from sparsefit.study.evidence.along import FLIGHTS, level_needed, unit_of, words_of
-from sparsefit.study.evidence.answers import axis_of
 from sparsefit.study.evidence.asked import Asked, read_entry
 from sparsefit.study.evidence.cases import (
     STATUSES,
     Group,
-    by_level,
     by_setting,
     estimated,
     factors,
-    failures,
     groups_by,
     has_status,
     in_a_flow,
     is_condition,
-    level_text,
     three_of,
 )
 from sparsefit.study.evidence.columns import (
@@ -48,7 +43,8 @@ from sparsefit.study.evidence.columns import (
     table_of,
     with_status,
 )
-from sparsefit.study.evidence.measures import MEASURES, Measure, Share, bounded, three
+from sparsefit.study.evidence.measures import MEASURES, Measure, Share, three
+from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.reference import SIZES, closest_readings, sensitivity
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
 from sparsefit.study.spec.outputs import Entry
@@ -56,73 +52,27 @@ from sparsefit.study.spec.outputs import Entry
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
+from sparsefit.study.evidence.compared_tables import (
+    across,
+    by_setting_and_level,
+    per_setting,
+    settings,
+    titled,
+    until,
+)
+from sparsefit.study.evidence.notes import (
+    COVERAGE_NOTE,
+    EFFICIENCY_NOTE,
+    FAILURES_NOTE,
+    IDENTIFIABILITY_NOTE,
+    SCALES_NOTE,
+    SIGNED_NOTE,
+    TIMES_NOTE,
+)
+
 TableFunction: TypeAlias = Callable[["Study", pd.DataFrame], Table]
 DURATION, MEASUREMENT_NOISE = "flights.duration", "flights.measurement_noise"
 FEWEST = 3  # levels that make a curve
-FAILURES_NOTE = (
-    "n: planned cases. Errors are over the cases with an estimate (status ok or inaccurate); "
-    "every other case is a failure, and counts as a miss in the hit rate."
-)
-SIGNED_NOTE = (
-    "Signed means, the paper's convention (its “Absolute Error” and “Percentage Error” are "
-    "signed): errors of opposite sign cancel. errors-absolute has the sizes."
-)
-EFFICIENCY_NOTE = (
-    "Bound: the semiparametric Cramér-Rao bound of each flight as flown, under noise on v' alone "
-    "(Eq. 7); it assumes nothing of the flow but its length scale. Rms over the flights with "
-    "status ok and a bound (their number: with bound); a failure has no error, so read the "
-    "number of failures beside it. 1 is the limit of what knows no more than the bound does; "
-    "parametric-nls knows Eq. 1 and may fall below it, and so may any back-end where it gives up "
-    "the hardest flights."
-)
-COVERAGE_NOTE = (
-    "Share of the flights with status ok whose 95 % interval holds the truth, and the 95 % Wilson "
-    "interval of that share: where it leaves 95 % out, the intervals are too narrow or too wide. "
-    "Half-width: median, in percent of the estimate. Flights without a flow have no truth and "
-    "are left out."
-)
-IDENTIFIABILITY_NOTE = (
-    "Off: called ok, but more than 5 % from the truth in U0, L_w or τ_w, and its share of those "
-    "called ok. An unidentifiable flight deserved it if the numbers that it would have given are "
-    "off by as much, or there are none. Other: inaccurate, or no answer. In flights without a "
-    "flow status ok or inaccurate is a false alarm; called so: unidentifiable because no cellular "
-    "flow is detected."
-)
-SCALES_NOTE = (
-    "All found: every flow's length scale within 1 %, over all planned cases. A scale counts as "
-    "detected within 5 %; missed and spurious are means per case. Errors: the largest over the "
-    "detected scales of a case, median over cases. Unseen: cases that ended as ok without all "
-    "scales within 1 %. First row of each setting: all its cases; then "
-    "each level of each factor, the others pooled."
-)
-TIMES_NOTE = (
-    "Worst: the largest certificate of the cases with an estimate. "
-    "Times depend on the machine; the manifest names it."
-)
-
-
-def titled(study: Study, words: str) -> str:
-    """Return the title of a table, with its study."""
-    return f"{words} ({study.name})"
-
-
-def _by_setting_and_level(cases: pd.DataFrame) -> Iterator[tuple[tuple[Value, ...], pd.DataFrame]]:
-    swept = factors(cases)
-    for group in by_setting(cases, *swept):
-        yield setting_values(group, swept), group.cases
-
-
-def per_setting(
-    study: Study,
-    cases: pd.DataFrame,
-    *,
-    title: str,
-    shown: tuple[Statistic, ...],
-    notes: tuple[str, ...] = (),
-) -> Table:
-    """Return a row for each setting and level of the swept factors."""
-    keys = setting_columns(factors(cases))
-    return table_of(titled(study, title), keys, _by_setting_and_level(cases), shown, notes)
 
 
 def parameters(study: Study, cases: pd.DataFrame) -> Table:
@@ -235,7 +185,7 @@ def coverage(study: Study, cases: pd.DataFrame) -> Table:
 def identifiability(study: Study, cases: pd.DataFrame) -> Table:
     """Return what `ok` and `unidentifiable` were worth, per setting and level, and over all."""
     swept = factors(cases)
-    rows = list(_by_setting_and_level(cases))
+    rows = list(by_setting_and_level(cases))
     if len(rows) > 1:
         rows.append((("all", None, None, *[None] * len(swept)), cases))
     title = titled(study, "What ok and unidentifiable are worth")
@@ -307,96 +257,6 @@ def _pooled_levels(cases: pd.DataFrame) -> Iterator[tuple[tuple[Value, ...], pd.
         for factor in factors(cases):
             for level in groups_by(group.cases, [factor]):
                 yield (*key, factor, level.key[factor]), level.cases
-
-
-def across(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
-    """Return a row for each protocol and setting, a column for each level of a factor."""
-    asked.needs(study.name, "measure")
-    measure, along = asked.measure, axis_of(asked, study, cases)
-    others = [name for name in factors(cases) if name != along]
-    name = words_of(along)
-
-    def at(level: Value) -> Statistic:
-        column = Column(level_text(level), measure.unit, measure.format, group=name)
-        return Statistic(column, lambda group: _summary_at(measure, group, along, level))
-
-    lost = Statistic(Column("failures"), lambda group: f"{failures(group)}/{len(group)}")
-    groups = by_setting(cases, *others)
-    places = {
-        key: place
-        for place, key in enumerate(
-            (*level.key.values(), title)
-            for level in (groups_by(cases, others) if others else [Group({}, cases)])
-            for title in dict.fromkeys(group.title for group in groups)
-        )
-    }
-    rows = sorted(
-        (
-            ((*(group.key[one] for one in others), group.title, group.protocol), group.cases)
-            for group in groups
-        ),
-        key=lambda row: places[row[0][:-1]],
-    )
-    return table_of(
-        titled(study, f"{measure.phrase[0].upper()}{measure.phrase[1:]} along {name}"),
-        tuple(map(name_column, (*others, "back-end", "protocol"))),
-        rows,
-        (*(at(level.key[along]) for level in by_level(cases, along)), lost),
-        (f"{measure.convention[0].upper()}{measure.convention[1:]}, and counted.",),
-        None,
-    )
-
-
-def _summary_at(measure: Measure, cases: pd.DataFrame, along: str, level: Value) -> float | None:
-    kept = cases[[plain(value) == level for value in cases[along]]]
-    return measure.summarise(kept) if len(kept) else None
-
-
-def until(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
-    """Return the level from which on the median flight, and 9 in 10, keep each limit."""
-    for key in ("measure", "limits"):
-        asked.needs(study.name, key)
-    along, measure = axis_of(asked, study, cases), asked.measure
-    others = [name for name in factors(cases) if name != along]
-    name = words_of(along)
-
-    def needed(summary: str, limit: float) -> Statistic:
-        told = replace(measure, summary=summary)
-        words = f"within {limit:g} {measure.unit}"
-        column = Column(words, unit_of(along), "g", group=FLIGHTS[summary])
-
-        def of(group: pd.DataFrame) -> float | None:
-            level = level_needed(group, along, told, limit)
-            return level if np.isfinite(level) else None
-
-        return Statistic(column, of)
-
-    note = (
-        f"Least {name} tried from which on, at every larger one too, the {measure.words} of the "
-        f"median flight, or of 9 in 10 flights, is within the limit; – where none is; "
-        f"{measure.convention}."
-    )
-    return table_of(
-        titled(study, f"{name[0].upper()}{name[1:]} needed"),
-        setting_columns(others),
-        ((setting_values(group, others), group.cases) for group in by_setting(cases, *others)),
-        (
-            counted("flights", lambda group: int(group["flight"].nunique())),
-            *(needed(summary, limit) for summary in FLIGHTS for limit in asked.limits),
-        ),
-        (note,),
-        None,
-    )
-
-
-def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
-    """Return the measures, summarised in their own ways, per setting and level."""
-    asked.needs(study.name, "measure")
-    shown = tuple(statistic(one, name=one.symbol, group=one.summary) for one in asked.measures)
-    conventions = dict.fromkeys(one.convention for one in asked.measures)
-    notes = tuple(f"{text[0].upper()}{text[1:]}." for text in conventions)
-    title = asked.name.replace("-", " ") or "Measures"
-    return per_setting(study, cases, title=title, shown=(*COUNTS, *shown), notes=notes)
 
 
 AskedTable: TypeAlias = Callable[[Asked, "Study", pd.DataFrame], Table]

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from sparsefit.errors import unknown
 from sparsefit.study.evidence.asked import Asked, read_entry
 from sparsefit.study.evidence.cases import factors, groups_by, in_a_flow, numeric_factors
-from sparsefit.study.evidence.measures import MEASURES, Measure, bounded, three
+from sparsefit.study.evidence.measures import MEASURES, Measure, three
+from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.tables import DURATION, MEASUREMENT_NOISE, has_any, many_levels
 from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.drawing import STYLE

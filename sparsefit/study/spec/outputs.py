@@ -1,7 +1,7 @@
 """What a study shows of its cases: the entries of [outputs].
 
 An entry is a name, or a mapping of options. Only its form is checked here: which names, measures
-and comparisons there are, the rooms that make them say (`sparsefit.study.report.outputs`).
+and comparisons there are, the rooms that make them say.
 """
 
 from __future__ import annotations
