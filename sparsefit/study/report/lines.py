@@ -239,7 +239,7 @@ def _finish(row: list[Panel], axes_row: list[Axes], asked: Asked) -> None:
         if panel.along == "protocol":
             axes.grid(False, axis="x")
         if panel.heading:
-            axes.set_title(panel.heading, loc="left")
+            axes.set_title(panel.heading)
         if measure.summary == "share":
             axes.set_ylim(0, 103)
             continue
@@ -255,6 +255,7 @@ def _finish(row: list[Panel], axes_row: list[Axes], asked: Asked) -> None:
     if asked.columns and len(asked.measures) == 1:
         for axes in axes_row[1:]:
             axes.set_ylabel("")
+            axes.tick_params(labelleft=False)
 
 
 def _legend(figure: Figure, grid: list[list[Axes]], asked: Asked, styles: Sequence[str]) -> None:
