@@ -97,6 +97,22 @@ def test_a_study_room_imports_only_study_rooms_above_it(room):
                 assert f"sparsefit.study.{other}" not in said, f"{path}:{node.lineno}: {said}"
 
 
+def needs_of(path, modules):
+    """The modules that a module imports; of `from room import file` the file, not the room."""
+    names = {module for module, _ in imports_of(path)} & set(modules)
+    return {name for name in names if not any(other.startswith(f"{name}.") for other in names)}
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    modules = {name_of(path).removesuffix(".__init__"): path for path in FILES}
+    modules.pop("sparsefit")  # the list of public names
+    edges = {name: needs_of(path, modules) - {name} for name, path in modules.items()}
+    while edges:
+        free = {name for name, needs in edges.items() if not needs & set(edges)}
+        assert free, f"a circle among {sorted(edges)}"
+        edges = {name: needs for name, needs in edges.items() if name not in free}
+
+
 def test_the_objective_is_numpy_only():
     for module, line in imports_of(PACKAGE / "regression" / "objective.py"):
         top = module.split(".")[0]

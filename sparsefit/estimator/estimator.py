@@ -52,15 +52,6 @@ class Estimator:
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
                 )
         number_setting("estimator", "tolerance", self.tolerance, low=0.0)
-        if self.readout.scales == "several" and (self._weak or self.library.unknown):
-            raise InputError(
-                'estimator: scales "several" needs a known vehicle and samples of Phi; drop '
-                'the library\'s unknown and the derivative "weak"'
-            )
-
-    @property
-    def _weak(self) -> bool:
-        return isinstance(self.derivative, Derivative) and self.derivative.method == "weak"
 
     def estimate(self, flight: Flight) -> Estimate:
         """Estimate the flow's parameters from a flight.
