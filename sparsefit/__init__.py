@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from sparsefit.score import score as score
     from sparsefit.score import score_scales as score_scales
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _HOMES = {
     "CellularFlow": "flight.flow",

@@ -41,7 +41,8 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
     Bias is corrected for one mode of plain samples and a known vehicle only, where the readout
     says so.
     """
-    assessed = place.located is not None and readout.mean_velocity == "rms"
+    sought = readout.refine != "none" and readout.mean_velocity == "rms"
+    assessed = sought and place.fit is not None
     if assessed:
         plain = prepared.samples.weak is None and not prepared.library.unknown
         single = plain and readout.scales == "one"

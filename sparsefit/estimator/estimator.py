@@ -13,7 +13,7 @@ from sparsefit.estimator import saved
 from sparsefit.estimator.assess import Reading, read_place
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
-from sparsefit.estimator.judge import judge
+from sparsefit.estimator.judge import imprecise, judge
 from sparsefit.estimator.locate import Place, locate
 from sparsefit.estimator.prepare import Prepared, prepare
 from sparsefit.flight import Flight
@@ -131,10 +131,10 @@ class Estimator:
         if not 0 < first.mean_velocity < math.inf:
             words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
             return Verdict.against(Doubt.MEAN_VELOCITY, f"no mean velocity: {words}")
-        if place.located is None:
-            return verdict
         samples, scales = prepared.samples, reading.scales
-        return judge(place.located, scales, samples, assessed=reading.assessed) or verdict
+        if place.located is not None:
+            return judge(place.located, scales, samples, assessed=reading.assessed) or verdict
+        return (imprecise(scales) if reading.assessed else None) or verdict
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""

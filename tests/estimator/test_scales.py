@@ -205,3 +205,28 @@ def test_a_flight_too_short_to_tell_is_never_ok_and_wrong(samples):
             assert found.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.05)
         else:
             assert found.reason
+
+
+def test_one_candidate_leaves_nothing_to_refine_and_is_assessed_all_the_same():
+    grid = sf.LengthScaleGrid(3.3, 3.3)
+    library = sf.Library(grid)
+    found = Estimator(library=library, readout=SEVERAL).estimate(flight(3.33, velocity_noise=0.2))
+    assert found.length_scale == pytest.approx(3.3)
+    assert found.uncertainty is not None
+
+
+@pytest.mark.parametrize("method", ["auto", "weak"])
+def test_two_flows_of_a_vehicle_believed_wrong(method):
+    flown_ = flown((10.0, 3.1), (6.0, 4.4), duration=20.0)
+    wrong = sf.PointMassVehicle(response_time=0.6, thrust_acceleration=(24.0, 13.0))
+    believed = sf.Flight(
+        time=flown_.time, position=flown_.position, velocity=flown_.velocity, vehicle=wrong
+    )
+    library = sf.Library(unknown=("response_time", "thrust_acceleration"))
+    found = Estimator(method, library, "group-lasso", SEVERAL).estimate(believed)
+    assert found.status == "ok"
+    assert [scale.length_scale for scale in found.scales] == pytest.approx([3.1, 4.4], rel=5e-3)
+    assert found.response_time == pytest.approx(0.5, rel=0.02)
+    for scale, true in zip(found.scales, (10.0, 6.0), strict=True):
+        low, high = scale.uncertainty.mean_velocity_interval
+        assert low - 0.01 * true < true < high + 0.01 * true

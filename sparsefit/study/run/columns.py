@@ -140,6 +140,7 @@ COLUMNS: tuple[Column, ...] = (
     *_three("low", REAL, lambda case, name: case.interval(name)[0]),
     *_three("high", REAL, lambda case, name: case.interval(name)[1]),
     *_three("bound", SINGLE, Reading.bound),
+    Column("doubt", TEXT, read=lambda case: case.estimate.doubt and str(case.estimate.doubt)),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 
