@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,20 +67,21 @@ class CellScan:
         wavenumbers: Array = low + step * np.arange(steps + 1, dtype=float)
         return cls(position - centre, centre, wavenumbers, step)
 
-    def sums(self, wave: Array, loads: Array) -> ComplexArray:
-        """Sums of w exp(i k s), s = p x + q y for wave (p, q), of loads w (j, m): (j, q)."""
+    @cached_property
+    def _plan(self) -> Any:
+        """The transform of one load: making it takes longer than carrying it out."""
         import finufft
 
+        return finufft.Plan(
+            1, (len(self.wavenumbers),), n_trans=1, eps=ACCURACY, isign=1, nthreads=1
+        )
+
+    def sums(self, wave: Array, loads: Array) -> ComplexArray:
+        """Sums of w exp(i k s), s = p x + q y for wave (p, q), of loads w (j, m): (j, q)."""
         place, middle = self.position @ wave, len(self.wavenumbers) // 2
         turned = loads * np.exp(1j * float(self.wavenumbers[middle]) * place)
-        sums: ComplexArray = finufft.nufft1d1(
-            (place * self.step).astype(float, copy=False),
-            np.ascontiguousarray(turned),
-            len(self.wavenumbers),
-            eps=ACCURACY,
-            isign=1,
-            nthreads=1,
-        ).reshape(len(loads), -1)
+        self._plan.setpts((place * self.step).astype(float, copy=False))
+        sums: ComplexArray = np.stack([self._plan.execute(load) for load in turned])
         shift = float(self.centre @ wave)
         return sums * np.exp(1j * shift * self.wavenumbers) if shift else sums
 
