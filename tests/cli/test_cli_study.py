@@ -10,7 +10,10 @@ import pytest
 from sparsefit.cli import main
 from sparsefit.cli.progress import Lines
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.study.run import partial, runner
+from sparsefit.study.run import partial, runner, store
+from sparsefit.study.run.folder import resume
+from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.spec.study import Study
 
 STUDY = """
 name = "small"
@@ -85,17 +88,16 @@ def fresh(tmp_path, monkeypatch):
 @pytest.fixture
 def half(finished):
     """The same study, stopped on the way."""
-    study = runner.Study.load(finished)
-    cases = runner.store.read_cases("results/small")
+    study = Study.load(finished)
+    cases = store.read_cases("results/small")
     Path("results/small/cases.parquet").unlink()
     Path("results/small/manifest.json").unlink()
     folder = Path("results/small")
-    versions = {"study_hash": study.hash, "sparsefit": runner.sparsefit_version()}
-    partial.begin(folder, {**versions, "study": study.name, "planned": study.planned})
+    assert resume(study, folder) == {}
     with partial.appending(folder) as rows:
         for index in range(12):
             row = cases.iloc[index]
-            rows.append(runner.Outcome(0, index, row["status"], row["reason"]))
+            rows.append(Outcome(0, index, row["status"], row["reason"]))
     return finished
 
 
