@@ -20,11 +20,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from sparsefit.arrays import Array
 
+KEPT = 128  # kernels: those of one flight are asked for several times
 ORDER = 10  # of the velocity; 4 doubles the error of tau_w at 0.5 m/s of noise, 8 and 10 agree
 SHORTEST = ORDER + 1  # either channel alone determines the polynomial
 LONGEST = 1001
@@ -108,7 +110,9 @@ class Channels:
     def filtered(self, kernel: Array) -> Array:
         """The weighted sums (m - n + 1, 2) of a kernel (2n,)."""
         of_position, of_velocity = np.split(kernel, 2)
-        return _convolved(of_position, self.position) + _convolved(of_velocity, self.velocity)
+        pairs = (of_position, self.position), (of_velocity, self.velocity)
+        parts = [_convolved(weights, values) for weights, values in pairs if weights.any()]
+        return parts[0] if len(parts) == 1 else parts[0] + parts[1]
 
     def spread(self, kernel: Array) -> float:
         """Standard deviation of what a kernel (2n,) gives, from the noise alone."""
@@ -133,6 +137,7 @@ def noise_level(values: Array) -> float:
     return max(math.sqrt(min(variances)), ROUNDING * float(np.abs(values).max()), SMALLEST)
 
 
+@lru_cache(maxsize=KEPT)
 def coupled_kernels(
     window: int, order: int, step: float, ratio: float
 ) -> tuple[Array, Array, Array]:
@@ -146,9 +151,10 @@ def coupled_kernels(
     slopes[:, 1:] = powers[:, :-1] * np.arange(1, order + 2) / reach
     solved = np.linalg.pinv(np.vstack([ratio * powers, slopes]))[:3]
     solved[:, :window] *= ratio
-    return solved[0], solved[1] / reach, 2.0 * solved[2] / reach**2
+    return _kept(solved[0]), _kept(solved[1] / reach), _kept(2.0 * solved[2] / reach**2)
 
 
+@lru_cache(maxsize=KEPT)
 def polynomial_kernels(window: int, order: int, step: float) -> tuple[Array, Array]:
     """Weights (n,) of one channel in its value and slope at the middle (Savitzky and Golay).
 
@@ -156,7 +162,13 @@ def polynomial_kernels(window: int, order: int, step: float) -> tuple[Array, Arr
     """
     powers = np.vander(np.linspace(-1.0, 1.0, window), order + 1, increasing=True)
     solved = np.linalg.pinv(powers)
-    return solved[0], solved[1] / (window // 2 * step)
+    return _kept(solved[0]), _kept(solved[1] / (window // 2 * step))
+
+
+def _kept(weights: Array) -> Array:
+    """Weights that are shared by all who ask for them: nobody writes into them."""
+    weights.flags.writeable = False
+    return weights
 
 
 def window_sizes(samples: int) -> Iterator[int]:

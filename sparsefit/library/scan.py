@@ -76,12 +76,22 @@ class CellScan:
             1, (len(self.wavenumbers),), n_trans=1, eps=ACCURACY, isign=1, nthreads=1
         )
 
+    @cached_property
+    def _phases(self) -> ComplexArray:
+        """exp(i k (x, y)) (2, m) at the middle of the grid, about which sums are taken."""
+        k = float(self.wavenumbers[len(self.wavenumbers) // 2])
+        return np.ascontiguousarray(np.exp(1j * k * self.position.T))
+
     def sums(self, wave: Array, loads: Array) -> ComplexArray:
         """Sums of w exp(i k s), s = p x + q y for wave (p, q), of loads w (j, m): (j, q)."""
-        place, middle = self.position @ wave, len(self.wavenumbers) // 2
-        turned = loads * np.exp(1j * float(self.wavenumbers[middle]) * place)
+        place, turned = self.position @ wave, loads
+        for phase, times in zip(self._phases, wave.astype(int).tolist(), strict=True):
+            for _ in range(abs(times)):
+                turned = turned * (phase if times > 0 else phase.conj())
         self._plan.setpts((place * self.step).astype(float, copy=False))
-        sums: ComplexArray = np.stack([self._plan.execute(load) for load in turned])
+        sums: ComplexArray = np.stack(
+            [self._plan.execute(load) for load in np.ascontiguousarray(turned)]
+        )
         shift = float(self.centre @ wave)
         return sums * np.exp(1j * shift * self.wavenumbers) if shift else sums
 

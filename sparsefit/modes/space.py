@@ -196,10 +196,10 @@ class SearchSpace:
         """
         reach, tolerance = self.scan.step, ROUGH * self.scan.step if rough else 0.0
         here = self.at(np.clip(wavenumbers, *self.bounds))
-        size = math.sqrt(float(np.sum(self.rows.target**2)))
+        size, damping = math.sqrt(float(np.sum(self.rows.target**2))), 1.0
         for _ in range(ITERATIONS):
             longest = float(np.abs(here.moves).max(initial=0.0))
-            moves = here.moves * min(1.0, reach / longest) if longest > 0 else here.moves
+            moves = here.moves * min(damping, reach / longest) if longest > 0 else here.moves
             slack = ROUNDING * size * math.sqrt(here.residual)
             there = None
             for halving in range(HALVINGS):
@@ -207,15 +207,17 @@ class SearchSpace:
                 if np.all(np.abs(k - here.parameters) <= np.maximum(END * k, tolerance)):
                     break
                 tried = self.at(k)
-                settled = not halving and float(np.abs(tried.moves).max()) < 0.25 * longest
-                # Where rounding hides the fall of RSS, moves that shrink still lead to its least.
-                if tried.residual < here.residual or (
-                    settled and tried.residual <= here.residual + slack
-                ):
+                if tried.residual < here.residual:
                     there = tried
+                    break
+                if tried.residual <= here.residual + slack:
+                    # Rounding hides the fall of RSS: moves that shrink still lead to its least.
+                    shrinks = float(np.abs(tried.moves).max()) < 0.25 * longest
+                    there = tried if shrinks and not halving else None
                     break
             if there is None:
                 return here
+            damping = _damping(here, there)
             here = there
         return here
 
@@ -238,6 +240,16 @@ class SearchSpace:
     def parameters(self) -> int:
         """The number of parameters of a mode: of its place, and its weights."""
         return self.family.parameters + self.family.size * self.family.targets
+
+
+def _damping(before: Projection, after: Projection) -> float:
+    """The share of the next move that leads to where moves end, by the secant of the last two.
+
+    Where much is left of the rows, Gauss-Newton moves overshoot, again and again.
+    """
+    step = after.parameters - before.parameters
+    change = float(np.sum(step * (before.moves - after.moves)))
+    return min(1.0, float(np.sum(step * step)) / change) if change > 0 else 1.0
 
 
 def concentration(errors: Array) -> float:
