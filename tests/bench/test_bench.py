@@ -16,6 +16,9 @@ from sparsefit.errors import InputError
 from sparsefit.regression.certificate import duality_gaps
 
 
+pytestmark = pytest.mark.slow  # peers are compiled and run
+
+
 @pytest.fixture(scope="module")
 def result():
     return bench.run(quick=True, repeats=2)
@@ -26,11 +29,7 @@ def small():
     return tasks(NAMED[1], points=6, grid=QUICK_GRID)
 
 
-def _marked(contender):
-    return pytest.param(contender, marks=[pytest.mark.slow] if contender.compiles else [])
-
-
-@pytest.mark.parametrize("contender", [_marked(c) for c in ALL], ids=[c.name for c in ALL])
+@pytest.mark.parametrize("contender", ALL, ids=[c.name for c in ALL])
 def test_every_contender_solves_the_objective_that_we_certify(contender, small):
     if not contender.installed:
         pytest.skip(f"{contender.package} is not installed")
