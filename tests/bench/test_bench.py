@@ -15,7 +15,6 @@ from sparsefit.bench.targets import judged
 from sparsefit.errors import InputError
 from sparsefit.regression.certificate import duality_gaps
 
-
 pytestmark = pytest.mark.slow  # peers are compiled and run
 
 
