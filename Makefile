@@ -11,7 +11,7 @@ study: $(VENV)/.installed
 	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/.partial),,--fresh)
 
 test: $(VENV)/.tests
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check sparsefit tests
