@@ -1,8 +1,7 @@
 """The fitted model: its Jacobian is that of differences, for any family, rows and nuisances."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from scipy.sparse import csr_array
 
 from sparsefit.library.cells import Cells
 from sparsefit.library.family import Family
+from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import project
 from sparsefit.uncertainty.information import Information
@@ -17,66 +17,6 @@ from sparsefit.uncertainty.model import Model
 from tests.fits import located
 
 COUNT = 60
-
-
-@dataclass(frozen=True)
-class Waves:
-    """Waves of a stream function: p = 2, k = (kx, ky); both components share 2 weights (n = 1).
-
-    psi = a cos(k.x) + b sin(k.x), u = d psi/dy, v = -d psi/dx.
-    """
-
-    name: ClassVar[str] = "waves"
-    parameters: ClassVar[int] = 2
-    size: ClassVar[int] = 2
-    targets: ClassVar[int] = 1
-
-    def values(self, position, parameters):
-        phase = parameters @ position.T
-        shape = np.stack([-np.sin(phase), np.cos(phase)], axis=1)
-        kx, ky = parameters.T[:, :, None, None]
-        return np.concatenate([ky * shape, -kx * shape], axis=2)
-
-    def slopes(self, position, parameters, values):
-        shapes = self._shapes(parameters, values)
-        turned = self._along(values)
-        away = np.concatenate([position, position]).T
-        slopes = away[:, None, None] * turned
-        half = len(position)
-        slopes[0, ..., half:] -= shapes
-        slopes[1, ..., :half] += shapes
-        return slopes.transpose(1, 0, 2, 3)
-
-    def bends(self, position, parameters, values):
-        raise NotImplementedError
-
-    def bent(self, position, parameters, values, weights):
-        slopes = self.slopes(position, parameters, values)
-        return np.einsum("spcr,scn->sprn", slopes, weights)
-
-    def bent_gradients(self, position, parameters, values, weights):
-        step, ends = 1e-5, []
-        for shift in np.eye(2) * step:
-            both = [position + sign * shift for sign in (1, -1)]
-            above, below = (
-                self.bent(x, parameters, self.values(x, parameters), weights) for x in both
-            )
-            ends.append((above - below) / (2 * step))
-        return np.stack(ends)
-
-    def gradients(self, parameters, values):
-        return parameters.T[:, :, None, None] * self._along(values)
-
-    def laplacians(self, parameters, values):
-        return -np.sum(parameters**2, axis=1)[:, None, None] * values
-
-    def _along(self, values):
-        return np.stack([-values[:, 1], values[:, 0]], axis=1)  # d/d(phase)
-
-    def _shapes(self, parameters, values):
-        half = values.shape[2] // 2
-        kx, ky = parameters.T[:, :, None, None]
-        return (ky * values[..., :half] - kx * values[..., half:]) / (kx**2 + ky**2)
 
 
 def rows_of(weak, unknown):
