@@ -187,7 +187,7 @@ class Waves:
         flow, later = self._weighted(phases, values, weights)
         moved = by_q @ _coordinates(position)
         turned = _across(by_q)
-        bent = np.einsum("spjd,sjm->spdm", turned, flow)
+        bent: Array = np.einsum("spjd,sjm->spdm", turned, flow)
         bent += np.einsum("sjd,spjm->spdm", _across(phases), moved * later[:, None])
         return bent.reshape(*bent.shape[:2], -1, 1)
 
@@ -226,7 +226,7 @@ class Waves:
         """G of cos and of sin, (s, J, 2, m), of columns (s, 2 J, 2 m)."""
         across = _across(phases)
         parts = values.reshape(*phases.shape[:2], 2, 2, -1)
-        waves = np.einsum("sjd,sjcdm->sjcm", across, parts)
+        waves: Array = np.einsum("sjd,sjcdm->sjcm", across, parts)
         square: Array = np.sum(across * across, axis=2)
         waves /= np.where(square > 0, square, 1.0)[:, :, None, None]
         return waves
