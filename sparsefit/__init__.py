@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from sparsefit.flight import write_flight as write_flight
     from sparsefit.flight.flow import CellularFlow as CellularFlow
     from sparsefit.flight.flow import SuperposedFlow as SuperposedFlow
+    from sparsefit.flight.shaped import ShapedCells as ShapedCells
+    from sparsefit.flight.turbulence import Turbulence as Turbulence
     from sparsefit.flight.vehicle import PointMassVehicle as PointMassVehicle
+    from sparsefit.flight.waves import WaveFlow as WaveFlow
     from sparsefit.library import LengthScaleGrid as LengthScaleGrid
     from sparsefit.library import Library as Library
     from sparsefit.modes import Readout as Readout
@@ -41,6 +44,9 @@ __version__ = "0.3.0"
 _HOMES = {
     "CellularFlow": "flight.flow",
     "SuperposedFlow": "flight.flow",
+    "ShapedCells": "flight.shaped",
+    "WaveFlow": "flight.waves",
+    "Turbulence": "flight.turbulence",
     "PointMassVehicle": "flight.vehicle",
     "Flight": "flight",
     "simulate_flight": "flight",

@@ -8,7 +8,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, is_real
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
-from sparsefit.flight.flow import CellularFlow, Flow
+from sparsefit.flight.flow import Cells, Flow
 
 DETECTED = 0.05  # relative, of the wavenumber: nearer than this, a scale counts as detected
 
@@ -48,12 +48,12 @@ class Score:
     hit: bool
 
 
-def strongest(flow: Flow) -> CellularFlow:
-    """The cellular flow of largest mean velocity in ``flow``, the first of equals.
+def strongest(flow: Flow) -> Cells:
+    """The cells of largest mean velocity in ``flow``, the first of equals.
 
-    A flow that is only a wind has none: ValueError.
+    A flow without cells, a wind or turbulence, has none: ValueError.
     """
-    return max(flow.components, key=lambda part: part.mean_velocity)
+    return max(flow.cells, key=lambda part: part.mean_velocity)
 
 
 def score(estimate: Estimate, flow: Flow, scales: Array) -> Score:
@@ -81,7 +81,7 @@ class ScalesScore:
 
     true, found: the number of scales of the flow and of the estimate. length_scale_errors,
     mean_velocity_errors: signed, in percent of the truth, one per detected scale in the order of
-    the flow's components.
+    the flow's cells.
     """
 
     true: int
@@ -134,16 +134,16 @@ def score_scales(
     scales = estimate.scales if isinstance(estimate, Estimate) else estimate
     pairs = sorted(
         (abs(part.length_scale / scale.length_scale - 1), i, j)
-        for i, part in enumerate(flow.components)
+        for i, part in enumerate(flow.cells)
         for j, scale in enumerate(scales)
     )
     match: dict[int, int] = {}
     for distance, i, j in pairs:
         if distance <= tolerance and i not in match and j not in match.values():
             match[i] = j
-    detected = [(scales[j], flow.components[i]) for i, j in sorted(match.items())]
+    detected = [(scales[j], flow.cells[i]) for i, j in sorted(match.items())]
     return ScalesScore(
-        true=len(flow.components),
+        true=len(flow.cells),
         found=len(scales),
         length_scale_errors=tuple(
             _error(scale.length_scale, truth.length_scale).signed_percent

@@ -1,4 +1,9 @@
-"""The flows a vehicle flies through: one cellular flow (Eqs. 1-2), or several superposed."""
+"""The flows a vehicle flies through: one cellular flow (Eqs. 1-2), or flows of any kind superposed.
+
+Every flow is a frozen record with ``velocity(x, y, t)``, ``pointwise()`` (the same on plain floats,
+for the integrator), ``cells`` (what in it an estimator seeks) and ``period`` [m], the side of the
+square from which a flight's start is drawn.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,9 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, pair, positive
+from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.turbulence import Turbulence
+from sparsefit.flight.waves import PointVelocity, WaveFlow
 
 
 @dataclass(frozen=True)
@@ -58,33 +66,60 @@ class CellularFlow:
         """No steady wind [m/s]: a cellular flow has none of its own."""
         return (0.0, 0.0)
 
-    def velocity(self, x: ArrayLike, y: ArrayLike) -> Array:
+    @property
+    def cells(self) -> tuple[CellularFlow, ...]:
+        """The flow itself."""
+        return (self,)
+
+    @property
+    def period(self) -> float:
+        """The period 2 L [m]."""
+        return 2.0 * self.length_scale
+
+    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return the flow velocity w [m/s], shape (..., 2), at positions x, y [m] (Eq. 1).
 
-        x and y are broadcast against each other to the shape (...).
+        x, y and t [s], which changes nothing, are broadcast against each other to the shape (...).
         """
-        east, north = np.broadcast_arrays(
+        east, north, _ = np.broadcast_arrays(
             self.wavenumber * np.asarray(x, dtype=np.float64),
             self.wavenumber * np.asarray(y, dtype=np.float64),
+            t,
         )
         shape = (np.sin(east) * np.cos(north), -np.cos(east) * np.sin(north))
         return self.mean_velocity * np.stack(shape, axis=-1)
 
+    def pointwise(self) -> PointVelocity:
+        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
+        k, speed, sin, cos = self.wavenumber, self.mean_velocity, math.sin, math.cos
+
+        def velocity(x: float, y: float, _: float) -> tuple[float, float]:
+            east, north = k * x, k * y
+            return speed * sin(east) * cos(north), -(speed * cos(east) * sin(north))
+
+        return velocity
+
+
+Cells: TypeAlias = CellularFlow | ShapedCells
+Part: TypeAlias = CellularFlow | ShapedCells | WaveFlow | Turbulence
+PARTS = (CellularFlow, ShapedCells, WaveFlow, Turbulence)
+
 
 @dataclass(frozen=True)
 class SuperposedFlow:
-    """The sum of several cellular flows, eddies within eddies, and of a steady wind.
+    """The sum of several flows, eddies within eddies or in turbulence, and of a steady wind.
 
     Args:
-        components: the cellular flows; none are needed where there is a wind.
-        wind: a steady wind that carries them all [m/s], (x, y).
+        components: the flows, `CellularFlow`, `ShapedCells`, `WaveFlow` or `Turbulence`; none are
+            needed where there is a wind.
+        wind: a steady wind beside them [m/s], (x, y); it carries the vehicle, and no pattern.
 
     Raises:
-        InputError: if there is neither, or a component is not a `CellularFlow`; if the wind is not
-            two finite numbers.
+        InputError: if there is neither, or a component is no flow or itself superposed; if the
+            wind is not two finite numbers.
     """
 
-    components: tuple[CellularFlow, ...]
+    components: tuple[Part, ...]
     wind: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -93,21 +128,55 @@ class SuperposedFlow:
         parts = tuple(given) if isinstance(given, (tuple, list)) else ()
         object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
         only_wind = given == () and any(self.wind)
-        cellular = bool(parts) and all(isinstance(part, CellularFlow) for part in parts)
-        if not (only_wind or cellular):
+        flows = bool(parts) and all(isinstance(part, PARTS) for part in parts)
+        if not (only_wind or flows):
             raise InputError(
-                "SuperposedFlow needs a tuple of at least one CellularFlow, "
+                "SuperposedFlow needs a tuple of at least one CellularFlow or other flow, "
                 f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {given!r}"
             )
         object.__setattr__(self, "components", parts)
 
-    def velocity(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m]."""
-        shape = np.broadcast_shapes(np.shape(x), np.shape(y))
+    @property
+    def mean_velocity(self) -> float:
+        """U0 = sqrt(2 <|w|^2>) [m/s] of the components, no two of which share a wave."""
+        return math.hypot(*(part.mean_velocity for part in self.components))
+
+    @property
+    def cells(self) -> tuple[Cells, ...]:
+        """The components that are cells."""
+        return tuple(cell for part in self.components for cell in part.cells)
+
+    @property
+    def period(self) -> float:
+        """The longest period of its cells [m], of all components without cells, 0 of a wind."""
+        return max((part.period for part in self.cells or self.components), default=0.0)
+
+    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
+        """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m] and t [s].
+
+        x, y and t are broadcast against each other to the shape (...).
+        """
+        shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(t))
         total: Array = np.zeros((*shape, 2)) + self.wind
         for part in self.components:
-            total += part.velocity(x, y)
+            total += part.velocity(x, y, t)
         return total
 
+    def pointwise(self) -> PointVelocity:
+        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
+        east, north = self.wind
+        parts = [part.pointwise() for part in self.components]
 
-Flow: TypeAlias = CellularFlow | SuperposedFlow
+        def velocity(x: float, y: float, t: float) -> tuple[float, float]:
+            u, v = east, north
+            for part in parts:
+                more_u, more_v = part(x, y, t)
+                u += more_u
+                v += more_v
+            return u, v
+
+        return velocity
+
+
+Flow: TypeAlias = Part | SuperposedFlow
+FLOWS = (*PARTS, SuperposedFlow)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.flight.flow import CellularFlow, Flow, SuperposedFlow
+from sparsefit.flight.flow import FLOWS, Flow
 from sparsefit.flight.vehicle import PointMassVehicle
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
@@ -124,5 +124,6 @@ def check_models(vehicle: object, flow: object) -> None:
     """Raise `InputError` unless they are a vehicle and a flow, or None, of this package."""
     if not isinstance(vehicle, PointMassVehicle):
         raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
-    if flow is not None and not isinstance(flow, (CellularFlow, SuperposedFlow)):
-        raise InputError(f"flow must be a CellularFlow, a SuperposedFlow or None; got {flow!r}")
+    if flow is not None and not isinstance(flow, FLOWS):
+        names = ", ".join(kind.__name__ for kind in FLOWS)
+        raise InputError(f"flow must be one of {names}, or None; got {flow!r}")

@@ -48,8 +48,8 @@ def simulate_flight(
         duration: [s]; the flight has round(duration * sample_rate) + 1 samples.
         sample_rate: [Hz].
         seed: a non-negative integer or a seed sequence, which is left as it was.
-        initial_position: [m]; by default uniform over one period [0, 2L)^2 of the largest scale,
-            in still air the origin.
+        initial_position: [m]; by default uniform over one period of the flow, [0, 2L)^2 of the
+            largest cells, in still air or a mere wind the origin.
         initial_velocity: [m/s].
         process_noise: standard deviation [m/s^2] of the noise on v' (Eq. 7), averaged over one
             sample interval; white within it.
@@ -120,9 +120,9 @@ def _start(
     """Return the initial position [m]: the one given, else one drawn from a period of the flow."""
     if position is not None:
         return pair("initial_position", position, "m")
-    if flow is None or not flow.components:
+    period = flow.period if flow else 0.0
+    if not period:
         return (0.0, 0.0)
-    period = 2.0 * max(part.length_scale for part in flow.components)
     return pair("initial_position", stream.uniform(0.0, period, 2), "m")
 
 
@@ -141,22 +141,20 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
 
 def _right_hand_side(flow: Flow | None, vehicle: PointMassVehicle) -> RightHandSide:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more."""
-    sin, cos = math.sin, math.cos
-    terms = [(part.wavenumber, part.mean_velocity) for part in (flow.components if flow else ())]
+    flow_at = flow.pointwise() if flow else _still
     rate = 1.0 / vehicle.response_time
-    east_wind, north_wind = flow.wind if flow else (0.0, 0.0)
     ax, ay = vehicle.thrust_acceleration
 
-    def derivative(_: float, state: Array) -> list[float]:
+    def derivative(t: float, state: Array) -> list[float]:
         x, y, vx, vy = state.tolist()
-        wx, wy = east_wind, north_wind
-        for k, speed in terms:
-            east, north = k * x, k * y
-            wx += speed * sin(east) * cos(north)
-            wy -= speed * cos(east) * sin(north)
+        wx, wy = flow_at(x, y, t)
         return [vx, vy, (wx - vx) * rate + ax, (wy - vy) * rate + ay]
 
     return derivative
+
+
+def _still(_x: float, _y: float, _t: float) -> tuple[float, float]:
+    return 0.0, 0.0
 
 
 def _integrate(

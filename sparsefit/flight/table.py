@@ -91,12 +91,16 @@ def number(text: str, place: str) -> float:
 
 
 def _flow_settings(flow: Flow | None) -> dict[str, float]:
+    """A flow of cells along the axes, with a wind or none; no other flow has a place in a file."""
     settings: dict[str, float] = {}
-    for count, part in enumerate(flow.components if flow else (), start=1):
+    parts = flow.components if isinstance(flow, SuperposedFlow) else (flow,)
+    for count, part in enumerate(parts, start=1):
+        if not isinstance(part, CellularFlow):
+            return {}
         ending = f"_{count}" if isinstance(flow, SuperposedFlow) else ""
         settings[f"mean_velocity{ending}"] = part.mean_velocity
         settings[f"length_scale{ending}"] = part.length_scale
-    if flow and any(flow.wind):
+    if isinstance(flow, SuperposedFlow) and any(flow.wind):
         settings |= dict(zip(WIND, flow.wind, strict=True))
     return settings
 

@@ -81,7 +81,7 @@ def test_values_must_be_finite(bad):
         ({"time": np.ma.masked_greater(TIME, 0.2)}, "masked"),
         ({"time": TIME.astype("M8[s]")}, "time must be an array of real numbers"),
         ({"vehicle": None}, "vehicle must be a PointMassVehicle"),
-        ({"flow": 3.0}, "flow must be a CellularFlow"),
+        ({"flow": 3.0}, "flow must be one of CellularFlow, "),
     ],
 )
 def test_bad_fields_are_named(changes, message):

@@ -94,7 +94,7 @@ def _curve(study: Study, cell: Cell) -> Curve:
     scanner = Scanner.of(continuum, continuum.interval(backend.lower, backend.upper))
     residual = target - found.problem.theta @ found.weights
     alpha = backend.alpha_fraction * scanner.peaks(target)[0].height
-    largest = max(part.length_scale for part in draw.flow.components)
+    largest = max(part.length_scale for part in draw.flow.cells)
     return Curve(
         math.pi / scanner.scan.wavenumbers,
         scanner.scan.heights(residual) / alpha,
@@ -107,7 +107,7 @@ def _curve(study: Study, cell: Cell) -> Curve:
 
 def _panel(axes: Axes, curve: Curve) -> None:
     axes.set_xscale("function", functions=(_wavenumber, _wavenumber))
-    for place, part in enumerate(curve.flow.components):
+    for place, part in enumerate(curve.flow.cells):
         axes.axvline(
             part.length_scale, color=COLOURS[1], ls=(0, (4, 2)), lw=1.0,
             label="true length scale" if place == 0 else None,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.flow import Cells
 from sparsefit.score import ScalesScore
 from sparsefit.study.run.reading import PARAMETERS, Reading, ScaleSets
 from sparsefit.study.spec.plan import Case
@@ -53,7 +53,7 @@ class Planned:
 
     study: Study
     case: Case
-    flow: CellularFlow | None
+    flow: Cells | None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from functools import cached_property
 
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
-from sparsefit.flight.flow import CellularFlow, Flow
+from sparsefit.flight.flow import Cells, CellularFlow, Flow
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.score import ScalesScore, score, score_scales
@@ -108,10 +108,10 @@ def scale_sets(estimate: Estimate, flow: Flow | None) -> ScaleSets | None:
 
     A readout of one scale on superposed flows counts as the set of that scale.
     """
-    if flow is None or (len(flow.components) == 1 and not estimate.scales):
+    if flow is None or (len(flow.cells) == 1 and not estimate.scales):
         return None
     scales = estimate.scales or _alone(estimate)
-    return ScaleSets(score_scales(scales, flow), _listed(flow.components), _listed(scales))
+    return ScaleSets(score_scales(scales, flow), _listed(flow.cells), _listed(scales))
 
 
 def _alone(estimate: Estimate) -> tuple[ScaleEstimate, ...]:
@@ -121,7 +121,7 @@ def _alone(estimate: Estimate) -> tuple[ScaleEstimate, ...]:
     return (ScaleEstimate(speed, scale, estimate.timescale, estimate.grid_length_scale),)
 
 
-def _listed(scales: Sequence[CellularFlow | ScaleEstimate]) -> str:
+def _listed(scales: Sequence[Cells | ScaleEstimate]) -> str:
     pairs = [(scale.length_scale, scale.mean_velocity) for scale in scales]
     rounded = [[float(f"{value:.{LISTED_DIGITS}g}") for value in pair] for pair in pairs]
     return json.dumps(rounded, separators=(",", ":"))

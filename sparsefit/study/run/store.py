@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sparsefit.errors import InputError, is_real
-from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.flow import Cells
 from sparsefit.score import strongest
 from sparsefit.study.run.columns import COLUMNS, KINDS, LEVEL, TEXT, Column, Planned
 from sparsefit.study.run.outcome import Outcome
@@ -69,7 +69,7 @@ def cases_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
 
 
 def _planned(study: Study, ordered: Iterable[Outcome]) -> Iterator[Planned]:
-    flows: dict[tuple[int, object], CellularFlow | None] = {}
+    flows: dict[tuple[int, object], Cells | None] = {}
     for outcome in ordered:
         cell = study.cells[outcome.cell]
         flown = (outcome.flight, flight_key(cell))

@@ -149,7 +149,7 @@ class Draw:
     @property
     def flown(self) -> Flow | None:
         """The flow with its wind; `flow` alone is what is sought."""
-        parts = self.flow.components if self.flow else ()
+        parts = self.flow.cells if self.flow else ()
         return SuperposedFlow(parts, self.wind) if any(self.wind) else self.flow
 
     def fly(self, seed: np.random.SeedSequence) -> Flight:
