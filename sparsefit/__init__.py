@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sparsefit.flight.waves import WaveFlow as WaveFlow
     from sparsefit.library import LengthScaleGrid as LengthScaleGrid
     from sparsefit.library import Library as Library
+    from sparsefit.library import WaveGrid as WaveGrid
     from sparsefit.modes import Readout as Readout
     from sparsefit.regression import Certificate as Certificate
     from sparsefit.regression import Fit as Fit
@@ -55,6 +56,7 @@ _HOMES = {
     "Derivative": "derivative",
     "LengthScaleGrid": "library",
     "Library": "library",
+    "WaveGrid": "library",
     "RegressionProblem": "regression",
     "Certificate": "regression",
     "Fit": "regression",

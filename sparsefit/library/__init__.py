@@ -3,5 +3,13 @@
 from sparsefit.library.builder import TARGET_NAMES, Library
 from sparsefit.library.cells import CANDIDATES, candidate_columns
 from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.library.wave_grid import WaveGrid
 
-__all__ = ["CANDIDATES", "TARGET_NAMES", "LengthScaleGrid", "Library", "candidate_columns"]
+__all__ = [
+    "CANDIDATES",
+    "TARGET_NAMES",
+    "LengthScaleGrid",
+    "Library",
+    "WaveGrid",
+    "candidate_columns",
+]

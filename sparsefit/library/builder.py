@@ -1,28 +1,31 @@
-"""Candidate functions over a grid of length scales, and the regression problem they make.
+"""Candidate functions over a grid, and the regression problem they make.
 
-Paper Eqs. 17-19: for every length scale L the 8 products and singles of sin and cos of
-pi x / L and pi y / L. Column groups: the 8 columns of one length scale.
+Three families: the paper's cells (Eqs. 17-19), for every length scale L the 8 products and singles
+of sin and cos of pi x / L and pi y / L, with weights for each velocity component; ``stream``, the 4
+amplitudes of a stream function for every L, which both components share; ``waves``, the waves of a
+stream function over the plane of wavevectors, cells of any heading and shape among them.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError, integer_setting, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.library.cells import CANDIDATES, candidate_columns
+from sparsefit.library.columns import LibraryColumns, cell_columns, stream_columns, wave_columns
 from sparsefit.library.continuum import EQUATION_1, CellContinuum
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import Nuisance, checked_unknowns, project_out, refuse_spanned
 from sparsefit.library.scan import extent_of
+from sparsefit.library.wave_grid import WaveGrid
 from sparsefit.regression.problem import RegressionProblem, compressed
-from sparsefit.regression.statistics import row_blocks
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
+FamilyName = Literal["cells", "stream", "waves"]
+WaveGroups = Literal["wave", "ring", "nested"]
 
 TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "flow-velocity": ("w_x", "w_y"),
@@ -34,20 +37,45 @@ STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
 
 @dataclass(frozen=True)
 class Library:
-    """The library builder: candidates over ``grid``, and what they are regressed on.
+    """The library builder: candidates of a family over a grid, and what they are regressed on.
 
     ``target``: ``flow-velocity`` Phi = tau (v' - a) + v (Eq. 23), ``acceleration`` v', or
     ``state-derivative`` (x', v'), the literal reading of Eq. 20.
     ``unknown``: what is estimated with the flow, of ``response_time``, ``thrust_acceleration`` and
     ``wind`` (`sparsefit.library.nuisance`); what is not is as the vehicle says, the wind 0.
+    ``family``: ``cells``, ``stream`` or ``waves``. Those of a stream function have one weight for
+    both velocity components, and their one target is the flow velocity.
+    ``waves``: how fine the wavevectors of ``waves`` are; ``grid`` gives the bounds of the length
+    scale. ``groups``: what its groups are: the ``wave``, the ``ring`` of waves of one |k|, which is
+    the length scale, or ``nested``: waves within rings, for penalties of groups in groups.
+    ``every``: rows are every so many-th sample, where a smoothed flight has more than it has to
+    say: a fit costs less, and what is refined off the grid still takes all of them.
     """
 
     grid: LengthScaleGrid = LengthScaleGrid()
     target: Target = "flow-velocity"
     unknown: tuple[str, ...] = ()
+    family: FamilyName = "cells"
+    waves: WaveGrid = WaveGrid()
+    groups: WaveGroups = "wave"
+    every: int = 1
 
     def __post_init__(self) -> None:
         one_of("target", self.target, TARGET_NAMES)
+        one_of("family of the library", self.family, get_args(FamilyName))
+        one_of("groups of the library", self.groups, get_args(WaveGroups))
+        if self.family != "cells" and self.target != "flow-velocity":
+            raise InputError(
+                f"family {self.family!r} is of a stream function, which gives the flow velocity: "
+                f"target {self.target!r} needs family 'cells'"
+            )
+        if self.family != "waves" and (self.groups != "wave" or self.waves != WaveGrid()):
+            setting = "groups" if self.groups != "wave" else "waves"
+            raise InputError(
+                f"library: {setting!r} is a setting of family 'waves', not of {self.family!r}; "
+                "leave it out"
+            )
+        integer_setting("library", "every", self.every, least=1)
         object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
 
     def response(self, samples: Samples | WeakRows, vehicle: PointMassVehicle) -> Array:
@@ -61,43 +89,72 @@ class Library:
     def build(self, samples: Samples, vehicle: PointMassVehicle) -> RegressionProblem:
         """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
 
+        Of a stream function theta has two rows a sample, x and y, and one column of the target.
+
         Flights whose theta would exceed 1 GiB are compressed block by block
         (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
         """
-        scales = self.grid.resolving(extent_of(samples.position)).scales
-        for axis, values in zip("xy", samples.position.T, strict=True):
-            if not values.any():
-                raise InputError(
-                    f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
-                    "are zero: no length scale can be told; leave that line"
-                )
+        if self.family == "cells":
+            _refuse_axes(samples.position)
+        columns, samples = self.columns(samples), self._thinned(samples)
         source = samples.weak or samples
-        held = len(source.time) * len(scales) * len(CANDIDATES) * 8
         target = self.response(source, vehicle)
-        columns = len(scales) * len(CANDIDATES)
-        large = held > STREAM_BYTES and len(source.time) > columns + target.shape[1]
+        target = target.reshape(-1, target.shape[1] // columns.components)
+        large = target.shape[0] * columns.size * 8 > STREAM_BYTES
+        large = large and len(target) > columns.size + target.shape[1]
         if samples.weak or self.unknown:
-            theta, target, rows = self._reduced(source, vehicle, target, scales, large)
-            return self._problem(theta, target, scales, rows, None)
+            theta, target, rows = self._reduced(source, vehicle, target, columns, large)
+            return self._problem(theta, target, columns, rows, None)
         if large:
-            pieces = row_blocks(samples.position, target)
             triangle, count, _ = compressed(
-                (candidate_columns(position, scales), values) for position, values in pieces
+                (block, target[rows]) for rows, block in columns.blocks(samples)
             )
-            theta, target = triangle[:, :columns].copy(), triangle[:, columns:].copy()
-            return self._problem(theta, target, scales, count, None)
-        theta = candidate_columns(samples.position, scales)
+            theta, target = triangle[:, : columns.size], triangle[:, columns.size :]
+            return self._problem(theta.copy(), target.copy(), columns, count, None)
+        theta = columns.at(samples.position)
+        if self.family != "cells":
+            return self._problem(theta, target, columns, None, None)
         pattern = EQUATION_1 if self.target == "flow-velocity" else None
-        bounds = float(np.pi / scales.max()), float(np.pi / scales.min())
+        bounds = float(np.pi / columns.scales.max()), float(np.pi / columns.scales.min())
         continuum = CellContinuum(samples.position, bounds, pattern)
-        return self._problem(theta, target, scales, len(target), continuum)
+        return self._problem(theta, target, columns, len(target), continuum)
+
+    def columns(self, samples: Samples) -> LibraryColumns:
+        """The columns that the grid gives a flight with these samples.
+
+        Raises InputError where they are too many to hold.
+        """
+        extent = extent_of(samples.position)
+        if self.family == "waves":
+            rings = self.waves.rings(self.grid.lower, self.grid.upper, extent)
+            return wave_columns(rings, self.groups)
+        scales = self.grid.resolving(extent).scales
+        return cell_columns(scales) if self.family == "cells" else stream_columns(scales)
+
+    def _thinned(self, samples: Samples) -> Samples:
+        if self.every == 1:
+            return samples
+        if samples.weak:
+            raise InputError(
+                "library: 'every' thins samples, but the weak form has averages of its own; leave "
+                "it out, or use a larger window"
+            )
+        thin = slice(None, None, self.every)
+        return replace(
+            samples,
+            time=samples.time[thin],
+            position=samples.position[thin],
+            velocity=samples.velocity[thin],
+            position_rate=samples.position_rate[thin],
+            acceleration=samples.acceleration[thin],
+        )
 
     def _reduced(
         self,
         source: Samples | WeakRows,
         vehicle: PointMassVehicle,
         target: Array,
-        scales: Array,
+        columns: LibraryColumns,
         large: bool,
     ) -> tuple[Array, Array, int | None]:
         """theta and target averaged by test functions, less what the unknown columns explain.
@@ -105,11 +162,13 @@ class Library:
         Folding [Q, theta, target] into a triangle, Q a basis of those columns, and dropping the
         first rows and columns of it, takes the projection in the same pass.
         """
-        size = len(scales) * len(CANDIDATES)
+        size = columns.size
         basis = np.zeros((len(target), 0))
         if self.unknown:
-            basis = Nuisance(self.unknown, vehicle).basis(source.velocity)
-        pieces = _candidate_blocks(source, scales)
+            basis = Nuisance(self.unknown, vehicle).basis(
+                source.velocity, shared=columns.components == 2
+            )
+        pieces = columns.blocks(source)
         if not large:
             theta = np.vstack([block for _, block in pieces])
             return (*project_out(basis, theta, target), None)
@@ -126,29 +185,29 @@ class Library:
         self,
         theta: Array,
         target: Array,
-        scales: Array,
+        columns: LibraryColumns,
         count: int | None,
         continuum: CellContinuum | None,
     ) -> RegressionProblem:
+        names = TARGET_NAMES[self.target]
         return RegressionProblem(
             theta,
             target,
-            np.repeat(np.arange(len(scales)), len(CANDIDATES)),
-            tuple(f"{name} (L = {scale:g} m)" for scale in scales for name in CANDIDATES),
-            TARGET_NAMES[self.target],
-            scales,
+            columns.groups,
+            columns.names,
+            names if columns.components == 1 else (" ".join(names),),
+            columns.scales,
             count,
             continuum,
+            columns.subgroups,
         )
 
 
-def _candidate_blocks(source: Samples | WeakRows, scales: Array) -> Iterator[tuple[slice, Array]]:
-    """Rows of theta in blocks: samples, or averages of them."""
-    if isinstance(source, WeakRows):
-        for rows, weights, position in source.blocks():
-            yield rows, weights @ candidate_columns(position, scales)
-        return
-    start = 0
-    for (position,) in row_blocks(source.position):
-        yield slice(start, start + len(position)), candidate_columns(position, scales)
-        start += len(position)
+def _refuse_axes(position: Array) -> None:
+    """InputError where a flight stays on a line on which candidates are zero."""
+    for axis, values in zip("xy", position.T, strict=True):
+        if not values.any():
+            raise InputError(
+                f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
+                "are zero: no length scale can be told; leave that line"
+            )

@@ -138,13 +138,18 @@ class Nuisance:
         residuals: Array = products[:, 0, 0] + products[:, 1, 1] - explained
         return residuals
 
-    def basis(self, velocity: Array) -> Array:
-        """An orthonormal basis (m, r) of the span of `series`.
+    def basis(self, velocity: Array, *, shared: bool = False) -> Array:
+        """An orthonormal basis (m, r) of the span of `series`, or (2 m, r) of `columns`.
 
         A back-end shares one theta between the components, so that each has coefficients of its
-        own here, of v_x and v_y; the refinement and the readout share the one of v.
+        own here, of v_x and v_y; the refinement and the readout share the one of v. ``shared``:
+        the rows are those of x and y, sample after sample, and so do the coefficients.
         """
-        left, roots, _ = np.linalg.svd(self.series(velocity).T, full_matrices=False)
+        columns = self.series(velocity).T
+        if shared:
+            both = self.columns(velocity).transpose(1, 0, 2)
+            columns = both.reshape(2 * len(velocity), -1)
+        left, roots, _ = np.linalg.svd(columns, full_matrices=False)
         kept: Array = left[:, roots > RANK * roots[0]]
         return kept
 

@@ -46,6 +46,7 @@ class RegressionProblem:
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
+    ``subgroups`` (k,): the group within its group of each column, for penalties of both.
     """
 
     theta: Array
@@ -56,6 +57,7 @@ class RegressionProblem:
     group_scales: Array | None = None
     sample_count: int | None = None
     continuum: Continuum | None = None
+    subgroups: IntArray | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)

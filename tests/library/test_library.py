@@ -12,8 +12,8 @@ from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
 from sparsefit.library import builder as room
 from sparsefit.library.builder import Library
-from sparsefit.library.builder import candidate_columns as columns_of
 from sparsefit.library.cells import CANDIDATES
+from sparsefit.library.cells import candidate_columns as columns_of
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.problem import RegressionProblem
 
