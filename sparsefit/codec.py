@@ -135,6 +135,11 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
         return number(value, place)
     if hint is int:
         return integer(value, place, least=0)
+    if get_origin(hint) is tuple:
+        return _tuple(value, get_args(hint), place)
+    if get_origin(hint) is Mapping:
+        _, item = get_args(hint)
+        return {str(key): _fitted(one, item, place) for key, one in mapping(value, place).items()}
     if is_dataclass(hint) and not isinstance(value, cast(type, hint)):
         inner = ".".join(name for name in (place.section, place.key) if name)
         return build(cast(type[Any], hint), mapping(value, place), place.within(inner))
@@ -142,6 +147,16 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
         kind = {"str": "text in quotes", "bool": "true or false"}.get(hint.__name__, hint.__name__)
         raise place.error(f"must be {kind}, not {shown(value)}")
     return value
+
+
+def _tuple(value: object, hints: tuple[Any, ...], place: Place) -> tuple[object, ...]:
+    """Items of one type, as many as there are, or of the types listed; one alone needs no list."""
+    items = list(value) if isinstance(value, list | tuple) else [value]
+    if hints[-1] is ...:
+        return tuple(_fitted(item, hints[0], place) for item in items)
+    if len(items) != len(hints):
+        raise place.error(f"must be {len(hints)} values in a list, not {shown(value)}")
+    return tuple(_fitted(item, hint, place) for item, hint in zip(items, hints, strict=True))
 
 
 def _one_of(value: object, options: tuple[object, ...], place: Place) -> object:

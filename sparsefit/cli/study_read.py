@@ -94,13 +94,13 @@ def show(args: argparse.Namespace) -> int:
     from sparsefit.study.report.render import to_text
 
     for name in args.table or ():
-        one_of("table", name, TABLES)
+        one_of("table", name, TABLES.named)
     stored = _stored(args)
     study, cases, width = stored.study, stored.cases, terminal_width()
     if not args.table and not args.json:
         print(render_show(study, cases, width=width), end="")
         return 0
-    named = {name: TABLES[name](study, cases) for name in args.table or ()}
+    named = {name: TABLES.make(name, study, cases) for name in args.table or ()}
     tables = named or tables_of(study, cases)
     if args.json:
         print_json({name: table_record(table) for name, table in tables.items()})

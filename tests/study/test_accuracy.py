@@ -13,7 +13,7 @@ from test_tables import STUDY, TABLE1, beside, case, column, frame
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells
 from sparsefit.study.evidence.along import level_needed
-from sparsefit.study.evidence.answers import answer, sentences
+from sparsefit.study.evidence.answers import ANSWERS, sentences
 from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.sentence import extremes, listed, some
 from sparsefit.study.evidence.tables import TABLES
@@ -41,7 +41,7 @@ class TestEfficiency:
     def test_the_root_mean_square_of_error_over_bound_by_hand(self):
         # U0: 2 and 4 % at bounds of 1 and 4 %: sqrt((2^2 + 1^2) / 2). L: 0 and -8 %: sqrt(4 / 2).
         cases = frame(bounded(0, (2.0, 0.0), 1.0), bounded(1, (4.0, -8.0), 4.0))
-        table = TABLES["efficiency"](STUDY, cases)
+        table = TABLES.make("efficiency", STUDY, cases)
         assert column(table, "U0", GROUP) == pytest.approx([math.sqrt(2.5)])
         assert column(table, "L_w", GROUP) == pytest.approx([math.sqrt(2.0)])
         assert column(table, "L_w", "rms error") == pytest.approx([math.sqrt(32.0)])
@@ -56,13 +56,13 @@ class TestEfficiency:
             bounded(3, (50.0, 50.0), math.nan),
             bounded(4, (50.0, 50.0), 1.0, status="unidentifiable"),
         )
-        table = TABLES["efficiency"](STUDY, cases)
+        table = TABLES.make("efficiency", STUDY, cases)
         assert column(table, "U0", GROUP) == pytest.approx([3.0])
         names = ("n", "ok", "failures", "with bound")
         assert [column(table, name)[0] for name in names] == [5, 3, 1, 1]
 
     def test_cases_from_before_there_were_bounds_have_none(self):
-        table = TABLES["efficiency"](STUDY, frame(case(), case(1)))
+        table = TABLES.make("efficiency", STUDY, frame(case(), case(1)))
         assert column(table, "with bound") == [0]
         assert np.isnan(column(table, "U0", GROUP)).all()
 
@@ -72,7 +72,7 @@ class TestEfficiency:
             bounded(0, (8.0, 3.0), 1.0, backend="stlsq", label="stlsq"),
         )
         measures = ["length-scale-efficiency", "mean-velocity-efficiency"]
-        said = answer({"measure": measures}, STUDY, cases)
+        said = ANSWERS.make({"measure": measures}, STUDY, cases)
         assert said.startswith("Rms L_w and U0 error / Cramér-Rao bound (1 flights).")
         assert "L_w 3.00 (all), U0 2.00 (lasso) to 8.00 (stlsq)" in said
 
@@ -120,19 +120,19 @@ class TestWindows:
 
     def test_table_and_answer(self):
         cases = flown({1.0: [9, 9], 2.0: [4, None], 3.0: [0.5, 4]})
-        table = TABLES["windows"](STUDY, cases)
+        table = TABLES.make("windows", STUDY, cases)
         assert column(table, "flights") == [2]
         assert column(table, "within 5 %", "median flight") == [2.0]
         assert column(table, "within 1 %", "median flight") == [3.0]
         assert column(table, "within 5 %", "9 of 10 flights") == [3.0]
         assert column(table, "within 1 %", "9 of 10 flights") == [None]
         asked = {"measure": "largest-error", "compare": "until", "limits": [5.0, 1.0]}
-        said = answer(asked | {"along": "flights.duration"}, STUDY, cases)
+        said = ANSWERS.make(asked | {"along": "flights.duration"}, STUDY, cases)
         assert said.endswith("matched: every back-end 2 / 3 s and 3 / never s.")
 
     def test_a_study_of_one_duration_is_refused(self):
         with pytest.raises(InputError, match="windows"):
-            TABLES["windows"](STUDY, flown({1.0: [1, 2]}))
+            TABLES.make("windows", STUDY, flown({1.0: [1, 2]}))
 
 
 def test_a_spread_over_protocols_compares_the_worst_with_the_best():
@@ -142,7 +142,7 @@ def test_a_spread_over_protocols_compares_the_worst_with_the_best():
         for grid, size in zip(("coarse", "fine"), sizes, strict=True)
     ]
     asked = {"measure": "length-scale-error", "compare": "spread", "over": "protocol"}
-    said = answer(asked, STUDY, frame(*rows))
+    said = ANSWERS.make(asked, STUDY, frame(*rows))
     assert said.startswith("Median |error| of L_w, and how far the protocol alone moves it.")
     assert "2.00 % to 6.00 %, the worst protocol's 3.00 (lasso) times" in said
     assert "0.500 % to 0.500 %, the worst protocol's 1.00 (lasso) times" in said
@@ -157,7 +157,7 @@ class TestPaperAnswers:
             case(1, backend="stlsq", label="stlsq", percent=(0.0, 30.0)),
         ]
         rows = [row | {"split": "all"} for row in rows]
-        said = answer("least-errors", STUDY, frame(*rows))
+        said = ANSWERS.make("least-errors", STUDY, frame(*rows))
         assert "a flight without an estimate counting as 100 %" in said
         assert said.endswith("20.0 % (stlsq).")
 
@@ -169,7 +169,7 @@ class TestPaperAnswers:
         rows = [row(0.1, 2.0), row(0.3, 5.0), row("auto", 3.0, selection="bic")]
         asked = {"measure": "timescale-error", "summary": "mean", "failures": "miss"}
         every = {"within": "backend", "settings": "every", "show": "every"}
-        said = answer(asked | every, STUDY, frame(*rows))
+        said = ANSWERS.make(asked | every, STUDY, frame(*rows))
         assert "2.00 % (alpha_fraction=0.1 selection" not in said
         order = [said.index(size) for size in ("2.00 % (", "3.00 % (", "5.00 % (")]
         assert order == sorted(order)
@@ -181,22 +181,22 @@ class TestPaperAnswers:
             case(backend="stlsq", label="stlsq", percent=(0.0, -40.0)),
         )
         asked = {"measure": "timescale-signed-error", "settings": "every"}
-        assert "+2.00 % (lasso) to -40.00 % (stlsq)." in answer(asked, STUDY, cases)
-        printed = answer(asked, beside(TABLE1), cases)
+        assert "+2.00 % (lasso) to -40.00 % (stlsq)." in ANSWERS.make(asked, STUDY, cases)
+        printed = ANSWERS.make(asked, beside(TABLE1), cases)
         assert printed.endswith("(stlsq); paper, Table 1: -3.70 %.")
 
     def test_completeness(self):
         study = SimpleNamespace(**{**vars(STUDY), "planned": 2})
-        assert answer("completeness", study, frame(case(), case(1))).startswith("Yes: 2 of 2")
+        assert ANSWERS.make("completeness", study, frame(case(), case(1))).startswith("Yes: 2 of 2")
         broken = frame(case(), case(1, status="crashed"))
-        assert answer("completeness", study, broken).startswith("Not wholly: 2 of 2")
+        assert ANSWERS.make("completeness", study, broken).startswith("Not wholly: 2 of 2")
 
     def test_sentences_are_those_that_the_study_names(self):
         study = SimpleNamespace(
             **{**vars(STUDY), "answers": ("completeness", {"measure": "seconds"})}
         )
         cases = frame(case(), case(1))
-        expected = [answer(entry, study, cases) for entry in study.answers]
+        expected = [ANSWERS.make(entry, study, cases) for entry in study.answers]
         assert sentences(study, cases) == expected
         assert sentences(STUDY, cases) == []
 

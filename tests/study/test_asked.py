@@ -8,11 +8,12 @@ import pytest
 from test_figures import LEVELS, study, synthetic
 
 from sparsefit.errors import InputError
-from sparsefit.study.evidence.answers import COMPARISONS, sentences
-from sparsefit.study.evidence.asked import Asked, read_entry
-from sparsefit.study.evidence.measures import MEASURES, Failure
-from sparsefit.study.evidence.tables import TABLE_COMPARISONS, tables_of
-from sparsefit.study.report.figures import DRAWN, read_figure
+from sparsefit.study.evidence.answers import ANSWERS, sentences
+from sparsefit.study.evidence.asked import Asked
+from sparsefit.study.evidence.measure import Failure
+from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.tables import TABLES, tables_of
+from sparsefit.study.report.figures import FIGURES
 from sparsefit.study.report.pages import check_outputs, write_report
 
 NOISE = "flights.velocity_noise"
@@ -21,7 +22,7 @@ SMALL = synthetic(2, LEVELS[::2], ("paper",))
 
 
 def read(**options: object) -> Asked:
-    return read_entry(options, {}, COMPARISONS)
+    return ANSWERS.read(options)
 
 
 def test_a_failure_counts_as_the_entry_says() -> None:
@@ -35,7 +36,7 @@ def test_the_three_conventions_on_one_set_of_cases() -> None:
     cases = CASES.iloc[:4].assign(status=["ok", "ok", "ok", "error"])
     cases["est_timescale"] = cases["true_timescale"] * [1.1, 1.2, 1.3, 1.0]
     by = {
-        failure: read(measure="timescale-error", failures=failure, summary="mean").measure
+        failure: read(measure="timescale-error", failures=failure, summary="mean").first
         for failure in ("left out", "miss", "infinite")
     }
     told = [measure.summarise(cases) for measure in by.values()]
@@ -49,13 +50,14 @@ def test_the_three_conventions_on_one_set_of_cases() -> None:
     [
         ({"measure": "timescale-eror"}, 'did you mean "timescale-error"'),
         ({"compare": "seting"}, 'did you mean "settings"'),
-        ({"failures": "ignored"}, "known: left out, miss, infinite"),
+        ({"failures": "ignored"}, "known: infinite, left out, miss"),
         ({"alnog": NOISE}, 'did you mean "along"'),
-        ({"limits": ["five"]}, "limits must be a number, not 'five'"),
-        ({"along": 3}, "along must be a name"),
-        ({"at_least": 3}, "at_least must be a table"),
+        ({"limits": ["five"]}, "key \"limits\" must be a number, not 'five'"),
+        ({"along": 3}, 'key "along" must be text in quotes'),
+        ({"at_least": 3}, 'key "at_least" must be an object'),
+        ({"measure": "avarage seconds"}, 'unknown summary "avarage"'),
         ({"at_least": {"cels": 3.0}}, 'did you mean "cells"'),
-        ({"band": "yes"}, "band must be true or false"),
+        ({"band": "yes"}, 'key "band" must be true or false'),
     ],
 )
 def test_refusals_name_the_nearest(options: dict[str, object], said: str) -> None:
@@ -69,7 +71,7 @@ def test_the_check_names_file_and_kind() -> None:
             check_outputs(study(**{kind: ("nonesuch",)}))
 
 
-@pytest.mark.parametrize("compare", list(TABLE_COMPARISONS))
+@pytest.mark.parametrize("compare", list(TABLES.compares))
 @pytest.mark.parametrize("measure", ["timescale-error", "seconds", "hits"])
 def test_every_table_takes_every_measure(compare: str, measure: str) -> None:
     if compare == "reference":
@@ -93,12 +95,11 @@ def test_every_sentence_takes_every_measure(compare: str, measure: str) -> None:
     assert "nan" not in said
 
 
-@pytest.mark.parametrize("compare", list(DRAWN))
+@pytest.mark.parametrize("compare", ["settings", "protocols", "until"])
 def test_a_picture_of_ones_own(compare: str) -> None:
     entry = {"measure": "seconds", "compare": compare, "along": NOISE, "over": "setting"}
-    name, draw = read_figure(entry)
-    assert name == f"seconds-{compare}"
-    assert draw(study(), CASES, None).axes
+    assert FIGURES.read(entry).file_name == f"seconds-{compare}"
+    assert FIGURES.make(entry, study(), CASES, None).axes
 
 
 def test_pages_of_a_study_of_ones_own(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -150,61 +150,57 @@ def bounded(cases):
     return cases.assign(**columns)
 
 
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scales") / "two.toml"
+def two_scales(folder):
+    """A study with a gridless back-end, of which the dual certificate repeats a fit."""
+    path = folder / "two.toml"
     path.write_text(SCALES)
-    two = Study.load(path)
-    one, many, swept = synthetic(1), synthetic(), synthetic(8, LEVELS)
-    given = {
-        "weights": (one, weights_of(one)),
-        "scatter": (many, None),
-        "errors": (many, None),
-        "sweep": (swept, None),
-        "methods": (synthetic(8, NOISES), None),
-        "scales": (with_scales(swept), None),
-        "dual-certificate": (swept, None),
-        "efficiency": (bounded(synthetic(8, PROCESS_NOISES)), None),
-        "windows": (synthetic(8, DURATIONS), None),
-        "coverage": (bounded(many), None),
-        "grids": (synthetic(8, REFINES), None),
-    }
-    assert set(given) == set(FIGURES)
-    assert all(caption(name) for name in FIGURES)
-    draw = dict(FIGURES) | {"dual-certificate": lambda _, *data: again(two, *data)}
-    again = FIGURES["dual-certificate"]  # it repeats a fit of a study that there is
-    return {name: (draw[name], *data) for name, data in given.items()}
+    return Study.load(path)
 
 
-@pytest.mark.parametrize("name", list(FIGURES))
-def test_equal_cases_give_equal_bytes(drawn, name):
-    draw, cases, weights = drawn[name]
-    first, second = draw(study(), cases, weights), draw(study(), cases, weights)
+# What each figure is drawn of.
+GIVEN = {
+    "weights": lambda: synthetic(1),
+    "scatter": lambda: synthetic(4),
+    "dual-certificate": lambda: synthetic(1),
+    "errors": lambda: synthetic(4),
+    "coverage": lambda: bounded(synthetic(4)),
+    "sweep": lambda: synthetic(4, LEVELS),
+    "methods": lambda: synthetic(4, NOISES),
+    "scales": lambda: with_scales(synthetic(4, LEVELS)),
+    "efficiency": lambda: bounded(synthetic(4, PROCESS_NOISES)),
+    "windows": lambda: synthetic(4, DURATIONS),
+    "grids": lambda: synthetic(4, REFINES),
+}
+
+
+@pytest.mark.parametrize("name", list(FIGURES.named))
+def test_a_figure_is_the_same_each_time_and_nothing_in_it_is_cut_or_covered(name, tmp_path):
+    cases = GIVEN[name]()
+    weights = weights_of(cases) if name == "weights" else None
+    of = two_scales(tmp_path) if name == "dual-certificate" else study()
+    first, second = (FIGURES.make(name, of, cases, weights) for _ in range(2))
     png, svg = to_png(first), to_svg(first)
     assert to_svg(second) == svg
     assert to_png(second) == png
     assert b"<dc:date>" not in svg
     assert b"Matplotlib v" not in svg
     assert b"tEXt" not in png
+    assert caption(FIGURES.read(name))
+    assert_within_the_page(first)
+    assert_apart([axes.get_tightbbox() for axes in first.axes if axes.get_visible()])
 
 
-@pytest.mark.parametrize("name", list(FIGURES))
-def test_no_text_is_cut_by_the_edge_of_the_page(drawn, name):
-    draw, cases, weights = drawn[name]
-    figure = draw(study(), cases, weights)
-    page = figure.bbox
-    box = figure.get_tightbbox().transformed(figure.dpi_scale_trans)
+def assert_within_the_page(figure):
+    """No text is cut by the edge of the page."""
+    page, box = figure.bbox, figure.get_tightbbox().transformed(figure.dpi_scale_trans)
     assert box.x0 >= page.x0 - 2
     assert box.x1 <= page.x1 + 2
     assert box.y0 >= page.y0 - 2
     assert box.y1 <= page.y1 + 2
 
 
-@pytest.mark.parametrize("name", list(FIGURES))
-def test_panels_and_their_labels_do_not_overlap(drawn, name):
-    draw, cases, weights = drawn[name]
-    figure = draw(study(), cases, weights)
-    boxes = [axes.get_tightbbox() for axes in figure.axes if axes.get_visible()]
+def assert_apart(boxes):
+    """Panels and their labels do not overlap."""
     for place, one in enumerate(boxes):
         for other in boxes[place + 1 :]:
             wide = min(one.x1, other.x1) - max(one.x0, other.x0)
@@ -212,11 +208,11 @@ def test_panels_and_their_labels_do_not_overlap(drawn, name):
             assert min(wide, high) < 3.0
 
 
-def test_the_users_own_style_changes_nothing_and_is_left_alone(drawn):
-    draw, cases, weights = drawn["errors"]
-    plain = to_png(draw(study(), cases, weights))
+def test_the_users_own_style_changes_nothing_and_is_left_alone():
+    cases = synthetic(2)
+    plain = to_svg(FIGURES.make("errors", study(), cases, None))
     with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "lines.linewidth": 9}):
-        assert to_png(draw(study(), cases, weights)) == plain
+        assert to_svg(FIGURES.make("errors", study(), cases, None)) == plain
         assert mpl.rcParams["font.size"] == 20.0
 
 
@@ -233,9 +229,9 @@ class TestScatter:
         assert {group.key["settings"] for group in groups} == {'{"alpha": 0.1}'}
         assert {group.key["flights.velocity_noise"] for group in groups} == {0.0}
 
-    def test_every_case_is_a_point_a_triangle_or_a_cross(self, drawn):
-        draw, cases, _ = drawn["scatter"]
-        figure = draw(study(), cases, None)
+    def test_every_case_is_a_point_a_triangle_or_a_cross(self):
+        cases = synthetic(4)
+        figure = FIGURES.make("scatter", study(), cases, None)
         shown = {group.key["backend"]: 0 for group in first_listed(cases)}
         for group in first_listed(cases):
             shown[group.key["backend"]] += len(group.cases)
@@ -250,7 +246,7 @@ class TestScatter:
         cases["status"] = ["ok", "ok", "timeout"]
         cases["est_timescale"] = [1e6, 0.1, math.nan]
         cases["est_length_scale"] = cases["est_mean_velocity"] = 1.0
-        axes = FIGURES["scatter"](study(), cases, None).axes[0]
+        axes = FIGURES.make("scatter", study(), cases, None).axes[0]
         assert axes.get_title(loc="right") == "▲ 1 above  × 1 failed"
 
 
@@ -268,31 +264,33 @@ class TestErrorsAndSweep:
     def test_a_median_that_failed_leaves_a_gap(self):
         cases = synthetic(4, LEVELS)
         cases.loc[cases["flights.velocity_noise"] == 1.0, "status"] = "timeout"
-        figure = FIGURES["sweep"](study(), cases, None)
+        figure = FIGURES.make("sweep", study(), cases, None)
         line = figure.axes[0].get_lines()[0]
         assert np.isnan(line.get_ydata()).tolist() == [False, False, True]
 
     def test_nothing_to_sweep_is_refused(self):
         with pytest.raises(InputError, match='sweeps no number: drop the figure "sweep"'):
-            FIGURES["sweep"](study(), synthetic(2), None)
+            FIGURES.make("sweep", study(), synthetic(2), None)
 
     def test_a_setting_without_any_answer_keeps_its_row(self):
         cases = synthetic(4)
         cases.loc[cases["backend"] == "lasso", "status"] = "crashed"
-        labels = [one.get_text() for one in FIGURES["errors"](study(), cases, None).axes[0].texts]
-        ticks = FIGURES["errors"](study(), cases, None).axes[0].get_yticklabels()
+        labels = [
+            one.get_text() for one in FIGURES.make("errors", study(), cases, None).axes[0].texts
+        ]
+        ticks = FIGURES.make("errors", study(), cases, None).axes[0].get_yticklabels()
         assert labels == []
         assert "lasso alpha=0.1" in [tick.get_text() for tick in ticks]
 
 
 def test_weights_are_needed_for_the_weights():
     with pytest.raises(InputError, match="kept no weights"):
-        FIGURES["weights"](study(), synthetic(1), None)
+        FIGURES.make("weights", study(), synthetic(1), None)
 
 
 def test_the_true_and_the_chosen_scale_are_marked():
     cases = synthetic(1, protocols=("paper",))
-    axes = FIGURES["weights"](study(), cases, weights_of(cases)).axes[0]
+    axes = FIGURES.make("weights", study(), cases, weights_of(cases)).axes[0]
     marks = {line.get_label(): line.get_xdata()[0] for line in axes.get_lines()}
     assert marks["true length scale"] == cases["true_length_scale"].iloc[0]
     assert abs(marks["chosen scale"] - cases["grid_length_scale"].iloc[0]) <= 0.1001
@@ -354,7 +352,7 @@ def test_a_failed_first_panel_hides_no_legend():
     cases = synthetic(1, protocols=("paper",))
     cases.loc[0, ["grid_length_scale", "est_length_scale"]] = math.nan
     cases.loc[0, "status"] = "error"
-    figure = FIGURES["weights"](study(), cases, weights_of(cases))
+    figure = FIGURES.make("weights", study(), cases, weights_of(cases))
     assert figure.axes[0].get_title(loc="right") == "no scale chosen, error"
     assert "chosen scale" in [text.get_text() for text in figure.legends[0].get_texts()]
 

@@ -8,15 +8,14 @@ import pytest
 from test_tables import case
 
 from sparsefit.errors import InputError
-from sparsefit.study.evidence.answers import answer
+from sparsefit.study.evidence.answers import ANSWERS
+from sparsefit.study.evidence.asked import MEASUREMENT_NOISE as NOISE
 from sparsefit.study.evidence.cases import level_text
 from sparsefit.study.evidence.measures import MEASURES
-from sparsefit.study.evidence.tables import MEASUREMENT_NOISE as NOISE
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.report.figures import FIGURES
 
 STUDY = SimpleNamespace(name="demo", reference=None)
-methods = TABLES["methods"]
 ALONG = {"measure": "timescale-error", "compare": "protocols", "along": NOISE}
 SPREAD = {"measure": "timescale-error", "compare": "spread", "over": "setting", "along": NOISE}
 QUIET, LOUD = "[0,0]", "[0.5,0.1]"
@@ -61,7 +60,7 @@ def test_a_failure_is_an_infinite_error():
 
 
 def test_table_by_hand():
-    table = methods(STUDY, cases_of(ERRORS))
+    table = TABLES.make("methods", STUDY, cases_of(ERRORS))
     assert [column.full_heading for column in table.columns] == [
         "back-end", "protocol", "measurement noise 0 / 0 [%]",
         "measurement noise 0.5 / 0.1 [%]", "failures",
@@ -73,7 +72,7 @@ def test_table_by_hand():
 def test_rows_of_one_setting_stand_together():
     other = cases_of(ERRORS, settings='{"alpha_fraction": 0.3}')
     both = pd.concat([cases_of(ERRORS, settings='{"alpha_fraction": 0.1}'), other])
-    names = [(row[0], row[1]) for row in methods(STUDY, both).rows]
+    names = [(row[0], row[1]) for row in TABLES.make("methods", STUDY, both).rows]
     assert [name[1] for name in names] == ["crude", "fine"] * 2
     assert len({name[0] for name in names[:2]}) == 1
 
@@ -82,33 +81,35 @@ def test_derivatives_answer_by_hand():
     one = cases_of(ERRORS, settings='{"alpha_fraction": 0.1}')
     worse = {key: tuple(e and 3 * e for e in sizes) for key, sizes in ERRORS.items()}
     other = cases_of(worse, settings='{"alpha_fraction": 0.3}')
-    said = answer(ALONG, STUDY, one)
+    said = ANSWERS.make(ALONG, STUDY, one)
     assert "at 0 / 0 0.200 % (fine) to 2.00 % (crude)" in said
     assert "at 0.5 / 0.1 1.00 % (fine) to no answer (crude)" in said
-    assert answer(SPREAD, STUDY, one).endswith("the worst setting's 1.00 (all) times the best's.")
-    said = answer(SPREAD, STUDY, pd.concat([one, other]))
+    assert ANSWERS.make(SPREAD, STUDY, one).endswith(
+        "the worst setting's 1.00 (all) times the best's."
+    )
+    said = ANSWERS.make(SPREAD, STUDY, pd.concat([one, other]))
     assert said.endswith("the worst setting's 3.00 (all) times the best's.")
 
 
 def test_what_else_is_swept_is_told_apart():
     parts = [cases_of(ERRORS, **{"readout.refine": level}) for level in ("none", "some")]
-    said = answer(ALONG, STUDY, pd.concat(parts))
+    said = ANSWERS.make(ALONG, STUDY, pd.concat(parts))
     assert "With refine = none: at 0 / 0" in said
     assert "With refine = some: at 0 / 0" in said
 
 
 def test_vehicle_answer_by_hand():
-    said = answer(ALONG | {"show": "every"}, STUDY, cases_of(ERRORS))
+    said = ANSWERS.make(ALONG | {"show": "every"}, STUDY, cases_of(ERRORS))
     assert said == (
         "Median |error| of τ_w by protocol at measurement noise 0 / 0, 0.5 / 0.1; in brackets, "
         "against the first at the last. crude 2.00 %, no answer; fine 0.200 %, 1.00 %."
     )
     quiet = {key: sizes for key, sizes in ERRORS.items() if key[1] == QUIET}
     louder = cases_of(quiet | {(name, LOUD): quiet[name, QUIET] for name in ("crude", "fine")})
-    said = answer(ALONG | {"show": "every"}, STUDY, louder)
+    said = ANSWERS.make(ALONG | {"show": "every"}, STUDY, louder)
     assert said.endswith("crude 2.00 %, 2.00 %; fine 0.200 %, 0.200 % (× 0.100).")
 
 
 def test_the_figure_needs_a_noise():
     with pytest.raises(InputError, match="does not sweep"):
-        FIGURES["methods"](STUDY, pd.DataFrame([case(0), case(1)]), None)
+        FIGURES.make("methods", STUDY, pd.DataFrame([case(0), case(1)]), None)

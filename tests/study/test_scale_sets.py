@@ -15,7 +15,8 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.evidence.answers import answer
+from sparsefit.study.evidence.answers import ANSWERS
+from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.measures import MEASURES, at_least
 from sparsefit.study.evidence.tables import TABLES, has_any, tables_for
 from sparsefit.study.report.certificate import certificate_figure
@@ -182,7 +183,7 @@ def test_the_table_counts_planned_cases() -> None:
         scales_spurious=math.nan, scales_max_length_scale_error=math.nan,
         scales_max_mean_velocity_error=math.nan,
     )  # fmt: skip
-    table = TABLES["scales"](STUDY, pd.DataFrame([row(), row(found=False), row(), failed]))
+    table = TABLES.make("scales", STUDY, pd.DataFrame([row(), row(found=False), row(), failed]))
     assert [one[3:5] for one in table.rows] == [
         (None, None),
         ("flights.second_scale_ratio", 1.5),
@@ -206,12 +207,12 @@ def test_the_answer_is_of_the_cases() -> None:
         row("group-lasso", extent=50.0, found=False),
         row("best-scale", extent=50.0, found=False),
     ]
-    said = answer(FOUND, STUDY, pd.DataFrame(far + near))
+    said = ANSWERS.make(FOUND, STUDY, pd.DataFrame(far + near))
     assert "Where cells flown at least 30, scale ratio at least 1.3" in said
     assert "100 % (group-lasso), 50 % (best-scale)." in said
     assert "Elsewhere (1 flights): 0 % (all)." in said
     blank = pd.DataFrame([row(true_scales="", extent=math.nan)])
-    assert answer(FOUND, STUDY, blank).startswith("No case")
+    assert ANSWERS.make(FOUND, STUDY, blank).startswith("No case")
 
 
 def test_cases_of_older_files_have_no_scales_and_are_read() -> None:
@@ -227,14 +228,14 @@ def test_figures_say_what_they_need(tmp_path: Path) -> None:
     lines = TEXT.split("[[backends]]")
     alone = load(tmp_path, "[[backends]]".join(lines[:2]))
     with pytest.raises(InputError, match="no gridless-group-lasso"):
-        certificate_figure(alone, pd.DataFrame(), None)
+        certificate_figure(Asked(), alone, pd.DataFrame(), None)
     one = pd.DataFrame([row()]).drop(columns="flights.second_scale_ratio")
     with pytest.raises(InputError, match="sweeps no number"):
-        FIGURES["scales"](STUDY, one, None)
+        FIGURES.make("scales", STUDY, one, None)
 
 
 def test_the_certificate_touches_one_at_the_scales_chosen(tmp_path: Path) -> None:
-    figure = certificate_figure(load(tmp_path), pd.DataFrame(), None)
+    figure = certificate_figure(Asked(), load(tmp_path), pd.DataFrame(), None)
     (axes,) = figure.axes
     (eta,) = [line.get_ydata() for line in axes.lines if line.get_label() == "η(k)"]
     assert 0.98 < eta.max() <= 1 + 1e-5

@@ -247,7 +247,7 @@ class TestSummary:
 class TestParameters:
     def test_the_paper_flight_stands_beside_the_paper(self):
         cases = frame(case(0, percent=(1, -2), true=(15.43, 4.21)))
-        table = TABLES["parameters"](beside(TABLE1), cases)
+        table = TABLES.make("parameters", beside(TABLE1), cases)
         assert table.notes == ("rounded",)
         assert [row[1] for row in table.rows] == ["true value", "paper, Table 1", "matched"]
         assert column(table, "U0", "error")[1:] == [3.37, pytest.approx(1.0)]
@@ -255,7 +255,7 @@ class TestParameters:
         assert column(table, "τ_w", "error")[2] == pytest.approx(100 * (0.98 / 1.01 - 1))
 
     def test_without_a_reference_there_is_no_such_row(self):
-        table = TABLES["parameters"](STUDY, frame(case(0), case(0, status="error")))
+        table = TABLES.make("parameters", STUDY, frame(case(0), case(0, status="error")))
         assert [row[1] for row in table.rows] == ["true value", "matched", "matched"]
         assert table.rows[2][-1] == "error"
         assert "–" in to_text(table)
@@ -275,7 +275,7 @@ class TestErrors:
     )  # fmt: skip
 
     def test_signed_means_by_hand(self):
-        table = TABLES["errors"](beside(TABLE2), self.cases)
+        table = TABLES.make("errors", beside(TABLE2), self.cases)
         assert table.rows[0][:1] == ("paper, Table 2",)
         assert table.rows[0][-7:-1] == (-4.43, -0.17, 0.10, -18.80, -5.91, 33.30)
         assert table.rows[1][3:6] == (4, 2, 1)
@@ -287,7 +287,7 @@ class TestErrors:
         assert column(table, "hits")[1] == 50.0
 
     def test_absolute_by_hand(self):
-        table = TABLES["errors-absolute"](STUDY, self.cases)
+        table = TABLES.make("errors-absolute", STUDY, self.cases)
         assert column(table, "U0", "mean |error|") == [pytest.approx(15.0)]
         assert column(table, "U0", "median |error|") == [pytest.approx(10.0)]
         assert column(table, "U0", "95th percentile |error|") == [pytest.approx(28.0)]
@@ -296,14 +296,14 @@ class TestErrors:
     def test_nobody_answered(self):
         cases = frame(case(0, status="crashed"), case(1, status="skipped"))
         for name in ("errors", "errors-absolute", "readings", "times", "sensitivity"):
-            to_text(TABLES[name](beside(TABLE2), cases))
-        table = TABLES["errors-absolute"](STUDY, cases)
+            to_text(TABLES.make(name, beside(TABLE2), cases))
+        table = TABLES.make("errors-absolute", STUDY, cases)
         assert column(table, "failures") == [2]
         assert math.isnan(column(table, "U0", "mean |error|")[0])
 
     def test_a_row_per_factor_level(self):
         rows = [case(i, **{"library.target": t}) for i in range(2) for t in ("a", "b")]
-        table = TABLES["errors-absolute"](STUDY, frame(*rows))
+        table = TABLES.make("errors-absolute", STUDY, frame(*rows))
         assert column(table, "library.target") == ["a", "b"]
         assert column(table, "n") == [2, 2]
 
@@ -323,7 +323,7 @@ class TestReadings:
                  **{"readout.eq24": name})
             for name, percent in reversed(levels.items())
         ]  # fmt: skip
-        table = TABLES["readings"](beside(TABLE2), frame(*rows))
+        table = TABLES.make("readings", beside(TABLE2), frame(*rows))
         assert column(table, "readout.eq24") == ["near", "far", "none"]
         assert column(table, "hits") == [1, 1, 0]
         near = ((-18 + 18.8) ** 2 + (-6 + 5.91) ** 2 + (100 * (0.94 / 0.82 - 1) - 33.3) ** 2) / 3
@@ -331,11 +331,11 @@ class TestReadings:
 
     def test_without_a_reference_nothing_is_close(self):
         with pytest.raises(InputError, match=r"give \[outputs.reference\]"):
-            TABLES["readings"](STUDY, frame(case(0)))
+            TABLES.make("readings", STUDY, frame(case(0)))
 
     def test_fifteen_are_shown_and_all_are_in_the_csv(self):
         rows = [case(0, percent=(i, 0), **{"library.step": float(i)}) for i in range(20)]
-        table = TABLES["readings"](beside(TABLE2), frame(*rows))
+        table = TABLES.make("readings", beside(TABLE2), frame(*rows))
         assert len(table.visible_rows) == 15
         assert len(to_csv(table).splitlines()) == 21
 
@@ -345,7 +345,7 @@ class TestReadings:
             case(0, percent=(0, size), **{"library.target": t, "library.step": s})
             for (t, s), size in effect.items()
         ]
-        table = TABLES["sensitivity"](STUDY, frame(*rows))
+        table = TABLES.make("sensitivity", STUDY, frame(*rows))
         assert column(table, "factor") == ["library.target", "library.step"]
         assert column(table, "comparisons") == [2, 2]
         # target: 10 and 40; step: 2 and 32.
@@ -358,7 +358,7 @@ class TestReadings:
                  settings=json.dumps({"rcond": size}))
             for i in range(2) for size in (1, 9)
         ]  # fmt: skip
-        table = TABLES["sensitivity"](STUDY, frame(*rows))
+        table = TABLES.make("sensitivity", STUDY, frame(*rows))
         assert column(table, "factor") == ["back-end and setting", "lasso rcond"]
         assert column(table, "L_w", "range of mean signed %") == pytest.approx([8.0, 8.0])
         assert column(table, "failures") == [1, 1]
@@ -370,7 +370,7 @@ class TestTimes:
             case(0, seconds=1.0, certificate=1e-12), case(1, seconds=2.0, certificate=3e-3),
             case(2, seconds=3.0, status="timeout", certificate=5.0),
         )  # fmt: skip
-        table = TABLES["times"](STUDY, cases)
+        table = TABLES.make("times", STUDY, cases)
         assert column(table, "median", "time") == [2.0]
         assert column(table, "95 %", "time") == [pytest.approx(2.9)]
         assert column(table, "worst") == [3e-3]

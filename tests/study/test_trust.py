@@ -14,8 +14,9 @@ from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study import Study, cells, read_cases
-from sparsefit.study.evidence.answers import answer
-from sparsefit.study.evidence.measures import MEASURES, Share
+from sparsefit.study.evidence.answers import ANSWERS
+from sparsefit.study.evidence.measure import Share
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.run.columns import values_of
 from sparsefit.study.run.execution import run_flight
@@ -72,7 +73,7 @@ class TestCoverage:
     )
 
     def test_by_hand(self):
-        table = TABLES["coverage"](STUDY, self.CASES)
+        table = TABLES.make("coverage", STUDY, self.CASES)
         assert column(table, "parameter") == ["U0", "L_w", "τ_w"]
         assert column(table, "n") == [6] * 3
         assert column(table, "ok") == [4] * 3
@@ -84,7 +85,7 @@ class TestCoverage:
         assert column(table, "to")[0] == pytest.approx(high)
 
     def test_the_answer_names_the_regimes_that_fail(self):
-        said = answer(COVERAGE, STUDY, self.CASES)
+        said = ANSWERS.make(COVERAGE, STUDY, self.CASES)
         assert "hold the truth: 77.8 % over all, 66.7 to 100.0 %" in said
         assert said.startswith("Share of 95 % intervals of U0, L_w and τ_w in flights called ok")
         assert "not within 93 to 97 %: matched (66.7 to 100.0 %)" in said
@@ -97,9 +98,9 @@ class TestCoverage:
         assert MEASURES["mean-velocity-half-width"].summarise(frame(row)) == math.inf
 
     def test_cases_from_before_there_were_intervals_have_none(self):
-        table = TABLES["coverage"](STUDY, frame(case()))
+        table = TABLES.make("coverage", STUDY, frame(case()))
         assert column(table, "with interval") == [0] * 3
-        assert "No case has a number" in answer(COVERAGE, STUDY, frame(case()))
+        assert "No case has a number" in ANSWERS.make(COVERAGE, STUDY, frame(case()))
 
 
 def refused(flight, percent, reason="cannot tell 2 m from 1 m", **more):
@@ -126,7 +127,7 @@ class TestIdentifiability:
     )
 
     def test_by_hand(self):
-        table = TABLES["identifiability"](STUDY, self.CASES)
+        table = TABLES.make("identifiability", STUDY, self.CASES)
         assert len(table.rows) == 1
         flow = [column(table, name, "flow") for name in ("n", "unidentifiable", "other")]
         assert flow == [[7], [3], [1]]
@@ -136,14 +137,14 @@ class TestIdentifiability:
 
     def test_the_last_row_is_over_all(self):
         both = frame(case(0), case(0, protocol="calm", flow="none", **NAN))
-        table = TABLES["identifiability"](STUDY, both)
+        table = TABLES.make("identifiability", STUDY, both)
         assert [row[0] for row in table.rows] == ["matched", "calm", "all"]
         assert table.rows[-1][3] == 1
         assert table.rows[-1][-3:] == (1, 1, 0.0)
         assert table.rows[0][-3:] == (None, None, None)
 
     def test_the_answer(self):
-        said = answer("identifiability", STUDY, self.CASES)
+        said = ANSWERS.make("identifiability", STUDY, self.CASES)
         assert said.startswith("Of 3 flights called ok 1 (33.33 %, at most ")
         assert "of 3 flights called unidentifiable 2 (66.67 %) deserved it" in said
         assert said.endswith(
@@ -244,9 +245,9 @@ def test_a_flight_without_a_flow_has_no_truth_and_is_called_so(calm, tmp_path, m
     assert not empty["hit"].any()
     assert empty["reason"].str.startswith("no cellular flow").all()
     assert found["low_length_scale"].notna().all()
-    table = TABLES["identifiability"](calm, found)
+    table = TABLES.make("identifiability", calm, found)
     assert column(table, "called so", "no flow") == [None, 100.0, 100.0]
-    assert column(TABLES["coverage"](calm, found), "with interval") == [3] * 3
+    assert column(TABLES.make("coverage", calm, found), "with interval") == [3] * 3
 
 
 def test_still_air_moves_no_other_flight(calm, tmp_path):

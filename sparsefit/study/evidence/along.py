@@ -11,7 +11,7 @@ import pandas as pd
 from sparsefit.arrays import Array
 from sparsefit.study.evidence.asked import Asked, refuse
 from sparsefit.study.evidence.cases import by_level, factors
-from sparsefit.study.evidence.measures import Measure
+from sparsefit.study.evidence.measure import Measure
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study

@@ -1,23 +1,21 @@
 """The answers of a study: sentences that its cases, not its author, give.
 
 An answer is a measure and a comparison. A new comparison is one function here, which says which
-cases stand against which; it is named in `COMPARISONS` and then speaks of every measure.
+cases stand against which; it is named in `ANSWERS` and then speaks of every measure.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.study.evidence import candidates
-from sparsefit.study.evidence.asked import Asked, read_entry
+from sparsefit.study.evidence.asked import Asked, Kind
 from sparsefit.study.evidence.cases import (
-    PARAMETERS,
     STATUSES,
     Group,
     by_setting,
@@ -27,24 +25,17 @@ from sparsefit.study.evidence.cases import (
     first_settings,
     in_a_flow,
 )
-from sparsefit.study.evidence.measures import (
-    MEASURES,
-    Failure,
-    Measure,
-    Share,
-    at_least,
-    together,
-)
-from sparsefit.study.evidence.reference import closest_readings, sensitivity_rows
-from sparsefit.study.evidence.sentence import listed, ranged, shown, some
-from sparsefit.study.spec.outputs import Entry
+from sparsefit.study.evidence.level_answers import head, protocols, spread, until
+from sparsefit.study.evidence.measure import Failure, Measure, Share, together
+from sparsefit.study.evidence.measures import MEASURES, at_least
+from sparsefit.study.evidence.reference import closest_readings, printed, sensitivity_rows
+from sparsefit.study.evidence.sentence import capital, gathered, listed, ranged, shown, some
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
-from sparsefit.study.evidence.level_answers import head, protocols, spread, until
-
-Compare: TypeAlias = Callable[[Asked, "Study", pd.DataFrame], str]
+# What a candidate of a selection is judged by, unless another criterion is asked for.
+LEAST = {"measure": "mean timescale-error", "failures": "miss"}
 
 
 def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
@@ -66,15 +57,15 @@ def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
 
 
 def _printed(asked: Asked, study: Study) -> str:
-    """What the study's reference has of a signed error."""
-    reference, place = study.reference, PARAMETERS.index(asked.measure.of or PARAMETERS[0])
-    if not (reference and reference.signed_error and asked.measure.name.endswith("signed-error")):
+    """What the study's reference has of the measure."""
+    value = printed(study.reference, asked.first)
+    if study.reference is None or value is None:
         return ""
-    return f"; {reference.name}: {asked.measure.say(reference.signed_error[place])}"
+    return f"; {study.reference.name}: {asked.first.say(value)}"
 
 
 def _nothing(asked: Asked) -> str:
-    return f"No case has a number for the {asked.measure.phrase}."
+    return f"No case has a number for the {asked.first.phrase}."
 
 
 def _flights(cases: pd.DataFrame) -> int:
@@ -83,9 +74,7 @@ def _flights(cases: pd.DataFrame) -> int:
 
 def _ranked(asked: Asked, cases: pd.DataFrame) -> str:
     groups = by_setting(cases) if asked.settings == "every" else first_settings(cases)
-    divided: dict[str, list[Group]] = {}
-    for group in groups:
-        divided.setdefault(str(group.key[asked.within]), []).append(group)
+    divided = gathered((str(group.key[asked.within]), group) for group in groups)
     said = []
     for name, compared in divided.items():
         told = [_order(measure, compared, asked) for measure in asked.measures]
@@ -98,14 +87,10 @@ def _ranked(asked: Asked, cases: pd.DataFrame) -> str:
 
 def _order(measure: Measure, groups: list[Group], asked: Asked) -> str:
     """`0.98 % (lasso) to 4.1 % (stlsq)`, `0.98 % (lasso)`, or all of them in order."""
-    names: dict[str, list[str]] = {}
-    sizes: dict[str, float] = {}
-    for group in groups:
-        value = measure.summarise(group.cases)
-        text = measure.say(value)
-        title = group.title if asked.within == "protocol" else group.setting
-        names.setdefault(text, []).append(title)
-        sizes[text] = -value if measure.more else abs(value)
+    values = [measure.summarise(group.cases) for group in groups]
+    titles = [one.title if asked.within == "protocol" else one.setting for one in groups]
+    names = gathered(zip(map(measure.say, values), titles, strict=True))
+    sizes = {measure.say(one): -one if measure.more else abs(one) for one in values}
     order = sorted(names, key=lambda text: (math.isnan(sizes[text]), sizes[text]))
     chosen = {"best": order[:1], "ends": [order[0], order[-1]][: len(order)], "every": order}
     words = [
@@ -146,20 +131,20 @@ def _percents(shares: list[Share]) -> str:
 
 def pooled(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     """Say what share of all cases each measure is, with its Wilson limit where it is small."""
-    said: dict[str, list[str]] = {}
+    said = []
     for measure in asked.measures:
         share = Share.of(measure, cases)
         if share.whole:
             most = "" if measure.more else f", at most {share.interval[1]:.2f} %"
             words = f"{share.part} ({share.percent:.2f} %{most}) {measure.words}"
-            said.setdefault(f"of {share.whole} {measure.asked}", []).append(words)
-    text = "; ".join(f"{of} {', '.join(told)}" for of, told in said.items())
-    return f"{text[:1].upper()}{text[1:]}." if text else _nothing(asked)
+            said.append((f"of {share.whole} {measure.asked}", words))
+    text = "; ".join(f"{of} {', '.join(told)}" for of, told in gathered(said).items())
+    return f"{capital(text)}." if text else _nothing(asked)
 
 
 def splits(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     """Say who is best on the validate flights, and what that is on the evaluate flights."""
-    criterion = asked.measure
+    criterion = asked.first
     scored = candidates.candidates_of(cases, criterion)
     least = shown(min(one.validate for one in scored))
     best = [one for one in scored if shown(one.validate) == least]
@@ -173,7 +158,7 @@ def splits(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
 
 def reference(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     """Say which reading comes closest to the study's reference numbers."""
-    table = closest_readings(study, cases)
+    table = closest_readings(asked, study, cases)
     row, names = table.rows[0], [column.name for column in table.columns]
     levels = [
         f"{name.partition('.')[2]} {row[place]}"
@@ -212,47 +197,32 @@ def plan(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     )
 
 
-COMPARISONS: dict[str, Compare] = {
-    "settings": settings,
-    "protocols": protocols,
-    "spread": spread,
-    "until": until,
-    "regimes": regimes,
-    "all": pooled,
-    "splits": splits,
-    "reference": reference,
-    "one-at-a-time": one_at_a_time,
-    "plan": plan,
-}
-# Names that need no options; what a study compares is better told in its own [outputs].
-ANSWERS: Mapping[str, Asked] = {
-    "completeness": Asked(compare="plan"),
-    "identifiability": Asked(
-        compare="all",
-        measures=tuple(MEASURES[one] for one in ("off", "deserved", "called-so", "false-alarms")),
-    ),
-    "selection": Asked(compare="splits", measures=(candidates.measure_of(candidates.CRITERIA[0]),)),
-    "least-errors": Asked(
-        measures=(candidates.measure_of(candidates.CRITERIA[0]),), settings="every", show="best"
-    ),
-}
-
-
-def read_answer(entry: Entry) -> Asked:
-    """Return what an entry of the answers asks for.
-
-    Raises:
-        InputError: for a name, measure or comparison that is not known.
-    """
-    return read_entry(entry, ANSWERS, COMPARISONS)
-
-
-def answer(entry: Entry, study: Study, cases: pd.DataFrame) -> str:
-    """Return the sentence that an entry of the answers asks for."""
-    asked = read_answer(entry)
-    return COMPARISONS[asked.compare](asked, study, cases)
+ANSWERS: Kind[str] = Kind(
+    "answer",
+    {
+        "settings": settings,
+        "protocols": protocols,
+        "spread": spread,
+        "until": until,
+        "regimes": regimes,
+        "all": pooled,
+        "splits": splits,
+        "reference": reference,
+        "one-at-a-time": one_at_a_time,
+        "plan": plan,
+    },
+    {
+        "completeness": {"compare": "plan"},
+        "identifiability": {
+            "compare": "all",
+            "measure": ("off", "deserved", "called-so", "false-alarms"),
+        },
+        "selection": {"compare": "splits", **LEAST},
+        "least-errors": {"settings": "every", "show": "best", **LEAST},
+    },
+)
 
 
 def sentences(study: Study, cases: pd.DataFrame) -> list[str]:
     """Return what the study's [outputs] asks to be said, computed from its cases."""
-    return [answer(entry, study, cases) for entry in study.answers]
+    return [ANSWERS.make(entry, study, cases) for entry in study.answers]

@@ -1,137 +1,137 @@
-"""What one entry of [outputs] asks for: measures, a comparison, and what belongs to this study."""
+"""What one entry of [outputs] asks for: measures, a comparison, and what belongs to this study.
+
+An entry is the name of one that is shipped, or a mapping of the fields of `Asked`. What a name
+stands for is such a mapping too, so that a study's own entry gets what a shipped one gets.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Generic, Literal, TypeAlias, TypeVar
 
-from sparsefit.errors import InputError, unknown
-from sparsefit.study.evidence.measures import MEASURES, QUANTILES, SUMMARIES, Failure, Measure
+from sparsefit.codec import Place, build
+from sparsefit.errors import InputError, one_of, unknown
+from sparsefit.study.evidence.measure import SUMMARY_WORDS, Failure, Measure
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.spec.outputs import Entry
 
-CHOICES: dict[str, tuple[str, ...]] = {
-    "summary": (*QUANTILES, *SUMMARIES),
-    "failures": tuple(Failure),
-    "show": ("ends", "best", "every"),
-    "within": ("protocol", "backend"),
-    "settings": ("first", "every"),
-    "over": ("protocol", "setting"),
-}
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+Made = TypeVar("Made")
+Options: TypeAlias = Mapping[str, object]
+DURATION, MEASUREMENT_NOISE = "flights.duration", "flights.measurement_noise"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
     """One table, figure or answer.
 
-    name: of its file; compare: which cases stand against which, a name in the room's mapping.
+    name: of its file; title, notes: over and under a table.
+    measure: names in `MEASURES`, each alone or behind a summary, `9 of 10 largest-error`;
+    summary, failures: of all that have none before their name.
+    compare: which cases stand against which, a name that the kind of output has.
     along: a swept factor, the axis of a line or the columns of a table.
-    over: what moves in a comparison of how far something moves.
+    over: what moves in a comparison of how far something moves; in a picture, what a line is.
     within: what those that are compared have in common; settings: the first of each back-end, or
     every one. show: the best alone, both ends, or all in order.
     limits: values that a measure is held against; at_least: least values of measures that the
     cases are divided by; rows, columns: what divides a picture into panels, of the swept factors,
-    "protocol" and "setting"; band: whether a line shows its quartiles; over, in a picture: what a
-    line stands for.
+    "protocol" and "setting"; band: whether a line shows its quartiles.
+
+    Raises:
+        InputError: for a measure or a summary that is not known, with the nearest that is.
     """
 
     name: str = ""
-    measures: tuple[Measure, ...] = ()
+    title: str = ""
+    notes: tuple[str, ...] = ()
+    measure: tuple[str, ...] = ()
+    summary: str = ""
+    failures: Literal["left out", "miss", "infinite"] | None = None
     compare: str = "settings"
     along: str = ""
-    over: str = "protocol"
-    within: str = "protocol"
-    settings: str = "first"
-    show: str = "ends"
+    over: Literal["protocol", "setting"] = "protocol"
+    within: Literal["protocol", "backend"] = "protocol"
+    settings: Literal["first", "every"] = "first"
+    show: Literal["ends", "best", "every"] = "ends"
     limits: tuple[float, ...] = ()
     at_least: Mapping[str, float] = field(default_factory=dict)
     rows: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     band: bool = False
 
+    def __post_init__(self) -> None:
+        for name in (*(name.rpartition(" ")[2] for name in self.measure), *self.at_least):
+            one_of("measure", name, MEASURES)
+        for summary in (self.summary, *(name.rpartition(" ")[0] for name in self.measure)):
+            if summary:
+                one_of("summary", summary, SUMMARY_WORDS)
+
+    @cached_property
+    def measures(self) -> tuple[Measure, ...]:
+        """The measures, told and counted as the entry says."""
+        return tuple(map(self._measure, self.measure))
+
+    def _measure(self, words: str) -> Measure:
+        summary, _, name = words.rpartition(" ")
+        measure = MEASURES[name]
+        failure = Failure(self.failures) if self.failures else measure.failure
+        return replace(measure, summary=summary or self.summary or measure.summary, failure=failure)
+
     @property
-    def measure(self) -> Measure:
+    def first(self) -> Measure:
         """The first measure, for what compares one."""
         return self.measures[0]
 
     @property
     def file_name(self) -> str:
         """Its name, or one from what it measures and compares."""
-        return self.name or "-".join([*(one.name for one in self.measures), self.compare])
+        return self.name or "-".join([*self.measure, self.compare]).replace(" ", "-")
 
-    def needs(self, study: str, key: str) -> None:
+    def needs(self, study: str, *keys: str) -> None:
         """Refuse, naming the study, an entry without what its comparison cannot do without."""
-        if not getattr(self, "measures" if key == "measure" else key):
-            raise InputError(f'{study}: [outputs] "{self.compare}" needs {key} = …: add it')
+        for key in keys:
+            if not getattr(self, key):
+                raise InputError(f'{study}: [outputs] "{self.compare}" needs {key} = …: add it')
 
 
-OPTIONS = (
-    *("measure", "summary", "failures"),
-    *(option.name for option in fields(Asked) if option.name != "measures"),
-)
+@dataclass(frozen=True)
+class Kind(Generic[Made]):
+    """Tables, figures or answers.
 
-
-def read_entry(entry: Entry, presets: Mapping[str, Asked], compares: Iterable[str]) -> Asked:
-    """Return what an entry asks for: the name of a preset, or a mapping of `OPTIONS`.
-
-    A mapping whose `name` is that of a preset starts from it. `measure` is one name or several
-    in `MEASURES`, `summary` and `failures` change how they are told.
-
-    Raises:
-        InputError: for a name that is not known, with the nearest that is.
+    noun: one of them in words; compares: what makes one of an entry, by the name of its
+    comparison; named: what a name alone asks for.
     """
-    options: dict[str, Any] = {"name": entry} if isinstance(entry, str) else dict(entry)
-    name = options.get("name", "")
-    if isinstance(entry, str) and name not in presets:
-        raise unknown("name", name, presets)
-    for option, value in options.items():
-        _check(option, value, {**CHOICES, "compare": tuple(compares)})
-    asked = presets.get(name, Asked())
-    told = {"summary": options.pop("summary", None), "failure": options.pop("failures", None)}
-    changes: dict[str, Any] = {key: value for key, value in told.items() if value is not None}
-    if "failure" in changes:
-        changes["failure"] = Failure(changes["failure"])
-    names = options.pop("measure", None)
-    measures = asked.measures if names is None else tuple(MEASURES[one] for one in _listed(names))
-    for key in ("limits", "rows", "columns"):
-        if key in options:
-            options[key] = tuple(_listed(options[key]))
-    return replace(asked, **options, measures=tuple(replace(one, **changes) for one in measures))
 
+    noun: str
+    compares: Mapping[str, Callable[..., Made]]
+    named: Mapping[str, Options]
 
-def _listed(value: object) -> list[Any]:
-    return list(value) if isinstance(value, list | tuple) else [value]
+    def read(self, entry: Entry) -> Asked:
+        """Return what an entry asks for; one whose `name` is shipped starts from that.
 
+        Raises:
+            InputError: for a name, an option or a value that is not known, with the nearest.
+        """
+        options: Options = {"name": entry} if isinstance(entry, str) else entry
+        name = str(options.get("name", ""))
+        if isinstance(entry, str) and name not in self.named:
+            raise unknown(self.noun, name, self.named)
+        asked = build(Asked, {**self.named.get(name, {}), **options}, Place(f"the {self.noun}"))
+        one_of("compare", asked.compare, self.compares)
+        return asked
 
-def _check(option: str, value: object, choices: Mapping[str, Sequence[str]]) -> None:
-    """Refuse an option that is not known, or whose value is not one of its choices or kind."""
-    if option not in OPTIONS:
-        raise unknown("option", option, OPTIONS)
-    if option in choices:
-        _known(option, value, choices[option])
-    elif option == "at_least" and isinstance(value, Mapping):
-        for name, least in value.items():
-            _known("measure", name, MEASURES)
-            _of_kind(option, least, float)
-    else:
-        for one in _listed(value):
-            _of_kind(
-                option, one, {"limits": float, "band": bool, "at_least": dict}.get(option, str)
-            )
-            if option == "measure":
-                _known("measure", one, MEASURES)
+    def make(self, entry: Entry | Asked, study: Study, *data: object) -> Made:
+        """Return what an entry asks for, made of a study and its data.
 
-
-def _known(kind: str, value: object, valid: Iterable[str]) -> None:
-    if value not in (names := list(valid)):
-        raise unknown(kind, value, names)
-
-
-def _of_kind(option: str, value: object, kind: type) -> None:
-    numeric = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (numeric if kind is float else isinstance(value, kind)):
-        words = {float: "a number", bool: "true or false", str: "a name", dict: "a table"}[kind]
-        raise InputError(f"{option} must be {words}, not {value!r}")
+        Raises:
+            InputError: if it is not known, or the cases have nothing to show of it.
+        """
+        asked = entry if isinstance(entry, Asked) else self.read(entry)
+        return self.compares[asked.compare](asked, study, *data)
 
 
 def refuse(study: str, cause: str, output: str) -> InputError:

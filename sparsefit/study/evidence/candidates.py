@@ -19,7 +19,8 @@ from sparsefit.study.evidence.cases import (
     is_condition,
     numbers,
 )
-from sparsefit.study.evidence.measures import MEASURES, Failure, Measure
+from sparsefit.study.evidence.measure import Failure, Measure
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.table import Value
 
 CRITERIA = tuple(

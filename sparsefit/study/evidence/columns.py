@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import pandas as pd
 
-from sparsefit.study.evidence.cases import Group, failures, has_status
-from sparsefit.study.evidence.measures import Measure, Share
+from sparsefit.study.evidence.asked import Asked
+from sparsefit.study.evidence.cases import Group, by_setting, failures, has_status
+from sparsefit.study.evidence.measure import Measure
 from sparsefit.study.evidence.table import Column, Table, Value
 
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+Rows: TypeAlias = Iterable[tuple[tuple[Value, ...], pd.DataFrame]]  # the key of each, its cases
 ROWS_SHOWN = 60
+PLAIN = ("share", "number")  # summaries that need no word over their column
 
 
 @dataclass(frozen=True)
@@ -23,29 +30,22 @@ class Statistic:
 
 
 def statistic(
-    measure: Measure,
-    summary: str = "",
-    *,
-    name: str = "",
-    group: str = "",
-    format: str = "",
+    measure: Measure, summary: str = "", *, name: str = "", group: str | None = None
 ) -> Statistic:
-    """Return the column of a measure summarised over cases, by default in its own way."""
+    """Return the column of a measure summarised over cases, by default in its own way.
+
+    Its name is that of the measure in a table, the summary stands over it, `mean |error|`.
+    """
+    told = summary or measure.summary
+    words = f"{told} {measure.column}" if measure.of else told
     column = Column(
-        name or measure.symbol, measure.unit, format or measure.format, group=group, tex=measure.tex
+        name or (measure.symbol if measure.of else measure.column or measure.words),
+        "" if told == "number" else measure.unit,
+        "d" if told == "number" else measure.format,
+        group=("" if told in PLAIN else words) if group is None else group,
+        tex=measure.tex,
     )
-    return Statistic(column, lambda cases: measure.summarise(cases, summary))
-
-
-def statistics(
-    measures: Iterable[Measure],
-    summary: str = "",
-    *,
-    group: str,
-    format: str = "",
-) -> tuple[Statistic, ...]:
-    """Return a column of each measure, by symbol, under one heading."""
-    return tuple(statistic(one, summary, group=group, format=format) for one in measures)
+    return Statistic(column, lambda cases: measure.summarise(cases, told))
 
 
 def counted(name: str, count: Callable[[pd.DataFrame], int], group: str = "") -> Statistic:
@@ -58,45 +58,51 @@ def with_status(status: str, group: str = "") -> Statistic:
     return counted(status, lambda cases: int(has_status(cases, status).sum()), group)
 
 
-def share_columns(measure: Measure, part: str, group: str, spec: str) -> tuple[Statistic, ...]:
-    """Return how many cases a share is, and how many percent."""
-    return (
-        counted(part, lambda cases: Share.of(measure, cases).part, group),
-        Statistic(
-            Column(part, "%", spec, group=group), lambda cases: Share.of(measure, cases).percent
-        ),
-    )
-
-
 PLANNED = counted("n", len)
-COUNTS = (PLANNED, with_status("ok"), counted("failures", failures))
+FAILED = counted("failures", failures)
+COUNTS = (PLANNED, with_status("ok"), FAILED)
 
 
-def name_column(name: str) -> Column:
-    """Return a column of words."""
-    return Column(name, align="left")
+def name_columns(*names: str) -> tuple[Column, ...]:
+    """Return columns of words."""
+    return tuple(Column(name, align="left") for name in names)
 
 
-def setting_columns(swept: Sequence[str]) -> tuple[Column, ...]:
+def setting_columns(swept: Sequence[str] = ()) -> tuple[Column, ...]:
     """Return the columns protocol, back-end, setting and swept factors."""
-    return tuple(map(name_column, ("protocol", "backend", "setting", *swept)))
+    return name_columns("protocol", "backend", "setting", *swept)
 
 
-def setting_values(group: Group, swept: Sequence[str]) -> tuple[Value, ...]:
+def setting_values(group: Group, swept: Sequence[str] = ()) -> tuple[Value, ...]:
     """Return what a group has in `setting_columns`."""
     fixed = (group.key["protocol"], group.key["backend"], group.setting)
     return (*fixed, *(group.key[name] for name in swept))
 
 
+def by_levels(
+    cases: pd.DataFrame, swept: Sequence[str] = ()
+) -> Iterator[tuple[tuple[Value, ...], pd.DataFrame]]:
+    """Give the key and the cases of every setting at every level of these factors."""
+    for group in by_setting(cases, *swept):
+        yield setting_values(group, swept), group.cases
+
+
 def table_of(
-    title: str,
+    asked: Asked,
+    study: Study,
     keys: tuple[Column, ...],
-    rows: Iterable[tuple[tuple[Value, ...], pd.DataFrame]],
+    rows: Rows,
     shown: Sequence[Statistic],
-    notes: tuple[str, ...],
+    *,
+    title: str = "",
+    notes: tuple[str, ...] = (),
     limit: int | None = ROWS_SHOWN,
 ) -> Table:
-    """Return the table with one row per key and its cases, and one column per statistic."""
+    """Return the table with one row per key and its cases, and one column per statistic.
+
+    The entry's own title and notes stand before those given here.
+    """
     columns = (*keys, *(statistic.column for statistic in shown))
     filled = tuple((*key, *(one.of(cases) for one in shown)) for key, cases in rows)
-    return Table(title, columns, filled, notes, limit)
+    return Table(f"{asked.title or title} ({study.name})", columns, filled, asked.notes or notes,
+                 limit)  # fmt: skip

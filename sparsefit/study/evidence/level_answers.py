@@ -21,14 +21,8 @@ from sparsefit.study.evidence.cases import (
     groups_by,
     level_text,
 )
-from sparsefit.study.evidence.measures import (
-    SUMMARY_WORDS,
-    TINY,
-    Failure,
-    Measure,
-    together,
-)
-from sparsefit.study.evidence.sentence import extremes, shown, some
+from sparsefit.study.evidence.measure import SUMMARY_WORDS, TINY, Failure, Measure, together
+from sparsefit.study.evidence.sentence import capital, extremes, gathered, shown, some
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -36,10 +30,10 @@ if TYPE_CHECKING:
 
 def head(asked: Asked) -> str:
     """The measures in words, and how a failure counts where it is a number."""
-    words = f"{SUMMARY_WORDS[asked.measure.summary]} {together(asked.measures)}"
-    if asked.measure.failure is Failure.MISS and asked.measure.miss:
-        words = f"{words}, {asked.measure.convention}"
-    return words[0].upper() + words[1:]
+    words = f"{SUMMARY_WORDS[asked.first.summary]} {together(asked.measures)}"
+    if asked.first.failure is Failure.MISS and asked.first.miss:
+        words = f"{words}, {asked.first.convention}"
+    return capital(words)
 
 
 def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
@@ -52,7 +46,7 @@ def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     along = axis_of(asked, study, cases)
     told = _each if asked.show == "every" else _ends
     said = [
-        f"{words}{told(asked.measure, _by_level(asked.measure, part, along))}"
+        f"{words}{told(asked.first, _by_level(asked.first, part, along))}"
         for words, part in _others(cases, (along, "protocol"))
     ]
     levels = ", ".join(level_text(level.key[along]) for level in by_level(cases, along))
@@ -120,12 +114,12 @@ def spread(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
             told: dict[str, list[float]] = {}
             for group in by_setting(level.cases):
                 name = group.title if over == "protocol" else group.protocol
-                told.setdefault(name, []).append(asked.measure.summarise(group.cases))
+                told.setdefault(name, []).append(asked.first.summarise(group.cases))
             values += [value for sizes in told.values() for value in sizes]
             for name, sizes in told.items():
                 ratios[name] = max(ratios.get(name, 1.0), _ratio(sizes))
         said.append(
-            f"{words}{asked.measure.say(min(values))} to {asked.measure.say(max(values))}, "
+            f"{words}{asked.first.say(min(values))} to {asked.first.say(max(values))}, "
             f"the worst {over}'s {extremes(ratios)} times the best's"
         )
     return f"{head(asked)}, and how far the {over} alone moves it. {'. '.join(said)}."
@@ -139,39 +133,28 @@ def _ratio(values: list[float]) -> float:
 
 def until(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     """Say from which level of a factor on the typical case, and 9 in 10, keep the limits."""
-    asked.needs(study.name, "limits")
+    asked.needs(study.name, "measure", "limits")
     along, said = axis_of(asked, study, cases), []
-    for name, compared in _by_protocol(cases).items():
-        titles: dict[str, list[str]] = {}
-        for group in compared:
-            reached = [
-                " / ".join(
-                    _or_never(level_needed(group.cases, along, replace(one, summary=share), at))
-                    for at in asked.limits
-                )
-                for one in asked.measures
-                for share in FLIGHTS
-            ]
-            never = all(set(words.split(" / ")) == {"never"} for words in reached)
-            told = [f"{words} {unit_of(along)}".strip() for words in reached]
-            titles.setdefault("never" if never else " and ".join(told), []).append(group.title)
+    for name, compared in gathered((one.protocol, one) for one in first_settings(cases)).items():
+        titles = gathered((_reached(asked, group.cases, along), group.title) for group in compared)
         words = [
             f"{'every back-end' if len(titles) == 1 else some(who)} {reached}"
             for reached, who in titles.items()
         ]
         said.append(f"{name}: {', '.join(words)}")
-    limits = " / ".join(f"{limit:g} {asked.measure.unit}" for limit in asked.limits)
-    name = words_of(along)
-    head = f"The {name} from which on the {asked.measure.words} stays within {limits}"
+    limits = " / ".join(f"{limit:g} {asked.first.unit}" for limit in asked.limits)
+    head = f"The {words_of(along)} from which on the {asked.first.words} stays within {limits}"
     return f"{head} (median flight and 9 of 10 flights). {'; '.join(said)}."
 
 
-def _or_never(level: float) -> str:
-    return "never" if math.isinf(level) else f"{level:g}"
-
-
-def _by_protocol(cases: pd.DataFrame) -> dict[str, list[Group]]:
-    divided: dict[str, list[Group]] = {}
-    for group in first_settings(cases):
-        divided.setdefault(group.protocol, []).append(group)
-    return divided
+def _reached(asked: Asked, cases: pd.DataFrame, along: str) -> str:
+    """`2 / 3 s and 3 / never s`: the level of each limit, by summary; or `never` of all."""
+    levels = [
+        [level_needed(cases, along, replace(one, summary=share), limit) for limit in asked.limits]
+        for one in asked.measures
+        for share in FLIGHTS
+    ]
+    if not np.isfinite(levels).any():
+        return "never"
+    told = [" / ".join("never" if math.isinf(one) else f"{one:g}" for one in row) for row in levels]
+    return " and ".join(f"{words} {unit_of(along)}".strip() for words in told)

@@ -1,4 +1,8 @@
-"""What is read from each case: errors, bounds, intervals, and how far apart its scales are."""
+"""What is read from each case: errors, bounds, intervals, and how far apart its scales are.
+
+Of the three parameters U0 [m/s], L_w [m] and tau_w [s], in this order, everything is read at once,
+as an array (rows, 3); NaN stands where a case has no such number.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +12,20 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.study.evidence.cases import (
-    estimated,
-    has_status,
-    three_of,
-)
+from sparsefit.study.evidence.cases import called_empty, estimated, has_status, in_a_flow, three_of
 from sparsefit.study.evidence.table import Value, plain
 
 OFF = 5.0  # percent: an estimate off by more, in any parameter, should have been flagged
 
 
+def where(kept: BoolArray, values: Array | BoolArray) -> Array:
+    """Return the values of the cases that are kept, NaN of the others; (rows,) or (rows, 3)."""
+    return np.where(kept if values.ndim == 1 else kept[:, None], values, np.nan)
+
+
 def signed_errors(cases: pd.DataFrame) -> Array:
     """(rows, 3) estimate - truth of U0 [m/s], L_w [m], tau_w [s]; NaN without an estimate."""
-    errors = three_of(cases, "est") - three_of(cases, "true")
-    errors[~estimated(cases)] = np.nan
-    return errors
+    return where(estimated(cases), three_of(cases, "est") - three_of(cases, "true"))
 
 
 def percent_errors(cases: pd.DataFrame) -> Array:
@@ -31,9 +34,9 @@ def percent_errors(cases: pd.DataFrame) -> Array:
     return percent
 
 
-def largest_errors(cases: pd.DataFrame) -> Array:
-    """(rows,) the largest |% error| of the three parameters."""
-    return np.asarray(np.abs(percent_errors(cases)).max(axis=1))
+def sizes(cases: pd.DataFrame) -> Array:
+    """(rows, 3) the errors in percent of the truth without their signs."""
+    return np.abs(percent_errors(cases))
 
 
 def bounded(cases: pd.DataFrame) -> BoolArray:
@@ -44,29 +47,33 @@ def bounded(cases: pd.DataFrame) -> BoolArray:
     return both
 
 
-def where(kept: BoolArray, values: Array | BoolArray) -> Array:
-    """(rows,) the values of the cases that are kept, NaN of the others."""
-    return np.where(kept, values, np.nan)
+def efficiencies(cases: pd.DataFrame) -> Array:
+    """(rows, 3) error / Cramér-Rao bound of the cases that are `bounded`."""
+    return where(bounded(cases), signed_errors(cases) / three_of(cases, "bound"))
 
 
-def _in_intervals(cases: pd.DataFrame, place: int) -> tuple[BoolArray, Array, Array, Array, Array]:
-    """Which cases called ok have truth, estimate and interval; those four columns."""
-    columns = [three_of(cases, name)[:, place] for name in ("true", "est", "low", "high")]
-    known = ~np.isnan(np.column_stack(columns)).any(axis=1)
-    true, found, low, high = columns
-    return known & has_status(cases, "ok"), true, found, low, high
+def bounds(cases: pd.DataFrame) -> Array:
+    """(rows, 3) the Cramér-Rao bound in percent of the truth, of the cases that are `bounded`."""
+    return where(bounded(cases), 100.0 * three_of(cases, "bound") / three_of(cases, "true"))
 
 
-def held(cases: pd.DataFrame, place: int) -> Array:
-    """(rows,) whether the 95 % interval of a parameter holds the truth; NaN without any."""
-    kept, true, _, low, high = _in_intervals(cases, place)
-    return where(kept, (low <= true) & (true <= high))
+def _with_intervals(cases: pd.DataFrame) -> BoolArray:
+    """(rows, 3) whether a case is called ok and has truth, estimate and interval."""
+    columns = [three_of(cases, name) for name in ("true", "est", "low", "high")]
+    known: BoolArray = ~np.isnan(columns).any(axis=0) & has_status(cases, "ok")[:, None]
+    return known
 
 
-def half_width(cases: pd.DataFrame, place: int) -> Array:
-    """(rows,) half the width of the 95 % interval, in percent of the estimate."""
-    kept, _, found, low, high = _in_intervals(cases, place)
-    return where(kept, 50.0 * (high - low) / np.abs(found))
+def held(cases: pd.DataFrame) -> Array:
+    """(rows, 3) whether the 95 % interval holds the truth; NaN without one."""
+    true, low, high = (three_of(cases, name) for name in ("true", "low", "high"))
+    return np.where(_with_intervals(cases), (low <= true) & (true <= high), np.nan)
+
+
+def half_widths(cases: pd.DataFrame) -> Array:
+    """(rows, 3) half the width of the 95 % interval, in percent of the estimate."""
+    found, low, high = (three_of(cases, name) for name in ("est", "low", "high"))
+    return np.where(_with_intervals(cases), 50.0 * (high - low) / np.abs(found), np.nan)
 
 
 def is_off(cases: pd.DataFrame) -> BoolArray:
@@ -76,17 +83,32 @@ def is_off(cases: pd.DataFrame) -> BoolArray:
     return np.asarray(~near.all(axis=1), dtype=bool)
 
 
+def off_among(cases: pd.DataFrame, status: str) -> Array:
+    """(rows,) whether a case is off, of those in a flow that ended in this status."""
+    return where(in_a_flow(cases) & has_status(cases, status), is_off(cases))
+
+
+def false_alarms(cases: pd.DataFrame) -> Array:
+    """(rows,) whether a case without a flow has an estimate."""
+    return where(~in_a_flow(cases), has_status(cases, "ok") | has_status(cases, "inaccurate"))
+
+
+def called_so(cases: pd.DataFrame) -> Array:
+    """(rows,) whether a case without a flow is unidentifiable because none was detected."""
+    said = has_status(cases, "unidentifiable") & called_empty(cases)
+    return where(~in_a_flow(cases), said)
+
+
 def nearest_hits(cases: pd.DataFrame) -> Array:
     """(rows,) whether a case chose the grid scale nearest the truth."""
     hit = np.array([plain(value) is True for value in cases["hit"]], dtype=bool)
     return where(estimated(cases), hit)
 
 
-def regime(cases: pd.DataFrame, place: int) -> Array:
-    """(rows,) largest scale [m], least ratio of neighbouring scales, and of U0; NaN of none."""
+def regimes(cases: pd.DataFrame) -> Array:
+    """(rows, 3) largest scale [m], least ratio of neighbouring scales, and of U0; NaN of none."""
     texts = cases["true_scales"] if "true_scales" in cases else [None] * len(cases)
-    rows = [_apart(plain(text)) for text in texts]
-    return np.array(rows, dtype=float).reshape(-1, 3)[:, place]
+    return np.array([_apart(plain(text)) for text in texts], dtype=float).reshape(-1, 3)
 
 
 def _apart(text: Value) -> tuple[float, float, float]:

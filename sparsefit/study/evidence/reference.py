@@ -11,9 +11,10 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
+from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import (
+    PARAMETERS,
     Group,
-    by_setting,
     factors,
     failures,
     groups_by,
@@ -21,17 +22,19 @@ from sparsefit.study.evidence.cases import (
     varied_settings,
 )
 from sparsefit.study.evidence.columns import (
+    FAILED,
     PLANNED,
     Statistic,
-    counted,
-    name_column,
+    by_levels,
+    name_columns,
     setting_columns,
-    setting_values,
-    statistics,
+    statistic,
     table_of,
 )
-from sparsefit.study.evidence.measures import MEASURES, Failure, Measure, Share, three
+from sparsefit.study.evidence.measure import Measure
+from sparsefit.study.evidence.measures import MEASURES, three
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
+from sparsefit.study.spec.outputs import Reference
 
 Contexts: TypeAlias = list[list[pd.DataFrame]]
 CLOSEST_SHOWN = 15
@@ -50,7 +53,16 @@ RANGE_NOTE = (
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 SIGNED = three("signed-error")
-SIZES = tuple(replace(measure, failure=Failure.LEFT_OUT) for measure in three("error"))
+SIZES = three("size")
+PRINTED = {"deviation": "deviation", "signed-error": "signed_error"}  # kinds that a reference has
+
+
+def printed(reference: Reference | None, measure: Measure) -> float | None:
+    """Return what a reference has of a measure of one parameter, None where it has nothing."""
+    parameter = measure.of.replace("_", "-")
+    field = PRINTED.get(measure.name.removeprefix(f"{parameter}-"), "")
+    values = getattr(reference, field, None)
+    return values[PARAMETERS.index(measure.of)] if values else None
 
 
 def distance(percent: Sequence[float], printed: Sequence[float]) -> float:
@@ -61,7 +73,7 @@ def distance(percent: Sequence[float], printed: Sequence[float]) -> float:
     return float(np.sqrt(np.mean((np.asarray(percent) - np.asarray(printed)) ** 2)))
 
 
-def closest_readings(study: Study, cases: pd.DataFrame) -> Table:
+def closest_readings(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return every combination of settings and swept factors, closest to the reference first.
 
     Raises:
@@ -73,29 +85,27 @@ def closest_readings(study: Study, cases: pd.DataFrame) -> Table:
             f"{study.name}: nothing to compare readings with: give [outputs.reference] a name "
             "and signed_error = [U0, L_w, tau_w] in percent"
         )
-    printed = reference.signed_error
+    wanted = reference.signed_error
 
     def away(group: pd.DataFrame) -> float:
-        return distance([measure.summarise(group) for measure in SIGNED], printed)
+        return distance([measure.summarise(group) for measure in SIGNED], wanted)
 
-    swept = factors(cases)
+    swept, numbers = factors(cases), ", ".join(f"{percent:.2f}" for percent in wanted)
     table = table_of(
-        f"Readings, closest to {reference.name} first ({study.name})",
+        asked,
+        study,
         setting_columns(swept),
-        ((setting_values(group, swept), group.cases) for group in by_setting(cases, *swept)),
+        by_levels(cases, swept),
         (
             PLANNED,
-            counted("failures", failures),
-            counted("hits", lambda group: Share.of(MEASURES["hits"], group).part),
-            *statistics(SIGNED, group="mean signed % error"),
+            FAILED,
+            statistic(MEASURES["hits"], "number"),
+            *map(statistic, SIGNED),
             Statistic(Column("distance", "pp", SIGNIFICANT), away),
         ),
-        (
-            DISTANCE_NOTE.format(
-                name=reference.name, numbers=", ".join(f"{p:.2f}" for p in printed)
-            ),
-        ),
-        CLOSEST_SHOWN,
+        title=f"Readings, closest to {reference.name} first",
+        notes=(DISTANCE_NOTE.format(name=reference.name, numbers=numbers),),
+        limit=CLOSEST_SHOWN,
     )
     return replace(table, rows=tuple(sorted(table.rows, key=_last)))
 
@@ -106,10 +116,10 @@ def _last(row: tuple[Value, ...]) -> tuple[bool, float]:
     return bool(np.isnan(value)), value
 
 
-def sensitivity(study: Study, cases: pd.DataFrame) -> Table:
+def sensitivity(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return, for each factor, how far errors move when only this factor changes."""
     columns = (
-        name_column("factor"),
+        *name_columns("factor"),
         Column("levels", format="d"),
         Column("comparisons", format="d"),
         *(
@@ -121,8 +131,8 @@ def sensitivity(study: Study, cases: pd.DataFrame) -> Table:
         ),
         Column("failures", format="d"),
     )  # fmt: skip
-    title = f"How far the errors depend on each factor ({study.name})"
-    return Table(title, columns, tuple(sensitivity_rows(cases)), (RANGE_NOTE,))
+    title = f"{asked.title or 'How far the errors depend on each factor'} ({study.name})"
+    return Table(title, columns, tuple(sensitivity_rows(cases)), asked.notes or (RANGE_NOTE,))
 
 
 def sensitivity_rows(cases: pd.DataFrame) -> list[tuple[Value, ...]]:

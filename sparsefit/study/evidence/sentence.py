@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 from sparsefit.study.evidence.table import significant
 
+Key = TypeVar("Key", bound=Hashable)
+Item = TypeVar("Item")
 DIGITS = 3  # as a sentence shows them; what agrees in them is named together
 NAMED = 3  # of those that agree; the rest are counted
+
+
+def gathered(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
+    """Return the items of each key, both in order of first appearance."""
+    lists: dict[Key, list[Item]] = {}
+    for key, item in pairs:
+        lists.setdefault(key, []).append(item)
+    return lists
+
+
+def capital(text: str) -> str:
+    """`Text`, as a sentence begins."""
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -1,21 +1,19 @@
-"""The tables of a study, by name: rows are a comparison, columns are measures summarised.
+"""The tables of a study: those of one purpose, and what stands behind each name.
 
-A table of a study's own names its measures and one of `TABLE_COMPARISONS`; `TABLES` are those
-that need no options.
+The others are comparisons of any measures (`layouts.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from sparsefit.errors import unknown
-from sparsefit.study.evidence.asked import Asked, read_entry
+from sparsefit.study.evidence import layouts, notes
+from sparsefit.study.evidence.asked import DURATION, MEASUREMENT_NOISE, Asked, Kind
 from sparsefit.study.evidence.cases import (
     STATUSES,
     Group,
@@ -29,111 +27,64 @@ from sparsefit.study.evidence.cases import (
     three_of,
 )
 from sparsefit.study.evidence.columns import (
-    COUNTS,
     PLANNED,
     ROWS_SHOWN,
     Statistic,
+    by_levels,
     counted,
-    name_column,
+    name_columns,
     setting_columns,
     setting_values,
-    share_columns,
     statistic,
-    statistics,
     table_of,
     with_status,
 )
-from sparsefit.study.evidence.measures import MEASURES, Measure, Share, three
+from sparsefit.study.evidence.measure import Measure, Share
+from sparsefit.study.evidence.measures import MEASURES, names, three
 from sparsefit.study.evidence.readings import bounded
-from sparsefit.study.evidence.reference import SIZES, closest_readings, sensitivity
+from sparsefit.study.evidence.reference import closest_readings, sensitivity
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
 from sparsefit.study.spec.outputs import Entry
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
-from sparsefit.study.evidence.compared_tables import (
-    across,
-    by_setting_and_level,
-    per_setting,
-    settings,
-    titled,
-    until,
-)
-from sparsefit.study.evidence.notes import (
-    COVERAGE_NOTE,
-    EFFICIENCY_NOTE,
-    FAILURES_NOTE,
-    IDENTIFIABILITY_NOTE,
-    SCALES_NOTE,
-    SIGNED_NOTE,
-    TIMES_NOTE,
-)
-
-TableFunction: TypeAlias = Callable[["Study", pd.DataFrame], Table]
-DURATION, MEASUREMENT_NOISE = "flights.duration", "flights.measurement_noise"
 FEWEST = 3  # levels that make a curve
 
 
-def parameters(study: Study, cases: pd.DataFrame) -> Table:
+def parameters(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return truth, estimate and percentage error of every case, the reference beside it."""
     swept = factors(cases)
-    names = ("flight", "protocol", "backend", "setting", *swept)
     columns = (
-        *map(name_column, names),
-        *(_symbol(one, one.unit, ".4g", "value") for one in three("deviation")),
-        *(_symbol(one, one.unit, "+.2f", "error") for one in three("signed-error")),
-        name_column("status"),
+        *name_columns("flight", "protocol", "backend", "setting", *swept),
+        *(replace(_of(one, "value"), format=".4g") for one in three("deviation")),
+        *(_of(one, "error") for one in three("signed-error")),
+        *name_columns("status"),
     )
-    rows: list[tuple[Value, ...]] = []
-    for flight in groups_by(cases, ["flight"]):
-        rows += _flight_rows(study, flight, swept)
-    notes = (study.reference.note,) if study.reference and study.reference.note else ()
-    return Table("True and estimated flow parameters", columns, tuple(rows), notes, ROWS_SHOWN)
+    rows = [row for one in groups_by(cases, ["flight"]) for row in _flight_rows(study, one, swept)]
+    said = (study.reference.note,) if study.reference and study.reference.note else ()
+    title = "True and estimated flow parameters"
+    return Table(asked.title or title, columns, tuple(rows), asked.notes or said, ROWS_SHOWN)
 
 
-def _symbol(measure: Measure, unit: str, spec: str, group: str) -> Column:
-    return Column(measure.symbol, unit, spec, group=group, tex=measure.tex)
+def _of(measure: Measure, group: str) -> Column:
+    return statistic(measure, group=group).column
 
 
-def _flight_rows(study: Study, flight: Group, swept: list[str]) -> list[tuple[Value, ...]]:
-    name, blank = flight.key["flight"], [None] * (2 + len(swept))
+def _flight_rows(study: Study, flight: Group, swept: Sequence[str]) -> Iterator[tuple[Value, ...]]:
+    name, blank, printed = flight.key["flight"], [None] * (2 + len(swept)), study.reference
     truth = three_of(flight.cases.iloc[:1], "true")[0]
-    rows: list[tuple[Value, ...]] = [(name, "true value", *blank, *map(plain, truth), *[None] * 4)]
-    reference = study.reference
-    if reference and reference.estimate and reference.signed_error:
-        printed = (*reference.estimate, *reference.signed_error, None)
-        rows.append((name, reference.name, *blank, *printed))
+    yield name, "true value", *blank, *map(plain, truth), *[None] * 4
+    if printed and printed.estimate and printed.signed_error:
+        yield name, printed.name, *blank, *printed.estimate, *printed.signed_error, None
     for group in by_setting(flight.cases, *swept):
         estimates = three_of(group.cases, "est").tolist()
         percent = np.column_stack([one.read(group.cases) for one in three("signed-error")]).tolist()
-        for place, status in enumerate(group.cases["status"]):
-            told = (*estimates[place], *percent[place], plain(status))
-            rows.append((name, *setting_values(group, swept), *told))
-    return rows
+        for values, sizes, status in zip(estimates, percent, group.cases["status"], strict=True):
+            yield name, *setting_values(group, swept), *values, *sizes, plain(status)
 
 
-def errors(study: Study, cases: pd.DataFrame) -> Table:
-    """Return signed mean errors per setting, the study's reference first."""
-    shown = (
-        *COUNTS,
-        *statistics(three("deviation"), group="mean signed error"),
-        *statistics(three("signed-error"), group="mean signed % error"),
-        statistic(MEASURES["hits"], name="hits"),
-    )
-    notes = (FAILURES_NOTE, SIGNED_NOTE)
-    table = per_setting(study, cases, title="Signed mean errors", shown=shown, notes=notes)
-    printed = study.reference
-    if printed is None or not (printed.deviation and printed.signed_error):
-        return table
-    blank = [None] * (2 + len(factors(cases)))
-    first = (printed.name, *blank, printed.flights, None, None)
-    return replace(
-        table, rows=((*first, *printed.deviation, *printed.signed_error, None), *table.rows)
-    )
-
-
-def times(study: Study, cases: pd.DataFrame) -> Table:
+def times(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return seconds per fit, the worst certificate, and how many cases ended in each status."""
     seconds = MEASURES["seconds"]
     ended = [status for status in STATUSES if has_status(cases, status).any()]
@@ -142,12 +93,10 @@ def times(study: Study, cases: pd.DataFrame) -> Table:
         statistic(seconds, name="median", group="time"),
         statistic(seconds, "95th percentile", name="95 %", group="time"),
         Statistic(Column("certificate", align="left"), _kinds),
-        Statistic(Column("worst", format=".1e"), _worst),
+        statistic(MEASURES["certificate"], name="worst", group=""),
         *(with_status(status, "cases that ended as") for status in ended),
     )
-    rows = ((setting_values(group, ()), group.cases) for group in by_setting(cases))
-    title = titled(study, "Times, certificates and statuses")
-    return table_of(title, setting_columns(()), rows, shown, (TIMES_NOTE,), None)
+    return table_of(asked, study, setting_columns(), by_levels(cases), shown, limit=None)
 
 
 def _kinds(cases: pd.DataFrame) -> str | None:
@@ -155,64 +104,49 @@ def _kinds(cases: pd.DataFrame) -> str | None:
     return ", ".join(sorted(kinds)) or None
 
 
-def _worst(cases: pd.DataFrame) -> float | None:
-    worst = MEASURES["certificate"].summarise(cases)
-    return None if np.isnan(worst) else worst
-
-
-def coverage(study: Study, cases: pd.DataFrame) -> Table:
+def coverage(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return the coverage of the 95 % intervals, a row per setting, level and parameter."""
-    swept, kept = factors(cases), cases[in_a_flow(cases)]
-    rows = []
-    for group in by_setting(kept, *swept):
-        ok = int(has_status(group.cases, "ok").sum())
+    swept, rows = factors(cases), []
+    for key, part in by_levels(cases[in_a_flow(cases)], swept):
+        ok = int(has_status(part, "ok").sum())
         for measure, half in zip(three("coverage"), three("half-width"), strict=True):
-            share = Share.of(measure, group.cases)
-            told = (share.percent, *share.interval, half.summarise(group.cases))
-            counts = (len(group.cases), ok, share.whole)
-            rows.append((*setting_values(group, swept), measure.symbol, *counts, *told))
+            share = Share.of(measure, part)
+            told = (share.percent, *share.interval, half.summarise(part))
+            rows.append((*key, measure.symbol, len(part), ok, share.whole, *told))
     columns = (
         *setting_columns(swept),
-        name_column("parameter"),
+        *name_columns("parameter"),
         *(Column(name, format="d") for name in ("n", "ok", "with interval")),
         *(Column(name, "%", ".1f") for name in ("coverage", "from", "to")),
         Column("half-width", "%", SIGNIFICANT),
     )
-    title = titled(study, "Coverage of the 95 % intervals")
-    return Table(title, columns, tuple(rows), (COVERAGE_NOTE,), ROWS_SHOWN)
+    title = f"{asked.title} ({study.name})"
+    return Table(title, columns, tuple(rows), asked.notes, ROWS_SHOWN)
 
 
-def identifiability(study: Study, cases: pd.DataFrame) -> Table:
+def identifiability(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return what `ok` and `unidentifiable` were worth, per setting and level, and over all."""
     swept = factors(cases)
-    rows = list(by_setting_and_level(cases))
+    rows = list(by_levels(cases, swept))
     if len(rows) > 1:
         rows.append((("all", None, None, *[None] * len(swept)), cases))
-    title = titled(study, "What ok and unidentifiable are worth")
-    shown = (*map(_in_flow, _flow_columns()), *map(_without_flow, _empty_columns()))
-    return table_of(title, setting_columns(swept), rows, shown, (IDENTIFIABILITY_NOTE,))
-
-
-def _flow_columns() -> tuple[Statistic, ...]:
-    def called(status: str) -> Callable[[pd.DataFrame], int]:
-        return lambda cases: int(has_status(cases, status).sum())
-
-    ok, refused = called("ok"), called("unidentifiable")
-    return (
-        PLANNED,
-        counted("ok", ok),
-        Statistic(Column("ok", "%", ".1f"), lambda cases: 100.0 * ok(cases) / len(cases)),
-        *share_columns(MEASURES["off"], "off", "", ".2f"),
-        counted("unidentifiable", refused),
-        *share_columns(MEASURES["deserved"], "deserved", "", ".1f"),
-        counted("other", lambda cases: len(cases) - ok(cases) - refused(cases)),
+    off, deserved, so, alarms = (
+        (statistic(MEASURES[name], "number"), statistic(MEASURES[name]))
+        for name in ("off", "deserved", "called-so", "false-alarms")
     )
+    ok, refused = with_status("ok"), with_status("unidentifiable")
+    share = Statistic(Column("ok", "%", ".1f"), lambda part: 100 * _int(ok, part) / len(part))
+    other = counted("other", lambda part: len(part) - _int(ok, part) - _int(refused, part))
+    shown = (
+        *(_of_part(one, "flow", flow=True)
+          for one in (PLANNED, ok, share, *off, refused, *deserved, other)),
+        *(_of_part(one, "no flow", flow=False) for one in (PLANNED, alarms[0], so[1])),
+    )  # fmt: skip
+    return table_of(asked, study, setting_columns(swept), rows, shown)
 
 
-def _empty_columns() -> tuple[Statistic, ...]:
-    alarms, so = (share_columns(MEASURES[name], name.replace("-", " "), "", ".1f")
-                  for name in ("false-alarms", "called-so"))  # fmt: skip
-    return (PLANNED, alarms[0], so[1])
+def _int(count: Statistic, cases: pd.DataFrame) -> int:
+    return int(count.of(cases) or 0)
 
 
 def _of_part(one: Statistic, group: str, *, flow: bool) -> Statistic:
@@ -225,141 +159,100 @@ def _of_part(one: Statistic, group: str, *, flow: bool) -> Statistic:
     return Statistic(replace(one.column, group=group), told)
 
 
-_in_flow = partial(_of_part, group="flow", flow=True)
-_without_flow = partial(_of_part, group="no flow", flow=False)
-
-
-def per_level(study: Study, cases: pd.DataFrame) -> Table:
-    """Return scales found, missed and spurious, per setting and level of every factor."""
-    found = MEASURES["scales-found"]
-
-    def unseen(group: pd.DataFrame) -> int:
-        return int(((found.values(group) == 0) & has_status(group, "ok")).sum())
-
-    means = (MEASURES["scales-missed"], MEASURES["scales-spurious"])
-    medians = (MEASURES["scales-length-scale-error"], MEASURES["scales-mean-velocity-error"])
-    shown = (
-        PLANNED,
-        statistic(found, name="all found"),
-        *(statistic(one, name=one.name.removeprefix("scales-"), group="mean") for one in means),
-        *(statistic(one, group="median error") for one in medians),
-        counted("unseen", unseen),
-    )
-    keys = (*setting_columns(()), name_column("factor"), name_column("level"))
-    title = titled(study, "Several scales at once")
-    return table_of(title, keys, _pooled_levels(cases), shown, (SCALES_NOTE,), 80)
-
-
-def _pooled_levels(cases: pd.DataFrame) -> Iterator[tuple[tuple[Value, ...], pd.DataFrame]]:
-    for group in by_setting(cases):
-        key = setting_values(group, ())
-        yield (*key, None, None), group.cases
-        for factor in factors(cases):
-            for level in groups_by(group.cases, [factor]):
-                yield (*key, factor, level.key[factor]), level.cases
-
-
-AskedTable: TypeAlias = Callable[[Asked, "Study", pd.DataFrame], Table]
-TABLE_COMPARISONS: dict[str, AskedTable] = {
-    "settings": settings,
-    "protocols": across,
-    "until": until,
-    "reference": lambda _, study, cases: closest_readings(study, cases),
-    "one-at-a-time": lambda _, study, cases: sensitivity(study, cases),
-}
-ABSOLUTE = (
-    *COUNTS,
-    *statistics(SIZES, "mean", group="mean |error|"),
-    *statistics(SIZES, "median", group="median |error|"),
-    *statistics(SIZES, "95th percentile", group="95th percentile |error|"),
-    statistic(MEASURES["hits"], name="hits"),
-)
-AGAINST_BOUND = (
-    *COUNTS,
-    counted("with bound", lambda cases: int(bounded(cases).sum())),
-    *statistics(three("bounded-error"), group="rms error"),
-    *statistics(three("bound"), group="rms bound"),
-    *statistics(three("efficiency"), group="rms of error/bound"),
-)
-# What the name alone asks for; an entry of [outputs] that is a mapping changes it.
-PRESETS = {
-    "methods": Asked(
-        name="methods",
-        compare="protocols",
-        measures=(MEASURES["timescale-error"],),
-        along=MEASUREMENT_NOISE,
-    ),
-    "windows": Asked(
-        name="windows",
-        compare="until",
-        measures=(MEASURES["largest-error"],),
-        along=DURATION,
-        limits=(5.0, 1.0),
-    ),
-}
-# In the order of the pages.
-TABLES: dict[str, TableFunction] = {
-    "parameters": parameters,
-    "errors": errors,
-    "errors-absolute": partial(
-        per_setting, title="Sizes of the percentage errors", shown=ABSOLUTE, notes=(FAILURES_NOTE,)
-    ),
-    "readings": closest_readings,
-    "sensitivity": sensitivity,
-    "scales": per_level,
-    "times": times,
-    "methods": partial(across, PRESETS["methods"]),
-    "efficiency": partial(
-        per_setting,
-        title="Errors against the Cramér-Rao bound",
-        shown=AGAINST_BOUND,
-        notes=(EFFICIENCY_NOTE,),
-    ),
-    "coverage": coverage,
-    "identifiability": identifiability,
-    "windows": partial(until, PRESETS["windows"]),
-}
-
-
-def read_table(entry: Entry) -> tuple[str, TableFunction]:
-    """Return the file name of a table that [outputs] asks for, and what makes it.
-
-    Raises:
-        InputError: for a name, measure or comparison that is not known.
-    """
-    if isinstance(entry, str):
-        if entry not in TABLES:
-            raise unknown("table", entry, TABLES)
-        return entry, TABLES[entry]
-    asked = read_entry(entry, PRESETS, TABLE_COMPARISONS)
-    return asked.file_name, partial(TABLE_COMPARISONS[asked.compare], asked)
+TABLES: Kind[Table] = Kind(
+    "table",
+    {
+        "settings": layouts.settings,
+        "levels": layouts.levels,
+        "protocols": layouts.protocols,
+        "until": layouts.until,
+        "reference": closest_readings,
+        "one-at-a-time": sensitivity,
+        "parameters": parameters,
+        "times": times,
+        "coverage": coverage,
+        "identifiability": identifiability,
+    },
+    {  # in the order of the pages
+        "parameters": {"compare": "parameters"},
+        "errors": {
+            "title": "Signed mean errors",
+            "measure": (*names("deviation"), *names("signed-error"), "hits"),
+            "notes": (notes.FAILURES, notes.SIGNED),
+        },
+        "errors-absolute": {
+            "title": "Sizes of the percentage errors",
+            "measure": (
+                *(f"{summary} {name}"
+                  for summary in ("mean", "median", "95th percentile") for name in names("size")),
+                "hits",
+            ),
+            "notes": notes.FAILURES,
+        },
+        "readings": {"compare": "reference"},
+        "sensitivity": {"compare": "one-at-a-time"},
+        "scales": {
+            "title": "Several scales at once",
+            "compare": "levels",
+            "measure": ("scales-found", "scales-missed", "scales-spurious",
+                        "scales-length-scale-error", "scales-mean-velocity-error", "unseen"),
+            "notes": notes.SCALES,
+        },
+        "times": {
+            "title": "Times, certificates and statuses",
+            "compare": "times",
+            "notes": notes.TIMES,
+        },
+        "methods": {
+            "compare": "protocols", "measure": "timescale-error", "along": MEASUREMENT_NOISE,
+        },
+        "efficiency": {
+            "title": "Errors against the Cramér-Rao bound",
+            "measure": ("bounded", *names("bounded-error"), *names("bound"), *names("efficiency")),
+            "notes": notes.EFFICIENCY,
+        },
+        "coverage": {
+            "title": "Coverage of the 95 % intervals",
+            "compare": "coverage",
+            "notes": notes.COVERAGE,
+        },
+        "identifiability": {
+            "title": "What ok and unidentifiable are worth",
+            "compare": "identifiability",
+            "notes": notes.IDENTIFIABILITY,
+        },
+        "windows": {
+            "compare": "until", "measure": "largest-error", "along": DURATION, "limits": (5.0, 1.0),
+        },
+    },
+)  # fmt: skip
 
 
 def tables_of(study: Study, cases: pd.DataFrame) -> dict[str, Table]:
     """Return the tables that the study asks for, or else all that apply, by file name."""
     entries: Sequence[Entry] = study.tables or tables_for(cases, study.reference is not None)
-    return {name: make(study, cases) for name, make in map(read_table, entries)}
+    return {one.file_name: TABLES.make(one, study, cases) for one in map(TABLES.read, entries)}
 
 
 def tables_for(cases: pd.DataFrame, reference: bool = False) -> list[str]:
     """Return the names of the tables that have something to say about these cases."""
     swept = factors(cases)
-    single = cases["flight"].nunique() == 1
+    several = cases["flight"].nunique() > 1
     said = {
-        "parameters": single,
-        "errors": not single,
-        "errors-absolute": not single,
-        "readings": not single and reference and any(not is_condition(name) for name in swept),
-        "sensitivity": not single and bool(swept),
+        "parameters": not several,
+        "errors": several,
+        "errors-absolute": several,
+        "readings": several and reference and not all(map(is_condition, swept)),
+        "sensitivity": several and bool(swept),
         "scales": has_any(cases, "scales-found"),
         "times": True,
-        "methods": not single and MEASUREMENT_NOISE in swept,
+        "methods": several and MEASUREMENT_NOISE in swept,
         "efficiency": bool(bounded(cases).any()),
         "coverage": bool((~np.isnan(three_of(cases, "low"))).any()),
         "identifiability": not in_a_flow(cases).all(),
-        "windows": not single and many_levels(cases, DURATION),
+        "windows": several and many_levels(cases, DURATION),
     }
-    return [name for name in TABLES if said[name]]
+    return [name for name in TABLES.named if said[name]]
 
 
 def has_any(cases: pd.DataFrame, measure: str) -> bool:

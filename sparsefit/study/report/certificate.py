@@ -15,6 +15,7 @@ from sparsefit.backends.continuous_dual import Scanner
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
+from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.flights import SIMULATION, stream
@@ -39,7 +40,9 @@ class Curve:
     title: str
 
 
-def certificate_figure(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+def certificate_figure(
+    _: Asked, study: Study, cases: pd.DataFrame, weights: object = None
+) -> Figure:
     """Draw eta(k) of the first flight, computed again from the study file.
 
     A panel per duration, where it is swept; the middle level of every other factor.

@@ -1,81 +1,39 @@
 """The figures of a study, by name: each is a pure function of the study and its cases.
 
-A figure of a study's own names its measures and one of `DRAWN`; `FIGURES` need no options.
+A figure of a study's own names its measures and a comparison of `FIGURES` that is drawn.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import matplotlib as mpl
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sparsefit.errors import unknown
-from sparsefit.study.evidence.asked import Asked, read_entry
+from sparsefit.study.evidence.along import words_of
+from sparsefit.study.evidence.asked import DURATION, MEASUREMENT_NOISE, Asked, Kind
 from sparsefit.study.evidence.cases import factors, groups_by, in_a_flow, numeric_factors
-from sparsefit.study.evidence.measures import MEASURES, Measure, three
+from sparsefit.study.evidence.measures import names
 from sparsefit.study.evidence.readings import bounded
-from sparsefit.study.evidence.tables import DURATION, MEASUREMENT_NOISE, has_any, many_levels
+from sparsefit.study.evidence.sentence import capital
+from sparsefit.study.evidence.tables import has_any, many_levels
 from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.drawing import STYLE
 from sparsefit.study.report.lines import OTHERS, SETTING, lines, pooling_note
 from sparsefit.study.report.scatter import scatter
 from sparsefit.study.report.strips import strips
 from sparsefit.study.report.weights import weights_figure
-from sparsefit.study.spec.outputs import Entry
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
-FigureFunction: TypeAlias = Callable[["Study", pd.DataFrame, pd.DataFrame | None], Figure]
-AskedFigure: TypeAlias = Callable[[Asked, "Study", pd.DataFrame, pd.DataFrame | None], Figure]
+Draw: TypeAlias = Callable[[Asked, "Study", pd.DataFrame, pd.DataFrame | None], Figure]
 PROCESS_NOISE = "flights.process_noise"
 LEGIBLE = 8  # rows: with more, nobody reads the picture unless the study asks for it
-# By name, how the measures of an entry are drawn: `compare` = "settings" is a row per setting.
-DRAWN: dict[str, AskedFigure] = {"settings": strips, "protocols": lines, "until": lines}
-
-
-def _ordered(kind: str) -> tuple[Measure, ...]:
-    """The measures of tau_w, L_w and U0: what the paper is after first."""
-    return three(kind)[::-1]
-
-
-PRESETS = {
-    "errors": Asked(measures=_ordered("error")),
-    "coverage": Asked(
-        limits=(93.0, 97.0),
-        measures=tuple(MEASURES[f"{name}-coverage"]
-                       for name in ("length-scale", "mean-velocity", "timescale")),
-    ),
-    "sweep": Asked(compare="protocols", over="setting", measures=_ordered("error"), band=True),
-    "methods": Asked(
-        compare="protocols", measures=(MEASURES["timescale-error"],), along=MEASUREMENT_NOISE,
-        columns=(SETTING,), settings="every", rows=(OTHERS,),
-    ),
-    "scales": Asked(
-        compare="protocols", over="setting", measures=(MEASURES["scales-found"],),
-    ),
-    "efficiency": Asked(
-        compare="protocols", over="setting", along=PROCESS_NOISE,
-        rows=(OTHERS,),
-        measures=(MEASURES["length-scale-bounded-error"], MEASURES["length-scale-efficiency"],
-                  MEASURES["mean-velocity-efficiency"]),
-    ),
-    "windows": Asked(
-        compare="until", over="setting", along=DURATION, limits=(5.0, 1.0),
-        measures=tuple(replace(MEASURES["largest-error"], summary=summary)
-                       for summary in ("median", "9 of 10")),
-    ),
-    "grids": Asked(
-        compare="protocols", over="setting", along="protocol", columns=("readout.refine",),
-        measures=(MEASURES["length-scale-error"],),
-    ),
-}  # fmt: skip
-CAPTIONS = {
+ERRORS = names("error")[::-1]  # tau_w, L_w and U0: what the paper is after first
+CAPTIONS = {  # of comparisons that draw no measure
     "weights": "Weight of every candidate length scale, first flight, first listed setting of "
     "each back-end.",
     "scatter": "Estimated against true parameters, first listed setting of each back-end and "
@@ -90,36 +48,16 @@ STRIPS = (
 )
 
 
-def caption(entry: Entry) -> str:
-    """Return what stands under a figure: what is drawn, and how a failure counts."""
-    if isinstance(entry, str) and entry in CAPTIONS:
-        return CAPTIONS[entry]
-    asked = read_entry(entry, PRESETS, DRAWN)
-    phrases = list(dict.fromkeys(one.phrase for one in asked.measures))
-    words = _sentence("; ".join(phrases))
-    if DRAWN[asked.compare] is strips:
-        shares = asked.measure.summary == "share"
-        band = f" Band: {min(asked.limits):g} to {max(asked.limits):g} %." if asked.limits else ""
-        return f"{words}, with its 95 % Wilson interval.{band}" if shares else f"{words}: {STRIPS}."
-    along = asked.along.rpartition(".")[2].replace("_", " ") if asked.along else "each swept number"
-    quartiles = ", with quartiles" if asked.band or asked.along == "protocol" else ""
-    first = "" if asked.settings == "every" else " First listed setting of each back-end."
-    note = pooling_note(asked.measures)
-    return f"{words}, along {along}{quartiles}.{first} Other swept factors are pooled. {note}"
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _styled(draw: FigureFunction) -> FigureFunction:
+def _styled(draw: Draw) -> Draw:
     """Draw in this package's style, whatever the user's own settings are."""
 
-    def styled(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+    def styled(
+        asked: Asked, study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None
+    ) -> Figure:
         with mpl.rc_context():
             mpl.rcdefaults()
             mpl.rcParams.update(STYLE)
-            figure = draw(study, cases, weights)
+            figure = draw(asked, study, cases, weights)
             # Laid out once: saving twice must not move anything.
             figure.draw_without_rendering()
             figure.set_layout_engine("none")
@@ -128,27 +66,60 @@ def _styled(draw: FigureFunction) -> FigureFunction:
     return styled
 
 
-FIGURES: dict[str, FigureFunction] = {
-    "weights": _styled(weights_figure),
-    "scatter": _styled(scatter),
-    "dual-certificate": _styled(certificate_figure),
-    **{name: _styled(partial(DRAWN[asked.compare], replace(asked, name=name)))
-       for name, asked in PRESETS.items()},
-}  # fmt: skip
+FIGURES: Kind[Figure] = Kind(
+    "figure",
+    {  # `settings` is a row per setting
+        "settings": _styled(strips),
+        "protocols": _styled(lines),
+        "until": _styled(lines),
+        "weights": _styled(weights_figure),
+        "scatter": _styled(scatter),
+        "dual-certificate": _styled(certificate_figure),
+    },
+    {
+        **{name: {"compare": name} for name in CAPTIONS},
+        "errors": {"measure": ERRORS},
+        "coverage": {
+            "limits": (93.0, 97.0),
+            "measure": ("length-scale-coverage", "mean-velocity-coverage", "timescale-coverage"),
+        },
+        "sweep": {"compare": "protocols", "over": "setting", "measure": ERRORS, "band": True},
+        "methods": {
+            "compare": "protocols", "measure": "timescale-error", "along": MEASUREMENT_NOISE,
+            "columns": SETTING, "settings": "every", "rows": OTHERS,
+        },
+        "scales": {"compare": "protocols", "over": "setting", "measure": "scales-found"},
+        "efficiency": {
+            "compare": "protocols", "over": "setting", "along": PROCESS_NOISE, "rows": OTHERS,
+            "measure": ("length-scale-bounded-error", "length-scale-efficiency",
+                        "mean-velocity-efficiency"),
+        },
+        "windows": {
+            "compare": "until", "over": "setting", "along": DURATION, "limits": (5.0, 1.0),
+            "measure": ("median largest-error", "9 of 10 largest-error"),
+        },
+        "grids": {
+            "compare": "protocols", "over": "setting", "along": "protocol",
+            "columns": "readout.refine", "measure": "length-scale-error",
+        },
+    },
+)  # fmt: skip
 
 
-def read_figure(entry: Entry) -> tuple[str, FigureFunction]:
-    """Return the file name of a figure that [outputs] asks for, and what draws it.
-
-    Raises:
-        InputError: for a name, measure or comparison that is not known.
-    """
-    if isinstance(entry, str):
-        if entry not in FIGURES:
-            raise unknown("figure", entry, FIGURES)
-        return entry, FIGURES[entry]
-    asked = read_entry(entry, PRESETS, DRAWN)
-    return asked.file_name, _styled(partial(DRAWN[asked.compare], asked))
+def caption(asked: Asked) -> str:
+    """Return what stands under a figure: what is drawn, and how a failure counts."""
+    if asked.compare in CAPTIONS:
+        return CAPTIONS[asked.compare]
+    words = capital("; ".join(dict.fromkeys(one.phrase for one in asked.measures)))
+    if asked.compare == "settings":
+        shares = asked.first.summary == "share"
+        band = f" Band: {min(asked.limits):g} to {max(asked.limits):g} %." if asked.limits else ""
+        return f"{words}, with its 95 % Wilson interval.{band}" if shares else f"{words}: {STRIPS}."
+    along = words_of(asked.along) if asked.along else "each swept number"
+    quartiles = ", with quartiles" if asked.band or asked.along == "protocol" else ""
+    first = "" if asked.settings == "every" else " First listed setting of each back-end."
+    note = pooling_note(asked.measures)
+    return f"{words}, along {along}{quartiles}.{first} Other swept factors are pooled. {note}"
 
 
 def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:

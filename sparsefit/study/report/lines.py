@@ -26,7 +26,8 @@ from sparsefit.study.evidence.cases import (
     level_text,
     numeric_factors,
 )
-from sparsefit.study.evidence.measures import MEASURES, TINY, Failure, Measure
+from sparsefit.study.evidence.measure import TINY, Failure, Measure
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.report.drawing import (
     GREY,
     STYLES,
@@ -88,7 +89,7 @@ def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> 
         verb = "does not sweep" if asked.along else "sweeps no"
         raise refuse(study.name, f"{verb} {what}", output)
     if not any(np.isfinite(one.read(cases)).any() for one in asked.measures):
-        raise refuse(study.name, f"has no {asked.measure.words}", output)
+        raise refuse(study.name, f"has no {asked.first.words}", output)
     grid = [row for along in axes_of for row in _rows(asked, shown, along)]
     columns = len(grid[0])
     each = 2.1 if len(grid) < 4 else 1.6

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from sparsefit.errors import InputError
-from sparsefit.study.evidence.answers import read_answer, sentences
+from sparsefit.errors import InputError, told_with
+from sparsefit.study.evidence.answers import ANSWERS, sentences
 from sparsefit.study.evidence.cases import STATUSES
 from sparsefit.study.evidence.table import Table
-from sparsefit.study.evidence.tables import read_table, tables_of
+from sparsefit.study.evidence.tables import TABLES, tables_of
 from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
-from sparsefit.study.report.figures import caption, figures_for, read_figure
+from sparsefit.study.report.figures import FIGURES, caption, figures_for
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
 from sparsefit.study.spec.outputs import Entry
 from sparsefit.whole_file import write_whole
@@ -48,11 +48,10 @@ def write_report(
     entries: Sequence[Entry] = study.figures or figures_for(cases, weights)
     files = dict(_table_files(study, tables))
     captions = {}
-    for entry in entries:
-        name, draw = read_figure(entry)
-        figure = draw(study, cases, weights)
+    for asked in map(FIGURES.read, entries):
+        name, figure = asked.file_name, FIGURES.make(asked, study, cases, weights)
         files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
-        captions[name] = caption(entry)
+        captions[name] = caption(asked)
     files["README.md"] = readme(study, cases, tables, captions).encode()
     return _write(Path(results_dir) / study.name, files)
 
@@ -63,17 +62,11 @@ def check_outputs(study: Study) -> None:
     Raises:
         InputError: with the file, the kind of output and the nearest name that is known.
     """
-    checks = (
-        ("tables", study.tables, read_table),
-        ("figures", study.figures, read_figure),
-        ("answers", study.answers, read_answer),
-    )
-    for kind, entries, read in checks:
-        for entry in entries:
-            try:
-                read(entry)
-            except InputError as error:
-                raise InputError(f"{study.path}: [outputs].{kind}: {error}") from None
+    every = ((TABLES, study.tables), (FIGURES, study.figures), (ANSWERS, study.answers))
+    for kind, entries in every:
+        with told_with(f"{study.path}: [outputs].{kind.noun}s"):
+            for entry in entries:
+                kind.read(entry)
 
 
 def write_table(study: Study, folder: Path, name: str, table: Table) -> list[Path]:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array
+from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import (
     SYMBOLS,
     UNITS,
@@ -48,7 +49,7 @@ class Frame:
         return cls(max(low - margin, 0.0) if low >= 0 else low - margin, high + margin, False)
 
 
-def scatter(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+def scatter(_: Asked, study: Study, cases: pd.DataFrame, weights: object = None) -> Figure:
     """Draw Fig. 2: a row per back-end (its first listed setting), a colour per protocol.
 
     The first listed setting, and the first level of every swept factor: nothing here was chosen

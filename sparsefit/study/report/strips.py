@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import Group, by_setting, estimated, factors, in_a_flow
-from sparsefit.study.evidence.measures import TINY, Measure, Share
+from sparsefit.study.evidence.measure import TINY, Measure, Share
 from sparsefit.study.report.drawing import COLOURS, GREY, colours, logarithmic, panels, shortened
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
     point with its Wilson interval for every setting and level, and a band between the limits.
     """
     asked.needs(study.name, "measure")
-    shares = asked.measure.summary == "share"
+    shares = asked.first.summary == "share"
     kept = cases[in_a_flow(cases)] if shares else cases
     every = by_setting(kept, *(factors(cases) if shares else ()))
     groups = every[:ROWS]

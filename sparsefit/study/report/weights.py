@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
+from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import Group, numbers
 from sparsefit.study.evidence.table import plain
 from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels, shortened
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 
-def weights_figure(study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None) -> Figure:
+def weights_figure(
+    _: Asked, study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None
+) -> Figure:
     """Draw Fig. 1 for the first flight: a panel per protocol and back-end, first listed setting.
 
     Raises:
