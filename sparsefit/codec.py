@@ -81,6 +81,8 @@ def finite_or_none(value: Any) -> Any:
         return {key: finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [finite_or_none(item) for item in value]
+    if hasattr(value, "tolist"):  # what numpy's arrays and scalars have
+        return finite_or_none(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -23,6 +23,7 @@ EXAMPLE = """\
   sparsefit estimate flight.csv --estimator estimator.json
   sparsefit estimate flight.csv --scales several --backend gridless-group-lasso
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
+  sparsefit estimate flight.csv --family waves --grid-lower 3 --json
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
 
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
@@ -36,6 +37,8 @@ OPTIONS = {
     "grid_lower": ("library.grid", "lower"),
     "grid_upper": ("library.grid", "upper"),
     "grid_step": ("library.grid", "step"),
+    "family": ("library", "family"),
+    "groups": ("library", "groups"),
     "target": ("library", "target"),
     "unknown": ("library", "unknown"),
     "backend": ("backend", "name"),
@@ -83,6 +86,10 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--grid-lower", type=number("m"), metavar="M", help="default: 1 m")
     group.add_argument("--grid-upper", type=number("m"), metavar="M", help="default: 12 m")
     group.add_argument("--grid-step", type=number("m"), metavar="M", help="default: 0.2 m")
+    group.add_argument(
+        "--family", metavar="NAME", help="of the library: cells (default), stream or waves"
+    )
+    group.add_argument("--groups", metavar="NAME", help="of waves: wave (default), ring or nested")
     group.add_argument(
         "--target",
         metavar="NAME",

@@ -16,6 +16,7 @@ from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.judge import imprecise, judge
 from sparsefit.estimator.locate import Place, locate
 from sparsefit.estimator.prepare import Prepared, prepare
+from sparsefit.estimator.waves import estimate_of_waves
 from sparsefit.flight import Flight
 from sparsefit.library.builder import Library
 from sparsefit.modes.readout import Readout
@@ -74,6 +75,8 @@ class Estimator:
 
     def read(self, prepared: Prepared, fit: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25): locate the modes, assess them, judge them."""
+        if self.library.family == "waves":
+            return estimate_of_waves(prepared, fit, self.readout)
         start = perf_counter()
         problem = fit.problem
         assert problem.group_scales is not None

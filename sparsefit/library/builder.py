@@ -200,6 +200,7 @@ class Library:
             count,
             continuum,
             columns.subgroups,
+            columns.parameters,
         )
 
 

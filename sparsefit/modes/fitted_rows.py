@@ -80,8 +80,13 @@ class Rows:
 
 def centred(position: Array) -> Array:
     """Positions (m, 2) from the middle of their bounding box."""
+    return position - middle(position)
+
+
+def middle(position: Array) -> Array:
+    """The middle of the bounding box of positions (m, 2)."""
     centre: Array = 0.5 * (position.max(axis=0) + position.min(axis=0))
-    return position - centre
+    return centre
 
 
 def extent_of(position: Array) -> float:

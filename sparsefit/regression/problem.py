@@ -47,6 +47,7 @@ class RegressionProblem:
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
     ``subgroups`` (k,): the group within its group of each column, for penalties of both.
+    ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
     """
 
     theta: Array
@@ -58,6 +59,7 @@ class RegressionProblem:
     sample_count: int | None = None
     continuum: Continuum | None = None
     subgroups: IntArray | None = None
+    parameters: Array | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)

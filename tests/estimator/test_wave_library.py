@@ -1,0 +1,114 @@
+"""From a flight through cells of any heading to their waves, by back-ends on the wave library."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.estimator.doubt import Doubt
+
+VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
+FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
+WAVES = sf.Library(sf.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
+
+
+def flown(flow=FLOW, seed=7, noise=0.2, duration=8.0):
+    return sf.simulate_flight(
+        flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed,
+        velocity_noise=noise, position_noise=0.25 * noise,
+    )  # fmt: skip
+
+
+FLIGHT, OTHER = flown(), flown(seed=91, noise=0.0)
+
+
+def missed(flow):
+    """The relative error of a flow along another flight through the true one."""
+    truth = FLOW.velocity(*OTHER.position.T)
+    return np.linalg.norm(flow.velocity(*OTHER.position.T) - truth) / np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("lasso", {}),
+        ("group-lasso", {}),
+        ("group-omp", {}),
+        ("least-squares", {"rcond": 0.03}),
+        ("stlsq", {"threshold": 0.02, "ridge": 0.1}),
+    ],
+)
+def test_every_back_end_leads_to_the_turned_cells(name, settings):
+    estimator = sf.Estimator(library=WAVES, backend=backends.get(name, **settings))
+    found = estimator.estimate(FLIGHT)
+    assert found.status == "ok"
+    assert found.mean_velocity == pytest.approx(12.0, rel=0.01)
+    assert found.length_scale == pytest.approx(4.2, rel=0.002)
+    assert math.degrees(found.heading) == pytest.approx(25.0, abs=0.2)
+    assert found.timescale == found.length_scale / found.mean_velocity
+    assert missed(found.flow) < 0.02
+
+
+@pytest.mark.parametrize("groups", ["wave", "ring", "nested"])
+def test_on_the_grid_the_flow_is_the_sum_of_its_waves(groups):
+    estimator = sf.Estimator(
+        library=replace(WAVES, groups=groups), readout=sf.Readout(refine="none")
+    )
+    prepared = estimator.prepare(FLIGHT)
+    fit = estimator.fit(prepared)
+    found = estimator.read(prepared, fit)
+    position = prepared.samples.position[::10]
+    np.testing.assert_allclose(
+        found.flow.velocity(*position.T).reshape(-1, 1), prepared.problem.theta @ fit.weights,
+        atol=1e-9,
+    )  # fmt: skip
+    assert found.grid_length_scale in found.weights_by_scale
+    # The grid holds the cells only as nearly as half a step, pi/(2 extent), of |k|.
+    off = abs(1 / found.length_scale - 1 / 4.2) * math.sqrt(2.0) * FLIGHT.extent
+    assert off < 1.0
+
+
+def test_two_flows_of_different_headings_are_found_together():
+    first = sf.ShapedCells(9.0, 4.0, heading=0.2)
+    second = sf.ShapedCells(7.0, 6.5, heading=-0.4)
+    flow = sf.SuperposedFlow((first, second))
+    library = replace(WAVES, grid=sf.LengthScaleGrid(3.0, 9.0))
+    found = sf.Estimator(library=library).estimate(flown(flow, seed=4, duration=10.0))
+    k = np.concatenate([first.waves.wavevectors, second.waves.wavevectors])
+    near = [min(np.linalg.norm(found.flow.wavevectors - s * one, axis=1).min() for s in (-1, 1))
+            for one in k]  # fmt: skip
+    assert max(near) < 0.01
+    assert found.mean_velocity == pytest.approx(math.hypot(9.0, 7.0), rel=0.05)
+    assert found.length_scale == pytest.approx(4.0, rel=0.01)  # of the stronger
+
+
+def test_it_goes_with_the_weak_form_and_an_unknown_vehicle():
+    believed = replace(FLIGHT, vehicle=sf.PointMassVehicle(0.55, (5.0, 3.0)))
+    for method in ("auto", "weak"):
+        library = replace(WAVES, unknown=("response_time",), every=10 if method == "auto" else 1)
+        found = sf.Estimator(method, library).estimate(believed)
+        assert found.response_time == pytest.approx(0.5, rel=0.01)
+        assert found.mean_velocity == pytest.approx(12.0, rel=0.02)
+        assert missed(found.flow) < 0.05
+
+
+def test_zero_weights_and_waves_that_the_flight_does_not_bear_out_are_said():
+    nothing = sf.Estimator(library=WAVES, backend=backends.get("group-lasso", alpha_fraction=1.0))
+    found = nothing.estimate(FLIGHT)
+    assert (found.status, found.doubt) == ("unidentifiable", Doubt.NO_WEIGHTS)
+    assert found.flow is None
+    still = flown(None, seed=5)
+    found = sf.Estimator(library=WAVES).estimate(still)
+    assert (found.status, found.doubt) == ("unidentifiable", Doubt.NO_FLOW)
+    assert math.isnan(found.mean_velocity)
+
+
+def test_the_estimate_is_json_with_its_waves():
+    found = sf.Estimator(library=WAVES).estimate(FLIGHT)
+    shown = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert shown["heading"] == found.heading
+    np.testing.assert_array_equal(shown["flow"]["wavevectors"], found.flow.wavevectors)
