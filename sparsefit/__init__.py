@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sparsefit.flight import read_flight as read_flight
     from sparsefit.flight import simulate_flight as simulate_flight
     from sparsefit.flight import write_flight as write_flight
+    from sparsefit.flight.faults import LogFaults as LogFaults
     from sparsefit.flight.flow import CellularFlow as CellularFlow
     from sparsefit.flight.flow import SuperposedFlow as SuperposedFlow
     from sparsefit.flight.shaped import ShapedCells as ShapedCells
@@ -50,6 +51,7 @@ _HOMES = {
     "Turbulence": "flight.turbulence",
     "PointMassVehicle": "flight.vehicle",
     "Flight": "flight",
+    "LogFaults": "flight.faults",
     "simulate_flight": "flight",
     "read_flight": "flight",
     "write_flight": "flight",

@@ -57,6 +57,21 @@ class CellularFlow:
         return math.pi / self.length_scale
 
     @property
+    def length_scales(self) -> tuple[float, float]:
+        """(L, L) [m]: the cells are square."""
+        return (self.length_scale, self.length_scale)
+
+    @property
+    def heading(self) -> float:
+        """0 rad: the cells lie along the axes."""
+        return 0.0
+
+    @property
+    def drift(self) -> tuple[float, float]:
+        """(0, 0) m/s: the cells stay where they are."""
+        return (0.0, 0.0)
+
+    @property
     def components(self) -> tuple[CellularFlow, ...]:
         """The flow as a superposition of one."""
         return (self,)

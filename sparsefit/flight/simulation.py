@@ -11,7 +11,15 @@ import numpy as np
 from scipy.integrate import ode
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, integer, is_integer, non_negative, pair, positive
+from sparsefit.errors import (
+    InputError,
+    integer,
+    is_integer,
+    is_number,
+    non_negative,
+    pair,
+    positive,
+)
 from sparsefit.flight.flow import Flow
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, check_models
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -20,6 +28,7 @@ RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
 INTEGRATION = 1e-13  # relative and absolute tolerance; leaves a defect below 1e-12 m/s per sample
 MOST_SAMPLES = 1e9
+EVEN = 1e-6  # of a sample interval: steps that differ by less do so by rounding
 STEPS_PER_INTERVAL = 10_000  # beyond this the equation is stiff and deserves a refusal
 
 
@@ -36,11 +45,12 @@ def simulate_flight(
     position_noise: float = 0.0,
     velocity_noise: float = 0.0,
     substeps: int = 10,
+    time_jitter: float = 0.0,
 ) -> Flight:
     """Fly ``vehicle`` through ``flow`` and return what it logs, at t = 0, 1/rate, 2/rate, ...
 
-    Four independent streams come from ``seed``: initial position, process noise, position noise,
-    velocity noise. Flights that differ in a noise level only therefore share one draw.
+    Five independent streams come from ``seed``: initial position, process noise, position noise,
+    velocity noise, time jitter. Flights that differ in a noise level only therefore share one draw.
 
     Args:
         flow: the true flow; kept in the flight for scoring. None: still air.
@@ -56,6 +66,8 @@ def simulate_flight(
         position_noise: standard deviation [m] of the measured position.
         velocity_noise: standard deviation [m/s] of the measured velocity.
         substeps: random kicks per sample interval; used only with process noise.
+        time_jitter: in [0, 0.5): by which share of 1/rate a sample is taken early or late at most,
+            uniformly; the time that is logged is the one at which it was taken.
 
     Returns:
         The flight; without noise, the solution of Eq. 14 to about 1e-12 per sample interval.
@@ -64,8 +76,9 @@ def simulate_flight(
         InputError: if an argument is out of its range, or the equation is too stiff to integrate.
     """
     check_models(vehicle, flow)
-    start_stream, process_stream, position_stream, velocity_stream = _streams(seed)
+    start_stream, process_stream, position_stream, velocity_stream, time_stream = _streams(seed)
     time = _sample_times(duration, sample_rate)
+    time = _jittered(time, time_jitter, time_stream)
     state = (
         *_start(flow, initial_position, start_stream),
         *pair("initial_velocity", initial_velocity, "m/s"),
@@ -84,11 +97,11 @@ def simulate_flight(
 
 
 def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
-    """Return the four streams of ``SeedSequence.spawn(4)``, without its count of past spawns."""
+    """Return the five streams of ``SeedSequence.spawn(5)``, without its count of past spawns."""
     root = seed if isinstance(seed, np.random.SeedSequence) else _root(seed)
     children = (
         np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, child))
-        for child in range(4)
+        for child in range(5)
     )
     return [np.random.default_rng(child) for child in children]
 
@@ -114,6 +127,16 @@ def _sample_times(duration: float, sample_rate: float) -> Array:
     return np.arange(intervals + 1) / rate
 
 
+def _jittered(time: Array, jitter: float, stream: np.random.Generator) -> Array:
+    """Return the times [s], (m,), of samples taken early or late; the first one is on time."""
+    if not is_number(jitter, 0.0) or jitter >= 0.5:
+        raise InputError(f"time_jitter is a share of 1/sample_rate in [0, 0.5); got {jitter!r}")
+    if not jitter:
+        return time
+    shifts = jitter * float(time[1]) * stream.uniform(-1.0, 1.0, len(time) - 1)
+    return np.concatenate([time[:1], time[1:] + shifts])
+
+
 def _start(
     flow: Flow | None, position: Sequence[float] | Array | None, stream: np.random.Generator
 ) -> tuple[float, float]:
@@ -130,13 +153,19 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
     """Return the velocity increments [m/s] of the process noise, (intervals, substeps, 2).
 
     They sum to N(0, (level * dt)^2) over an interval dt, so the mean derivative noise has
-    standard deviation ``level``. Without noise: one substep that is not kicked.
+    standard deviation ``level``; their power is that of the mean interval where times jitter.
+    Without noise: one substep that is not kicked.
     """
     sigma = non_negative("process_noise", level, "m/s^2")
     if sigma == 0.0:
         return np.zeros((len(time) - 1, 1, 2))
-    scale = sigma * float(time[1]) / math.sqrt(substeps)
-    return scale * stream.standard_normal((len(time) - 1, substeps, 2))
+    kicks = stream.standard_normal((len(time) - 1, substeps, 2))
+    steps = np.diff(time)
+    if np.ptp(steps) <= EVEN * steps[0]:
+        return sigma * float(time[1]) / math.sqrt(substeps) * kicks
+    powers = np.sqrt(steps * steps.mean() / substeps)
+    kicks *= sigma * powers[:, None, None]
+    return kicks
 
 
 def _right_hand_side(flow: Flow | None, vehicle: PointMassVehicle) -> RightHandSide:

@@ -21,7 +21,7 @@ from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.runner import solver_seconds
 from sparsefit.study.run.store import cases_table
-from sparsefit.study.spec.flights import SIMULATION, stream
+from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.plan import fit_key
 from sparsefit.uncertainty.bound import cramer_rao
 

@@ -9,7 +9,7 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells, counts, plan
-from sparsefit.study.spec.flights import SIMULATION, Draw, stream
+from sparsefit.study.spec.draw import SIMULATION, Draw, stream
 from sparsefit.study.spec.plan import flight_key, sharing
 
 HEAD = """

@@ -25,7 +25,7 @@ from sparsefit.study.run.columns import KINDS
 from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.reading import scale_sets
-from sparsefit.study.spec.flights import STREAMS
+from sparsefit.study.spec.quantities import STREAMS
 
 TEXT = """
 name = "two"
@@ -108,12 +108,18 @@ def test_a_second_flow_changes_no_other_draw(tmp_path: Path) -> None:
 def test_streams_are_only_ever_added_at_the_end() -> None:
     assert STREAMS[:3] == ("mean_velocity", "length_scale", "timescale")
     assert STREAMS.index("velocity_noise") == 14
-    assert STREAMS[17:21] == (
+    assert STREAMS[17:24] == (
         "second_scale_ratio",
         "second_velocity_ratio",
         "third_scale_ratio",
         "third_velocity_ratio",
+        "believed_response_time_ratio",
+        "believed_thrust_ratio",
+        "heading",
     )
+    assert STREAMS.index("turbulence_field") == 39
+    assert STREAMS.index("gap_duration") == 48
+    assert len(set(STREAMS)) == len(STREAMS)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +127,7 @@ def test_streams_are_only_ever_added_at_the_end() -> None:
     [
         ("second_velocity_ratio = 0.8\n", "", "second_velocity_ratio"),
         ("second_", "third_", "second_scale_ratio"),
-        ("second_scale_ratio = 1.5", "second_scale_ratio = 0.0", "must be above 0"),
+        ("second_scale_ratio = 1.5", "second_scale_ratio = 0.0", "between 0.01 and 100"),
         ("second_scale_ratio = 1.5", "second_scale_ratio = 1e9", "between 0.01 and 100"),
     ],
 )

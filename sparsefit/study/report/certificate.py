@@ -18,7 +18,7 @@ from sparsefit.flight.flow import Flow
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels
 from sparsefit.study.spec.design import Cell
-from sparsefit.study.spec.flights import SIMULATION, stream
+from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.study import Study
 
 FLIGHT = 0

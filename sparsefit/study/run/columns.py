@@ -87,6 +87,13 @@ def _truth(parameter: str) -> Column:
     )
 
 
+def _shape(name: str, read: Callable[[Cells], float]) -> Column:
+    """What says the shape or the motion of the true cells."""
+    return Column(
+        f"true_{name}", LEVEL, planned=lambda row: None if row.flow is None else read(row.flow)
+    )
+
+
 def _of_certificate(name: str, kind: Kind, field: str) -> Column:
     """A field of the certificate of the fit, where there is one."""
     return Column(name, kind, read=lambda case: getattr(case.estimate.certificate, field, None))
@@ -141,6 +148,11 @@ COLUMNS: tuple[Column, ...] = (
     *_three("high", REAL, lambda case, name: case.interval(name)[1]),
     *_three("bound", SINGLE, Reading.bound),
     Column("doubt", TEXT, read=lambda case: case.estimate.doubt and str(case.estimate.doubt)),
+    _shape("length_scale_x", lambda cells: cells.length_scales[0]),
+    _shape("length_scale_y", lambda cells: cells.length_scales[1]),
+    _shape("heading", lambda cells: cells.heading),
+    _shape("drift_x", lambda cells: cells.drift[0]),
+    _shape("drift_y", lambda cells: cells.drift[1]),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 

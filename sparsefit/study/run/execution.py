@@ -20,7 +20,7 @@ from sparsefit.study.run.reading import Reading, Yardstick, yardstick
 from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
-from sparsefit.study.spec.flights import SIMULATION, Draw, stream
+from sparsefit.study.spec.draw import SIMULATION, Draw, stream
 from sparsefit.study.spec.plan import fit_key, flight_key, problem_key, sharing
 from sparsefit.study.spec.study import Study
 

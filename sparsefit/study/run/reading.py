@@ -14,7 +14,7 @@ from sparsefit.flight.flow import Cells, CellularFlow, Flow
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.score import ScalesScore, score, score_scales
-from sparsefit.study.spec.flights import Draw
+from sparsefit.study.spec.draw import Draw
 from sparsefit.uncertainty.bound import Bound, cramer_rao
 
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")  # [m/s], [m], [s]

@@ -43,10 +43,21 @@ class Entry:
         return low + share * (high - low)
 
 
-def read_entry(value: object, place: Place, *, least: float | None, open_end: bool) -> Entry:
-    """An entry from its TOML value; every number in it is >= `least` (> with `open_end`)."""
+def read_entry(
+    value: object,
+    place: Place,
+    *,
+    least: float | None,
+    open_end: bool,
+    most: float | None = None,
+) -> Entry:
+    """An entry from its TOML value; every number in it is in [least, most], or between them."""
     entry = _rule(value, place) if isinstance(value, dict) else _constant(value, place)
     for one in entry.values:
+        if least is not None and most is not None:
+            within = least < one < most if open_end else least <= one <= most
+            if not within:
+                raise place.error(f"must lie between {least:g} and {most:g}, not {one:g}")
         if least is not None and (one <= least if open_end else one < least):
             bound = "above" if open_end else "at least"
             raise place.error(f"must be {bound} {least:g}, not {one:g}")

@@ -23,7 +23,7 @@ from sparsefit.study.spec.document import (
     required,
     text,
 )
-from sparsefit.study.spec.flights import Draw
+from sparsefit.study.spec.draw import Draw
 from sparsefit.study.spec.outputs import Entry, Reference, name_of, read_outputs
 from sparsefit.study.spec.setup import SECTION_KEYS, read_setup
 
