@@ -136,14 +136,6 @@ def _least(powers: Array, moments: Array) -> Array:
     return weights
 
 
-def fast_length(samples: int) -> int:
-    """The least 2^i 3^j 5^l, of few 3 and 5, not below ``samples``: other transforms are slow."""
-    best = 1 << math.ceil(math.log2(samples))
-    for factor in (3, 5, 9, 15, 25, 27, 45, 75, 135):
-        best = min(best, factor << max(math.ceil(math.log2(samples / factor)), 0))
-    return best
-
-
 def _places(size: int) -> Array:
     return np.linspace(-1.0, 1.0, size)
 

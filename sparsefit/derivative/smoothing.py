@@ -25,6 +25,8 @@ from functools import lru_cache
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
+from sparsefit.derivative.transform import Transformed
 
 KEPT = 128  # kernels: those of one flight are asked for several times
 ORDER = 10  # of the velocity; 4 doubles the error of tau_w at 0.5 m/s of noise, 8 and 10 agree
@@ -40,6 +42,8 @@ RATE_SHARE = 0.6
 DIFFERENCES = (2, 4, 6, 8, 10, 12)
 ROUNDING = float(np.finfo(np.float64).eps)
 SMALLEST = 1e-60  # of a noise level: its square must divide
+LONG = 40  # samples of a window that a Fourier transform sums faster, where
+NOISY = 1e-10  # of the largest sample is noise: below it the transform's rounding would count
 
 
 @dataclass(frozen=True)
@@ -107,11 +111,26 @@ class Channels:
         rows = [(value, none), (slope, none), (none, value), (none, slope)]
         return np.stack([np.concatenate(row) for row in rows])
 
+    @cached_property
+    def rows(self) -> Array:
+        """x, y, vx, vy (2, 2, m): a row for each."""
+        columns = np.stack([self.position.T, self.velocity.T])
+        return np.ascontiguousarray(columns)
+
+    @cached_property
+    def _transformed(self) -> Transformed | None:
+        """The rows as long windows sum them; None where noise is too low for that."""
+        levels = np.array([self.sigma_position, self.sigma_velocity])
+        noisy = np.all(levels > NOISY * np.abs(self.rows).max(axis=(1, 2)))
+        return Transformed.of(self.rows) if noisy else None
+
     def filtered(self, kernel: Array) -> Array:
-        """The weighted sums (m - n + 1, 2) of a kernel (2n,)."""
-        of_position, of_velocity = np.split(kernel, 2)
-        pairs = (of_position, self.position), (of_velocity, self.velocity)
-        parts = [_convolved(weights, values) for weights, values in pairs if weights.any()]
+        """The weighted sums (2, m - n + 1) of a kernel (2n,), of x and of y."""
+        halves = kernel.reshape(2, -1)
+        used = [channel for channel in range(2) if halves[channel].any()]
+        if halves.shape[1] >= LONG and self._transformed is not None:
+            return self._transformed.windows(halves, used)
+        parts = [_correlated(halves[channel], self.rows[channel]) for channel in used]
         return parts[0] if len(parts) == 1 else parts[0] + parts[1]
 
     def spread(self, kernel: Array) -> float:
@@ -149,7 +168,8 @@ def coupled_kernels(
     powers = np.vander(np.linspace(-1.0, 1.0, window), order + 2, increasing=True)
     slopes = np.zeros_like(powers)
     slopes[:, 1:] = powers[:, :-1] * np.arange(1, order + 2) / reach
-    solved = np.linalg.pinv(np.vstack([ratio * powers, slopes]))[:3]
+    basis, triangle = np.linalg.qr(np.vstack([ratio * powers, slopes]))
+    solved = np.linalg.solve(triangle.T, np.eye(order + 2)[:, :3]).T @ basis.T
     solved[:, :window] *= ratio
     return _kept(solved[0]), _kept(solved[1] / reach), _kept(2.0 * solved[2] / reach**2)
 
@@ -207,11 +227,11 @@ def _least_risk(
 def _residuals(channels: Channels, window: int, *, coupled: bool) -> tuple[Array, float]:
     """Squared residuals (m - n + 1,) in units of the noise, and the sum of the own weights."""
     kernels, half = channels.kernels(window, coupled), window // 2
-    inner = slice(half, len(channels.position) - half)
-    position = channels.position[inner] - channels.filtered(kernels[0])
-    velocity = channels.velocity[inner] - channels.filtered(kernels[2])
-    square = (position / channels.sigma_position) ** 2 + (velocity / channels.sigma_velocity) ** 2
-    return square.mean(axis=1), float(kernels[0, half] + kernels[2, window + half])
+    position, velocity = channels.rows[:, :, half : channels.rows.shape[2] - half]
+    x, y = (position - channels.filtered(kernels[0])) / channels.sigma_position
+    vx, vy = (velocity - channels.filtered(kernels[2])) / channels.sigma_velocity
+    square = 0.5 * ((x * x + vx * vx) + (y * y + vy * vy))
+    return square, float(kernels[0, half] + kernels[2, window + half])
 
 
 def _risk(
@@ -236,8 +256,9 @@ def smooth(channels: Channels) -> tuple[slice, Array, Array, Smoothing]:
     half = window // 2
     kept = slice(half, len(channels.position) - half)
     trim = half - shorter // 2
-    position, velocity, *rates = map(channels.filtered, (state[0], state[2], rate[1], rate[3]))
-    rates = [values[trim : len(values) - trim] for values in rates]
+    states = [channels.filtered(kernel) for kernel in state[[0, 2]]]
+    rates = [channels.filtered(kernel) for kernel in rate[[1, 3]]]
+    rates = [values[:, trim : values.shape[1] - trim] for values in rates]
     smoothing = Smoothing(
         "auto",
         window=window,
@@ -250,8 +271,13 @@ def smooth(channels: Channels) -> tuple[slice, Array, Array, Smoothing]:
         velocity_error=channels.spread(state[2]),
         acceleration_error=channels.spread(rate[3]),
     )
-    return kept, np.hstack([position, velocity]), np.hstack(rates), smoothing
+    return kept, _columns(states), _columns(rates), smoothing
 
 
-def _convolved(kernel: Array, values: Array) -> Array:
-    return np.column_stack([np.correlate(column, kernel, "valid") for column in values.T])
+def _columns(channels: list[Array]) -> Array:
+    """Channels (2, m) as columns (m, 4)."""
+    return np.ascontiguousarray(np.vstack(channels).T)
+
+
+def _correlated(kernel: Array, rows: Array) -> Array:
+    return np.stack([np.correlate(row, kernel, "valid") for row in rows])

@@ -18,6 +18,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
+from sparsefit.library.phase import sines_and_cosines
 
 CANDIDATES = (
     "sin x",
@@ -47,9 +48,9 @@ _SIGNED = tuple(np.array(signs)[:, None] for _, signs in _ALONG)
 _MATRICES = tuple(np.eye(8)[:, places] * signs for places, signs in _ALONG)  # C M W = (dC) W
 
 
-def products(sines: tuple[Array, Array], cosines: tuple[Array, Array], out: list[Array]) -> None:
-    """Write the 8 candidates, of sines and cosines of both phases, into 8 arrays of their shape."""
-    (sin_x, sin_y), (cos_x, cos_y) = sines, cosines
+def products(x: Array, y: Array, out: list[Array]) -> None:
+    """Write the 8 candidates at phases k x and k y into 8 arrays of their shape."""
+    (sin_x, cos_x), (sin_y, cos_y) = sines_and_cosines(x), sines_and_cosines(y)
     out[0][...], out[1][...], out[2][...], out[3][...] = sin_x, sin_y, cos_x, cos_y
     np.multiply(sin_x, sin_y, out=out[4])
     np.multiply(sin_x, cos_y, out=out[5])
@@ -86,8 +87,7 @@ def candidate_columns(position: Array, scales: Array) -> Array:
         rows = theta[start : start + BUILD_ROWS]
         block = position[start : start + BUILD_ROWS]
         x, y = block[:, :1] * wavenumbers, block[:, 1:] * wavenumbers
-        sines, cosines = (np.sin(x), np.sin(y)), (np.cos(x), np.cos(y))
-        products(sines, cosines, [rows[..., i] for i in range(len(CANDIDATES))])
+        products(x, y, [rows[..., i] for i in range(len(CANDIDATES))])
     return theta.reshape(len(position), -1)
 
 
@@ -107,8 +107,7 @@ class Cells:
         """Columns (s, 8, m) at positions (m, 2) [m], for parameters (s, 1): k [1/m]."""
         x, y = (np.outer(parameters[:, 0], along_axis) for along_axis in position.T)
         values = np.empty((len(parameters), self.size, len(position)))
-        sines, cosines = (np.sin(x), np.sin(y)), (np.cos(x), np.cos(y))
-        products(sines, cosines, [values[:, i] for i in range(self.size)])
+        products(x, y, [values[:, i] for i in range(self.size)])
         return values
 
     def slopes(self, position: Array, parameters: Array, values: Array) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array, ComplexArray
 from sparsefit.cached import cached_property
 from sparsefit.library.cells import WAVES
+from sparsefit.library.phase import sines_and_cosines
 
 STEP = 0.15  # of a scan, in 1/extent: 0.6 steps over lobes of the residual
 FEWEST = 8  # steps of a scan, however narrow the interval
@@ -68,43 +69,61 @@ class CellScan:
         return cls(position - centre, centre, wavenumbers, step)
 
     @cached_property
-    def _plan(self) -> Any:
-        """The transform of one load: making it takes longer than carrying it out."""
-        import finufft
+    def _phases(self) -> list[list[ComplexArray]]:
+        """exp(i p k x) and exp(i p k y) (m,) by p of -2 to 2, at the k about which sums are taken.
 
-        return finufft.Plan(
-            1, (len(self.wavenumbers),), n_trans=1, eps=ACCURACY, isign=1, nthreads=1
-        )
+        That is the middle of the grid.
+        """
+        k = float(self.wavenumbers[len(self.wavenumbers) // 2])
+        return [_powers(k * place) for place in self.position.T]
 
     @cached_property
-    def _phases(self) -> ComplexArray:
-        """exp(i k (x, y)) (2, m) at the middle of the grid, about which sums are taken."""
-        k = float(self.wavenumbers[len(self.wavenumbers) // 2])
-        return np.ascontiguousarray(np.exp(1j * k * self.position.T))
+    def _shifts(self) -> list[list[ComplexArray]]:
+        """The same of the middle of the box, at every wavenumber (q,)."""
+        return [_powers(place * self.wavenumbers) for place in self.centre.tolist()]
 
-    def sums(self, wave: Array, loads: Array) -> ComplexArray:
-        """Sums of w exp(i k s), s = p x + q y for wave (p, q), of loads w (j, m): (j, q)."""
-        place, turned = self.position @ wave, loads
-        for phase, times in zip(self._phases, wave.astype(int).tolist(), strict=True):
-            for _ in range(abs(times)):
-                turned = turned * (phase if times > 0 else phase.conj())
-        self._plan.setpts((place * self.step).astype(float, copy=False))
-        sums: ComplexArray = np.stack(
-            [self._plan.execute(load) for load in np.ascontiguousarray(turned)]
-        )
-        shift = float(self.centre @ wave)
-        return sums * np.exp(1j * shift * self.wavenumbers) if shift else sums
+    @cached_property
+    def _plans(self) -> dict[int, Any]:
+        """Transforms by their number of loads, made when they are first asked for."""
+        return {}
+
+    def _plan(self, loads: int) -> Any:
+        import finufft
+
+        if loads not in self._plans:
+            size = (len(self.wavenumbers),)
+            self._plans[loads] = finufft.Plan(
+                1, size, n_trans=loads, eps=ACCURACY, isign=1, nthreads=1
+            )
+        return self._plans[loads]
+
+    def sums(self, wave: tuple[int, int], loads: Array) -> ComplexArray:
+        """Sums of w exp(i k s), s = p x + q y for wave (p, q), of loads w (j, m): (j, q).
+
+        p and q are -2 to 2.
+        """
+        (p, q), (x, y) = wave, self.position.T
+        plan = self._plan(len(loads))
+        plan.setpts((self.step * p) * x + (self.step * q) * y)
+        turned = np.ascontiguousarray(loads * (self._phases[0][p] * self._phases[1][q]))
+        sums: ComplexArray = plan.execute(turned if len(loads) > 1 else turned[0])
+        sums = sums.reshape(len(loads), -1)
+        return sums * (self._shifts[0][p] * self._shifts[1][q]) if self.centre.any() else sums
 
     @cached_property
     def factor(self) -> Array:
         """Cholesky factors (8, 8, q) of the Gram matrices of the waves, with a ridge."""
-        gram = self.gram
-        gram[:, range(8), range(8)] += RIDGE * len(self.position)
-        return np.ascontiguousarray(np.linalg.cholesky(gram).transpose(1, 2, 0))
+        factor = self.gram
+        factor[range(8), range(8)] += RIDGE * len(self.position)
+        for i in range(8):  # a column of the factor, for all k at once
+            factor[i:, i] -= np.einsum("ijq,jq->iq", factor[i:, :i], factor[i, :i])
+            factor[i:, i] /= np.sqrt(factor[i, i])
+            factor[i, i + 1 :] = 0.0
+        return factor
 
     @property
     def gram(self) -> Array:
-        """Gram matrices (q, 8, 8) of the cosines and sines of the waves.
+        """Gram matrices (8, 8, q) of the cosines and sines of the waves.
 
         Products of two waves a and b are waves of a + b and a - b.
         """
@@ -112,22 +131,24 @@ class CellScan:
         sums = np.empty((25, len(self.wavenumbers)), complex)  # (p, q) = divmod(i, 5) - 2
         sums[12] = len(self.position)
         for i in range(12):
-            sums[i] = self.sums(np.array(divmod(i, 5)) - 2.0, ones)[0]
+            p, q = divmod(i, 5)
+            sums[i] = self.sums((p - 2, q - 2), ones)[0]
             sums[24 - i] = sums[i].conj()
         minus, plus = (sums[(WAVES[:, None] + sign * WAVES + 2) @ (5, 1)] for sign in (-1, 1))
-        cosines = np.concatenate([(plus + minus).real, (plus - minus).imag], axis=1)
-        sines = np.concatenate([(plus + minus).imag, (minus - plus).real], axis=1)
-        gram = 0.5 * np.concatenate([cosines, sines], axis=0).transpose(2, 0, 1)
-        return np.ascontiguousarray(gram)
+        gram = np.empty((2, 4, 2, 4, len(self.wavenumbers)))
+        gram[0, :, 0], gram[0, :, 1] = plus.real + minus.real, plus.imag - minus.imag
+        gram[1, :, 0], gram[1, :, 1] = plus.imag + minus.imag, minus.real - plus.real
+        gram *= 0.5
+        return gram.reshape(8, 8, -1)
 
     def cross(self, loads: Array) -> Array:
-        """Inner products (q, 8, j) of the waves' cosines and sines with loads (j, m)."""
-        sums = np.stack([self.sums(wave.astype(float), loads) for wave in WAVES])
-        return np.concatenate([sums.real, sums.imag]).transpose(2, 0, 1)
+        """Inner products (8, j, q) of the waves' cosines and sines with loads (j, m)."""
+        sums = np.stack([self.sums((p, q), loads) for p, q in WAVES.tolist()])
+        return np.concatenate([sums.real, sums.imag])
 
     def freed(self, loads: Array) -> Array:
         """Inner products (q, j, j) of loads (j, m) less what the columns at each k explain."""
-        cross, factor = np.ascontiguousarray(self.cross(loads).transpose(1, 2, 0)), self.factor
+        cross, factor = self.cross(loads), self.factor
         for i in range(8):  # forward substitution, for all k at once
             cross[i] -= np.einsum("lq,ljq->jq", factor[i, :i], cross[:i])
             cross[i] /= factor[i, i]
@@ -138,7 +159,8 @@ class CellScan:
     def rms(self) -> Array:
         """The rms of each candidate (q, 8); a thousandth where the sums cannot tell it from 0."""
         ones = np.ones((1, len(self.position)))
-        doubled = (self.sums(2.0 * wave, ones)[0].real / len(self.position) for wave in WAVES)
+        waves = (2 * WAVES).tolist()
+        doubled = (self.sums((p, q), ones)[0].real / len(self.position) for p, q in waves)
         c_x, c_y, c_plus, c_minus = doubled
         pair, cross = c_x + c_y, 0.5 * (c_plus + c_minus)
         squares = [(1 - c_x) / 2, (1 - c_y) / 2, (1 + c_x) / 2, (1 + c_y) / 2]
@@ -150,17 +172,25 @@ class CellScan:
     def heights(self, residual: Array) -> Array:
         """|Z(k)'R|_F / m (q,) of a residual (m, n), Z the candidates in columns of unit rms."""
         cross = self.cross(np.ascontiguousarray(residual.T) / len(residual))
-        scaled = (CANDIDATES_OF_WAVES @ cross) / self.rms[:, :, None]
-        heights: Array = np.sqrt(np.sum(scaled**2, axis=(1, 2)))
+        scaled = np.tensordot(CANDIDATES_OF_WAVES, cross, axes=1) / self.rms.T[:, None]
+        heights: Array = np.sqrt(np.sum(scaled**2, axis=(0, 1)))
         return heights
 
     def matched(self, pattern: Array, target: Array) -> tuple[Array, Array]:
         """<f, Y> and <f, f> (q,) of f = C(k) S, for weights S (8, n) and a target Y (m, n)."""
         in_waves = CANDIDATES_OF_WAVES.T @ pattern
         cross = self.cross(np.ascontiguousarray(target.T))
-        product = np.einsum("qct,ct->q", cross, in_waves)
-        square = np.einsum("ct,qcd,dt->q", in_waves, self.gram, in_waves, optimize=True)
+        product = np.einsum("ctq,ct->q", cross, in_waves)
+        square = np.einsum("cdq,cd->q", self.gram, in_waves @ in_waves.T)
         return product, square
+
+
+def _powers(phase: Array) -> list[ComplexArray]:
+    """exp(i p phase) by p: 0, 1, 2 and, from the end, -1, -2."""
+    sine, cosine = sines_and_cosines(phase)
+    once = cosine + 1j * sine
+    twice = once * once
+    return [np.ones_like(once), once, twice, twice.conj(), once.conj()]
 
 
 def extent_of(position: Array) -> float:

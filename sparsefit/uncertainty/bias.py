@@ -32,7 +32,8 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray
 from sparsefit.derivative import WeakRows
-from sparsefit.derivative.filters import Filters, fast_length, kicks_through
+from sparsefit.derivative.filters import Filters, kicks_through
+from sparsefit.derivative.transform import fast_length
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from sparsefit.derivative import Derivative
-from sparsefit.derivative.filters import DEGREE, Filters, fast_length
+from sparsefit.derivative.filters import DEGREE, Filters
+from sparsefit.derivative.transform import fast_length
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle

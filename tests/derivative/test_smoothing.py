@@ -142,8 +142,8 @@ def test_the_window_chosen_has_nearly_the_least_true_error():
         kernels, half = channels.kernels(window, coupled), window // 2
         inner = slice(half, len(truth.time) - half)
         errors = (
-            (channels.filtered(kernels[0]) - truth.position[inner]) / channels.sigma_position,
-            (channels.filtered(kernels[2]) - truth.velocity[inner]) / channels.sigma_velocity,
+            (channels.filtered(kernels[0]).T - truth.position[inner]) / channels.sigma_position,
+            (channels.filtered(kernels[2]).T - truth.velocity[inner]) / channels.sigma_velocity,
         )
         return sum(float(np.mean(error**2)) for error in errors)
 
