@@ -1,4 +1,4 @@
-"""The referees: LASSO and group-LASSO through cvxpy by any conic or QP solver it finds.
+"""The referees: penalised least squares through cvxpy by any conic or QP solver it finds.
 
 cvxpy sees the compressed k x k problem in the form that is fast there,
     1/2 sum_t v_t'G v_t - <C, V> + alpha * Omega(V),  G = Z'Z/m, C = Z'Y/m,
@@ -45,9 +45,12 @@ def installed_solvers() -> list[str]:
     return sorted(name.lower() for name in cvxpy.installed_solvers())
 
 
-def check_solver(owner: str, solver: Any, exact: str) -> None:
-    """Raise InputError unless the solver is ``exact`` or a conic one that cvxpy finds here."""
-    if solver in (exact, "clarabel", *DIRECT) or (solver == "osqp" and owner == "lasso"):
+def check_solver(owner: str, solver: Any, exact: str, *, quadratic: bool) -> None:
+    """Raise InputError unless the solver is ``exact`` or a conic one that cvxpy finds here.
+
+    quadratic: whether the problem is a quadratic program, without cones of group norms.
+    """
+    if solver in (exact, "clarabel", *DIRECT) or (solver == "osqp" and quadratic):
         return
     if not isinstance(solver, str):
         raise InputError(f"{owner}: solver must be a name, not {solver!r}")
@@ -55,7 +58,7 @@ def check_solver(owner: str, solver: Any, exact: str) -> None:
     if solver.lower() not in installed:
         names = [exact, *DIRECT, *installed]
         raise unknown(f"solver of {owner} (or it is not installed)", solver, names)
-    if owner != "lasso" and solver.lower() in QUADRATIC_ONLY:
+    if not quadratic and solver.lower() in QUADRATIC_ONLY:
         raise InputError(
             f"{owner}: {solver} solves quadratic programs only, and group norms are cones; use "
             f"{exact}, clarabel or another conic solver"
@@ -73,7 +76,7 @@ def solve_conic(
     import cvxpy
 
     unit = alpha_max(statistics.cross, penalty)
-    if unit == 0:
+    if not statistics.cross.any():
         return tuple(_zero(statistics) for _ in alpha_fractions)
     variable = cvxpy.Variable(statistics.cross.shape)
     fraction = cvxpy.Parameter(nonneg=True)
@@ -82,15 +85,20 @@ def solve_conic(
         0.5 * cvxpy.quad_form(variable[:, t], gram) for t in range(statistics.cross.shape[1])
     )
     linear = cvxpy.sum(cvxpy.multiply(statistics.cross / unit, variable))
-    norm = _penalty_expression(variable, penalty)
-    problem = cvxpy.Problem(cvxpy.Minimize(quadratic - linear + fraction * norm))
+    omega = _penalty_expression(variable, penalty)
+    if penalty.ridge:  # the only term that is not linear in the unit of the target
+        omega = omega + 0.5 * penalty.ridge * unit * cvxpy.sum_squares(variable)
+    problem = cvxpy.Problem(cvxpy.Minimize(quadratic - linear + fraction * omega))
     scale = unit / statistics.rms[:, None]
     return tuple(_solve_one(problem, variable, fraction, f, solver, scale) for f in alpha_fractions)
 
 
 def _penalty_expression(variable: Any, penalty: Penalty) -> Any:
+    """The norms of the penalty, 0 where it has none."""
     import cvxpy
 
+    if penalty.smooth:
+        return 0.0
     if penalty.elementwise:
         return cvxpy.sum(cvxpy.multiply(np.abs(penalty.weights)[:, None], cvxpy.abs(variable)))
     terms = []
@@ -100,7 +108,8 @@ def _penalty_expression(variable: Any, penalty: Penalty) -> Any:
             terms.append(weight * cvxpy.norm(cvxpy.vec(block, order="C"), 2))
         else:
             terms.append(weight * cvxpy.sum(cvxpy.norm(block, 2, axis=0)))
-    return cvxpy.sum(cvxpy.hstack(terms))
+    within = 0.0 if penalty.within is None else _penalty_expression(variable, penalty.within)
+    return cvxpy.sum(cvxpy.hstack(terms)) + within
 
 
 def _solve_one(

@@ -1,45 +1,14 @@
 """Group-LASSO (Yuan & Lin 2006): the exact path by the variational form, or a conic solver."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar
 
-import numpy as np
-
-from sparsefit.arrays import Array
-from sparsefit.backends.penalised import ExactPath, PenalisedPath, Points
-from sparsefit.backends.variational import group_path
-from sparsefit.errors import flag_setting, one_of
+from sparsefit.backends.exact_paths import VARIATIONAL
+from sparsefit.backends.grouping import GroupWeights, check_grouping, size_weights
+from sparsefit.backends.penalised import ExactPath, PenalisedPath
 from sparsefit.regression.backend import AlphaFraction, Selection
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.regression.statistics import Statistics
-
-GroupWeights = Literal["unit", "sqrt-size"]
-STOP = 1e-11  # the solver's own stop, far below any tolerance the certificate is asked to meet
-
-
-def _variational(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
-    """The path of targets that share the norm of each group."""
-    path = group_path(
-        statistics.gram,
-        statistics.cross[:, targets],
-        penalty.groups,
-        penalty.weights,
-        alphas,
-        target_square=float(statistics.target_square[targets].sum()),
-        tolerance=STOP,
-    )
-    return Points(path.weights, path.complete, path.iterations, path.loop)
-
-
-VARIATIONAL = ExactPath(
-    "variational",
-    _variational,
-    solved="converged ({loop} loop)",
-    unsolved="stalled ({loop} loop)",
-    reason="the Newton iteration stalled",
-)
-
 
 @dataclass(frozen=True)
 class GroupLasso(PenalisedPath):
@@ -63,11 +32,9 @@ class GroupLasso(PenalisedPath):
 
     def check_settings(self) -> None:
         """Raise InputError on group settings that are out of range."""
-        flag_setting(self.name, "separate", self.separate)
-        one_of("group_weights of group-lasso", self.group_weights, get_args(GroupWeights))
+        check_grouping(self.name, self.separate, self.group_weights)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Blocks of the problem's groups."""
-        sizes = np.bincount(problem.groups)
-        omega = np.ones(len(sizes)) if self.group_weights == "unit" else np.sqrt(sizes)
+        omega = size_weights(problem, self.group_weights)
         return Penalty(problem.groups, omega, joint=not self.separate)

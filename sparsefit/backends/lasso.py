@@ -3,31 +3,11 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from sparsefit.arrays import Array
-from sparsefit.backends.homotopy import lasso_path
-from sparsefit.backends.penalised import ExactPath, PenalisedPath, Points
+from sparsefit.backends.exact_paths import HOMOTOPY
+from sparsefit.backends.penalised import ExactPath, PenalisedPath
 from sparsefit.regression.backend import AlphaFraction, Selection
 from sparsefit.regression.objective import Penalty, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.regression.statistics import Statistics
-
-
-def _homotopy(statistics: Statistics, _: Penalty, alphas: Array, targets: slice) -> Points:
-    """The path of one target."""
-    path = lasso_path(statistics.gram, statistics.cross[:, targets].ravel(), alphas)
-    iterations = np.full(len(alphas), path.steps)  # events are not counted point by point
-    return Points(path.weights[:, :, None], path.complete, iterations, path.loop)
-
-
-HOMOTOPY = ExactPath(
-    "homotopy",
-    _homotopy,
-    solved="path complete, {loop} loop",
-    unsolved="path incomplete, {loop} loop",
-    reason="the homotopy did not reach this penalty",
-)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """What every penalised back-end shares: its path, exact or by a conic solver, and its referee.
 
-    minimise over V (k, n):   1/(2m) |Y - Z V|^2 + alpha * sum_g omega_g |V_g|
+    minimise over V (k, n):   1/(2m) |Y - Z V|^2 + alpha * Omega(V)
 
 A back-end of this kind is a penalty and the exact path that suits it (`ExactPath`); the settings
 ``alpha_fraction``, ``solver`` and ``selection`` mean the same in all of them.
@@ -53,7 +53,8 @@ class ExactPath:
     """An exact path as a choice of ``solver``: its name, how it solves, and how it reports.
 
     solved and unsolved: the solver's word on a point, with ``{loop}`` for the loop that ran;
-    reason: why a point is not solved.
+    reason: why a point is not solved. quadratic: whether what it solves are quadratic programs,
+    without cones of group norms.
     """
 
     name: str
@@ -61,6 +62,7 @@ class ExactPath:
     solved: str
     unsolved: str
     reason: str
+    quadratic: bool
 
 
 class PenalisedPath(ABC):
@@ -82,7 +84,7 @@ class PenalisedPath(ABC):
         checked_alpha_fraction(self.name, self.alpha_fraction, auto=True)
         checked_selection(self.name, self.selection)
         self.check_settings()
-        check_solver(self.name, self.solver, self.exact.name)
+        check_solver(self.name, self.solver, self.exact.name, quadratic=self.exact.quadratic)
 
     def check_settings(self) -> None:  # noqa: B027 - a penalty may have no settings of its own
         """Raise InputError on a setting of this penalty alone that is out of range."""

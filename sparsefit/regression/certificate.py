@@ -8,8 +8,12 @@ the dual point s R/m obeys its constraint where s max_g |C_g|/omega_g <= alpha, 
 
     P = sum_t r_t/2 + alpha Omega(V),   D = sum_t (s q_t - s^2 r_t/2),   s = q/r, cut to the limit;
 
-targets that the penalty does not couple have an s each. The gap is (P - D) / (|Y|^2/2m). C, r and q
-come from the rows, in m k operations, or from the Gram matrix G = Z'Z/m and B = Z'Y/m, in k^2:
+targets that the penalty does not couple have an s each. The gap is (P - D) / (|Y|^2/2m). A ridge
+mu/2 |V|^2, mu = alpha rho, is k more rows of Z, sqrt(m mu) I, with targets of zero: with F = V
+there, C becomes C - mu F, r becomes r + mu |F|^2 and q stays. Where there is no norm, F = C/mu is
+the better dual point, and obeys the constraint C = 0 that is left then. max_g |C_g|/omega_g stands
+for the dual norm of `objective`. C, r and q come from the rows, in m k operations, or from the Gram
+matrix G = Z'Z/m and B = Z'Y/m, in k^2:
 
     C = B - G V,   q_t = y_t^2 - <V_t, B_t>,   r_t = q_t - <V_t, C_t>.
 
@@ -32,7 +36,7 @@ of more samples, they are the data. Products that underflow void the bound (`SMA
 Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), sections 3.1 and 3.5.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -170,14 +174,11 @@ def _certificates(
     residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty, target_square: Array
 ) -> tuple[Certificate, ...]:
     """Primal, dual and gap at weights V = ``scaled`` (p, k, n), and what rounding leaves open."""
-    peaks = penalty.dual_norms(residual.correlation)
-    error = penalty.dual_norms(np.ones(scaled.shape[1:])) * residual.correlation_error
-    if penalty.joint:
-        error = error.max(axis=1, keepdims=True)
-    norm = alphas * penalty.norm(scaled)
-    primal = 0.5 * residual.square.sum(axis=1) + norm
-    dual, _ = _dual(residual, alphas, peaks, penalty)
-    certain, doubt = _dual(residual, alphas, peaks * (1.0 + residual.gamma) + error, penalty)
+    primal = 0.5 * residual.square.sum(axis=1) + alphas * penalty.value(scaled)
+    extended = _with_ridge(residual, scaled, alphas, penalty) if penalty.ridge else residual
+    peaks, error = _constraint(extended, penalty)
+    dual, _ = _dual(extended, alphas, peaks, penalty)
+    certain, doubt = _dual(extended, alphas, peaks * (1.0 + residual.gamma) + error, penalty)
     doubt = doubt + 0.5 * residual.square_error.sum(axis=1) + residual.gamma * primal
     null = 0.5 * float(target_square.sum()) or 1.0
     gaps = np.maximum(primal - dual, 0.0) / null
@@ -186,6 +187,35 @@ def _certificates(
     return tuple(
         Certificate("duality_gap", float(g), float(p), float(d), float(r))
         for g, p, d, r in zip(gaps, primal, dual, rounding, strict=True)
+    )
+
+
+def _constraint(residual: _Residual, penalty: Penalty) -> tuple[Array, Array]:
+    """The dual norms (p, n), or (p, 1) when joint, of C and bounds of their errors."""
+    if penalty.smooth:  # C = 0, by the choice of F
+        return (np.zeros((len(residual.square), 1)),) * 2
+    peaks = penalty.dual_norms(residual.correlation)
+    unit = penalty.dual_norms(np.ones(residual.correlation.shape[1:]))
+    error = unit * residual.correlation_error
+    return peaks, error.max(axis=1, keepdims=True) if penalty.joint else error
+
+
+def _with_ridge(
+    residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty
+) -> _Residual:
+    """The residual with the rows of the ridge, whose part of the dual point is F (p, k, n)."""
+    mu = (alphas * penalty.ridge)[:, None]
+    part, loose = scaled, np.zeros_like(residual.square)
+    if penalty.smooth:
+        part, loose = residual.correlation / mu[:, None], residual.correlation_error / mu
+    size, total = np.abs(part), mu * np.square(part).sum(axis=1)
+    reach = mu * (2.0 * size.sum(axis=1) * loose + part.shape[1] * loose**2)
+    return replace(
+        residual,
+        correlation=residual.correlation - mu[:, None] * part,
+        square=residual.square + total,
+        correlation_error=residual.correlation_error + residual.gamma * mu * size.max(axis=1),
+        square_error=residual.square_error + reach + residual.gamma * total,
     )
 
 

@@ -99,7 +99,11 @@ def _along(
     penalty = backend.penalty(problem)
     unit = alpha_max(problem.statistics.cross, penalty)
     alphas = unit * np.array(fractions)
-    certificates = path_certificates(problem, solutions, alphas, penalty, tolerance)
+    if backend.certificate_kind == "duality_gap":
+        certificates = path_certificates(problem, solutions, alphas, penalty, tolerance)
+    else:
+        pairs = zip(points, solutions, strict=True)
+        certificates = [certificate_of(problem, *pair) for pair in pairs]
     fits = [
         _repaired(judged(problem, *point, tolerance), tolerance)
         for point in zip(points, solutions, certificates, seconds, strict=True)

@@ -97,9 +97,11 @@ def degrees_of_freedom(gram: Array, weights: Array, alpha: float, penalty: Penal
 
     H = Z'Z/m for each target; K, the curvature of the penalty, is block diagonal with
     omega_g/|V_g| (I - u u'), u = V_g/|V_g|. It vanishes for blocks of one coefficient, where df is
-    the size of the support (Zou, Hastie and Tibshirani 2007). gram (k, k); weights V (k, n),
-    scaled.
+    the size of the support (Zou, Hastie and Tibshirani 2007); blocks within blocks add theirs, and
+    a ridge rho I. gram (k, k); weights V (k, n), scaled.
     """
+    if penalty.ridge or penalty.within is not None:
+        return _dense_freedom(gram, weights, alpha, penalty)
     if penalty.elementwise:
         return float(np.count_nonzero(weights))
     if not penalty.joint:
@@ -122,6 +124,26 @@ def degrees_of_freedom(gram: Array, weights: Array, alpha: float, penalty: Penal
     back = np.einsum("tkg,tkh->gh", lifted, hessian @ lifted)
     extra = np.sum(np.linalg.pinv(core, rcond=FLOOR, hermitian=True) * back)
     return float(weights.shape[1] * np.sum(inverse * hessian) + extra)
+
+
+def _dense_freedom(gram: Array, weights: Array, alpha: float, penalty: Penalty) -> float:
+    """The same for any penalty, from H and K on the support as they stand."""
+    column, target = np.nonzero(weights)
+    if not len(column):
+        return 0.0
+    values = weights[column, target]
+    hessian = np.where(target[:, None] == target, gram[np.ix_(column, column)], 0.0)
+    curvature = np.diag(np.full(len(column), penalty.ridge))
+    for part in (penalty, penalty.within):
+        if part is None or part.smooth:
+            continue
+        block = part.groups[column] * weights.shape[1] + (0 if part.joint else target)
+        same = block[:, None] == block
+        square = same @ values**2
+        pull = part.weights[part.groups[column]] / np.sqrt(square)
+        curvature += np.diag(pull) - same * np.outer(values * pull / square, values)
+    share = np.linalg.lstsq(hessian + alpha * curvature, hessian, rcond=FLOOR)[0]
+    return float(np.trace(share))
 
 
 def effective_samples(residual: Array) -> float:

@@ -46,7 +46,8 @@ class RegressionProblem:
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
-    ``subgroups`` (k,): the group within its group of each column, for penalties of both.
+    ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within one group, such as
+    the waves of a ring, for penalties of both; None where there are none.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
     """
 
@@ -90,6 +91,8 @@ class RegressionProblem:
         target: ArrayLike,
         groups: ArrayLike | None = None,
         names: Sequence[str] | None = None,
+        *,
+        subgroups: ArrayLike | None = None,
     ) -> "RegressionProblem":
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
 
@@ -97,8 +100,9 @@ class RegressionProblem:
         unchanged while the problem is in use, or hand in copies. The problem's own are read-only.
 
         ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
-        them every column is a group of its own. Raises InputError on shapes that do not match,
-        values that are not finite and columns of zeros.
+        them every column is a group of its own. ``subgroups``: k labels of smaller groups within
+        these. Raises InputError on shapes that do not match, subgroups that span groups, values
+        that are not finite and columns of zeros.
         """
         design = _floats(theta, "theta")
         values = _floats(target, "target")
@@ -108,16 +112,14 @@ class RegressionProblem:
                 f"theta must have shape (m, k) and target (m,) or (m, n), not {design.shape} and "
                 f"{values.shape}"
             )
-        labels = np.arange(design.shape[1]) if groups is None else np.asarray(groups)
-        if labels.shape != (design.shape[1],):
-            raise InputError(
-                f"groups must have one label per column: {design.shape[1]} columns, groups of "
-                f"shape {labels.shape}"
-            )
-        numbers = np.unique(labels, return_inverse=True)[1].astype(np.intp)
+        labels = np.arange(design.shape[1]) if groups is None else groups
+        numbers = _numbers(labels, design.shape[1], "groups")
+        inner = None
+        if subgroups is not None:
+            inner = _numbers(subgroups, design.shape[1], "subgroups")
         columns = tuple(names) if names is not None else tuple(map(str, range(design.shape[1])))
         targets = tuple(map(str, range(values.shape[1])))
-        return cls(design, values, numbers, columns, targets)
+        return cls(design, values, numbers, columns, targets, subgroups=inner)
 
     @classmethod
     def from_blocks(
@@ -143,7 +145,13 @@ class RegressionProblem:
         theta, scales, names = self.continuum.design(wavenumbers)
         groups = np.repeat(np.arange(len(scales)), self.continuum.size)
         return replace(
-            self, theta=theta, groups=groups, names=names, group_scales=scales, sample_count=None
+            self,
+            theta=theta,
+            groups=groups,
+            names=names,
+            group_scales=scales,
+            sample_count=None,
+            subgroups=None,
         )
 
     @property
@@ -207,6 +215,17 @@ def _floats(values: ArrayLike, name: str) -> Array:
         raise InputError(f"{name} must be an array of real numbers: {error}") from None
 
 
+def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
+    """Numbers from 0 for the labels of the columns, in the order of the labels."""
+    given = np.asarray(labels)
+    if given.shape != (columns,):
+        raise InputError(
+            f"{name} must have one label per column: {columns} columns, {name} of shape "
+            f"{given.shape}"
+        )
+    return np.unique(given, return_inverse=True)[1].astype(np.intp)
+
+
 def _check_shapes(problem: RegressionProblem) -> None:
     (m, k), rows = problem.theta.shape, problem.target.shape[0]
     if rows != m:
@@ -220,6 +239,10 @@ def _check_shapes(problem: RegressionProblem) -> None:
         )
     if len(problem.names) != k:
         raise InputError(f"names must have one name per column: {k}, not {len(problem.names)}")
+    if problem.subgroups is not None:
+        both = len(np.unique(np.stack([problem.subgroups, problem.groups]), axis=1).T)
+        if both != len(np.unique(problem.subgroups)):
+            raise InputError("subgroups must lie within groups: one of them spans two groups")
 
 
 def _read_only(values: Array) -> Array:

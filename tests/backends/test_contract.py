@@ -30,6 +30,13 @@ BY_SOLVER = [
         ("group-lasso", "clarabel-direct", {"separate": True}),
         ("group-lasso", "clarabel-working-set", {"group_weights": "sqrt-size"}),
         ("group-lasso", "scs", {}),
+        ("sparse-group-lasso", "clarabel", {"separate": True}),
+        ("sparse-group-lasso", "clarabel-direct", {"l1_ratio": 0.2}),
+        ("sparse-group-lasso", "clarabel-working-set", {}),
+        ("elastic-net", "clarabel", {}),
+        ("elastic-net", "clarabel-working-set", {}),
+        ("ridge", "clarabel-direct", {}),
+        ("adaptive-lasso", "osqp", {}),
     )
     if solver.startswith("clarabel-") or solver in FOUND
 ]
@@ -46,6 +53,12 @@ SETTINGS = [
     ("group-lasso", {"alpha_fraction": 1e-4}),
     ("group-lasso", {"separate": True}),
     ("group-lasso", {"group_weights": "sqrt-size"}),
+    ("sparse-group-lasso", {"alpha_fraction": 1e-3, "group_weights": "sqrt-size"}),
+    ("sparse-group-lasso", {"separate": True, "l1_ratio": 0.2}),
+    ("adaptive-group-lasso", {"separate": True, "power": 2.0}),
+    ("group-mcp", {"separate": True, "alpha_fraction": 0.3}),
+    ("elastic-net", {"alpha_fraction": 1e-3, "l1_ratio": 0.05}),
+    ("ridge", {"alpha_fraction": 1.0}),
 ]
 OFF_GRID = [name for name in backends.BACKENDS if name not in GENERAL]
 CASES = [(name, {}) for name in backends.known() if name not in OFF_GRID] + SETTINGS + BY_SOLVER
@@ -79,6 +92,7 @@ def solved(problem, backend):
 every = pytest.mark.parametrize("case", CASES, ids=describe)
 CONVEX = [c for c in CASES if backends.load(c[0]).certificate_kind == "duality_gap"]
 convex = pytest.mark.parametrize("case", CONVEX, ids=describe)
+SPARSE = [case for case in CONVEX if case[0] != "ridge"]  # no ridge has a solution of zero
 
 
 @every
@@ -200,8 +214,14 @@ def test_one_column_and_one_target(case):
     problem = RegressionProblem.from_arrays(theta, 2.0 * theta[:, 0])
     backend = backends.get(case[0], **case[1])
     weight = solved(problem, backend).weights[0, 0]
-    if isinstance(backend, PenalisedBackend):
-        assert weight == pytest.approx(2.0 * (1 - backend.alpha_fraction), rel=1e-4)
+    if isinstance(backend, PenalisedBackend) and case[0] != "group-mcp":
+        # One scaled column whose correlation is the target's rms: c = y. With the ridge mu,
+        # v = (c - shrink)/(1 + mu): elastic net alpha = f c/r, shrink = f c, mu = alpha (1 - r)/y.
+        fraction, ratio = backend.alpha_fraction, getattr(backend, "l1_ratio", 1.0)
+        left = {"ridge": 1 / (1 + fraction)}.get(case[0], 1 - fraction)
+        if case[0] == "elastic-net":
+            left /= 1 + fraction * (1 - ratio) / ratio
+        assert weight == pytest.approx(2.0 * left, rel=1e-4)
     else:
         assert weight == pytest.approx(2.0, rel=0.06)  # up to the shrinkage of a ridge
 
@@ -210,7 +230,7 @@ def objective(problem, backend, weights):
     s, penalty = problem.statistics, backend.penalty(problem)
     alpha = backend.alpha_fraction * alpha_max(s.cross, penalty)
     residual = problem.target - problem.theta @ weights
-    return np.sum(residual**2) / (2 * problem.samples) + alpha * penalty.norm(
+    return np.sum(residual**2) / (2 * problem.samples) + alpha * penalty.value(
         weights * s.rms[:, None]
     )
 
@@ -228,7 +248,7 @@ def test_random_perturbations_never_lower_the_objective(case):
             assert moved >= least - max(found.certificate.value, 1e-15) * null
 
 
-@convex
+@pytest.mark.parametrize("case", SPARSE, ids=describe)
 def test_at_alpha_max_all_is_zero_and_just_below_it_is_not(case):
     backend = backends.get(case[0], **{**case[1], "alpha_fraction": 1.0})
     top = sf.fit(PROBLEM, backend)
@@ -269,7 +289,10 @@ def shrunk(values, amount):
     return values * max(0.0, 1.0 - amount / max(np.linalg.norm(values), 1e-300))
 
 
-@convex
+SIMPLE = [case for case in SPARSE if case[0] not in ("sparse-group-lasso", "elastic-net")]
+
+
+@pytest.mark.parametrize("case", SIMPLE, ids=describe)
 @pytest.mark.parametrize("seed", range(2))
 def test_orthonormal_columns_give_soft_thresholding(case, seed):
     problem = orthonormal(seed)

@@ -1,0 +1,117 @@
+"""The exact paths that penalised back-ends choose from, each with how it reports.
+
+``homotopy``: penalties of single coefficients, weighted or not; a ridge adds to the diagonal of
+Z'Z/m, as k more rows of Z would (Zou and Hastie 2005), and then each penalty is a path of its own.
+``variational``: group norms. ``block-newton``: blocks within blocks. ``cholesky``: a ridge alone.
+"""
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from sparsefit.arrays import Array
+from sparsefit.backends.block_newton import block_path
+from sparsefit.backends.homotopy import lasso_path
+from sparsefit.backends.penalised import ExactPath, Points
+from sparsefit.backends.variational import group_path
+from sparsefit.regression.objective import Penalty
+from sparsefit.regression.statistics import Statistics
+
+STOP = 1e-11  # the solvers' own stop, far below any tolerance the certificate is asked to meet
+
+
+def ridge_weights(gram: Array, cross: Array, alpha: float) -> tuple[Array, bool]:
+    """V = (G + alpha I)^-1 C (k, n), and whether G + alpha I has a Cholesky factor."""
+    shifted = gram.copy()
+    shifted.flat[:: len(gram) + 1] += alpha
+    _, values, failed = dposv(shifted.T, cross, lower=1, overwrite_a=1)
+    return (np.zeros(cross.shape), False) if failed else (values, True)
+
+
+def _homotopy(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
+    """The path of one target; z_j / omega_j has the weight omega_j v_j."""
+    omega, cross = penalty.weights, statistics.cross[:, targets].ravel()
+    plain = bool(np.all(omega == 1.0))
+    unit = statistics.gram if plain else statistics.gram / np.multiply.outer(omega, omega)
+    pieces = alphas[:, None] if penalty.ridge else alphas[None]
+    paths = []
+    for some in pieces:
+        gram = unit
+        if penalty.ridge:
+            gram = unit.copy()
+            gram.flat[:: len(gram) + 1] += some[0] * penalty.ridge / omega**2
+        paths.append(lasso_path(gram, cross if plain else cross / omega, some))
+    weights = np.concatenate([path.weights for path in paths])
+    iterations = np.repeat([path.steps for path in paths], pieces.shape[1])  # events, not by point
+    complete = np.concatenate([path.complete for path in paths])
+    values = weights if plain else weights / omega
+    return Points(values[:, :, None], complete, iterations, paths[0].loop)
+
+
+def _variational(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
+    """The path of targets that share the norm of each group."""
+    path = group_path(
+        statistics.gram,
+        statistics.cross[:, targets],
+        penalty.groups,
+        penalty.weights,
+        alphas,
+        target_square=float(statistics.target_square[targets].sum()),
+        tolerance=STOP,
+    )
+    return Points(path.weights, path.complete, path.iterations, path.loop)
+
+
+def _blocks(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
+    """The path of targets that share the norm of each group."""
+    path = block_path(
+        statistics.gram,
+        statistics.cross[:, targets],
+        penalty,
+        alphas,
+        target_square=float(statistics.target_square[targets].sum()),
+        tolerance=STOP,
+    )
+    return Points(path.weights, path.complete, path.iterations, "python")
+
+
+def _cholesky(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
+    """Each point in closed form."""
+    cross = statistics.cross[:, targets]
+    solved = [ridge_weights(statistics.gram, cross, alpha * penalty.ridge) for alpha in alphas]
+    values, complete = zip(*solved, strict=True)
+    iterations = np.ones(len(alphas), np.intp)
+    return Points(np.stack(values), np.array(complete), iterations, "python")
+
+
+HOMOTOPY = ExactPath(
+    "homotopy",
+    _homotopy,
+    solved="path complete, {loop} loop",
+    unsolved="path incomplete, {loop} loop",
+    reason="the homotopy did not reach this penalty",
+    quadratic=True,
+)
+VARIATIONAL = ExactPath(
+    "variational",
+    _variational,
+    solved="converged ({loop} loop)",
+    unsolved="stalled ({loop} loop)",
+    reason="the Newton iteration stalled",
+    quadratic=False,
+)
+BLOCK_NEWTON = ExactPath(
+    "block-newton",
+    _blocks,
+    solved="converged",
+    unsolved="stalled",
+    reason="the descent stalled",
+    quadratic=False,
+)
+CHOLESKY = ExactPath(
+    "cholesky",
+    _cholesky,
+    solved="solved",
+    unsolved="not positive definite",
+    reason="Z'Z/m + alpha I is not positive definite to rounding",
+    quadratic=True,
+)
