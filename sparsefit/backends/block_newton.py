@@ -159,7 +159,7 @@ class _Descent:
         return best, least, ROUNDS
 
     def _gap(self, values: Array, residual: Array, alpha: float, peak: float) -> float:
-        """(primal - dual) / (|Y|^2 / 2m), the dual point being the residual scaled to be feasible."""
+        """(primal - dual) / (|Y|^2 / 2m), the dual point a multiple of the residual."""
         product = 1.0 - float(np.vdot(values, self.cross))
         square = max(product - float(np.vdot(values, residual)), 0.0)
         s = product / square if square > 0 else 0.0

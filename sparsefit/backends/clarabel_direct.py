@@ -119,9 +119,7 @@ class _Program:
 
         k, size = len(self.gram), len(on)
         target = on // k
-        hessian = np.where(
-            target[:, None] == target, self.gram[np.ix_(on % k, on % k)], 0.0
-        )
+        hessian = np.where(target[:, None] == target, self.gram[np.ix_(on % k, on % k)], 0.0)
         linear, rows, cones = [-self.cross.T.ravel()[on]], [np.zeros(0, np.intp)], []
         for layer in self._layers():
             names, local = np.unique(layer.block[on], return_inverse=True)

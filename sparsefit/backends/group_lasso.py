@@ -10,6 +10,7 @@ from sparsefit.regression.backend import AlphaFraction, Selection
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
 
+
 @dataclass(frozen=True)
 class GroupLasso(PenalisedPath):
     """1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g|, alpha = alpha_fraction * alpha_max.

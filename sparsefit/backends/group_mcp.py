@@ -104,6 +104,8 @@ class GroupMCP:
         alpha = fraction * alpha_max(statistics.cross, penalty)
         scaled = weights * statistics.rms[:, None]
         support = np.zeros(weights.shape, dtype=bool)
+        if alpha == 0.0:
+            return support
         each = [slice(t, t + 1) for t in range(problem.targets)]
         for targets in each if self.separate else [slice(None)]:
             system = _System(problem, penalty, targets, self.gamma)
@@ -132,7 +134,7 @@ class _System:
         """Weights (k, n) whose slopes give them again, and the approximations it took."""
         slopes = self.penalty.weights
         values = self.weighted(slopes, alpha)
-        if alpha == 0.0:
+        if not values.any():
             return values, 0
         for count in range(1, ROUNDS):
             following = self.slopes(values, alpha)

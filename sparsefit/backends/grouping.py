@@ -1,4 +1,4 @@
-"""How back-ends with group norms weigh the groups, and what adaptive ones learn from a first fit."""
+"""How back-ends with group norms weigh the groups; what adaptive ones learn from a first fit."""
 
 from typing import Any, Literal, get_args
 

@@ -39,9 +39,7 @@ class SparseGroupLasso(PenalisedPath):
     def check_settings(self) -> None:
         """Raise InputError on an l1_ratio or group settings that are out of range."""
         meaning = "it is the share of the absolute values in the penalty"
-        number_setting(
-            self.name, "l1_ratio", self.l1_ratio, low=0.0, high=1.0, meaning=meaning
-        )
+        number_setting(self.name, "l1_ratio", self.l1_ratio, low=0.0, high=1.0, meaning=meaning)
         check_grouping(self.name, self.separate, self.group_weights)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:

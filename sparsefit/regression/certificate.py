@@ -200,9 +200,7 @@ def _constraint(residual: _Residual, penalty: Penalty) -> tuple[Array, Array]:
     return peaks, error.max(axis=1, keepdims=True) if penalty.joint else error
 
 
-def _with_ridge(
-    residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty
-) -> _Residual:
+def _with_ridge(residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty) -> _Residual:
     """The residual with the rows of the ridge, whose part of the dual point is F (p, k, n)."""
     mu = (alphas * penalty.ridge)[:, None]
     part, loose = scaled, np.zeros_like(residual.square)

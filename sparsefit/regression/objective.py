@@ -29,7 +29,6 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 
-
 NEWTON_STEPS = 60  # of the dual norm; about five are taken
 
 
@@ -84,8 +83,8 @@ class Penalty:
 
     def value(self, values: Array) -> Array:
         """Omega(V) for values (..., k, n): shape (...)."""
-        total = self.norm(values)
-        return total + 0.5 * self.ridge * np.square(values).sum(axis=(-2, -1))
+        total: Array = self.norm(values) + 0.5 * self.ridge * np.square(values).sum(axis=(-2, -1))
+        return total
 
     def block_dual_norms(self, values: Array) -> Array:
         """The dual norm of each block of values (..., k, n): shape (..., g, n), or (..., g, 1)."""

@@ -19,7 +19,7 @@ from sparsefit.regression.backend import Solution
 class Ridge:
     """A plug-in: ridge regression, refereed as a fixed point of its own support."""
 
-    name: ClassVar[str] = "ridge"
+    name: ClassVar[str] = "damped"
     certificate_kind: ClassVar[str] = "fixed_point"
     amount: float = 1.0
 
@@ -88,13 +88,13 @@ def test_an_unknown_setting_is_refused_with_the_nearest():
 
 
 def test_a_plug_in_is_a_back_end_like_any_other(plug_in):
-    plug_in(ridge=f"{__name__}:Ridge")
-    assert backends.known() == (*backends.BACKENDS, "ridge")
-    found = sf.fit(regular(), backends.get("ridge", amount=2.0))
+    plug_in(damped=f"{__name__}:Ridge")
+    assert backends.known() == (*backends.BACKENDS, "damped")
+    found = sf.fit(regular(), backends.get("damped", amount=2.0))
     assert found.status == "ok"
     assert found.backend == Ridge(2.0)
     assert backends.settings_of(found.backend) == {"amount": 2.0}
-    estimator = sf.Estimator(backend="ridge")
+    estimator = sf.Estimator(backend="damped")
     assert sf.Estimator.from_json(estimator.to_json()) == estimator
 
 
@@ -136,9 +136,9 @@ class Picky(Ridge):
     ],
 )
 def test_settings_that_a_plug_in_cannot_take_are_bad_input(plug_in, place, settings, words):
-    plug_in(ridge=f"{__name__}:{place}")
+    plug_in(damped=f"{__name__}:{place}")
     with pytest.raises(InputError, match=words):
-        backends.get("ridge", **settings)
+        backends.get("damped", **settings)
 
 
 @pytest.mark.parametrize("value", [0.0, 1, 0.5, np.float32(0.5), np.int64(1)])
