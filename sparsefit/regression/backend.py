@@ -63,7 +63,10 @@ class OffGridBackend(Backend, Protocol):
 
 @runtime_checkable
 class PenalisedBackend(Backend, Protocol):
-    """A convex back-end: 1/(2m)|Y - ZV|^2 + alpha * penalty, alpha = fraction * alpha_max."""
+    """A back-end with a penalty: 1/(2m)|Y - ZV|^2 + alpha * penalty, alpha = fraction * alpha_max.
+
+    Of one that is not convex (``fixed_point``) the penalty gives alpha_max alone.
+    """
 
     @property
     def alpha_fraction(self) -> AlphaFraction:
@@ -77,7 +80,7 @@ class PenalisedBackend(Backend, Protocol):
 
 @runtime_checkable
 class PathBackend(PenalisedBackend, Protocol):
-    """A convex back-end that solves a path of penalties for little more than one costs."""
+    """A back-end that solves a path of penalties for little more than one costs."""
 
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
