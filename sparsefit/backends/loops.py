@@ -13,7 +13,10 @@ from typing import Literal, TypeAlias
 
 Loop: TypeAlias = Literal["compiled", "python"]
 LOOPS: Mapping[str, str] = MappingProxyType(
-    {"lasso": "homotopy_walk", "group-lasso": "variational_search"}
+    {
+        **dict.fromkeys(("lasso", "adaptive-lasso", "elastic-net"), "homotopy_walk"),
+        **dict.fromkeys(("group-lasso", "adaptive-group-lasso", "group-mcp"), "variational_search"),
+    }
 )
 """Back-end -> the module of its loop."""
 

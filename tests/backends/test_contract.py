@@ -251,7 +251,7 @@ def test_random_perturbations_never_lower_the_objective(case):
 @pytest.mark.parametrize("case", SPARSE, ids=describe)
 def test_at_alpha_max_all_is_zero_and_just_below_it_is_not(case):
     backend = backends.get(case[0], **{**case[1], "alpha_fraction": 1.0})
-    top = sf.fit(PROBLEM, backend)
+    top = sf.fit(PROBLEM, backend, tolerance=1e-6)
     peak = np.abs(PROBLEM.statistics.cross / PROBLEM.statistics.rms[:, None]).max()
     assert top.status == "ok"
     if case[0] != "sparse-group-lasso":  # where only the gap of an inner point is that small
