@@ -18,6 +18,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
+from sparsefit.derivative.pieces import GAP
 from sparsefit.derivative.smoothing import Channels, Smoothing, polynomial_kernels
 from sparsefit.derivative.steps import nearly_even
 
@@ -53,7 +54,7 @@ class Filters:
         if samples.smoothing is None or len(samples.time) < 2:
             return None
         steps = np.diff(samples.time)
-        step = float(np.mean(steps))
+        step = _step(samples.smoothing, steps)
         kernels = _kernels(samples.smoothing, step)
         if kernels is None:
             return None
@@ -63,6 +64,12 @@ class Filters:
             path, mean = _on_samples(raw, kicks, first, step)
         noise = samples.smoothing.sigma_position, samples.smoothing.sigma_velocity
         return cls(raw, kicks, path, mean, *noise)
+
+
+def _step(smoothing: Smoothing, steps: Array) -> float:
+    """The time step [s] behind the weights; between gaps, of the steps that are none."""
+    gaps = smoothing.method == "auto" and steps.max() > GAP * steps.min()
+    return float(np.median(steps) if gaps else np.mean(steps))
 
 
 def _kernels(smoothing: Smoothing, step: float) -> tuple[Array, float] | None:

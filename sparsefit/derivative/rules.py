@@ -9,15 +9,19 @@ from typing import TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.derivative.pieces import Pieces
+from sparsefit.derivative.repair import Repairs, repaired, untouched
 from sparsefit.derivative.smoothing import FEWEST, Channels, Smoothing, smooth
 from sparsefit.derivative.steps import uniform_step
 from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
 from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
+from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle
 
 # time (m,), state (m, 4), its rate (m, 4), how they were smoothed
 Rates: TypeAlias = tuple[Array, Array, Array, Smoothing]
+Rule: TypeAlias = "Callable[[Derivative, Pieces], Rates]"
 
 SAVGOL = {"window": 5, "order": 4}  # the defaults
 WEAK_ORDERS = (2, 32)  # of the test functions: smoother than a corner, wider than a spike
@@ -37,6 +41,7 @@ class Samples:
         smoothing: the filter that was used, and with ``auto`` the noise it found.
         weak: with ``weak`` the rows of the regression, which the library and the readout take in
             place of the samples; these, by ``auto``, then only say where a scan has to look.
+        repairs: what was mended in the flight before.
 
     ``smoothing`` is None where the samples were not made by a `Derivative`.
     """
@@ -48,6 +53,7 @@ class Samples:
     acceleration: Array
     smoothing: Smoothing | None = None
     weak: WeakRows | None = None
+    repairs: Repairs = Repairs()
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
@@ -67,8 +73,8 @@ class Derivative:
     - ``savgol``: a polynomial of ``order`` fitted to ``window`` samples (Savitzky and Golay,
       1964), states smoothed too; uniform steps only; half a window is dropped at either end.
     - ``auto``: one polynomial through position and velocity, its window chosen from the flight
-      by an unbiased risk (`sparsefit.derivative.smoothing`). Uneven steps and short flights
-      fall back to ``midpoint``: ``smoothing`` says so.
+      by an unbiased risk (`sparsefit.derivative.smoothing`). Short flights, and uneven steps
+      that are not repaired, fall back to ``midpoint``: ``smoothing`` says so.
     - ``weak``: no derivative; averages by test functions (`sparsefit.derivative.weak`) of the
       states that ``auto`` smooths, or as measured where it cannot; any spacing.
 
@@ -78,6 +84,9 @@ class Derivative:
             function, odd, >= 5; None is the window of ``auto``, at least 21. Others have none.
         order: degree of the savgol polynomial, 1 <= order < window; None is 4. Of ``weak`` the
             exponent of the test functions, 2 to 32; None is 8.
+        repair: whether outliers, jumps, gaps, repeated samples and, for ``auto`` and ``weak``,
+            uneven time steps are mended before (`sparsefit.derivative.repair`). Clean flights
+            are not changed by it.
 
     Raises:
         InputError: if a setting is out of its range.
@@ -86,10 +95,13 @@ class Derivative:
     method: str = "auto"
     window: int | None = None
     order: int | None = None
+    repair: bool = True
 
     def __post_init__(self) -> None:
         """Check the settings, and store the defaults of the method where none are given."""
         one_of("derivative", self.method, METHODS)
+        if not isinstance(self.repair, bool):
+            raise InputError(f"derivative repair must be true or false; got {self.repair!r}")
         if self.method == "savgol":
             self._check_savgol()
         elif self.method == "weak":
@@ -122,10 +134,10 @@ class Derivative:
                 f"weak order must be an integer from {least} to {most}; got {self.order!r}"
             )
 
-    def _weak(self, flight: Flight, time: Array, state: Array, smoothing: Smoothing) -> WeakRows:
+    def _weak(self, log: Pieces, time: Array, state: Array, smoothing: Smoothing) -> WeakRows:
         """Rows of the smoothed states; of the measured ones where nothing was smoothed."""
         if smoothing.method != "auto":
-            time, state = flight.time, np.hstack([flight.position, flight.velocity])
+            time, state = log.time, np.hstack([log.position, log.velocity])
         window = self.window or automatic_window(len(time), smoothing.window)
         return weak_rows(time, state[:, :2], state[:, 2:], window, self.order or ORDER)
 
@@ -136,9 +148,9 @@ class Derivative:
             InputError: with ``savgol`` and ``weak``, if the flight is shorter than the window;
                 with ``savgol``, if its time steps are not uniform.
         """
-        state = np.hstack([flight.position, flight.velocity])
-        time, state, rate, smoothing = _RULES[self.method](self, flight.time, state)
-        weak = self._weak(flight, time, state, smoothing) if self.method == "weak" else None
+        log, repairs = self._log(flight)
+        time, state, rate, smoothing = _RULES[self.method](self, log)
+        weak = self._weak(log, time, state, smoothing) if self.method == "weak" else None
         return Samples(
             time=time,
             position=state[:, :2],
@@ -147,7 +159,30 @@ class Derivative:
             acceleration=rate[:, 2:],
             smoothing=smoothing,
             weak=weak,
+            repairs=repairs,
         )
+
+    def _log(self, flight: Flight) -> tuple[Pieces, Repairs]:
+        """The samples that the derivative is taken of, and what was mended in them."""
+        if not self.repair:
+            return untouched(flight), Repairs()
+        smoothed = _RULES[self.method] is _auto
+        shortest = FEWEST if smoothed else self.window or MINIMUM_SAMPLES
+        return repaired(flight, even=smoothed, shortest=shortest)
+
+
+def _in_each_piece(rule: Callable[[Derivative, Array, Array], Rates]) -> Rule:
+    """The rule for a log with gaps, none of which a difference may cross."""
+
+    def apply(derivative: Derivative, log: Pieces) -> Rates:
+        state = np.hstack([log.position, log.velocity])
+        parts = [rule(derivative, log.time[piece], state[piece]) for piece in log.slices]
+        if len(parts) == 1:
+            return parts[0]
+        times, states, rates, smoothing = zip(*parts, strict=True)
+        return np.concatenate(times), np.vstack(states), np.vstack(rates), smoothing[0]
+
+    return apply
 
 
 def _forward(_: Derivative, time: Array, state: Array) -> Rates:
@@ -189,23 +224,24 @@ def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
     return time[full], smoothed[full], rate[full], smoothing
 
 
-def _auto(rule: Derivative, time: Array, state: Array) -> Rates:
+def _auto(rule: Derivative, log: Pieces) -> Rates:
     """Only full windows are kept, as in savgol; positions are centred to keep their digits."""
-    if len(time) < FEWEST:
-        return _fallen_back(rule, time, state, f"{len(time)} samples are fewer than {FEWEST}")
-    try:
-        step = uniform_step(time)
-    except InputError:
-        return _fallen_back(rule, time, state, "time steps are not uniform")
-    origin = state[:, :2].mean(axis=0)
-    channels = Channels.measured(state[:, :2] - origin, state[:, 2:], step)
+    count = len(log.time)
+    if count < FEWEST:
+        return _fallen_back(rule, log, f"{count} samples are fewer than {FEWEST}")
+    if any(piece.stop - piece.start < FEWEST for piece in log.slices):
+        return _fallen_back(rule, log, f"no {FEWEST} samples without a gap")
+    if not log.even():
+        return _fallen_back(rule, log, "time steps are not uniform")
+    origin = log.position.mean(axis=0)
+    channels = Channels.measured(log.position - origin, log.velocity, log.step(), log.starts)
     kept, smoothed, rate, smoothing = smooth(channels)
     smoothed[:, :2] += origin
-    return time[kept], smoothed, rate, smoothing
+    return log.time[kept], smoothed, rate, smoothing
 
 
-def _fallen_back(rule: Derivative, time: Array, state: Array, reason: str) -> Rates:
-    middle, mean, rate, smoothing = _midpoint(rule, time, state)
+def _fallen_back(rule: Derivative, log: Pieces, reason: str) -> Rates:
+    middle, mean, rate, smoothing = _in_each_piece(_midpoint)(rule, log)
     return middle, mean, rate, replace(smoothing, reason=reason)
 
 
@@ -214,11 +250,11 @@ def _quotients(time: Array, state: Array) -> Array:
     return np.diff(state, axis=0) / np.diff(time)[:, None]
 
 
-_RULES: dict[str, Callable[[Derivative, Array, Array], Rates]] = {
-    "forward": _forward,
-    "central": _central,
-    "midpoint": _midpoint,
-    "savgol": _savgol,
+_RULES: dict[str, Rule] = {
+    "forward": _in_each_piece(_forward),
+    "central": _in_each_piece(_central),
+    "midpoint": _in_each_piece(_midpoint),
+    "savgol": _in_each_piece(_savgol),
     "auto": _auto,
     "weak": _auto,
 }

@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
+from sparsefit.derivative.pieces import straddling
 from sparsefit.derivative.transform import Transformed
 
 KEPT = 128  # kernels: those of one flight are asked for several times
@@ -44,6 +45,7 @@ ROUNDING = float(np.finfo(np.float64).eps)
 SMALLEST = 1e-60  # of a noise level: its square must divide
 LONG = 40  # samples of a window that a Fourier transform sums faster, where
 NOISY = 1e-10  # of the largest sample is noise: below it the transform's rounding would count
+NO_STARTS = np.empty(0, dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -79,18 +81,36 @@ class Smoothing:
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """Position [m] and velocity [m/s], (m, 2) each, every ``step`` [s], and their noise levels."""
+    """Position [m] and velocity [m/s], (m, 2) each, every ``step`` [s], and their noise levels.
+
+    starts: the first rows of all pieces but the first, where the log has gaps (`Pieces`).
+    """
 
     position: Array
     velocity: Array
     step: float
     sigma_position: float
     sigma_velocity: float
+    starts: IntArray = field(default_factory=lambda: NO_STARTS)
 
     @classmethod
-    def measured(cls, position: Array, velocity: Array, step: float) -> Channels:
+    def measured(
+        cls, position: Array, velocity: Array, step: float, starts: IntArray = NO_STARTS
+    ) -> Channels:
         """Channels with the noise levels that their own differences show."""
-        return cls(position, velocity, step, noise_level(position), noise_level(velocity))
+        levels = noise_level(position, starts), noise_level(velocity, starts)
+        return cls(position, velocity, step, *levels, starts)
+
+    def within(self, window: int, rows: int) -> slice | BoolArray:
+        """Which of so many filtered rows have a whole window in one piece."""
+        return ~straddling(self.starts, window, rows) if len(self.starts) else slice(None)
+
+    def room(self, window: int) -> bool:
+        """Whether windows of this width leave 1 - 1 / `SIDE_BY_SIDE` of the flight."""
+        count = len(self.position)
+        lengths = np.diff(np.concatenate([[0], self.starts, [count]]))
+        left = int(np.maximum(lengths - window, 0).sum())
+        return SIDE_BY_SIDE * left >= (SIDE_BY_SIDE - 1) * count
 
     @property
     def ratio(self) -> float:
@@ -139,21 +159,29 @@ class Channels:
         return math.hypot(self.sigma_position * of_position, self.sigma_velocity * of_velocity)
 
 
-def noise_level(values: Array) -> float:
+def noise_level(values: Array, starts: IntArray = NO_STARTS) -> float:
     """Standard deviation of white noise on smooth columns (m, c), at least their rounding.
 
-    In the unit of the values; one for all columns.
+    In the unit of the values; one for all columns. starts: of the pieces after the first.
 
     The q-th difference of white noise has the variance C(2q, q) sigma^2; what is left of the
     signal only adds to it, so the least over several q is taken (Rice, 1984; Gasser, Sroka and
     Jennen-Steinmetz, 1986).
     """
     variances = (
-        float(np.mean(np.diff(values, order, axis=0) ** 2)) / math.comb(2 * order, order)
+        float(np.mean(_differences(values, order, starts) ** 2)) / math.comb(2 * order, order)
         for order in DIFFERENCES
         if order < len(values)
     )
     return max(math.sqrt(min(variances)), ROUNDING * float(np.abs(values).max()), SMALLEST)
+
+
+def _differences(values: Array, order: int, starts: IntArray) -> Array:
+    """Differences (m - order, c), those across a gap left out."""
+    differences: Array = np.diff(values, order, axis=0)
+    if len(starts):
+        differences = differences[~straddling(starts, order + 1, len(differences))]
+    return differences
 
 
 @lru_cache(maxsize=KEPT)
@@ -191,10 +219,10 @@ def _kept(weights: Array) -> Array:
     return weights
 
 
-def window_sizes(samples: int) -> Iterator[int]:
+def window_sizes(channels: Channels) -> Iterator[int]:
     """Odd windows from `SHORTEST`, each `GROWTH` times the last; `SIDE_BY_SIDE` fit the flight."""
     window = SHORTEST
-    while window <= min(samples // SIDE_BY_SIDE, LONGEST):
+    while window <= LONGEST and channels.room(window):
         yield window
         window = max(window + 2, 2 * round(window * GROWTH / 2) + 1)
 
@@ -215,7 +243,7 @@ def _least_risk(
 ) -> tuple[float, int]:
     """The least risk and its window; bias grows steeply, so a few rising risks end the search."""
     best, rising = (math.inf, SHORTEST), 0
-    for window in window_sizes(len(channels.position)):
+    for window in window_sizes(channels):
         risk = _risk(channels, window, reference, coupled=coupled)
         rising = 0 if risk < best[0] else rising + 1
         best = min(best, (risk, window))
@@ -241,10 +269,11 @@ def _risk(
     square, weight = _residuals(channels, window, coupled=coupled)
     trim = (len(reference[0]) - len(square)) // 2
     common = reference[0][trim : len(reference[0]) - trim]
-    return float(np.mean(square - common)) + 2.0 * (weight - reference[1])
+    whole = channels.within(window, len(square))
+    return float(np.mean((square - common)[whole])) + 2.0 * (weight - reference[1])
 
 
-def smooth(channels: Channels) -> tuple[slice, Array, Array, Smoothing]:
+def smooth(channels: Channels) -> tuple[IntArray | slice, Array, Array, Smoothing]:
     """Smooth the channels by the window of least risk.
 
     Returns the rows that full windows reach, m' of them; there the states x, y, vx, vy (m', 4)
@@ -271,7 +300,11 @@ def smooth(channels: Channels) -> tuple[slice, Array, Array, Smoothing]:
         velocity_error=channels.spread(state[2]),
         acceleration_error=channels.spread(rate[3]),
     )
-    return kept, _columns(states), _columns(rates), smoothing
+    if not len(channels.starts):
+        return kept, _columns(states), _columns(rates), smoothing
+    whole = ~straddling(channels.starts, window, states[0].shape[1])
+    left, slopes = _columns(states)[whole], _columns(rates)[whole]
+    return half + np.flatnonzero(whole), left, slopes, smoothing
 
 
 def _columns(channels: list[Array]) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 
 ONE_STEP = 1e-6  # relative: what a polynomial through the samples takes for one and the same step
@@ -25,6 +25,16 @@ def uniform_step(time: Array) -> float:
             f"the mean {mean:.6g} s: use central or midpoint"
         )
     return mean
+
+
+def is_even(time: Array, step: float, starts: IntArray) -> bool:
+    """Tell whether the steps of ``time`` [s], (m,), are ``step`` [s], but those before ``starts``.
+
+    To the tolerance of `uniform_step`.
+    """
+    away = np.abs(np.diff(time) - step)
+    away[starts - 1] = 0.0
+    return bool(away.max() <= ONE_STEP * step + clock_rounding(time))
 
 
 def nearly_even(steps: Array, mean: float) -> bool:

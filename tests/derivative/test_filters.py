@@ -115,7 +115,7 @@ def test_kicks_are_what_a_jump_in_the_acceleration_does(noisy):
 def test_uneven_steps_have_no_weights_on_samples(noisy):
     time = noisy.time + 0.002 * np.sin(np.arange(len(noisy.time)))
     flight = Flight(time=time, position=noisy.position, velocity=noisy.velocity, vehicle=VEHICLE)
-    filters = Filters.of(Derivative()(flight))
+    filters = Filters.of(Derivative("midpoint")(flight))
     assert filters.mean is None
     assert filters.path is None
 
