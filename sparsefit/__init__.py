@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from sparsefit.regression import path as path
     from sparsefit.score import ScalesScore as ScalesScore
     from sparsefit.score import Score as Score
+    from sparsefit.score import prediction_error as prediction_error
     from sparsefit.score import score as score
     from sparsefit.score import score_scales as score_scales
 
@@ -71,6 +72,7 @@ _HOMES = {
     "ScaleEstimate": "estimator",
     "ScalesScore": "score",
     "Score": "score",
+    "prediction_error": "score",
     "score": "score",
     "score_scales": "score",
     "InputError": "errors",

@@ -1,6 +1,7 @@
 """Errors against the truth: the only room, with the bound, that knows it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,8 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, is_real
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
-from sparsefit.flight.flow import Cells, Flow
+from sparsefit.flight import Flight
+from sparsefit.flight.flow import Cells, Flow, FlowField
 
 DETECTED = 0.05  # relative, of the wavenumber: nearer than this, a scale counts as detected
 
@@ -154,3 +156,34 @@ def score_scales(
             for scale, truth in detected
         ),
     )
+
+
+def prediction_error(flow: FlowField | None, flights: Sequence[Flight]) -> float:
+    """Return sqrt(sum |w_hat - w|^2 / sum |w|^2) over all samples of other flights.
+
+    Free of thresholds and of names for shapes: how well the estimated flow w_hat, any object with
+    ``velocity(x, y, t)``, tells the true flow w where it was not measured.
+
+    Args:
+        flow: the estimated flow; None, no estimate, counts as the still air that it leaves a pilot
+            with: 1.
+        flights: through the true flow, which each of them knows, in the coordinates and the time
+            of the flight that was estimated from; without noise of position, or it is judged at
+            the wrong places.
+
+    Raises:
+        InputError: if there is no flight, one knows no flow, or the true flow is 0 along all.
+    """
+    if not flights or any(flight.flow is None for flight in flights):
+        raise InputError("prediction_error needs at least one flight, each with its true flow")
+    missed = there = 0.0
+    for flight in flights:
+        assert flight.flow is not None
+        places = (*flight.position.T, flight.time)
+        true = flight.flow.velocity(*places)
+        found = np.zeros_like(true) if flow is None else flow.velocity(*places)
+        missed += float(np.sum((found - true) ** 2))
+        there += float(np.sum(true**2))
+    if not there > 0:
+        raise InputError("prediction_error: the true flow is 0 along all flights: fly elsewhere")
+    return math.sqrt(missed / there)

@@ -1,11 +1,13 @@
 """Errors against the truth, worked by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sparsefit as sf
+from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.score import strongest
 
@@ -116,3 +118,57 @@ def test_of_superposed_flows_the_strongest_is_the_truth():
     assert strongest(TWO) == FLOW
     equal = sf.SuperposedFlow((FLOW, sf.CellularFlow(10.0, 5.0)))
     assert strongest(equal) == FLOW
+
+
+class Offset:
+    """The true flow and a wind that is not there."""
+
+    def __init__(self, flow, wind):
+        self.flow, self.wind = flow, np.array(wind)
+
+    def velocity(self, x, y, t=0.0):
+        return self.flow.velocity(x, y, t) + self.wind
+
+
+def others(flow):
+    vehicle = sf.PointMassVehicle(0.5, (5.0, 3.0))
+    return [
+        sf.simulate_flight(flow, vehicle, duration=1.0, sample_rate=20.0, seed=s) for s in (1, 2)
+    ]
+
+
+def test_prediction_error_is_the_relative_miss_along_other_flights():
+    flow = sf.ShapedCells(10.0, 4.0, heading=0.2, drift=(0.5, 0.0))
+    flights = others(flow)
+    assert sf.prediction_error(flow, flights) == 0.0
+    assert sf.prediction_error(None, flights) == 1.0
+    # doubled: |2 w - w| / |w|
+    assert sf.prediction_error(sf.ShapedCells(20.0, 4.0, heading=0.2, drift=(0.5, 0.0)), flights) \
+        == pytest.approx(1.0, rel=1e-12)  # fmt: skip
+    squares = sum(np.sum(flow.velocity(*f.position.T, f.time) ** 2) for f in flights)
+    samples = sum(f.samples for f in flights)
+    found = sf.prediction_error(Offset(flow, (3.0, 4.0)), flights)
+    assert found == pytest.approx(np.sqrt(25.0 * samples / squares), rel=1e-12)
+    still = sf.ShapedCells(10.0, 4.0, heading=0.2)  # the time matters
+    assert sf.prediction_error(still, flights) > 0.1
+
+
+def test_prediction_needs_flights_that_know_their_flow():
+    flight = others(sf.CellularFlow(10.0, 4.0))[0]
+    for bad in ([], [replace(flight, flow=None)]):
+        with pytest.raises(InputError, match="each with its true flow"):
+            sf.prediction_error(None, bad)
+
+
+def test_an_estimate_predicts_its_flow():
+    flow, vehicle = sf.CellularFlow(10.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    windy = sf.SuperposedFlow((flow,), (1.0, -0.5))
+    flight = sf.simulate_flight(windy, vehicle, duration=10.0, sample_rate=100.0, seed=4)
+    known = sf.Estimator(library=sf.Library(unknown=("wind",))).estimate(flight)
+    assert known.status == "ok"
+    assert sf.prediction_error(known.flow, others(windy)) < 1e-3
+    on_grid = sf.Estimator(backend="least-squares", readout=sf.Readout(refine="none"))
+    flight = sf.simulate_flight(flow, vehicle, duration=10.0, sample_rate=100.0, seed=4)
+    # the back-end's own weights fit the flight that they come from
+    estimate = on_grid.estimate(flight)
+    assert sf.prediction_error(estimate.flow, [flight]) < 0.1

@@ -6,7 +6,7 @@ from typing import Any
 
 from sparsefit.codec import finite_or_none
 from sparsefit.estimator.doubt import Doubt
-from sparsefit.flight.flow import Flow
+from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
 from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
 
@@ -45,7 +45,8 @@ class Estimate:
     of its rival; None with other readouts and below 21 samples; of several scales each has its
     own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow. doubt:
     what kind of doubt the reason of an `unidentifiable` flow puts in words. heading [rad]: by which
-    the cells are turned counter-clockwise. flow: what was found, to be evaluated anywhere.
+    the cells are turned counter-clockwise. flow: what was found, to be
+    evaluated anywhere, in the coordinates and the time of the flight.
     """
 
     mean_velocity: float
@@ -70,7 +71,7 @@ class Estimate:
     vehicle_uncertainty: VehicleUncertainty | None = None
     doubt: Doubt | None = None
     heading: float = math.nan
-    flow: Flow | None = field(default=None, repr=False)
+    flow: FlowField | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

@@ -11,6 +11,7 @@ from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError, number_setting
 from sparsefit.estimator import saved
 from sparsefit.estimator.assess import Reading, read_place
+from sparsefit.estimator.candidate_flow import flow_of
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.judge import imprecise, judge
@@ -119,6 +120,7 @@ class Estimator:
             scales=reading.scales if place and self.readout.scales == "several" else (),
             vehicle_uncertainty=reading.vehicle_uncertainty,
             doubt=verdict.doubt,
+            flow=flow_of(prepared, fit, place) if place else None,
             **unknown,
         )
 

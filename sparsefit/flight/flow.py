@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,14 @@ from sparsefit.errors import InputError, pair, positive
 from sparsefit.flight.shaped import ShapedCells
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.waves import PointVelocity, WaveFlow
+
+
+class FlowField(Protocol):
+    """Anything that has a flow velocity everywhere: a true flow, or an estimated one."""
+
+    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
+        """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s]."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sparsefit.errors import InputError
@@ -15,7 +16,11 @@ from sparsefit.flight.flow import CellularFlow, SuperposedFlow
 from sparsefit.flight.shaped import ShapedCells
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.study import Study, cells
+from sparsefit.study.evidence.measure import Share
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.run.columns import COLUMNS, Planned
+from sparsefit.study.run.execution import run_flight
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.draw import SIMULATION, Draw, stream
 from sparsefit.study.spec.plan import Case
 
@@ -32,12 +37,12 @@ duration = 1.0
 sample_rate = 50.0
 velocity_noise = 0.1
 """
-REST = '[[backends]]\nname = "least-squares"\n'
+REST = '[[backends]]\nname = "best-scale"\n'
 
 
-def load(tmp_path: Path, text: str) -> Study:
+def load(tmp_path: Path, text: str, head: str = HEAD) -> Study:
     path = tmp_path / "w.toml"
-    path.write_text(HEAD + text + "\n" + REST, encoding="utf-8")
+    path.write_text(head + text + "\n" + REST, encoding="utf-8")
     return Study.load(path)
 
 
@@ -176,3 +181,68 @@ def test_the_truth_of_a_shape_has_its_columns(tmp_path: Path) -> None:
 def test_bad_keys_are_named(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         load(tmp_path, text)
+
+
+def values_of_run(study: Study, flight: int = 0) -> list[dict[str, object]]:
+    events = run_flight(study, flight, study.cells)
+    return [dict(event.values) for event in events if isinstance(event, Outcome)]
+
+
+def test_a_case_tells_how_well_it_predicts_other_flights(tmp_path: Path) -> None:
+    long = "duration = 6.0\nthrust_acceleration = [5.0, 3.0]\ninitial_position = [1.0, 2.0]"
+    study = load(
+        tmp_path, f"{long}\n[run]\nprediction_flights = 2", HEAD.replace("duration = 1.0\n", "")
+    )
+    (good,) = values_of_run(study)
+    assert isinstance(good["prediction_error"], float)
+    assert 0.0 < good["prediction_error"] < 0.1
+    draw = study.draw(0, study.cells[0])
+    seed = stream(study.seed, 0, SIMULATION)
+    others = draw.others(seed, 2)
+    starts = [flight.position[0].tolist() for flight in (draw.fly(seed), *others)]
+    assert starts[0] == pytest.approx([1.0, 2.0], abs=1e-12)
+    assert len({tuple(start) for start in starts}) == 3
+    assert all(flight.flow == draw.flown for flight in others)
+    (silent,) = values_of_run(load(tmp_path, long, HEAD.replace("duration = 1.0\n", "")))
+    assert math.isnan(float(str(silent["prediction_error"])))
+
+
+def test_predictions_are_not_shown_where_none_are_made(tmp_path: Path) -> None:
+    shown = '[[outputs.answers]]\nmeasure = "prediction-error"\ncompare = "settings"\n'
+    with pytest.raises(InputError, match=r"\[run\] key \"prediction_flights\" missing"):
+        load(tmp_path, shown)
+    assert load(tmp_path, "[run]\nprediction_flights = 1\n" + shown).prediction_flights == 1
+    with pytest.raises(InputError, match="prediction_flights"):
+        load(tmp_path, "[run]\nprediction_flights = -1\n")
+
+
+def rows(*cases: tuple[str, float, float]) -> pd.DataFrame:
+    """Cases of (status, percent error of U0, prediction error), in a flow of 10 m/s and 4 m."""
+    found = [
+        {"status": status, "flow": "cellular", "prediction_error": predicted}
+        | {"true_mean_velocity": 10.0, "true_length_scale": 4.0, "true_timescale": 0.4}
+        | {"est_mean_velocity": 10.0 * (1 + off / 100), "est_length_scale": 4.0}
+        | {"est_timescale": 0.4}
+        for status, off, predicted in cases
+    ]
+    return pd.DataFrame(found)
+
+
+def test_silent_misses_are_of_all_flights_in_a_flow() -> None:
+    cases = rows(
+        ("ok", 1.0, 0.01), ("ok", 9.0, 0.04), ("misfit", 9.0, 0.5), ("unidentifiable", 9.0, 1.0),
+        ("error", math.nan, math.nan),
+    )  # fmt: skip
+    assert Share.of(MEASURES["silent-misses"], cases) == Share(1, 5)
+    assert Share.of(MEASURES["misfits"], cases) == Share(1, 5)
+    still = cases.assign(flow="none")
+    assert Share.of(MEASURES["silent-misses"], still) == Share(0, 0)
+
+
+def test_a_flow_that_was_not_given_counts_as_all_of_it_missed() -> None:
+    cases = rows(("ok", 0.0, 0.01), ("unidentifiable", 0.0, 0.04), ("error", math.nan, math.nan))
+    # (1 % * 4 % * 100 %)^(1/3), and (1 % * 100 % * 100 %)^(1/3) where only offered ones count
+    predicted = MEASURES["prediction-error"].summarise(cases)
+    assert predicted == pytest.approx(400.0 ** (1 / 3), rel=1e-12)
+    offered = MEASURES["offered-prediction-error"].summarise(cases)
+    assert offered == pytest.approx(1e4 ** (1 / 3), rel=1e-12)

@@ -142,6 +142,7 @@ QUANTILES = {
 }
 SUMMARIES: dict[str, Callable[[Array], float]] = {
     "mean": lambda values: float(np.mean(values)),
+    "geometric mean": lambda values: float(np.exp(np.mean(np.log(np.maximum(values, TINY))))),
     "rms": lambda values: float(np.sqrt(np.mean(values**2))),
     "share": lambda values: 100.0 * float(np.mean(values)),
     "largest": lambda values: float(np.max(values)),

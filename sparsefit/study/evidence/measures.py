@@ -18,6 +18,7 @@ from sparsefit.study.evidence.cases import (
     UNITS,
     estimated,
     has_status,
+    in_a_flow,
     numbers,
 )
 from sparsefit.study.evidence.measure import Failure, Measure, Read
@@ -30,6 +31,7 @@ from sparsefit.study.evidence.readings import (
     false_alarms,
     half_widths,
     held,
+    is_off,
     nearest_hits,
     off_among,
     percent_errors,
@@ -120,6 +122,21 @@ def _unseen(cases: pd.DataFrame) -> Array:
     return where(missed & has_status(cases, "ok"), np.ones(len(cases)))
 
 
+def _silent(cases: pd.DataFrame) -> Array:
+    """(rows,) whether a case in a flow is called ok and off; every other case in one is not."""
+    return where(in_a_flow(cases), has_status(cases, "ok") & is_off(cases))
+
+
+def _misfit(cases: pd.DataFrame) -> Array:
+    """(rows,) whether a case in a flow ended as a misfit."""
+    return where(in_a_flow(cases), has_status(cases, "misfit"))
+
+
+def _predicted(cases: pd.DataFrame) -> Array:
+    """(rows,) the error of the flow along other flights [%], whatever the status."""
+    return 100.0 * numbers(cases, "prediction_error")
+
+
 _EVERY = (
     *(one for place, name in enumerate(PARAMETERS) for one in _of_parameter(place, name)),
     Measure("largest-error", "largest |error| of U0, L_w and τ_w", "%",
@@ -134,6 +151,14 @@ _EVERY = (
            more=True),
     _share("off", f"were off by more than {OFF:g} %", lambda cases: off_among(cases, "ok"),
            "flights called ok", column="off", format=".2f"),
+    _share("silent-misses", f"were called ok and off by more than {OFF:g} %", _silent,
+           column="silent misses", format=".2f"),
+    _share("misfits", "were called a misfit", _misfit, column="misfit", format=".1f"),
+    Measure("prediction-error", "error of the flow along other flights", "%", _predicted,
+            Failure.MISS, summary="geometric mean", column="prediction"),
+    Measure("offered-prediction-error", "error of the flow along other flights, where offered",
+            "%", lambda cases: where(estimated(cases), _predicted(cases)),
+            Failure.MISS, summary="geometric mean", column="prediction, where offered"),
     _share("deserved", "deserved it", lambda cases: off_among(cases, "unidentifiable"),
            "flights called unidentifiable", more=True, column="deserved", format=".1f"),
     _share("called-so", "were called so", called_so, "flights without a flow", more=True,

@@ -153,6 +153,8 @@ COLUMNS: tuple[Column, ...] = (
     _shape("heading", lambda cells: cells.heading),
     _shape("drift_x", lambda cells: cells.drift[0]),
     _shape("drift_y", lambda cells: cells.drift[1]),
+    Column("est_heading", SINGLE, read=lambda case: case.estimate.heading),
+    Column("prediction_error", SINGLE, read=lambda case: case.prediction_error),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 

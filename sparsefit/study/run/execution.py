@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
-import numpy as np
-
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
 from sparsefit.regression.backend import PathBackend
@@ -41,7 +39,7 @@ def run_flight(
     for cells in sharing(todo, flight_key):
         draw = study.draw(flight, cells[0])
         yield Stage("simulating the flight", _indices(cells))
-        flown = _attempt(partial(_fly, draw, stream(study.seed, flight, SIMULATION)))
+        flown = _attempt(partial(_fly, study, flight, draw))
         if isinstance(flown, Exception):
             yield from _failed(flight, cells, flown)
             continue
@@ -50,10 +48,12 @@ def run_flight(
             yield from _run_problem(context, same_problem, alone)
 
 
-def _fly(draw: Draw, seed: np.random.SeedSequence) -> tuple[Flight, Yardstick]:
+def _fly(study: Study, flight: int, draw: Draw) -> tuple[Flight, Yardstick]:
     """The flight without its flow: the truth enters at the score and nowhere before."""
+    seed = stream(study.seed, flight, SIMULATION)
     flown = draw.fly(seed)
-    return dataclasses.replace(flown, flow=None), yardstick(draw, flown)
+    others = draw.others(seed, study.prediction_flights) if draw.flown else ()
+    return dataclasses.replace(flown, flow=None), yardstick(draw, flown, others)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.score import ScalesScore, score, score_scales
+from sparsefit.score import ScalesScore, prediction_error, score, score_scales
 from sparsefit.study.spec.draw import Draw
 from sparsefit.uncertainty.bound import Bound, cramer_rao
 
@@ -24,13 +24,17 @@ INTERVAL_BITS = 17  # binary digits, of the width of an interval
 
 @dataclass(frozen=True)
 class Yardstick:
-    """Of one flight: its extent [m], and the Cramér-Rao bound of U0, L and tau_w, if any."""
+    """Of one flight: its extent [m], and the Cramér-Rao bound of U0, L and tau_w, if any.
+
+    others: flights through the same flow, along which it is predicted.
+    """
 
     extent: float
     bound: Bound | None = None
+    others: tuple[Flight, ...] = ()
 
 
-def yardstick(draw: Draw, flown: Flight) -> Yardstick:
+def yardstick(draw: Draw, flown: Flight, others: tuple[Flight, ...] = ()) -> Yardstick:
     """The extent of a flight, and its semiparametric Cramér-Rao bound under Eq. 7.
 
     The bound is that of noise on v' alone at known positions: there is none without process
@@ -38,12 +42,12 @@ def yardstick(draw: Draw, flown: Flight) -> Yardstick:
     """
     measured = draw.position_noise > 0 or draw.velocity_noise > 0
     if draw.process_noise <= 0 or measured or not isinstance(draw.flow, CellularFlow):
-        return Yardstick(flown.extent)
+        return Yardstick(flown.extent, others=others)
     noise = draw.process_noise
     bound = cramer_rao(
         flown.position, draw.flow, draw.vehicle, process_noise=noise, model="semiparametric"
     )
-    return Yardstick(flown.extent, bound)
+    return Yardstick(flown.extent, bound, others)
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,12 @@ class Reading:
         """The Cramér-Rao bound of one of `PARAMETERS`, in its unit, where there is one."""
         bound = self.yardstick.bound
         return None if bound is None else float(getattr(bound, parameter))
+
+    @property
+    def prediction_error(self) -> float | None:
+        """The relative error of the flow along other flights; None without a flow or a flight."""
+        flow, others = self.estimate.flow, self.yardstick.others
+        return prediction_error(flow, others) if flow is not None and others else None
 
     def standard_error(self, parameter: str) -> float | None:
         """The standard error of one of `PARAMETERS`, in its unit, where there is one."""

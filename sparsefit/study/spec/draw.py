@@ -18,6 +18,7 @@ from sparsefit.study.spec.quantities import COUNTS, FAULTS, RATIO_KEYS, SHAPE_ST
 
 SIMULATION = 0
 FAULTY = 100  # the child of a flight's stream that its faults are drawn from
+OTHERS = 200  # the first of its children that other flights through the same flow start from
 
 
 def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
@@ -104,9 +105,26 @@ class Draw:
             time_jitter=self.time_jitter,
         )
         if self.faults != LogFaults():
-            key = (*seed.spawn_key, FAULTY)
-            flight = self.faults.spoil(flight, np.random.SeedSequence(seed.entropy, spawn_key=key))
+            flight = self.faults.spoil(flight, _child(seed, FAULTY))
         return flight if self.believed is None else replace(flight, vehicle=self.believed)
+
+    def others(self, seed: np.random.SeedSequence, count: int) -> tuple[Flight, ...]:
+        """Other flights through the same flow: from other places, without noise or faults."""
+        clean = replace(
+            self,
+            initial_position=None,
+            process_noise=0.0,
+            position_noise=0.0,
+            velocity_noise=0.0,
+            believed=None,
+            time_jitter=0.0,
+            faults=LogFaults(),
+        )
+        return tuple(clean.fly(_child(seed, OTHERS + number)) for number in range(count))
+
+
+def _child(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, number))
 
 
 def _believed(values: dict[str, float], thrust: tuple[float, float]) -> PointMassVehicle | None:

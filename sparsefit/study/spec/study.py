@@ -24,7 +24,7 @@ from sparsefit.study.spec.document import (
     text,
 )
 from sparsefit.study.spec.draw import Draw
-from sparsefit.study.spec.outputs import Entry, Reference, name_of, read_outputs
+from sparsefit.study.spec.outputs import Entry, Outputs, Reference, name_of, read_outputs
 from sparsefit.study.spec.setup import SECTION_KEYS, read_setup
 
 MAX_CASES = 2_000_000
@@ -52,7 +52,8 @@ class Study:
 
     `count` is the number of flights, `cells` what is done to every one of them; `given` the keys
     of the sections flights, derivative, library and readout that the file sets, dotted, with
-    their values as canonical JSON; `case_timeout` is in seconds.
+    their values as canonical JSON; `case_timeout` is in seconds;
+    `prediction_flights` is the number of other flights along which a flow found is predicted.
     """
 
     path: str
@@ -68,6 +69,7 @@ class Study:
     validate_count: int | None
     case_timeout: float
     tolerance: float
+    prediction_flights: int
     tables: tuple[Entry, ...]
     figures: tuple[Entry, ...]
     answers: tuple[Entry, ...]
@@ -127,8 +129,9 @@ def _read(document: Section, place: Place) -> Study:
     count, sections = _read_sections(document, place)
     read_setup(sections, place)
     sweep = read_sweep(document, place)
-    timeout, tolerance = _read_run(document, place)
+    run = _read_run(document, place)
     output = read_outputs(document.get("outputs", {}), place)
+    _check_predicted(output, run.prediction_flights, place)
     name = _name(required(document, "name", place), place.at("name"))
     question = text(required(document, "question", place), place.at("question"))
     seed = integer(required(document, "seed", place), place.at("seed"), least=0)
@@ -148,8 +151,9 @@ def _read(document: Section, place: Place) -> Study:
         sweep=sweep,
         cells=tuple(cross(sections, protocols, sweep, backends, place)),
         validate_count=validate_count,
-        case_timeout=timeout,
-        tolerance=tolerance,
+        case_timeout=run.case_timeout,
+        tolerance=run.tolerance,
+        prediction_flights=run.prediction_flights,
         tables=output.tables,
         figures=output.figures,
         answers=output.answers,
@@ -214,15 +218,33 @@ def _read_split(document: Section, count: int, place: Place) -> int | None:
     return validate
 
 
-def _read_run(document: Section, place: Place) -> tuple[float, float]:
+@dataclass(frozen=True)
+class _Run:
+    """The [run] section, under the names of `Study`."""
+
+    case_timeout: float
+    tolerance: float
+    prediction_flights: int
+
+
+def _read_run(document: Section, place: Place) -> _Run:
     here = place.within("run")
     entries = read_section(document.get("run", {}), place.at("run"))
-    only(entries, ("case_timeout", "tolerance"), here)
+    only(entries, ("case_timeout", "tolerance", "prediction_flights"), here)
     timeout = positive(entries.get("case_timeout", 60.0), here.at("case_timeout"))
     tolerance = positive(entries.get("tolerance", 1e-8), here.at("tolerance"))
     if tolerance >= 1.0:
         raise here.at("tolerance").error(f"must be below 1, not {tolerance:g}")
-    return timeout, tolerance
+    others = integer(entries.get("prediction_flights", 0), here.at("prediction_flights"), least=0)
+    return _Run(timeout, tolerance, others)
+
+
+def _check_predicted(output: Outputs, others: int, place: Place) -> None:
+    """Refuse to show predictions that no case would have: all would count as failures."""
+    for entry in (*output.tables, *output.figures, *output.answers):
+        if not others and "prediction-error" in str(entry):
+            words = "missing: prediction-error needs other flights to predict along, 2 say"
+            raise place.within("run").at("prediction_flights").error(words)
 
 
 def _check_size(
