@@ -27,6 +27,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import rms_mean_velocity
 from sparsefit.modes.search import locate_one
 from sparsefit.modes.space import SearchSpace
+from tests.fleet import fly_together
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 AUTO = Derivative("auto")
@@ -242,7 +243,11 @@ def test_exact_flights_are_read_to_a_thousandth_of_a_percent():
 
 
 def test_process_noise_costs_no_more_than_with_a_short_filter():
-    flights = [fly(20 + i, t, process_noise=2.0) for i, t in enumerate(np.linspace(0.1, 0.9, 8))]
+    scales = np.random.default_rng(20).uniform(2.0, 10.0, 8)
+    timescales = np.linspace(0.1, 0.9, 8)
+    flows = [(CellularFlow(s / t, s),) for s, t in zip(scales, timescales, strict=True)]
+    setting = {"duration": 10.0, "rate": 100.0, "seed": 20, "process_noise": 2.0, "steps": 10}
+    flights = fly_together(flows, VEHICLE, **setting)
     auto, short = (
         np.array([errors(flight, rule)[0] for flight in flights])
         for rule in (AUTO, Derivative("savgol", 5, 4))
