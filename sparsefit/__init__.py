@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
     from sparsefit.estimator import Estimate as Estimate
+    from sparsefit.estimator.certificate_map import CertificateMap as CertificateMap
+    from sparsefit.estimator.certificate_map import certificate_map as certificate_map
     from sparsefit.estimator.estimate import ScaleEstimate as ScaleEstimate
     from sparsefit.estimator.estimator import Estimator as Estimator
     from sparsefit.flight import Flight as Flight
@@ -70,6 +72,8 @@ _HOMES = {
     "Estimate": "estimator",
     "Estimator": "estimator",
     "ScaleEstimate": "estimator",
+    "CertificateMap": "estimator.certificate_map",
+    "certificate_map": "estimator.certificate_map",
     "ScalesScore": "score",
     "Score": "score",
     "prediction_error": "score",

@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array
 from sparsefit.estimator.locate import Place
 from sparsefit.estimator.prepare import Prepared
+from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.waves import AXIS
 from sparsefit.modes.fitted_rows import middle
 from sparsefit.regression.fit import Fit
 
@@ -48,7 +50,7 @@ class CandidateFlow:
         return total.reshape(*east.shape, 2)
 
 
-def flow_of(prepared: Prepared, fit: Fit, place: Place) -> CandidateFlow | None:
+def flow_of(prepared: Prepared, fit: Fit, place: Place) -> CandidateFlow | WaveFlow | None:
     """The flow of modes that were fitted, else what the back-end's own weights say.
 
     None where the weights of the back-end are not those of the flow's velocity, or where no
@@ -65,10 +67,14 @@ def flow_of(prepared: Prepared, fit: Fit, place: Place) -> CandidateFlow | None:
     return CandidateFlow(place.wavenumbers, weights, middle(source.position), vehicle.wind)
 
 
-def _as_weighed(prepared: Prepared, fit: Fit) -> CandidateFlow | None:
+def _as_weighed(prepared: Prepared, fit: Fit) -> CandidateFlow | WaveFlow | None:
     library, scales = prepared.library, fit.problem.group_scales
     if library.target != "flow-velocity" or library.unknown or scales is None:
         return None
+    if library.family == "stream":
+        assert fit.problem.parameters is not None
+        waves = AXIS.phases(fit.problem.parameters)[..., :2].reshape(-1, 2)
+        return WaveFlow(waves, *fit.weights.reshape(-1, 2).T)
     weights = fit.weights.reshape(len(scales), Cells.size, -1)
     used = weights.any(axis=(1, 2))
     return CandidateFlow(math.pi / scales[used], weights[used], np.zeros(2))

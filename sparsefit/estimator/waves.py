@@ -17,6 +17,7 @@ from sparsefit.arrays import Array
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
+from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
 from sparsefit.library.scan import extent_of
@@ -55,7 +56,7 @@ class WaveReading:
     mean_velocity: float = math.nan
     length_scale: float = math.nan
     heading: float = math.nan
-    flow: WaveFlow | None = None
+    flow: WaveFlow | SuperposedFlow | None = None
     vehicle: VehicleEstimate | None = None
 
 
@@ -161,6 +162,6 @@ def _reading(
         float(np.linalg.norm(strengths(k, weights))),
         length_scale_of_pair(pair),
         heading_of_pair(pair) if len(pair) > 1 else math.nan,
-        flow,
+        SuperposedFlow((flow,), vehicle.wind) if vehicle and any(vehicle.wind) else flow,
         vehicle,
     )

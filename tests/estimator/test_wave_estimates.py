@@ -72,6 +72,32 @@ def test_on_the_grid_the_flow_is_the_sum_of_its_waves(groups):
     assert off < 1.0
 
 
+def test_a_stream_function_per_length_scale_is_a_flow_too():
+    straight = flown(sf.CellularFlow(12.0, 4.0), noise=0.0)
+    library = sf.Library(sf.LengthScaleGrid(3.0, 6.0, 0.5), family="stream")
+    estimator = sf.Estimator(library=library, readout=sf.Readout(refine="none"))
+    prepared = estimator.prepare(straight)
+    fit = estimator.fit(prepared)
+    found = estimator.read(prepared, fit)
+    assert (found.status, found.grid_length_scale) == ("ok", 4.0)
+    np.testing.assert_allclose(
+        found.flow.velocity(*prepared.samples.position.T).reshape(-1, 1),
+        prepared.problem.theta @ fit.weights, atol=1e-9,
+    )  # fmt: skip
+    refined = sf.Estimator(library=library).estimate(straight)
+    assert refined.length_scale == pytest.approx(4.0, rel=1e-6)
+    assert refined.mean_velocity == pytest.approx(12.0, rel=1e-4)
+
+
+def test_a_wind_that_was_unknown_is_part_of_the_flow():
+    windy = flown(sf.SuperposedFlow((FLOW,), (1.5, -0.5)), noise=0.0)
+    found = sf.Estimator(library=replace(WAVES, unknown=("wind",))).estimate(windy)
+    assert found.wind == pytest.approx((1.5, -0.5), abs=0.01)
+    place = windy.position[100]
+    expected = FLOW.velocity(*place) + np.array([1.5, -0.5])
+    np.testing.assert_allclose(found.flow.velocity(*place), expected, atol=0.05)
+
+
 def test_two_flows_of_different_headings_are_found_together():
     first = sf.ShapedCells(9.0, 4.0, heading=0.2)
     second = sf.ShapedCells(7.0, 6.5, heading=-0.4)

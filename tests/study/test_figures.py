@@ -122,6 +122,32 @@ name = "gridless-group-lasso"
 "flights.duration" = [2.0, 4.0]
 """
 
+WAVES = """
+name = "turned"
+question = "?"
+seed = 3
+[flights]
+count = 1
+mean_velocity = 10.0
+length_scale = 4.0
+response_time = 0.5
+thrust_acceleration = [5.0, 3.0]
+duration = 4.0
+sample_rate = 50.0
+[library]
+family = "waves"
+lower = 3.0
+upper = 6.0
+[[backends]]
+name = "group-lasso"
+[[protocols]]
+name = "straight"
+[[protocols]]
+name = "turned"
+"flights.heading" = 0.4
+"""
+FLOWN = {"dual-certificate": SCALES, "plane-certificate": WAVES}
+
 
 def with_scales(cases):
     """Half the flights found, each of two scales."""
@@ -150,10 +176,10 @@ def bounded(cases):
     return cases.assign(**columns)
 
 
-def two_scales(folder):
-    """A study with a gridless back-end, of which the dual certificate repeats a fit."""
-    path = folder / "two.toml"
-    path.write_text(SCALES)
+def flown(folder, text):
+    """A study of which a figure repeats a fit."""
+    path = folder / "flown.toml"
+    path.write_text(text)
     return Study.load(path)
 
 
@@ -162,6 +188,7 @@ GIVEN = {
     "weights": lambda: synthetic(1),
     "scatter": lambda: synthetic(4),
     "dual-certificate": lambda: synthetic(1),
+    "plane-certificate": lambda: synthetic(1),
     "errors": lambda: synthetic(4),
     "coverage": lambda: bounded(synthetic(4)),
     "sweep": lambda: synthetic(4, LEVELS),
@@ -177,7 +204,7 @@ GIVEN = {
 def test_a_figure_is_the_same_each_time_and_nothing_in_it_is_cut_or_covered(name, tmp_path):
     cases = GIVEN[name]()
     weights = weights_of(cases) if name == "weights" else None
-    of = two_scales(tmp_path) if name == "dual-certificate" else study()
+    of = flown(tmp_path, FLOWN[name]) if name in FLOWN else study()
     first, second = (FIGURES.make(name, of, cases, weights) for _ in range(2))
     png, svg = to_png(first), to_svg(first)
     assert to_svg(second) == svg

@@ -22,6 +22,7 @@ from sparsefit.study.evidence.tables import has_any, many_levels
 from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.drawing import STYLE
 from sparsefit.study.report.lines import OTHERS, SETTING, lines, pooling_note
+from sparsefit.study.report.plane import plane_figure
 from sparsefit.study.report.scatter import scatter
 from sparsefit.study.report.strips import strips
 from sparsefit.study.report.weights import weights_figure
@@ -41,6 +42,10 @@ CAPTIONS = {  # of comparisons that draw no measure
     "dual-certificate": "The proof of optimality of the gridless group-LASSO, η(k) = |Z(k)'R|/(m "
     "alpha) of its residual R: at most 1 everywhere, 1 at the scales it chose. First flight, "
     "middle level of the other swept factors, computed again from the study file.",
+    "plane-certificate": "The certificate of the group-LASSO of waves over the plane, η(k) = "
+    "|Z(k)'R|/(m alpha) of its residual R: at most 1 at every wave of its grid; within the white "
+    "lines, above 1, a finer grid would put a wave. First flight, computed again from the study "
+    "file.",
 }
 STRIPS = (
     "every case a point, box the quartiles, line the 5th to 95th percentile, thick line the "
@@ -75,6 +80,7 @@ FIGURES: Kind[Figure] = Kind(
         "weights": _styled(weights_figure),
         "scatter": _styled(scatter),
         "dual-certificate": _styled(certificate_figure),
+        "plane-certificate": _styled(plane_figure),
     },
     {
         **{name: {"compare": name} for name in CAPTIONS},

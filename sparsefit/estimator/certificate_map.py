@@ -1,0 +1,83 @@
+"""The dual certificate of a group-LASSO of waves, over the whole plane of wavevectors.
+
+A fit on a grid is optimal where eta <= 1 at the waves of the grid; between them eta may be higher,
+and says where a finer grid would put a wave (`sparsefit.library.plane`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.flight import Flight
+from sparsefit.library.plane import PlaneGrid
+from sparsefit.modes.wave_peaks import strengths
+from sparsefit.regression.objective import alpha_max
+
+
+@dataclass(frozen=True, eq=False)
+class CertificateMap:
+    """eta over the plane of wavevectors, and the waves that the back-end chose.
+
+    Args:
+        axis: k_x, and k_y, of the map (q,) [1/m].
+        eta: over the map (q, q), k_x by rows; NaN outside the bounds of the length scale.
+        wavevectors: of the waves in use (w, 2) [1/m].
+        strengths: |k| sqrt(a^2 + b^2) of each (w,) [m/s].
+    """
+
+    axis: Array
+    eta: Array
+    wavevectors: Array
+    strengths: Array
+
+    @property
+    def highest(self) -> float:
+        """The largest eta on the map: at most 1 where nothing can be gained off the grid."""
+        return float(np.nanmax(self.eta))
+
+
+def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
+    """The certificate of the estimator's fit of a flight, over the plane.
+
+    Raises:
+        InputError: if the library is not of waves in groups by wave on plain samples, the back-end
+            is not group-lasso, or it has no solution.
+    """
+    library = estimator.library
+    if library.family != "waves" or library.groups != "wave" or library.unknown:
+        raise InputError(
+            "a certificate over the plane needs Library(family='waves') in groups by wave and a "
+            f"known vehicle, not {library.family!r} by {library.groups!r}, unknown "
+            f"{library.unknown!r}"
+        )
+    prepared = estimator.prepare(flight)
+    if prepared.samples.weak is not None:
+        raise InputError("a certificate over the plane needs samples, not the weak form")
+    fit = estimator.fit(prepared)
+    fraction, penalty = getattr(fit.backend, "alpha_fraction", None), None
+    if fit.backend.name == "group-lasso":
+        penalty = fit.backend.penalty(fit.problem)  # type: ignore[attr-defined]
+    if penalty is None or not isinstance(fraction, float):
+        raise InputError(
+            f"a certificate over the plane is that of group-lasso, not {fit.backend.name}"
+        )
+    if not np.isfinite(fit.weights).all():
+        raise InputError(f"no certificate over the plane: {fit.status}: {fit.reason}")
+    alpha = fraction * alpha_max(fit.problem.statistics.cross, penalty)
+    residual = (fit.problem.target - fit.problem.theta @ fit.weights).reshape(-1, 2)
+    low, high = (math.sqrt(2.0) * math.pi / scale for scale in
+                 (library.grid.upper, library.grid.lower))  # fmt: skip
+    grid = PlaneGrid.of(prepared.samples.position[:: library.every], (low, high))
+    inside = (grid.radius >= low) & (grid.radius <= high)
+    assert fit.problem.parameters is not None
+    weights = fit.weights.reshape(-1, 2)
+    used = weights.any(axis=1)
+    k = fit.problem.parameters[used]
+    eta = np.where(inside, grid.heights(residual) / alpha, np.nan)
+    return CertificateMap(grid.axis, eta, k, strengths(k, weights[used]))
