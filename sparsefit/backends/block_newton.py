@@ -3,16 +3,17 @@
     minimise over V (k, n):  sum_t [v_t'G v_t / 2 - b_t'v_t] + alpha (sum_g omega_g |V_g|
                              + sum_h lambda_h |V_h|),   each block h within one block g
 
-A sweep goes through the groups in use and those whose dual norm exceeds alpha. With C = B - G V and
-L the largest eigenvalue of G_gg, each takes a few steps
+Groups at zero whose dual norm exceeds alpha are swept, and where progress is slow all in use. With
+C = B - G V and L the largest eigenvalue of G_gg, a group takes a few steps
 
     V_g <- prox(V_g + C_g / L),    prox = shrink by alpha omega_g / L  after  by alpha lambda_h / L,
 
-which is the proximal operator of both norms together. On the coefficients that are not zero the
-objective is smooth: there one Newton step, with the curvature omega/|V_b| (I - u u') of each block,
-u = V_b/|V_b|, is taken as far as it descends; single coefficients that it takes across zero stop
-there. Sweeps alone converge, and once they leave the coefficients in use alone, Newton's steps
-converge quadratically. The duality gap is the stop.
+which is the proximal operator of both norms together. In groups in use, where the outer norm is
+smooth, blocks h at zero with |C_h| > alpha lambda_h are opened together. On the coefficients that
+are not zero the objective is smooth: there one Newton step, with the curvature omega/|V_b| (I - u u')
+of each block, u = V_b/|V_b|, is taken as far as it descends; blocks that it takes across zero stop
+there. Sweeps alone converge, and once the blocks in use stay, Newton's steps converge
+quadratically. The duality gap is the stop.
 
 Sources: Simon, Friedman, Hastie and Tibshirani, J. Comput. Graph. Stat. 22 (2013) 231-245, for the
 descent; Jenatton, Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12 (2011) 2297-2334, for the
@@ -30,6 +31,9 @@ from sparsefit.regression.objective import Penalty
 ROUNDS = 400  # of a sweep and a Newton step, at one penalty
 PATIENCE = 40  # rounds without a smaller gap
 INNER = 4  # proximal steps on a group in a sweep
+SLOW = 0.5  # share of the last gap above which all groups in use are swept
+OPTIMAL = 1e-10  # relative to alpha: below it a block is content to be zero
+WORTH = 0.3  # share of the largest excess that opens a block along with it
 NEWCOMERS = 8  # groups that join a sweep at the most
 HALVINGS = 12  # of a Newton step that does not descend
 DAMPING = 1e-13  # of the mean curvature, added to it: dependent columns have none
@@ -144,7 +148,7 @@ class _Descent:
     def settled(self, values: Array, alpha: float, tolerance: float) -> tuple[Array, float, int]:
         """The optimum at one penalty from any weights, its relative gap and the rounds it took."""
         values = values.copy()
-        best, least, waited = values, np.inf, 0
+        best, least, last, waited = values, np.inf, np.inf, 0
         for count in range(ROUNDS):
             residual = self.cross - self.gram @ values
             duals = self.penalty.block_dual_norms(residual)[:, 0]
@@ -154,8 +158,15 @@ class _Descent:
                 best, least, waited = values.copy(), gap, 0
             if gap <= tolerance or waited > PATIENCE:
                 return best, least, count
-            self._sweep(values, residual, alpha, duals)
+            used = np.zeros(len(self.groups), dtype=bool)
+            used[self.penalty.groups[values.any(axis=1)]] = True
+            self._sweep(values, residual, alpha, self._newcomers(duals, alpha, used))
+            if self.penalty.within is not None:
+                self._open(self.penalty.within, values, residual, alpha, used)
+            if gap > SLOW * last:
+                self._sweep(values, residual, alpha, np.flatnonzero(used))
             self._newton(values, residual, alpha)
+            last = gap
         return best, least, ROUNDS
 
     def _gap(self, values: Array, residual: Array, alpha: float, peak: float) -> float:
@@ -168,13 +179,14 @@ class _Descent:
         primal = 0.5 * square + alpha * float(self.penalty.norm(values))
         return 2.0 * max(primal - s * product + 0.5 * s * s * square, 0.0)
 
-    def _sweep(self, values: Array, residual: Array, alpha: float, duals: Array) -> None:
-        """Improve every group in use and the worst of the others; values and residual change."""
-        used = np.zeros(len(self.groups), dtype=bool)
-        used[self.penalty.groups[values.any(axis=1)]] = True
+    def _newcomers(self, duals: Array, alpha: float, used: BoolArray) -> IntArray:
+        """The groups not in use that object most to that."""
         others = np.flatnonzero((duals > alpha) & ~used)
-        worst = others[np.argsort(-duals[others])[:NEWCOMERS]]
-        for number in [*worst.tolist(), *np.flatnonzero(used).tolist()]:
+        return others[np.argsort(-duals[others])[:NEWCOMERS]]
+
+    def _sweep(self, values: Array, residual: Array, alpha: float, numbers: IntArray) -> None:
+        """Improve these groups one after the other; values and residual change."""
+        for number in numbers.tolist():
             group = self.groups[number]
             old = values[group.columns]
             new = group.improved(old, residual[group.columns], alpha)
@@ -182,6 +194,34 @@ class _Descent:
             if change.any():
                 values[group.columns] = new
                 residual -= group.rows.T @ change
+
+    def _open(
+        self, within: Penalty, values: Array, residual: Array, alpha: float, used: BoolArray
+    ) -> None:
+        """Let blocks at zero in groups in use in, along C_h less what the penalty takes of it.
+
+        The step is the least of a parabola above the objective along that direction.
+        """
+        sizes, limit = within.block_norms(residual), alpha * within.weights[:, None]
+        inside = np.zeros(len(limit), dtype=bool)
+        inside[within.groups] = used[self.penalty.groups]
+        closed = inside[:, None] & (within.block_norms(values) == 0.0)
+        excess = np.where(closed, np.maximum(sizes - limit, 0.0), 0.0)
+        most = float(excess.max())
+        if most <= OPTIMAL * alpha:
+            return
+        excess[excess < WORTH * most] = 0.0
+        share = excess / np.where(sizes > 0, sizes, 1.0)
+        direction = residual * share[within.groups]
+        on = np.flatnonzero(direction.any(axis=1))
+        moved = self.gram[:, on] @ direction[on]
+        gain = float(np.vdot(direction, direction))
+        norms = self.penalty.block_norms(values)[:, 0]
+        pull = alpha * self.penalty.weights / np.where(norms > 0, norms, 1.0)
+        bend = pull[self.penalty.groups] @ np.square(direction).sum(axis=1)
+        step = gain / (float(np.vdot(direction, moved)) + float(bend))
+        values += step * direction
+        residual -= step * moved
 
     def _newton(self, values: Array, residual: Array, alpha: float) -> None:
         """A Newton step on the coefficients in use, as far as it descends; values change."""
@@ -206,8 +246,6 @@ class _Descent:
         _, step, failed = dposv(curvature.T, -gradient, lower=1)
         if failed:
             step = -np.linalg.lstsq(curvature, gradient, rcond=1e-12)[0]
-        single = [np.bincount(block)[block] == 1 for block, _ in layers]
-        alone = np.any(single, axis=0)  # what is a block of its own stops at zero
 
         def height(point: Array) -> float:
             moved = point - start
@@ -219,7 +257,8 @@ class _Descent:
         least = height(start)
         for halving in range(HALVINGS):
             point = start + 0.5**halving * step
-            point = np.where(alone & (point * start < 0), 0.0, point)
+            for block, _ in layers:
+                point = np.where(np.bincount(block, point * start)[block] < 0.0, 0.0, point)
             if height(point) < least:
                 values[column, target] = point
                 return

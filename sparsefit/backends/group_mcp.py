@@ -34,7 +34,7 @@ from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
 
 ROUNDS = 100
-SETTLED = 1e-9  # change of the weights p', relative to alpha omega_g, that ends the iteration
+SETTLED = 1e-7  # change of the weights p', relative to alpha omega_g, that ends the iteration
 RANK = 1e-10  # eigenvalues of Z'Z/m of free groups below it, relative, count as zero
 
 

@@ -115,7 +115,7 @@ def test_a_flight_agrees_with_clarabel():
 
 
 @given(seed=st.integers(0, 10**6), fraction=st.floats(1e-3, 1.0), ratio=st.floats(0.01, 0.99))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_every_fit_obeys_the_optimality_conditions_of_its_blocks(seed, fraction, ratio):
     problem = regular(seed, samples=20 + seed % 30)
     backend = backends.get("sparse-group-lasso", alpha_fraction=fraction, l1_ratio=ratio)
