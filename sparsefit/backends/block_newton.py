@@ -10,9 +10,9 @@ C = B - G V and L the largest eigenvalue of G_gg, a group takes a few steps
 
 which is the proximal operator of both norms together. In groups in use, where the outer norm is
 smooth, blocks h at zero with |C_h| > alpha lambda_h are opened together. On the coefficients that
-are not zero the objective is smooth: there one Newton step, with the curvature omega/|V_b| (I - u u')
-of each block, u = V_b/|V_b|, is taken as far as it descends; blocks that it takes across zero stop
-there. Sweeps alone converge, and once the blocks in use stay, Newton's steps converge
+are not zero the objective is smooth: there one Newton step, with the curvature of each block,
+omega/|V_b| (I - u u'), u = V_b/|V_b|, is taken as far as it descends; blocks that it takes across
+zero stop there. Sweeps alone converge, and once the blocks in use stay, Newton's steps converge
 quadratically. The duality gap is the stop.
 
 Sources: Simon, Friedman, Hastie and Tibshirani, J. Comput. Graph. Stat. 22 (2013) 231-245, for the
