@@ -34,6 +34,7 @@ OPTIONS = {
     "derivative": ("derivative", "method"),
     "window": ("derivative", "window"),
     "order": ("derivative", "order"),
+    "no_repair": ("derivative", "repair"),
     "grid_lower": ("library.grid", "lower"),
     "grid_upper": ("library.grid", "upper"),
     "grid_step": ("library.grid", "step"),
@@ -83,6 +84,12 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--window", type=whole, metavar="N", help="of savgol (5 samples) or weak")
     group.add_argument("--order", type=whole, metavar="N", help="of savgol (4) or weak (8)")
+    group.add_argument(
+        "--no-repair",
+        action="store_false",
+        default=None,
+        help="leave outliers, jumps, gaps, uneven and repeated samples as they are",
+    )
     group.add_argument("--grid-lower", type=number("m"), metavar="M", help="default: 1 m")
     group.add_argument("--grid-upper", type=number("m"), metavar="M", help="default: 12 m")
     group.add_argument("--grid-step", type=number("m"), metavar="M", help="default: 0.2 m")

@@ -37,6 +37,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
     )
     rows = [
         ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
+        *([("repaired", estimate.repairs.words)] if estimate.repairs.words else []),
         ("vehicle", ", ".join(vehicle) or "unknown"),
         ("", ""),
         *_parameters(estimate),

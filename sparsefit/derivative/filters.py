@@ -77,7 +77,12 @@ def _kernels(smoothing: Smoothing, step: float) -> tuple[Array, float] | None:
     if smoothing.method == "auto":
         nothing = np.empty((0, 2))
         channels = Channels(
-            nothing, nothing, step, smoothing.sigma_position, smoothing.sigma_velocity
+            nothing,
+            nothing,
+            step,
+            smoothing.sigma_position,
+            smoothing.sigma_velocity,
+            positions_only=smoothing.positions_only,
         )
         state = channels.kernels(smoothing.window, smoothing.coupled)
         rate = channels.kernels(smoothing.rate_window, smoothing.coupled)[3].reshape(2, -1)

@@ -30,6 +30,7 @@ SURE = 6.5  # robust standard deviations: white noise goes beyond it once in 1e6
 SCREEN = 5.0  # the same, of differences alone: the first look, and the only one at most flights
 ALONE = 3.0
 FELT = 0.01  # of the rms speed: less moves no parameter
+FELT_JUMP = 0.1  # of the way in a step at that speed
 AROUND = 4  # samples on either side
 ROUNDS = 6
 RAYLEIGH = math.sqrt(2.0 * math.log(2.0))  # median of the length of a pair of unit normals
@@ -39,14 +40,15 @@ MOST_OUTLIERS, MOST_JUMPS = 0.2, 0.02  # of the samples: more, and the others ar
 JUMP_SIDE = 30  # samples on either side that the size of a jump is read from
 THERE_AND_BACK = 10  # samples within which a position that jumps back was an outlier by itself
 BACK = 0.2  # of a jump: what may be left of it after the way back
+SHARED, MUCH = 3.0, 1.5  # parts of a step's square, and sizes of it, that its neighbours may have
 NOTHING = 1e-300  # beside any error: a spread must divide
 
 
-def clean_velocity(position: Array, velocity: Array, step: float) -> tuple[Array, BoolArray]:
+def clean_velocity(position: Array | None, velocity: Array, step: float) -> tuple[Array, BoolArray]:
     """The velocity (m, 2) [m/s] of one piece without its outliers, and which these were (m,).
 
-    position [m], without jumps; step [s] between the samples. Where there is no outlier, or too
-    many to tell, the velocity is the very array that was given.
+    position [m], without jumps; None where it is not to be asked; step [s] between the samples.
+    Where there is no outlier, or too many to tell, the velocity is the very array that was given.
     """
     found = np.zeros(len(velocity), dtype=bool)
     if len(velocity) < FEWEST or not _stands_out(velocity):
@@ -67,20 +69,33 @@ def clean_velocity(position: Array, velocity: Array, step: float) -> tuple[Array
 def clean_position(position: Array, velocity: Array, step: float) -> tuple[Array, Array]:
     """The position (m, 2) [m] of one piece without its jumps, and how far these went (j,) [m].
 
-    velocity [m/s]; step [s] between the samples.
+    velocity [m/s], outliers and all: what is a jump only beside one of them is none; step [s]
+    between the samples.
     """
-    none = np.empty(0)
-    if len(position) < FEWEST:
-        return position, none
-    integral = step * _quadrature(velocity)
-    left = np.diff(position, axis=0) - integral
-    size = _length(left)
-    if size.max() <= SURE * _spread(size):
-        return position, none
-    jumps = _isolated(size, np.ones_like(size), FELT * step * _rms(velocity)) & ~_paired(left)
+    left = _left(position, velocity, step)
+    jumps = _jumps(left, FELT_JUMP * step * _rms(velocity))
+    if jumps.any():
+        mended, found = clean_velocity(None, velocity, step)
+        if found.any():
+            left = _left(position, mended, step)
+            jumps &= _jumps(left, FELT_JUMP * step * _rms(mended))
     if not 0 < jumps.sum() <= MOST_JUMPS * len(jumps):
-        return position, none
-    return _rejoined(position, integral, np.flatnonzero(jumps))
+        return position, np.empty(0)
+    return _rejoined(position, left, np.flatnonzero(jumps))
+
+
+def _left(position: Array, velocity: Array, step: float) -> Array:
+    """What the integral of the velocity leaves of every step [m], (m - 1, 2)."""
+    left: Array = np.diff(position, axis=0) - step * _quadrature(velocity)
+    return left
+
+
+def _jumps(left: Array, least: float) -> BoolArray:
+    """Which steps stand out, by more than what is left of others (m - 1, 2) and ``least`` [m]."""
+    size = _length(left)
+    if len(size) < FEWEST or size.max() <= SURE * _spread(size):
+        return np.zeros(len(size), dtype=bool)
+    return _isolated(size, np.ones_like(size), least) & ~_beside_velocity(left, size)
 
 
 def _stands_out(velocity: Array) -> bool:
@@ -89,13 +104,16 @@ def _stands_out(velocity: Array) -> bool:
     return bool(size.max() > SCREEN * _spread(size))
 
 
-def _best(position: Array, cleaned: Array, velocity: Array, step: float) -> tuple[Array, Array]:
+def _best(
+    position: Array | None, cleaned: Array, velocity: Array, step: float
+) -> tuple[Array, Array]:
     """The best prediction (m, 2) of each velocity by the others, and weights (m,) of its errors.
 
     cleaned: the velocities that predict. With the weights, errors of all samples have one spread.
     """
-    predictions = [_by_simpson(position, cleaned, step)]
-    predictions += [_by_polynomial(cleaned, *fit) for fit in FITS]
+    predictions = [_by_polynomial(cleaned, *fit) for fit in FITS]
+    if position is not None:
+        predictions.append(_by_simpson(position, cleaned, step))
     spreads = [_spread(_length(velocity - predicted)) for predicted, _ in predictions]
     return predictions[int(np.argmin(spreads))]
 
@@ -142,13 +160,16 @@ def _isolated(size: Array, weight: Array, least: float) -> BoolArray:
     return found
 
 
-def _paired(left: Array) -> BoolArray:
-    """Which steps share their error (m - 1, 2) with the next: that is a velocity between them."""
-    along, square = np.sum(left[1:] * left[:-1], axis=1), np.sum(left**2, axis=1)
-    shared = np.zeros(len(left))
-    shared[1:], shared[:-1] = along, np.maximum(shared[:-1], along)
-    paired: BoolArray = shared > square / 3.0
-    return paired
+def _beside_velocity(left: Array, size: Array) -> BoolArray:
+    """Which steps are off for a velocity beside them: a neighbour is off likewise, or by more.
+
+    left (m - 1, 2): what the velocity leaves of each step; size (m - 1,): its length.
+    """
+    along, none = np.sum(left[1:] * left[:-1], axis=1), [0.0]
+    shared = np.maximum(np.append(none, along), np.append(along, none))
+    largest = np.maximum(np.append(none, size[:-1]), np.append(size[1:], none))
+    beside: BoolArray = (shared > size**2 / SHARED) | (largest > MUCH * size)
+    return beside
 
 
 def _quadrature(velocity: Array) -> Array:
@@ -161,9 +182,12 @@ def _quadrature(velocity: Array) -> Array:
     return mean
 
 
-def _rejoined(position: Array, integral: Array, jumps: IntArray) -> tuple[Array, Array]:
-    """Positions without the steps at these rows; a jump is read from the samples on its sides."""
-    beside = position - np.vstack([[0.0, 0.0], np.cumsum(integral, axis=0)])
+def _rejoined(position: Array, left: Array, jumps: IntArray) -> tuple[Array, Array]:
+    """Positions without the steps at these rows; a jump is read from the samples on its sides.
+
+    left (m - 1, 2): what the integral of the velocity leaves of each step [m].
+    """
+    beside = np.vstack([[0.0, 0.0], np.cumsum(left, axis=0)])
     ends = [-1, *jumps.tolist(), len(position) - 1]
     shift = np.zeros_like(position)
     for before, jump, after in zip(ends[:-2], ends[1:-1], ends[2:], strict=True):

@@ -7,7 +7,7 @@ two neighbours, whose velocity is measured too, and velocity by a polynomial thr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,12 +28,14 @@ class Pieces:
         position: [m], (m, 2).
         velocity: [m/s], (m, 2).
         starts: the first rows of all pieces but the first, (pieces - 1,).
+        velocity_measured: whether the velocity tells more than the position.
     """
 
     time: Array
     position: Array
     velocity: Array
     starts: IntArray
+    velocity_measured: bool = True
 
     @property
     def slices(self) -> list[slice]:
@@ -57,14 +59,16 @@ class Pieces:
             return self
         rows = np.concatenate([np.arange(piece.start, piece.stop) for piece in kept])
         counts = [piece.stop - piece.start for piece in kept]
-        return Pieces(self.time[rows], self.position[rows], self.velocity[rows], _starts(counts))
+        arrays = self.time[rows], self.position[rows], self.velocity[rows]
+        return Pieces(*arrays, _starts(counts), self.velocity_measured)
 
     def resampled(self) -> Pieces:
         """The same pieces on even steps, the mean one; each begins with its own first sample."""
         step = self.step()
         parts = [self._on_grid(piece, step) for piece in self.slices]
         time, position, velocity = map(np.concatenate, zip(*parts, strict=True))
-        return Pieces(time, position, velocity, _starts([len(part[0]) for part in parts]))
+        starts = _starts([len(part[0]) for part in parts])
+        return Pieces(time, position, velocity, starts, self.velocity_measured)
 
     def _on_grid(self, piece: slice, step: float) -> tuple[Array, Array, Array]:
         time = self.time[piece]
@@ -74,13 +78,12 @@ class Pieces:
         return grid, _hermite(time, position, velocity, grid), _interpolated(time, velocity, grid)
 
 
-def in_pieces(time: Array, position: Array, velocity: Array) -> Pieces:
-    """Cut a flight at its gaps: steps longer than `GAP` times the median one."""
-    steps = np.diff(time)
+def cut(log: Pieces) -> Pieces:
+    """The samples cut at their gaps: steps longer than `GAP` times the median one."""
+    steps = np.diff(log.time)
     if steps.max() <= GAP * steps.min():
-        return Pieces(time, position, velocity, np.empty(0, dtype=np.intp))
-    gaps = np.flatnonzero(steps > GAP * np.median(steps))
-    return Pieces(time, position, velocity, gaps + 1)
+        return log
+    return replace(log, starts=np.flatnonzero(steps > GAP * np.median(steps)) + 1)
 
 
 def _starts(counts: list[int]) -> IntArray:

@@ -3,7 +3,8 @@
 In this order: rows that only repeat the one before are dropped; gaps cut the flight into pieces;
 uneven time steps are made even, for the derivatives that need it (`sparsefit.derivative.pieces`);
 jumps of the position are taken out, and outliers of the velocity replaced, where steps are even
-(`sparsefit.derivative.outliers`). A clean flight comes out as the very arrays that went in.
+and both are measured (`sparsefit.derivative.outliers`). A clean flight comes out as the very arrays
+that went in.
 """
 
 from __future__ import annotations
@@ -12,9 +13,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.derivative.outliers import clean_position, clean_velocity
-from sparsefit.derivative.pieces import Pieces, in_pieces
+from sparsefit.derivative.pieces import Pieces, cut
 from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 
@@ -52,8 +52,9 @@ class Repairs:
         """Whether the flight was left as it was."""
         return not any(getattr(self, field.name) for field in fields(self))
 
-    def __str__(self) -> str:
-        """What was mended, in words; ``none`` where nothing was."""
+    @property
+    def words(self) -> str:
+        """What was mended, in words; empty where nothing was."""
         parts = [
             _told(self.outliers, "outlier", f" of up to {self.largest_outlier:.3g} m/s replaced"),
             _told(self.jumps, "jump", f" of up to {self.largest_jump:.3g} m taken out"),
@@ -62,7 +63,7 @@ class Repairs:
             _told(self.repeated, "repeated sample", " dropped"),
             _told(self.dropped, "sample", " between gaps dropped"),
         ]
-        return ", ".join(part for part in parts if part) or "none"
+        return ", ".join(part for part in parts if part)
 
 
 def _told(count: int, noun: str, what: str) -> str:
@@ -78,8 +79,8 @@ def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repa
         shortest: samples of a piece that the derivative can be taken of; shorter ones are dropped
             where there are longer ones.
     """
-    fresh = _fresh(flight.time, flight.position, flight.velocity)
-    whole = in_pieces(fresh.time, fresh.position, fresh.velocity)
+    fresh = _fresh(untouched(flight))
+    whole = cut(fresh)
     pieces = whole.longer_than(shortest)
     gaps = np.diff(pieces.time)[pieces.starts - 1]
     repairs = Repairs(
@@ -93,29 +94,31 @@ def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repa
             return pieces, repairs
         pieces = pieces.resampled()
         repairs = replace(repairs, resampled=len(pieces.time))
-    return _cleaned(pieces, repairs)
+    return _cleaned(pieces, repairs) if flight.velocity_measured else (pieces, repairs)
 
 
 def untouched(flight: Flight) -> Pieces:
     """The samples of a flight as they are."""
-    return Pieces(flight.time, flight.position, flight.velocity, np.empty(0, dtype=np.intp))
+    none = np.empty(0, dtype=np.intp)
+    arrays = flight.time, flight.position, flight.velocity
+    return Pieces(*arrays, none, flight.velocity_measured)
 
 
-def _fresh(time: Array, position: Array, velocity: Array) -> Pieces:
+def _fresh(log: Pieces) -> Pieces:
     """Without the rows whose position is that of the row before, if the log holds its samples.
 
     It does where the vehicle moved on at most of these rows; one that rests repeats itself.
     """
-    none = np.empty(0, dtype=np.intp)
-    moved = np.abs(np.diff(position, axis=0))
+    moved = np.abs(np.diff(log.position, axis=0))
     held = ~moved.any(axis=1)
     if held.any() and moved.any():
-        far = np.abs(velocity[1:]).max(axis=1) * np.diff(time)
+        far = np.abs(log.velocity[1:]).max(axis=1) * np.diff(log.time)
         left = held & (far > HELD * float(moved[moved > 0].min()))
         rows = np.concatenate([[True], ~held])
         if 2 * left.sum() > held.sum() and rows.sum() >= MINIMUM_SAMPLES:
-            return Pieces(time[rows], position[rows], velocity[rows], none)
-    return Pieces(time, position, velocity, none)
+            fresh = log.time[rows], log.position[rows], log.velocity[rows]
+            return Pieces(*fresh, log.starts, log.velocity_measured)
+    return log
 
 
 def _cleaned(pieces: Pieces, repairs: Repairs) -> tuple[Pieces, Repairs]:

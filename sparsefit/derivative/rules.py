@@ -234,7 +234,13 @@ def _auto(rule: Derivative, log: Pieces) -> Rates:
     if not log.even():
         return _fallen_back(rule, log, "time steps are not uniform")
     origin = log.position.mean(axis=0)
-    channels = Channels.measured(log.position - origin, log.velocity, log.step(), log.starts)
+    channels = Channels.measured(
+        log.position - origin,
+        log.velocity,
+        log.step(),
+        log.starts,
+        positions_only=not log.velocity_measured,
+    )
     kept, smoothed, rate, smoothing = smooth(channels)
     smoothed[:, :2] += origin
     return log.time[kept], smoothed, rate, smoothing

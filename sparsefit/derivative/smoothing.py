@@ -64,6 +64,7 @@ class Smoothing:
         position_error: of the smoothed position [m], from that noise alone.
         velocity_error: of the smoothed velocity [m/s].
         acceleration_error: of the acceleration [m/s^2].
+        positions_only: whether velocity, too, is that of the polynomial through the position.
     """
 
     method: str
@@ -77,6 +78,7 @@ class Smoothing:
     position_error: float = math.nan
     velocity_error: float = math.nan
     acceleration_error: float = math.nan
+    positions_only: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,7 @@ class Channels:
     """Position [m] and velocity [m/s], (m, 2) each, every ``step`` [s], and their noise levels.
 
     starts: the first rows of all pieces but the first, where the log has gaps (`Pieces`).
+    positions_only: the velocity is not measured, its noise level 0.
     """
 
     position: Array
@@ -92,14 +95,23 @@ class Channels:
     sigma_position: float
     sigma_velocity: float
     starts: IntArray = field(default_factory=lambda: NO_STARTS)
+    positions_only: bool = False
 
     @classmethod
     def measured(
-        cls, position: Array, velocity: Array, step: float, starts: IntArray = NO_STARTS
+        cls,
+        position: Array,
+        velocity: Array,
+        step: float,
+        starts: IntArray = NO_STARTS,
+        *,
+        positions_only: bool = False,
     ) -> Channels:
         """Channels with the noise levels that their own differences show."""
         levels = noise_level(position, starts), noise_level(velocity, starts)
-        return cls(position, velocity, step, *levels, starts)
+        if positions_only:
+            levels = levels[0], 0.0
+        return cls(position, velocity, step, *levels, starts, positions_only)
 
     def within(self, window: int, rows: int) -> slice | BoolArray:
         """Which of so many filtered rows have a whole window in one piece."""
@@ -128,6 +140,9 @@ class Channels:
             return np.stack([position, velocity, velocity, acceleration])
         value, slope = polynomial_kernels(window, ORDER, self.step)
         none = np.zeros(window)
+        if self.positions_only:
+            bend = bend_kernel(window, ORDER, self.step)
+            return np.stack([np.concatenate([row, none]) for row in (value, slope, slope, bend)])
         rows = [(value, none), (slope, none), (none, value), (none, slope)]
         return np.stack([np.concatenate(row) for row in rows])
 
@@ -213,6 +228,13 @@ def polynomial_kernels(window: int, order: int, step: float) -> tuple[Array, Arr
     return _kept(solved[0]), _kept(solved[1] / (window // 2 * step))
 
 
+@lru_cache(maxsize=KEPT)
+def bend_kernel(window: int, order: int, step: float) -> Array:
+    """Weights (n,) of one channel in its second derivative at the middle."""
+    powers = np.vander(np.linspace(-1.0, 1.0, window), order + 1, increasing=True)
+    return _kept(2.0 * np.linalg.pinv(powers)[2] / (window // 2 * step) ** 2)
+
+
 def _kept(weights: Array) -> Array:
     """Weights that are shared by all who ask for them: nobody writes into them."""
     weights.flags.writeable = False
@@ -233,8 +255,10 @@ def choose(channels: Channels) -> tuple[int, bool]:
     Uncoupled filters win where the logged velocity is not the derivative of the logged position.
     """
     reference = _residuals(channels, SHORTEST, coupled=False)
-    risk, window = _least_risk(channels, reference, coupled=True)
     uncoupled_risk, uncoupled_window = _least_risk(channels, reference, coupled=False)
+    if channels.positions_only:
+        return uncoupled_window, False
+    risk, window = _least_risk(channels, reference, coupled=True)
     return (window, True) if risk < uncoupled_risk else (uncoupled_window, False)
 
 
@@ -257,6 +281,8 @@ def _residuals(channels: Channels, window: int, *, coupled: bool) -> tuple[Array
     kernels, half = channels.kernels(window, coupled), window // 2
     position, velocity = channels.rows[:, :, half : channels.rows.shape[2] - half]
     x, y = (position - channels.filtered(kernels[0])) / channels.sigma_position
+    if channels.positions_only:
+        return 0.5 * (x * x + y * y), float(kernels[0, half])
     vx, vy = (velocity - channels.filtered(kernels[2])) / channels.sigma_velocity
     square = 0.5 * ((x * x + vx * vx) + (y * y + vy * vy))
     return square, float(kernels[0, half] + kernels[2, window + half])
@@ -299,6 +325,7 @@ def smooth(channels: Channels) -> tuple[IntArray | slice, Array, Array, Smoothin
         position_error=channels.spread(state[0]),
         velocity_error=channels.spread(state[2]),
         acceleration_error=channels.spread(rate[3]),
+        positions_only=channels.positions_only,
     )
     if not len(channels.starts):
         return kept, _columns(states), _columns(rates), smoothing

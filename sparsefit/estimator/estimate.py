@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sparsefit.codec import finite_or_none
+from sparsefit.derivative import Repairs
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
@@ -47,6 +48,7 @@ class Estimate:
     what kind of doubt the reason of an `unidentifiable` flow puts in words. heading [rad]: by which
     the cells are turned counter-clockwise. flow: what was found, to be
     evaluated anywhere, in the coordinates and the time of the flight.
+    repairs: what was mended in the flight before.
     """
 
     mean_velocity: float
@@ -72,6 +74,7 @@ class Estimate:
     doubt: Doubt | None = None
     heading: float = math.nan
     flow: FlowField | None = field(default=None, repr=False)
+    repairs: Repairs = Repairs()
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

@@ -121,6 +121,7 @@ class Estimator:
             vehicle_uncertainty=reading.vehicle_uncertainty,
             doubt=verdict.doubt,
             flow=flow_of(prepared, fit, place) if place else None,
+            repairs=prepared.samples.repairs,
             **unknown,
         )
 

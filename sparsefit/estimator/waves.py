@@ -87,6 +87,7 @@ def estimate_of_waves(prepared: Prepared, fit: Fit, readout: Readout) -> Estimat
         doubt=verdict.doubt,
         heading=reading.heading,
         flow=reading.flow,
+        repairs=prepared.samples.repairs,
         **unknown,
     )
 

@@ -27,6 +27,7 @@ class Flight:
         velocity: (vx, vy) [m/s], shape (m, 2).
         vehicle: the vehicle that flew.
         flow: the true flow where it is known; no estimate ever reads it.
+        velocity_measured: whether the velocity was logged, or is only that of the position.
 
     Raises:
         InputError: naming the field and row, if the shapes differ, a value is not finite or
@@ -38,6 +39,32 @@ class Flight:
     velocity: Array
     vehicle: PointMassVehicle
     flow: Flow | None = None
+    velocity_measured: bool = True
+
+    @classmethod
+    def from_positions(
+        cls, time: object, position: object, vehicle: PointMassVehicle, flow: Flow | None = None
+    ) -> Flight:
+        """A flight whose log has positions only.
+
+        Args:
+            time: t [s], shape (m,), strictly increasing, m >= 3.
+            position: (x, y) [m], shape (m, 2).
+            vehicle: the vehicle that flew.
+            flow: the true flow where it is known.
+
+        Returns:
+            The flight. Its velocity is the difference quotient of the position; the derivative
+            ``auto`` does not read it, but takes velocity and acceleration from one polynomial
+            through the positions.
+
+        Raises:
+            InputError: as `Flight` does.
+        """
+        t, x = _frozen("time", time, ("m",)), _frozen("position", position, ("m", 2))
+        _check_lengths(t, x, x)
+        _check_increasing(t)
+        return cls(t, x, np.gradient(x, t, axis=0), vehicle, flow, velocity_measured=False)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""

@@ -5,12 +5,13 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from sparsefit.cli import main
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.flight import read_flight
+from sparsefit.flight import read_flight, write_flight
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 
@@ -418,3 +419,15 @@ def test_bench_refuses_bad_input_and_what_it_would_overwrite(capsys, tmp_path):
     (tmp_path / "solvers" / "times.md").write_text("mine")
     assert "--force" in refused(capsys, "bench", "--quick", *where)
     assert (tmp_path / "solvers" / "times.md").read_text() == "mine"
+
+
+def test_repairs_are_told_and_can_be_left_out(capsys, flight):
+    clean = read_flight(flight)
+    velocity = clean.velocity.copy()
+    velocity[[100, 300]] += 5.0
+    write_flight(replace(clean, velocity=velocity), "dirty.csv")
+    _, out, _ = run(capsys, "estimate", "dirty.csv", *COARSE)
+    assert re.search(r"^repaired +2 outliers of up to 7\.07 m/s replaced$", out, re.MULTILINE)
+    _, out, _ = run(capsys, "estimate", "dirty.csv", "--json", *COARSE)
+    assert json.loads(out)["repairs"]["outliers"] == 2
+    assert "repaired" not in run(capsys, "estimate", "dirty.csv", "--no-repair", *COARSE)[1]

@@ -7,7 +7,7 @@ import pytest
 
 from sparsefit.derivative import Derivative, Repairs
 from sparsefit.derivative.outliers import clean_position, clean_velocity
-from sparsefit.derivative.pieces import in_pieces, straddling
+from sparsefit.derivative.pieces import Pieces, cut, straddling
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
@@ -62,12 +62,14 @@ def test_clean_flights_are_not_touched(timescale, noise, method):
         np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
 
 
-@pytest.mark.parametrize("count", [8, 40])
+@pytest.mark.parametrize("count", [2, 8, 40])
 @pytest.mark.parametrize("case", ["exact", "noisy"])
-def test_outliers_are_found_and_no_other_velocity(request, case, count):
+def test_outliers_are_found_and_nothing_else_moves(request, case, count):
     flight = request.getfixturevalue(case)
     dirty, rows = spoilt(flight, count, seed=count)
-    velocity, found = clean_velocity(dirty.position, dirty.velocity, 0.01)
+    position, _ = clean_position(dirty.position, dirty.velocity, 0.01)
+    assert position is dirty.position
+    velocity, found = clean_velocity(position, dirty.velocity, 0.01)
     assert set(np.flatnonzero(found).tolist()) == rows
     np.testing.assert_array_equal(velocity[~found], flight.velocity[~found])
     assert np.abs(velocity - flight.velocity).max() < (1.2 if case == "noisy" else 0.1)
@@ -126,7 +128,8 @@ def test_no_window_crosses_a_gap(exact):
 def test_windows_that_cross_a_gap_by_hand():
     found = straddling(np.array([3]), 3, 5)  # of samples 0-2, 1-3, 2-4, 3-5, 4-6
     np.testing.assert_array_equal(found, [False, True, True, False, False])
-    pieces = in_pieces(np.array([0.0, 1.0, 2.0, 9.0, 10.0]), np.zeros((5, 2)), np.zeros((5, 2)))
+    time, plane = np.array([0.0, 1.0, 2.0, 9.0, 10.0]), np.zeros((5, 2))
+    pieces = cut(Pieces(time, plane, plane, np.empty(0, dtype=np.intp)))
     assert pieces.slices == [slice(0, 3), slice(3, 5)]
     assert pieces.step() == 1.0
 
@@ -175,6 +178,6 @@ def test_off_by_a_setting(noisy):
 
 
 def test_repairs_in_words():
-    assert str(Repairs()) == "none"
-    words = str(Repairs(outliers=2, largest_outlier=5.04, gaps=1, longest_gap=0.5))
-    assert words == "2 outliers of up to 5.04 m/s replaced, 1 gap of up to 0.5 s left open"
+    assert not Repairs().words
+    found = Repairs(outliers=2, largest_outlier=5.04, gaps=1, longest_gap=0.5)
+    assert found.words == "2 outliers of up to 5.04 m/s replaced, 1 gap of up to 0.5 s left open"

@@ -155,6 +155,8 @@ COLUMNS: tuple[Column, ...] = (
     _shape("drift_y", lambda cells: cells.drift[1]),
     Column("est_heading", SINGLE, read=lambda case: case.estimate.heading),
     Column("prediction_error", SINGLE, read=lambda case: case.prediction_error),
+    Column("outliers", WHOLE, read=lambda case: case.estimate.repairs.outliers),
+    Column("repairs", TEXT, read=lambda case: case.estimate.repairs.words),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 

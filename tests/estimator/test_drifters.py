@@ -1,0 +1,69 @@
+"""A real drifter (GLAD, Gulf of Mexico 2012): water that is no cellular flow is not called one.
+
+tests/data/drifter_079.csv, MIT (LICENSE.drifters), from the repository
+EncinasBartos/QuasiObjectiveEddyVisualizationFromSparseDrifterData. Its header says Long, Lat; its
+values are latitude and longitude, every 15 minutes.
+"""
+
+import csv
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+
+FILE = Path(__file__).parents[1] / "data" / "drifter_079.csv"
+EARTH = 6.371e6  # m
+EVERY = 900.0  # s
+DAY = 96  # samples
+WATER = sf.PointMassVehicle(60.0)  # follows the water
+GRID = sf.LengthScaleGrid(2e3, 200e3, spacing="flight")
+
+
+@cache
+def plane():
+    """x east and y north [m], (m, 2), in the plane that touches the earth in the middle."""
+    with FILE.open(encoding="utf-8") as file:
+        degrees = np.array([[float(row[3]), float(row[2])] for row in list(csv.reader(file))[1:]])
+    away = np.radians(degrees - degrees.mean(axis=0))
+    return EARTH * away * [np.cos(np.radians(degrees[:, 1].mean())), 1.0]
+
+
+@pytest.mark.parametrize("days", [5, 10, 25])
+def test_no_piece_of_a_drifter_is_called_a_cellular_flow(days):
+    estimator = sf.Estimator(library=sf.Library(GRID))
+    for first in range(0, 25 * DAY - days * DAY + 1, days * DAY):
+        position = plane()[first : first + days * DAY]
+        flight = sf.Flight.from_positions(EVERY * np.arange(len(position)), position, WATER)
+        estimate = estimator.estimate(flight)
+        assert estimate.status == "unidentifiable"
+        assert estimate.doubt
+        assert estimate.repairs.none
+
+
+def test_a_grid_of_metres_is_refused_for_a_sea():
+    flight = sf.Flight.from_positions(EVERY * np.arange(5 * DAY), plane()[: 5 * DAY], WATER)
+    with pytest.raises(sf.InputError, match="too small for a flight of"):
+        sf.Estimator().estimate(flight)
+
+
+def test_positions_alone_tell_a_cellular_flow():
+    flow, vehicle = sf.CellularFlow(6.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    logged = sf.simulate_flight(
+        flow, vehicle, duration=15.0, sample_rate=100.0, seed=3, position_noise=0.002
+    )
+    flight = sf.Flight.from_positions(logged.time, logged.position, vehicle)
+    estimate = sf.Estimator().estimate(flight)
+    assert estimate.status == "ok"
+    assert estimate.length_scale == pytest.approx(4.0, rel=5e-3)
+    assert estimate.mean_velocity == pytest.approx(6.0, rel=3e-2)
+    samples = sf.Derivative()(flight)
+    assert samples.smoothing.positions_only
+    assert np.sqrt(np.mean((samples.velocity - _at(logged, samples.time)) ** 2)) < 0.1
+
+
+def _at(flight, time):
+    rows = np.rint(100.0 * time).astype(int)
+    return flight.velocity[rows]
