@@ -126,6 +126,13 @@ def test_faults_and_jitter_are_those_of_the_log(tmp_path: Path) -> None:
     np.testing.assert_array_equal(jittered.position[0], plain.position[0])
 
 
+def test_what_belongs_to_a_key_makes_no_shape(tmp_path: Path) -> None:
+    beside = (
+        "drift_direction = 1.0\nswell_phase = 2.0\nturbulence_length = 3.0\nwind_direction = 1.0"
+    )
+    assert draw(tmp_path, beside) == draw(tmp_path)
+
+
 def test_second_cells_may_have_their_own_heading(tmp_path: Path) -> None:
     second = "second_scale_ratio = 1.5\nsecond_velocity_ratio = 0.5\n"
     flow = draw(tmp_path, second + "heading = 0.1\nsecond_heading = 0.6").flow
@@ -246,3 +253,12 @@ def test_a_flow_that_was_not_given_counts_as_all_of_it_missed() -> None:
     assert predicted == pytest.approx(400.0 ** (1 / 3), rel=1e-12)
     offered = MEASURES["offered-prediction-error"].summarise(cases)
     assert offered == pytest.approx(1e4 ** (1 / 3), rel=1e-12)
+
+
+def test_headings_are_compared_up_to_a_quarter_turn() -> None:
+    cases = rows(("ok", 0.0, 0.0), ("ok", 0.0, 0.0), ("misfit", 0.0, 0.0))
+    # 44 against -44 degrees: 2 degrees apart on a square lattice
+    turned = cases.assign(
+        true_heading=np.radians([44.0, 10.0, 10.0]), est_heading=np.radians([-44.0, 11.0, 12.0])
+    )
+    assert MEASURES["heading-error"].values(turned) == pytest.approx([2.0, 1.0], abs=1e-9)

@@ -5,6 +5,7 @@ A new measure is one `Measure` in `_EVERY`, or one in `FAMILIES` for each of the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -132,6 +133,14 @@ def _misfit(cases: pd.DataFrame) -> Array:
     return where(in_a_flow(cases), has_status(cases, "misfit"))
 
 
+def _heading_errors(cases: pd.DataFrame) -> Array:
+    """(rows,) |error| of the heading [degrees], up to a quarter turn, of cases with an estimate."""
+    quarter = math.pi / 2.0
+    turn = numbers(cases, "est_heading") - numbers(cases, "true_heading")
+    nearest = np.abs((turn + quarter / 2.0) % quarter - quarter / 2.0)
+    return where(estimated(cases), np.degrees(nearest))
+
+
 def _predicted(cases: pd.DataFrame) -> Array:
     """(rows,) the error of the flow along other flights [%], whatever the status."""
     return 100.0 * numbers(cases, "prediction_error")
@@ -154,6 +163,7 @@ _EVERY = (
     _share("silent-misses", f"were called ok and off by more than {OFF:g} %", _silent,
            column="silent misses", format=".2f"),
     _share("misfits", "were called a misfit", _misfit, column="misfit", format=".1f"),
+    Measure("heading-error", "|error| of the heading", "°", _heading_errors, column="heading"),
     Measure("prediction-error", "error of the flow along other flights", "%", _predicted,
             Failure.MISS, summary="geometric mean", column="prediction"),
     Measure("offered-prediction-error", "error of the flow along other flights, where offered",

@@ -14,7 +14,14 @@ from sparsefit.flight.flow import Cells, CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.shaped import ShapedCells
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.study.spec.quantities import COUNTS, FAULTS, RATIO_KEYS, SHAPE_STREAMS, SUPERPOSED
+from sparsefit.study.spec.quantities import (
+    BESIDE,
+    COUNTS,
+    FAULTS,
+    RATIO_KEYS,
+    SHAPE_STREAMS,
+    SUPERPOSED,
+)
 
 SIMULATION = 0
 FAULTY = 100  # the child of a flight's stream that its faults are drawn from
@@ -155,7 +162,7 @@ def _flow(values: dict[str, float]) -> Flow:
 
 def _cells(values: dict[str, float], speed: float, scale: float, heading: float) -> Cells:
     """Cells of side `scale` along x, and `aspect` times it along y; all drift and swell alike."""
-    if not any(key in values for key in SHAPE_STREAMS):
+    if not any(key in values for key in SHAPE_STREAMS if key not in BESIDE):
         return CellularFlow(speed, scale)
     drift = _polar(values, "drift", values["mean_velocity"])
     return ShapedCells(

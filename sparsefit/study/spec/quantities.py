@@ -73,6 +73,8 @@ SHAPE_KEYS = (
     *("swell", "swell_period", "swell_phase", "second_heading"),
 )
 SHAPE_STREAMS = ("offset_x", "offset_y", *(key for key in SHAPE_KEYS if key != "offset"))
+# What belongs to another key, and makes no shape by itself.
+BESIDE = ("drift_direction", "swell_period", "swell_phase")
 TURBULENCE_KEYS = ("turbulence_ratio", "turbulence_length", "turbulence_memory")
 # Of a flight's flow: a protocol without one leaves them out.
 OF_FLOW = (*FLOW_KEYS, *SUPERPOSED_KEYS, *SHAPE_STREAMS, *TURBULENCE_KEYS, "wind_ratio")
