@@ -42,6 +42,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         ("", ""),
         *_parameters(estimate),
         *_estimated(estimate),
+        *_goodness(estimate),
         ("", ""),
         *_scales(estimate),
         ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
@@ -51,6 +52,25 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         ("time", duration(estimate.seconds)),
     ]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _goodness(estimate: Estimate) -> list[tuple[str, str]]:
+    """How much of the flight the flow explains, and what it was flown through beside it."""
+    known = estimate.goodness
+    if known is None:
+        return []
+    rows = [("goodness of fit", f"R² {known.r_squared:.6f}{_structure(known.whiteness)}")]
+    if known.turbulence > 0:
+        share = 100 * known.turbulence_share
+        rows.append(("turbulence", f"{known.turbulence:.3g} m/s rms, {share:.3g} % of U0"))
+    return rows
+
+
+def _structure(whiteness: float) -> str:
+    """Whether noise of the sensors explains the rest, where that could be tested."""
+    if whiteness != whiteness:
+        return ""
+    return f"; the rest is noise of the sensors with p = {whiteness:.2g}"
 
 
 def _estimated(estimate: Estimate) -> list[tuple[str, str]]:

@@ -14,20 +14,22 @@ from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
-from sparsefit.uncertainty import Assessment, VehicleUncertainty, assess
+from sparsefit.uncertainty import Assessment, Goodness, VehicleUncertainty, assess
 
 
 @dataclass(frozen=True)
 class Reading:
     """The cellular flows of a flight, fastest first, and what was unknown of the vehicle.
 
-    assessed: whether standard errors were sought.
+    assessed: whether standard errors were sought; goodness: how well the modes fit, where they
+    were.
     """
 
     scales: tuple[ScaleEstimate, ...]
     vehicle: VehicleEstimate | None = None
     vehicle_uncertainty: VehicleUncertainty | None = None
     assessed: bool = False
+    goodness: Goodness | None = None
 
     @property
     def impossible(self) -> bool:
@@ -50,7 +52,8 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
         if known is not None:
             pairs = zip(known.modes, place.candidates, strict=True)
             scales = [ScaleEstimate(*m.values, own, m.uncertainty) for m, own in pairs]
-            return Reading(_sorted(scales), known.vehicle, known.vehicle_uncertainty, True)
+            beside = known.vehicle, known.vehicle_uncertainty
+            return Reading(_sorted(scales), *beside, True, known.goodness)
     if readout.scales == "several":
         return _several(prepared, place, readout, assessed)
     length_scale, vehicle = place.length_scales[0], None

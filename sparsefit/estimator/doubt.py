@@ -33,6 +33,10 @@ class Doubt(StrEnum):
     """The vehicle that fits best cannot be."""
     MEAN_VELOCITY = "mean-velocity"
     """The readout gives no mean velocity above zero."""
+    SHORT_TRACK = "short-track"
+    """The flight covers less than one period of the flow."""
+    MISFIT = "misfit"
+    """There is a flow, but it is not the one that was fitted."""
 
     @property
     def no_flow(self) -> bool:
@@ -42,7 +46,7 @@ class Doubt(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """A status, with the doubt behind ``unidentifiable`` and the reason in words."""
+    """A status, with the doubt behind ``unidentifiable`` or ``misfit`` and the reason in words."""
 
     status: str
     reason: str = ""

@@ -9,7 +9,7 @@ from sparsefit.derivative import Repairs
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
-from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
+from sparsefit.uncertainty import Goodness, Uncertainty, VehicleUncertainty
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class ScaleEstimate:
 class Estimate:
     """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
 
-    status ``ok``, ``inaccurate``, ``unidentifiable`` or ``error``, with its reason;
+    status ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
+    ``unidentifiable`` or ``error``, with its reason;
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
     refinement found the best other lobe of the residual [m]; response_time [s],
@@ -45,9 +46,10 @@ class Estimate:
     velocity, `unidentifiable` or not: it holds within the lobe that was chosen, and says nothing
     of its rival; None with other readouts and below 21 samples; of several scales each has its
     own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow. doubt:
-    what kind of doubt the reason of an `unidentifiable` flow puts in words. heading [rad]: by which
-    the cells are turned counter-clockwise. flow: what was found, to be
-    evaluated anywhere, in the coordinates and the time of the flight.
+    what kind of doubt the reason of a `misfit` or an `unidentifiable` flow puts in words. heading
+    [rad]: by which the cells are turned counter-clockwise. flow: what was found, to be evaluated
+    anywhere, in the coordinates and the time of the flight. goodness: how well refined modes fit,
+    with the ``rms`` mean velocity.
     repairs: what was mended in the flight before.
     """
 
@@ -75,6 +77,7 @@ class Estimate:
     heading: float = math.nan
     flow: FlowField | None = field(default=None, repr=False)
     repairs: Repairs = Repairs()
+    goodness: Goodness | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

@@ -16,6 +16,7 @@ from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.judge import imprecise, judge
 from sparsefit.estimator.locate import Place, locate
+from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.prepare import Prepared, prepare
 from sparsefit.estimator.waves import estimate_of_waves
 from sparsefit.flight import Flight
@@ -59,7 +60,8 @@ class Estimator:
         """Estimate the flow's parameters from a flight.
 
         Raises InputError where the flight does not suit the settings (too few samples for the
-        derivative, say); a flight that cannot tell the parameters has status ``unidentifiable``.
+        derivative, say); a flight that cannot tell the parameters has status ``unidentifiable``,
+        one through another flow than was fitted ``misfit``.
         """
         prepared = self.prepare(flight)
         return self.read(prepared, self.fit(prepared))
@@ -122,6 +124,7 @@ class Estimator:
             doubt=verdict.doubt,
             flow=flow_of(prepared, fit, place) if place else None,
             repairs=prepared.samples.repairs,
+            goodness=reading.goodness,
             **unknown,
         )
 
@@ -139,7 +142,9 @@ class Estimator:
             return Verdict.against(Doubt.MEAN_VELOCITY, f"no mean velocity: {words}")
         samples, scales = prepared.samples, reading.scales
         if place.located is not None:
-            return judge(place.located, scales, samples, assessed=reading.assessed) or verdict
+            instead = misfit(reading.goodness, prepared.library.unknown)
+            doubts = judge(place.located, scales, samples, instead, assessed=reading.assessed)
+            return doubts or verdict
         return (imprecise(scales) if reading.assessed else None) or verdict
 
     def to_json(self) -> str:

@@ -19,7 +19,12 @@ RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the
 
 
 def judge(
-    located: Located, scales: Sequence[ScaleEstimate], samples: Samples, *, assessed: bool
+    located: Located,
+    scales: Sequence[ScaleEstimate],
+    samples: Samples,
+    instead: Verdict | None = None,
+    *,
+    assessed: bool,
 ) -> Verdict | None:
     """The first reason not to believe modes off the grid; None where there is none.
 
@@ -27,8 +32,11 @@ def judge(
         located: the modes and their rivals.
         scales: the estimates of the modes, fastest first.
         samples: of the flight.
+        instead: the verdict ``misfit`` where the flow seems to be another than was fitted; less
+            than one period of a flow does not tell that.
         assessed: whether standard errors were asked for: values known too poorly are doubted.
     """
+    short = _short(located, scales)
     return (
         _still(located, samples)
         or _few(located)
@@ -36,8 +44,10 @@ def judge(
         or _undetected(located)
         or _at_edge(located)
         or _left_over(located)
+        or (instead if short is None else None)
         or _mistaken(located)
         or (imprecise(scales) if assessed else None)
+        or short
     )
 
 
@@ -116,6 +126,15 @@ def _at_edge(located: Located) -> Verdict | None:
         f"{which} length scale is at the edge of the search, {math.pi / located.edge:.3g} m; "
         "widen the grid's bounds",
     )
+
+
+def _short(located: Located, scales: Sequence[ScaleEstimate]) -> Verdict | None:
+    """Whether the flight covers less than one period, 2 L, of the fastest flow."""
+    extent, period = located.space.extent, 2 * scales[0].length_scale
+    if not extent < period:
+        return None
+    words = f"the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} m"
+    return Verdict.against(Doubt.SHORT_TRACK, f"{words}; fly farther")
 
 
 def _left_over(located: Located) -> Verdict | None:

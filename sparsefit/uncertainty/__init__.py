@@ -1,6 +1,8 @@
 """How sure an estimate is, and what smoothing and noise take from it."""
 
 from sparsefit.uncertainty.assessment import Assessment, ModeAssessment, assess
+from sparsefit.uncertainty.causes import Cause, Suspect
+from sparsefit.uncertainty.goodness import Goodness
 from sparsefit.uncertainty.noise import LAGS
 from sparsefit.uncertainty.record import Uncertainty
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
@@ -8,7 +10,10 @@ from sparsefit.uncertainty.vehicle import VehicleUncertainty
 __all__ = [
     "LAGS",
     "Assessment",
+    "Cause",
+    "Goodness",
     "ModeAssessment",
+    "Suspect",
     "Uncertainty",
     "VehicleUncertainty",
     "assess",

@@ -15,6 +15,7 @@ from sparsefit.library.nuisance import Nuisance, VehicleEstimate
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
 from sparsefit.uncertainty.corrected import Known, corrected
+from sparsefit.uncertainty.goodness import Goodness, goodness_of
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import MODE, reader
 from sparsefit.uncertainty.record import Uncertainty
@@ -49,11 +50,13 @@ class Assessment:
         modes: the values of each mode, corrected where asked.
         vehicle: the vehicle and the wind that fit best, None where all of it was known.
         vehicle_uncertainty: how sure what was unknown of them is.
+        goodness: how well the modes fit.
     """
 
     modes: tuple[ModeAssessment, ...]
     vehicle: VehicleEstimate | None = None
     vehicle_uncertainty: VehicleUncertainty | None = None
+    goodness: Goodness | None = None
 
 
 def assess(
@@ -89,12 +92,14 @@ def assess(
     if known is None:
         return None
     count = len(MODE) * len(fit.parameters)
-    values, errors = (array[:count].reshape(-1, 3) for array in (known.values, known.errors))
-    modes = tuple(_mode(*pair) for pair in zip(values, errors, strict=True))
+    every = known.values, known.errors, known.freedom
+    by_mode = [array[:count].reshape(-1, 3) for array in every]
+    modes = tuple(_mode(*one) for one in zip(*by_mode, strict=True))
+    goodness = goodness_of(model, known.left, modes[0].mean_velocity)
     if not nuisance.unknown:
-        return Assessment(modes)
-    beside = Known(known.values[count:], known.errors[count:])
-    return Assessment(modes, *_vehicle(vehicle, beside))
+        return Assessment(modes, goodness=goodness)
+    beside = Known(known.values[count:], known.errors[count:], known.freedom[count:])
+    return Assessment(modes, *_vehicle(vehicle, beside), goodness=goodness)
 
 
 def _as_found(
@@ -113,20 +118,21 @@ def _as_found(
     return turned, Nuisance(vehicle.unknown, found)
 
 
-def _mode(values: Array, errors: Array) -> ModeAssessment:
+def _mode(values: Array, errors: Array, freedom: Array) -> ModeAssessment:
     speed, scale, _ = values.tolist()
     each = (speed, scale, scale / speed)  # tau_w is L / U0, whatever was cut of a correction
-    return ModeAssessment(*each, Uncertainty.around(list(each), errors.tolist()))
+    return ModeAssessment(*each, Uncertainty.around(each, errors.tolist(), freedom.tolist()))
 
 
 def _vehicle(vehicle: VehicleEstimate, known: Known) -> tuple[VehicleEstimate, VehicleUncertainty]:
     """The vehicle with the values that were read of it, in the order of what is unknown."""
-    values: dict[str, tuple[float, ...]] = {}
-    errors: dict[str, tuple[float, ...]] = {}
+    parts: list[dict[str, tuple[float, ...]]] = [{}, {}, {}]
     first = 0
     for name in vehicle.unknown:
         part = slice(first, first + (1 if name == "response_time" else 2))
-        values[name], errors[name] = (tuple(a[part].tolist()) for a in (known.values, known.errors))
+        for own, array in zip(parts, (known.values, known.errors, known.freedom), strict=True):
+            own[name] = tuple(array[part].tolist())
         first = part.stop
+    values = parts[0]
     read: dict[str, Any] = {n: v[0] if n == "response_time" else v for n, v in values.items()}
-    return replace(vehicle, **read), VehicleUncertainty.around(values, errors)
+    return replace(vehicle, **read), VehicleUncertainty.around(*parts)

@@ -1,14 +1,15 @@
 """What is read of a fit, less its bias where asked, and how sure it is.
 
-The variance is that of the noise carried through the filters (`noise`). Of bias (`bias`) that is
-corrected, what is doubtful counts as a standard error; of bias that is left in, all of it. Where
-residuals are no noise at all, the truncation that is left has one sign over many samples: half of
-what it could add up to is added.
+The variance is that of the noise carried through the filters (`noise`), and where what is left is
+coloured (`turbulence`) at least the mean of what its spectrum and a jackknife say. Of bias (`bias`)
+that is corrected, what is doubtful counts as a standard error; of bias that is left in, all of it.
+Where residuals are no noise at all, the truncation that is left has one sign over many samples:
+half of what it could add up to is added.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from sparsefit.uncertainty import bias, noise
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import Reader
+from sparsefit.uncertainty.turbulence import Turbulence, jackknifed
 
 # Of a correction, what counts as a standard error: terms of second order are left out.
 DOUBT_OF_TRUNCATION, DOUBT_OF_NOISE = 0.2, 0.5
@@ -29,10 +31,19 @@ COHERENT, QUADRATURE = 0.5, 2.0  # of what it could add up to; weak rows fit mos
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Values (f,) that were read of a fit, and their standard errors (f,), inf where not told."""
+    """Values that were read of a fit, how sure they are, and what the fit leaves.
+
+    Args:
+        values: (f,).
+        errors: their standard errors (f,), inf where not told.
+        freedom: the degrees of freedom of these (f,), inf where they are certain.
+        left: what the fit leaves, against noise; None where no filters are known.
+    """
 
     values: Array
     errors: Array
+    freedom: Array
+    left: Turbulence | None = None
 
 
 def corrected(
@@ -58,14 +69,22 @@ def corrected(
             return None
         influence = model.influence(reading.gradients)
         variance = noise.lagged(influence, model.residual, lags, used)
-        known = Known(reading.values, np.sqrt(variance))
-    return Known(known.values, np.where(lost, np.inf, known.errors))
+        known = Known(reading.values, np.sqrt(variance), np.full(len(variance), np.inf))
+    return replace(known, errors=np.where(lost, np.inf, known.errors))
 
 
 def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     """Values and standard errors where the filters are known."""
     reading, less = read(fit.model), bias.without_truncation(fit)
-    variance, levels = noise.carried(fit, reading.gradients, less.at_samples)
+    observed = noise.Observed(fit, less.at_samples)
+    by_theta = fit.model.information.solved(reading.gradients.T)
+    influence, levels = noise.Influence.of(observed, by_theta), observed.levels
+    variance, freedom = levels @ influence.by_noise, np.full(len(reading.values), np.inf)
+    left = Turbulence(observed)
+    if left.found:
+        coloured, freedom = left.variances(influence)
+        apart = jackknifed(fit.model, reading.gradients)
+        variance = np.maximum(variance, 0.5 * (coloured + apart))
     variance = variance + _coherent(fit, reading.gradients, less.errors)
     spread = np.sqrt(variance)
     step = read(less.model).values - reading.values
@@ -75,7 +94,8 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
         step = read(fit.model.moved(-score)).values - reading.values
         doubt = np.hypot(doubt, (DOUBT_OF_NOISE if correct else 1.0) * step)
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
-    return Known(reading.values + correct * correction, np.hypot(spread, doubt))
+    errors = np.hypot(spread, doubt)
+    return Known(reading.values + correct * correction, errors, freedom, left)
 
 
 def _coherent(fit: Filtered, gradients: Array, errors: Array) -> Array:

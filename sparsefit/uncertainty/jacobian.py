@@ -73,6 +73,13 @@ class Jacobian:
             score[self.places[t]] += products[self.picks[t], t]
         return score
 
+    def scores(self, columns: Array) -> Array:
+        """J'z (n, k) of columns z (k, 2, q) for the rows."""
+        scores = np.zeros((self.size, len(columns)))
+        for t in range(2):
+            scores[self.places[t]] += self.columns[self.picks[t]] @ columns[:, t].T
+        return scores
+
     def times(self, by_theta: Array) -> Array:
         """J times directions (n, f) of theta, (f, 2, q)."""
         return self._combined(by_theta, self.columns)
@@ -90,14 +97,14 @@ class Jacobian:
         """sum_t J_t'S J_t (n, n), from the products (u, u) of `columns` under some S."""
         summed = np.zeros((self.size, self.size))
         for pick, place in zip(self.picks, self.places, strict=True):
-            summed[np.ix_(place, place)] += products[np.ix_(pick, pick)]
+            summed[place[:, None], place] += products[pick[:, None], pick]
         return summed
 
     def onto_columns(self, form: Array) -> Array:
         """The form (u, u) in `columns` that is sum_t J_t K J_t', K (n, n) in theta."""
         summed = np.zeros((len(self.columns), len(self.columns)))
         for pick, place in zip(self.picks, self.places, strict=True):
-            summed[np.ix_(pick, pick)] += form[np.ix_(place, place)]
+            summed[pick[:, None], pick] += form[place[:, None], place]
         return summed
 
     def _combined(self, by_theta: Array, columns: Array) -> Array:

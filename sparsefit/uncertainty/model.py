@@ -119,6 +119,13 @@ class Model:
         """c (f, 2, q): errors e of the rows move functions of theta, gradients (f, n), by c.e."""
         return self.jacobian.times(self.information.solved(gradients.T))
 
+    def freed(self, columns: Array) -> Array:
+        """What the fit leaves of columns (k, 2, q) for the rows."""
+        left: Array = columns - self.jacobian.times(
+            self.information.solved(self.jacobian.scores(columns))
+        )
+        return left
+
     def moved(self, score: Array) -> Model:
         """The model after a step (J'J)^+ score in theta, (n,)."""
         parameters, weights, coefficients = self.split(self.information.solved(score))

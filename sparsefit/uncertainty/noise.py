@@ -17,16 +17,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.arrays import Array, ComplexArray
+from sparsefit.arrays import Array, BoolArray, ComplexArray
+from sparsefit.cached import cached_property
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.derivative.filters import Filters, kicks_through
 from sparsefit.derivative.transform import fast_length
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.spectra import frequency_weights, power
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 LAGS = 20  # samples: twice the memory of a smoothing window of 11
 PASSED = 0.05  # of the power: below it the spectrum is leakage
@@ -64,23 +69,127 @@ class Passage:
         return through
 
 
-def carried(fit: Filtered, gradients: Array, errors: Array) -> tuple[Array, Array]:
-    """Variances (f,) of functions of theta, gradients (f, n), and the noise levels (3,).
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What a fit leaves of Phi at the samples, by frequency, and what noise would leave there.
 
-    errors (m, 2): what the fit leaves of Phi at the samples [m/s], even where weak rows were
-    fitted: these overlap, and a sample tells more of the noise's spectrum than an average does.
+    Args:
+        fit: of rows that are made of filtered samples.
+        errors: what it leaves of Phi at the samples (m, 2) [m/s], even where weak rows were
+            fitted: these overlap, and a sample tells more of the noise's spectrum.
     """
-    passage = Passage.of(fit.filters, len(fit.samples.time))
-    spectra = fit.plain.jacobian.spectra(passage.size)
-    level = levels(fit, passage, spectra, errors)
-    by_theta = fit.model.information.solved(gradients.T)
-    influence = fit.model.jacobian.times(by_theta)
-    if fit.samples.weak is None:
-        of_influence = fit.model.jacobian.turned(by_theta, spectra)
-        by_noise = powers(fit, passage, influence, of_influence)
-    else:
-        by_noise = weak_powers(fit, fit.samples.weak, passage, influence)
-    return level @ by_noise, level
+
+    fit: Filtered
+    errors: Array
+
+    @cached_property
+    def unexplained(self) -> float:
+        """The share of the rows' variance that the fit leaves, 1 - R^2."""
+        target = self.fit.model.rows.target
+        return float(np.sum(self.fit.model.residual**2) / np.sum((target - target.mean(0)) ** 2))
+
+    @cached_property
+    def passage(self) -> Passage:
+        """The passage of raw noise to the samples."""
+        return Passage.of(self.fit.filters, len(self.fit.samples.time))
+
+    @cached_property
+    def spectra(self) -> ComplexArray:
+        """The transforms of the columns of the samples' Jacobian, (u, size/2 + 1)."""
+        return self.fit.plain.jacobian.spectra(self.passage.size)
+
+    @cached_property
+    def seen(self) -> Array:
+        """The periodogram of the errors, mean of both components, (size/2 + 1,) [m^2/s^2]."""
+        observed = np.fft.rfft(np.ascontiguousarray(self.errors.T), self.passage.size)
+        seen: Array = np.sum(observed.real**2 + observed.imag**2, axis=0) / (2 * len(self.errors))
+        return seen
+
+    @cached_property
+    def squares(self) -> Array:
+        """Variances (2,) of the raw position and velocity, of which one level is sought.
+
+        Where the derivative found the noise levels of position and velocity, their ratio is known;
+        elsewhere only velocity is noisy.
+        """
+        filters = self.fit.filters
+        if not measured_noise_known(filters):
+            return np.array([0.0, 1.0])
+        return np.array([filters.sigma_position, filters.sigma_velocity]) ** 2
+
+    @cached_property
+    def shapes(self) -> Array:
+        """The spectra (2, size/2 + 1) in Phi of measured noise and of kicks, each of level 1."""
+        passage = self.passage
+        steep = float(np.mean(np.sum(self.fit.plain.gradient**2, axis=0)))  # along an axis
+        through = passage.of_flow_velocity(self.fit.response_time)
+        measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
+        return np.array([self.squares @ measured, np.abs(passage.kicks) ** 2])
+
+    def left(self, shapes: Array) -> Array:
+        """What the fit leaves of errors of these spectra, as many."""
+        return self.fit.plain.left(shapes, self.spectra, self.passage.size)
+
+    @cached_property
+    def remaining(self) -> Array:
+        """What the fit leaves of `shapes`."""
+        return self.left(self.shapes)
+
+    @property
+    def passed(self) -> BoolArray:
+        """The frequencies that the filters pass: others show leakage."""
+        passed: BoolArray = self.shapes[1] > PASSED
+        return passed
+
+    @cached_property
+    def amounts(self) -> Array:
+        """The likeliest levels (2,) of `shapes`."""
+        return likeliest(self.remaining[:, self.passed], self.seen[self.passed])
+
+    @property
+    def levels(self) -> Array:
+        """Variances (3,) of the raw position and velocity, and of tau times that of kicks."""
+        return np.array([*(self.amounts[0] * self.squares), self.amounts[1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Influence:
+    """How errors of the rows move functions of theta, and what these are at the samples.
+
+    Args:
+        fit: of rows that are made of filtered samples.
+        rows: c (f, 2, q): errors e of the rows move the functions by c.e.
+        samples: the transforms (f, 2, size/2 + 1) of the same for errors of Phi at the samples.
+    """
+
+    fit: Filtered
+    passage: Passage
+    rows: Array
+    samples: ComplexArray
+
+    @classmethod
+    def of(cls, observed: Observed, by_theta: Array) -> Influence:
+        """The influence J times `by_theta` (n, f) of theta."""
+        fit, passage = observed.fit, observed.passage
+        rows = fit.model.jacobian.times(by_theta)
+        if fit.samples.weak is None:
+            spectra = fit.model.jacobian.turned(by_theta, observed.spectra)
+        else:
+            spectra = np.fft.rfft(averaged_by(fit.samples.weak.operator, rows), passage.size)
+        return cls(fit, passage, rows, spectra)
+
+    @property
+    def by_noise(self) -> Array:
+        """What unit noise of raw position, velocity and tau times acceleration adds, (3, f)."""
+        weak = self.fit.samples.weak
+        if weak is None:
+            return powers(self.fit, self.passage, self.rows, self.samples)
+        return weak_powers(self.fit, weak, self.passage, self.rows)
+
+    def under(self, shapes: Array) -> Array:
+        """What errors of Phi of these spectra (n, size/2 + 1) add, (n, f)."""
+        weight = frequency_weights(self.passage.size)
+        return np.array([power(self.samples, weight * shape) for shape in shapes])
 
 
 def powers(fit: Filtered, passage: Passage, influence: Array, spectra: ComplexArray) -> Array:
@@ -100,10 +209,8 @@ def powers(fit: Filtered, passage: Passage, influence: Array, spectra: ComplexAr
 
 def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Array) -> Array:
     """As `powers`, for the influence (f, 2, q) of weak rows of the samples."""
-    size, count = passage.size, len(fit.samples.time)
-    flat, shape = influence.reshape(-1, influence.shape[2]).T, (*influence.shape[:2], count)
-    mean = (weak.operator.T @ flat).T.reshape(shape)
-    rate = (weak.rate.T @ flat).T.reshape(shape)
+    size = passage.size
+    mean, rate = averaged_by(weak.operator, influence), averaged_by(weak.rate, influence)
     bent = np.fft.rfft(_bent(fit.model, mean), size)
     total = np.fft.rfft(mean + fit.response_time * rate, size)
     by_raw = [
@@ -118,32 +225,17 @@ def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Arra
     return np.array([*by_raw, kicked])
 
 
+def averaged_by(operator: csr_array, influence: Array) -> Array:
+    """The influence (f, 2, m) of samples, from that (f, 2, q) of rows that an operator made."""
+    flat = influence.reshape(-1, influence.shape[2]).T
+    at_samples: Array = (operator.T @ flat).T.reshape(*influence.shape[:2], operator.shape[1])
+    return at_samples
+
+
 def _bent(model: Model, influence: Array) -> Array:
     """How errors of the positions of samples move functions, (f, 2, m), by c (f, 2, m) of Phi."""
     bent: Array = np.sum(influence[:, None] * model.gradient, axis=2)
     return bent
-
-
-def levels(fit: Filtered, passage: Passage, spectra: ComplexArray, errors: Array) -> Array:
-    """Variances (3,) of the raw position and velocity, and of tau times that of acceleration.
-
-    spectra: the transforms of the columns of the Jacobian of the samples; errors (m, 2): residuals
-    of Phi at the samples [m/s]. Where the derivative found the noise levels of position and
-    velocity, their ratio is known and measured noise has one level; elsewhere only velocity is
-    noisy.
-    """
-    steep = float(np.mean(np.sum(fit.plain.gradient**2, axis=0)))  # along an axis
-    through, kicked = passage.of_flow_velocity(fit.response_time), np.abs(passage.kicks) ** 2
-    measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
-    squares, filters = np.array([0.0, 1.0]), fit.filters
-    if measured_noise_known(filters):
-        squares = np.array([filters.sigma_position, filters.sigma_velocity]) ** 2
-    passed = kicked > PASSED
-    shapes = fit.plain.left(np.array([squares @ measured, kicked]), spectra, passage.size)
-    observed = np.fft.rfft(np.ascontiguousarray(errors.T), passage.size)
-    seen = np.sum(observed.real**2 + observed.imag**2, axis=0) / (2 * len(errors))
-    level = likeliest(shapes[:, passed], seen[passed])
-    return np.array([*(level[0] * squares), level[1]])
 
 
 def measured_noise_known(filters: Filters) -> bool:
@@ -151,7 +243,7 @@ def measured_noise_known(filters: Filters) -> bool:
     return math.isfinite(filters.sigma_position) and math.isfinite(filters.sigma_velocity)
 
 
-def likeliest(shapes: Array, observed: Array) -> Array:
+def likeliest(shapes: Array, observed: Array, rounds: int = ROUNDS) -> Array:
     """Levels >= 0 of the spectra (n, q) that are likeliest given a periodogram (q,).
 
     Multiplicative iteration for sum(log s + I/s), s = levels . shapes (Fevotte et al., 2009).
@@ -161,7 +253,7 @@ def likeliest(shapes: Array, observed: Array) -> Array:
     scaled = shapes / size[:, None]
     level = np.full(len(shapes), observed.mean() / len(shapes))
     least = 1e-300 + 1e-12 * float(observed.max())
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         inverse = level @ scaled
         inverse += least
         np.reciprocal(inverse, out=inverse)

@@ -1,7 +1,10 @@
 """The record: standard errors and intervals of U0, L and tau_w."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from scipy.special import stdtrit
 
 NORMAL_95 = 1.959963984540054
 WIDE = 0.03  # of a value, the half-width of its interval: at it, 5 % off is 1 in 1000 likely
@@ -17,6 +20,7 @@ class Uncertainty:
     """Standard errors [m/s], [m], [s], and intervals that hold the truth in 95 % of flights.
 
     Where a flight does not tell a quantity its standard error is inf, and its interval infinite.
+    freedom: the degrees of freedom of the standard errors, infinite where these are certain.
     """
 
     mean_velocity: float
@@ -25,11 +29,12 @@ class Uncertainty:
     mean_velocity_interval: tuple[float, float]
     length_scale_interval: tuple[float, float]
     timescale_interval: tuple[float, float]
+    freedom: tuple[float, float, float] = (math.inf, math.inf, math.inf)
 
     def widest(self, values: tuple[float, float, float]) -> tuple[str, float]:
         """Which of (U0, L, tau_w) is known worst, and the half-width of its interval over it."""
-        errors = [getattr(self, name) for name in NAMES]
-        shares = [NORMAL_95 * e / abs(v) for v, e in zip(values, errors, strict=True)]
+        known = zip(values, NAMES, self.freedom, strict=True)
+        shares = [reach(free) * getattr(self, name) / abs(value) for value, name, free in known]
         worst = max(range(3), key=lambda i: shares[i])
         return tuple(NAMES)[worst], shares[worst]
 
@@ -44,11 +49,26 @@ class Uncertainty:
         return f"{known}; fly longer, across more cells"
 
     @classmethod
-    def around(cls, values: list[float], errors: list[float]) -> "Uncertainty":
-        """Intervals of +- 1.96 standard errors around (U0, L, tau_w)."""
+    def around(
+        cls,
+        values: Sequence[float],
+        errors: Sequence[float],
+        freedom: Sequence[float] = (math.inf, math.inf, math.inf),
+    ) -> "Uncertainty":
+        """Intervals around (U0, L, tau_w), of standard errors with degrees of freedom."""
         sure = [error if math.isfinite(error) else math.inf for error in errors]
-        ends = [
-            (value - NORMAL_95 * error, value + NORMAL_95 * error)
-            for value, error in zip(values, sure, strict=True)
-        ]
-        return cls(sure[0], sure[1], sure[2], ends[0], ends[1], ends[2])
+        ends = [interval(*one) for one in zip(values, sure, freedom, strict=True)]
+        first, second, third = freedom
+        known = sure[0], sure[1], sure[2], ends[0], ends[1], ends[2]
+        return cls(*known, (first, second, third))
+
+
+def interval(value: float, error: float, freedom: float = math.inf) -> tuple[float, float]:
+    """The 95 % interval of a value with a standard error of so many degrees of freedom."""
+    half = reach(freedom) * error
+    return value - half, value + half
+
+
+def reach(freedom: float) -> float:
+    """The standard errors in half a 95 % interval (Student's t), 1.96 where these are certain."""
+    return NORMAL_95 if math.isinf(freedom) else float(stdtrit(freedom, 0.975))

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from sparsefit.uncertainty.record import NORMAL_95
+from sparsefit.uncertainty.record import interval
 
 Interval = tuple[float, float]
 
@@ -24,17 +24,20 @@ class VehicleUncertainty:
 
     @classmethod
     def around(
-        cls, values: dict[str, tuple[float, ...]], spreads: dict[str, tuple[float, ...]]
+        cls,
+        values: dict[str, tuple[float, ...]],
+        spreads: dict[str, tuple[float, ...]],
+        freedom: dict[str, tuple[float, ...]] | None = None,
     ) -> "VehicleUncertainty":
-        """Intervals of +- 1.96 standard errors, of response_time (1) and pairs, by name."""
+        """Intervals of response_time (1) and pairs, by name, from standard errors.
+
+        freedom: the degrees of freedom of each; None where the standard errors are certain.
+        """
         parts: dict[str, object] = {}
         for name, own in values.items():
-            ends = tuple(_interval(*one) for one in zip(own, spreads[name], strict=True))
+            free = freedom[name] if freedom else (math.inf,) * len(own)
+            ends = tuple(interval(*one) for one in zip(own, spreads[name], free, strict=True))
             alone = name == "response_time"
             parts[name] = spreads[name][0] if alone else spreads[name]
             parts[f"{name}_interval" if alone else f"{name}_intervals"] = ends[0] if alone else ends
         return cls(**parts)  # type: ignore[arg-type]
-
-
-def _interval(value: float, spread: float) -> Interval:
-    return value - NORMAL_95 * spread, value + NORMAL_95 * spread

@@ -33,7 +33,7 @@ def test_bounds_that_exclude_the_truth_are_flagged(lower, upper, seed):
     # L/2 = 2.105 m and 2L = 8.42 m, the harmonics, are within some of them.
     for noise in (0.0, 0.3):
         found = estimate(flown(seed=seed, velocity_noise=noise), lower, upper)
-        assert found.status == "unidentifiable"
+        assert found.status in ("unidentifiable", "misfit")
         assert found.reason
 
 

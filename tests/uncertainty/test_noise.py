@@ -16,10 +16,10 @@ from sparsefit.modes.fitted_rows import Rows, centred
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.noise import (
+    Influence,
+    Observed,
     Passage,
-    carried,
     lagged,
-    levels,
     overlap,
     powers,
     weak_powers,
@@ -65,7 +65,10 @@ def test_variance_is_that_of_white_noise_through_the_filters():
         errors = errors - np.einsum("itm,mi->mt", fit.model.gradient, place)
         sums.append(np.einsum("ftm,mt->f", influence, errors))
     # The level is read from one draw of the errors.
-    variance, level = carried(fit, gradients, errors)
+    observed = Observed(fit, errors)
+    level = observed.levels
+    by_theta = fit.model.information.solved(gradients.T)
+    variance = level @ Influence.of(observed, by_theta).by_noise
     np.testing.assert_allclose(variance, np.var(sums, axis=0), rtol=0.35)
     assert level[0] / level[1] == pytest.approx((0.02 / 0.3) ** 2)
 
@@ -75,8 +78,6 @@ def test_levels_are_those_of_the_noise_without_counting_parameters():
     exact, rng, found = flown(), np.random.default_rng(4), []
     fit = filtered_of(Derivative("midpoint")(exact))
     fit = replace(fit, filters=replace(fit.filters, sigma_position=0.0, sigma_velocity=0.3))
-    passage = Passage.of(fit.filters, len(fit.samples.time))
-    spectra = fit.model.jacobian.spectra(passage.size)
     _, velocity, acceleration = fit.filters.raw
     kernel = velocity[1] + VEHICLE.response_time * acceleration[1]
     for _ in range(40):
@@ -84,8 +85,7 @@ def test_levels_are_those_of_the_noise_without_counting_parameters():
         errors = np.stack([np.correlate(row, kernel, "valid") for row in noise.T], axis=1)
         by_theta = fit.model.information.solved(fit.model.jacobian.score(errors))
         left = errors - fit.model.jacobian.times(by_theta[:, None])[0].T
-        level = levels(fit, passage, spectra, left)
-        found.append(level[1])
+        found.append(Observed(fit, left).levels[1])
     assert np.mean(found) == pytest.approx(0.3**2, rel=0.02)
 
 

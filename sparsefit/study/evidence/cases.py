@@ -21,7 +21,16 @@ PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 SYMBOLS = {"mean_velocity": "U0", "length_scale": "L_w", "timescale": "τ_w"}
 TEX_SYMBOLS = {"mean_velocity": "$U_0$", "length_scale": "$L_w$", "timescale": r"$\tau_w$"}
 UNITS = {"mean_velocity": "m/s", "length_scale": "m", "timescale": "s"}
-STATUSES = ("ok", "inaccurate", "unidentifiable", "error", "timeout", "crashed", "skipped")
+STATUSES = (
+    "ok",
+    "misfit",
+    "inaccurate",
+    "unidentifiable",
+    "error",
+    "timeout",
+    "crashed",
+    "skipped",
+)
 ESTIMATED = ("ok", "inaccurate")
 DEFAULT = "default"
 SETTING = ("protocol", "backend", "label", "settings")

@@ -134,12 +134,14 @@ def identifiability(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
         (statistic(MEASURES[name], "number"), statistic(MEASURES[name]))
         for name in ("off", "deserved", "called-so", "false-alarms")
     )
-    ok, refused = with_status("ok"), with_status("unidentifiable")
+    ok, misfit, refused = map(with_status, ("ok", "misfit", "unidentifiable"))
+    misfits = (misfit,) if _int(misfit, cases) else ()
+    told = (ok, misfit, refused)
     share = Statistic(Column("ok", "%", ".1f"), lambda part: 100 * _int(ok, part) / len(part))
-    other = counted("other", lambda part: len(part) - _int(ok, part) - _int(refused, part))
+    other = counted("other", lambda part: len(part) - sum(_int(one, part) for one in told))
     shown = (
         *(_of_part(one, "flow", flow=True)
-          for one in (PLANNED, ok, share, *off, refused, *deserved, other)),
+          for one in (PLANNED, ok, share, *off, *misfits, refused, *deserved, other)),
         *(_of_part(one, "no flow", flow=False) for one in (PLANNED, alarms[0], so[1])),
     )  # fmt: skip
     return table_of(asked, study, setting_columns(swept), rows, shown)

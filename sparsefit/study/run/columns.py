@@ -99,6 +99,17 @@ def _of_certificate(name: str, kind: Kind, field: str) -> Column:
     return Column(name, kind, read=lambda case: getattr(case.estimate.certificate, field, None))
 
 
+def _of_goodness(name: str, field: str) -> Column:
+    """A field of how well refined modes fit, where they were assessed."""
+    return Column(name, SINGLE, read=lambda case: getattr(case.estimate.goodness, field, None))
+
+
+def _cause(case: Reading) -> str | None:
+    """What the flow seems to be instead, where it seems so."""
+    goodness = case.estimate.goodness
+    return str(goodness.suspect.cause) if goodness and goodness.suspect else None
+
+
 def _of_scales(name: str, kind: Kind, read: Callable[[ScaleSets], Value]) -> Column:
     """What is said of several scales at once: nothing where one flow is read as one."""
     return Column(
@@ -157,6 +168,12 @@ COLUMNS: tuple[Column, ...] = (
     Column("prediction_error", SINGLE, read=lambda case: case.prediction_error),
     Column("outliers", WHOLE, read=lambda case: case.estimate.repairs.outliers),
     Column("repairs", TEXT, read=lambda case: case.estimate.repairs.words),
+    _of_goodness("r_squared", "r_squared"),
+    _of_goodness("whiteness", "whiteness"),
+    _of_goodness("turbulence_ratio", "likelihood_ratio"),
+    _of_goodness("turbulence", "turbulence"),
+    _of_goodness("turbulence_share", "turbulence_share"),
+    Column("cause", TEXT, read=_cause),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 

@@ -1,0 +1,49 @@
+"""What the flow seems to be instead of the one that was fitted, in words."""
+
+from __future__ import annotations
+
+import math
+
+from sparsefit.estimator.doubt import Doubt, Verdict
+from sparsefit.uncertainty import Cause, Goodness, Suspect
+
+FREED = {Cause.WIND: "wind", Cause.RESPONSE_TIME: "response_time"}  # what a library can free
+
+
+def misfit(goodness: Goodness | None, unknown: tuple[str, ...] = ()) -> Verdict | None:
+    """The verdict ``misfit`` with its cause and remedy in words; None where nothing is suspected.
+
+    unknown: what the library had freed already.
+    """
+    suspect = goodness.suspect if goodness else None
+    if goodness is None or suspect is None:
+        return None
+    words = f"more than noise is left (R² {goodness.r_squared:.4g}): {_words(suspect, goodness)}"
+    if suspect.cause in FREED:
+        names = ", ".join(f'"{name}"' for name in (*unknown, FREED[suspect.cause]))
+        words += f"; free it: unknown = [{names}]"
+    return Verdict("misfit", words, Doubt.MISFIT)
+
+
+def _words(suspect: Suspect, goodness: Goodness) -> str:
+    size = suspect.size
+    match suspect.cause:
+        case Cause.WIND:
+            return f"there seems to be a wind of ({size[0]:.2g}, {size[1]:.2g}) m/s"
+        case Cause.RESPONSE_TIME:
+            longer = "longer" if size[0] > 0 else "shorter"
+            return f"the response time seems {abs(size[0]):.2g} s {longer} than it is believed"
+        case Cause.SWELLING:
+            return f"the mean velocity seems to change in time, by {100 * size[0]:.2g} % rms"
+        case Cause.DRIFT:
+            return f"the cells seem to drift at about ({size[0]:.2g}, {size[1]:.2g}) m/s"
+        case Cause.TURN:
+            return f"the cells seem turned, by about {math.degrees(size[0]):.2g} degrees"
+        case Cause.STRETCH:
+            axes = "x than in y" if size[0] > 0 else "y than in x"
+            return f"the cells seem longer in {axes}, by about {100 * abs(size[0]):.2g} %"
+        case Cause.TURBULENCE:
+            share = 100 * goodness.turbulence_share
+            return (
+                f"turbulence of {size[0]:.2g} m/s, {share:.2g} % of U0, and hardly any steady cells"
+            )

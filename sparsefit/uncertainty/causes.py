@@ -1,0 +1,147 @@
+"""Named causes of a misfit: what a flow that is there could be instead, each tested by its score.
+
+With w the fitted flow, grad w its gradient, and t the time from the middle of the flight, a fit of
+steady cells leaves to first order c.z of what it does not know:
+
+    wind        z = (1, 0), (0, 1)                                      c [m/s]
+    response    z = (v - w)/tau, as Phi = v + tau (v' - a)              c [s]
+    swelling    z = w cos(j pi (t/T + 1/2)), j = 1..4                   c relative
+    drift       z = -t d_x w, -t d_y w                                  c [m/s]
+    turn        z = e x w - ((e x r).grad) w, e the third axis          c [rad]
+    stretch     z = y d_y w - x d_x w + (w_x, -w_y)                     c relative, of either axis
+
+Less what the fit has freed of them, the scores z'e are normal with the covariance Z'SZ of the noise
+of the sensors and of kicks (Rao, 1948), and s'(Z'SZ)^-1 s is chi^2 of as many degrees. What is left
+of turbulence has large scores as well. What tells a cause from it is the share of the squares that
+the cause takes away, or that nothing coloured is left without it. Turbulence moves the vehicle, so
+that the share of a response time says nothing of either.
+
+Causes whose columns are alike share the score: of the best three the one that leaves least is told.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from scipy.special import gammaincc
+
+from sparsefit.arrays import Array
+from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.spectra import frequency_weights
+from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
+
+CHANCE = 1e-4  # of a score as large, at most: six causes are tried
+TAKEN = 0.25  # of the squares that are left, under turbulence, that a cause takes away
+RELIEVED = 5.0  # the likelihood ratio of turbulence where a cause has taken it all away
+FREED = 1e-6  # of a column, less of it is left: the fit has it already
+BEST = 3  # causes that are compared by what they leave
+SWELLINGS = 4  # cosines
+MOST = 0.4  # of U0: with more turbulence than this there are hardly any steady cells
+
+
+class Cause(StrEnum):
+    """What steady cells, a known vehicle and no wind leave unsaid of a flow."""
+
+    WIND = "wind"
+    RESPONSE_TIME = "response-time"
+    SWELLING = "swelling"
+    DRIFT = "drift"
+    TURN = "turn"
+    STRETCH = "stretch"
+    TURBULENCE = "turbulence"
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A named cause of what a fit leaves, and roughly how large it is.
+
+    Args:
+        cause: what it is.
+        size: to first order: wind and drift (x, y) [m/s], response time less the believed [s],
+            turn [rad], swelling (rms) and stretch of x over y as shares; turbulence, rms [m/s].
+        p_value: of a score as large by chance.
+        share: of the squares that are left, what freeing the cause takes away.
+    """
+
+    cause: Cause
+    size: tuple[float, ...]
+    p_value: float
+    share: float
+
+
+def columns(fit: Filtered) -> dict[Cause, Array]:
+    """The columns (k, 2, m) of each cause at the samples of a fit."""
+    model, velocity = fit.plain, fit.samples.velocity.T
+    flow, (along_x, along_y) = model.flow.T, model.gradient
+    x, y = model.rows.position[:, :2].T
+    time = fit.samples.time - 0.5 * (fit.samples.time[0] + fit.samples.time[-1])
+    phase = math.pi * (time / (time[-1] - time[0]) + 0.5)
+    one, none = np.ones_like(time), np.zeros_like(time)
+    return {
+        Cause.WIND: np.array([[one, none], [none, one]]),
+        Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time,
+        Cause.SWELLING: np.array([flow * np.cos(j * phase) for j in range(1, SWELLINGS + 1)]),
+        Cause.DRIFT: np.array([-time * along_x, -time * along_y]),
+        Cause.TURN: (np.array([-flow[1], flow[0]]) - x * along_y + y * along_x)[None],
+        Cause.STRETCH: (y * along_y - x * along_x + np.array([flow[0], -flow[1]]))[None],
+    }
+
+
+def suspected(left: Turbulence, mean_velocity: float) -> Suspect | None:
+    """What the flow seems to be instead of what was fitted; None where noise explains what is left.
+
+    mean_velocity: U0 of the fastest cells that were fitted [m/s].
+    """
+    if left.observed.unexplained <= TRUNCATION:
+        return None
+    own = columns(left.observed.fit)
+    tried = [_tested(left, cause, each) for cause, each in own.items()]
+    guilty = [one for one in tried if one is not None and _guilty(left, one, own[one.cause])]
+    nearest = sorted(guilty, key=lambda one: one.p_value)[: len(own) if left.found else BEST]
+    if not nearest and left.speed > MOST * mean_velocity:
+        return Suspect(Cause.TURBULENCE, (left.speed,), math.exp(-left.ratio / 2), 1.0)
+    return max(nearest, key=lambda one: one.share, default=None)
+
+
+def _guilty(left: Turbulence, suspect: Suspect, own: Array) -> bool:
+    if suspect.p_value >= CHANCE:
+        return False
+    if not left.found:
+        return True
+    if suspect.share > TAKEN and suspect.cause is not Cause.RESPONSE_TIME:
+        return True
+    return relieved(left, own).ratio < RELIEVED
+
+
+def relieved(left: Turbulence, own: Array) -> Turbulence:
+    """What is left after columns (k, 2, m) are freed as well, by least squares."""
+    observed = left.observed
+    freed = observed.fit.plain.freed(own).reshape(len(own), -1)
+    taken = np.linalg.lstsq(freed.T, observed.errors.T.ravel(), rcond=None)[0] @ freed
+    return Turbulence(replace(observed, errors=observed.errors - taken.reshape(2, -1).T))
+
+
+def _tested(left: Turbulence, cause: Cause, own: Array) -> Suspect | None:
+    """The score of a cause, and its size by least squares; None where the fit has freed it."""
+    observed, count = left.observed, len(own)
+    freed, errors = observed.fit.plain.freed(own), observed.errors.T.ravel()
+    flat = freed.reshape(count, -1)
+    if np.sum(flat**2) <= FREED**2 * np.sum(own**2):
+        return None
+    score, gram = flat @ errors, flat @ flat.T
+    spectra = np.fft.rfft(freed, observed.passage.size).view(np.float64)
+    parts = spectra.reshape(count, -1)
+    weighted = frequency_weights(observed.passage.size) * (observed.amounts @ observed.shapes)
+    covariance = (parts * np.tile(np.repeat(weighted, 2), 2)) @ parts.T
+    statistic = float(score @ np.linalg.pinv(covariance, hermitian=True) @ score)
+    size = np.linalg.pinv(gram, hermitian=True) @ score
+    share = float(score @ size) / float(errors @ errors)
+    told = size
+    if cause is Cause.SWELLING:
+        told = np.array([math.sqrt(0.5 * float(size @ size))])
+    elif cause is Cause.STRETCH:
+        told = 2 * size
+    return Suspect(cause, tuple(told.tolist()), float(gammaincc(count / 2, statistic / 2)), share)
