@@ -164,7 +164,8 @@ def test_json_has_every_scale_and_the_estimator_comes_back():
     assert scale["length_scale"] == record["length_scale"]
     values = {"mean_velocity", "length_scale", "timescale"}
     assert set(scale) == values | {"grid_length_scale", "uncertainty"}
-    assert set(scale["uncertainty"]) == values | {f"{name}_interval" for name in values}
+    intervals = {f"{name}_interval" for name in values}
+    assert set(scale["uncertainty"]) == values | intervals | {"freedom"}
     assert scale["uncertainty"] == record["uncertainty"]
     assert Estimator().estimate(flight()).to_dict()["scales"] == []
 
