@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 import types
+import unicodedata
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from sparsefit.errors import InputError, is_integer, is_number, is_real, suggestion
 
 Record = TypeVar("Record")
+CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,15 @@ def build(kind: type[Record], values: Mapping[str, object], place: Place) -> Rec
     """The frozen dataclass ``kind`` with these values; for those left out its defaults hold.
 
     A field that is itself a dataclass takes a mapping. Raises InputError, which names the place
-    and, for a name, the nearest valid one, on a key that is no field, on a value that is not of
-    the field's type, and on what the record refuses.
+    and, for a name, the nearest valid one, on a key that is no field or is missing, on a value
+    that is not of the field's type, and on what the record refuses.
     """
     hints = get_type_hints(kind)
     only(values, (field.name for field in fields(cast(Any, kind))), place)
     fitted = {key: _fitted(value, hints[key], place.at(key)) for key, value in values.items()}
+    for field in fields(cast(Any, kind)):
+        if field.name not in values and field.default is field.default_factory is MISSING:
+            raise place.at(field.name).error("missing: give it")
     return made(kind, fitted, place)
 
 
@@ -92,6 +97,17 @@ def only(values: Iterable[str], valid: Iterable[str], place: Place) -> None:
     for key in values:
         if key not in known:
             raise place.at(key).error("unknown" + suggestion(key, known))
+
+
+def text(value: object, place: Place) -> str:
+    """One non-empty line of text."""
+    if not isinstance(value, str):
+        raise place.error(f"must be text in quotes, not {shown(value)}")
+    if not value.strip() or "\n" in value:
+        raise place.error("must be one non-empty line of text")
+    if any(unicodedata.category(one) in CONTROL for one in value):
+        raise place.error(f"must not hold control characters: {shown(value)}")
+    return value
 
 
 def mapping(value: object, place: Place) -> Mapping[str, object]:
@@ -137,6 +153,8 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
         return number(value, place)
     if hint is int:
         return integer(value, place, least=0)
+    if hint is str:
+        return text(value, place)
     if get_origin(hint) is tuple:
         return _tuple(value, get_args(hint), place)
     if get_origin(hint) is Mapping:
@@ -146,7 +164,7 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
         inner = ".".join(name for name in (place.section, place.key) if name)
         return build(cast(type[Any], hint), mapping(value, place), place.within(inner))
     if isinstance(hint, type) and not isinstance(value, hint):
-        kind = {"str": "text in quotes", "bool": "true or false"}.get(hint.__name__, hint.__name__)
+        kind = "true or false" if hint is bool else hint.__name__
         raise place.error(f"must be {kind}, not {shown(value)}")
     return value
 

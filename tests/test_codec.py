@@ -1,5 +1,6 @@
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -28,6 +29,8 @@ class Craft:
     wing: Wing = Wing()
     tail: bool = False
     marks: tuple[str, ...] = ()
+    size: tuple[float, float] | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)
 
 
 def refusal(values):
@@ -51,11 +54,20 @@ def test_what_is_left_out_is_the_default_and_an_integer_is_a_number():
     assert build(Craft, {"name": "a", "wing": Wing(1.0)}, HERE).wing == Wing(1.0)
 
 
+def test_lists_become_tuples_and_one_item_needs_no_list():
+    values = {"name": "a", "marks": "x", "size": [1, 2], "parts": {"nose": 1}}
+    craft = build(Craft, values, HERE)
+    assert (craft.marks, craft.size, craft.parts) == (("x",), (1.0, 2.0), {"nose": 1.0})
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [
         ({"nme": "a"}, '[craft] key "nme" unknown: did you mean "name"?'),
-        ({"zzz": 1}, '[craft] key "zzz" unknown (known: kind, marks, name, tail, wing)'),
+        (
+            {"zzz": 1},
+            '[craft] key "zzz" unknown (known: kind, marks, name, parts, size, tail, wing)',
+        ),
         ({"name": 3}, '[craft] key "name" must be text in quotes, not 3'),
         ({"name": None}, '[craft] key "name" must be text in quotes, not None'),
         ({"name": "a", "tail": 1}, '[craft] key "tail" must be true or false, not 1'),
@@ -69,7 +81,11 @@ def test_what_is_left_out_is_the_default_and_an_integer_is_a_number():
         ({"wing": {"flaps": 2.0}}, '[craft.wing] key "flaps" must be a whole number, not 2.0'),
         ({"wing": {"flaps": -1}}, '[craft.wing] key "flaps" must be at least 0, not -1'),
         ({"wing": {"span": -1.0}}, "[craft.wing] span is below 0; raise it"),
-        ({}, "[craft] Craft.__init__() missing 1 required positional argument: 'name'"),
+        ({}, '[craft] key "name" missing: give it'),
+        ({"name": "a\x07"}, '[craft] key "name" must not hold control characters'),
+        ({"name": "a", "marks": [3]}, '[craft] key "marks" must be text in quotes, not 3'),
+        ({"name": "a", "size": [1.0]}, 'key "size" must be 2 values in a list, not [1.0]'),
+        ({"name": "a", "parts": {"x": "y"}}, 'key "parts" must be a number, not'),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_place(values, words):

@@ -97,6 +97,16 @@ def add_setting(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Declare `--results FOLDER`, where the results of all studies are."""
+    parser.add_argument(
+        "--results",
+        default="results",
+        metavar="FOLDER",
+        help="folder of the results of all studies; default: results",
+    )
+
+
 def scalar(text: str) -> Value:
     """`0.1`, `true`, `"text"` as in TOML; anything else is text without quotes."""
     try:

@@ -12,10 +12,11 @@ from sparsefit.cli.output import (
     table_record,
     terminal_width,
 )
-from sparsefit.cli.parser import Verbs, number, verb
+from sparsefit.cli.parser import Verbs, add_results, number, verb
 
 if TYPE_CHECKING:
     from sparsefit.estimator.estimator import Estimator
+    from sparsefit.study.evidence.candidates import Candidate
     from sparsefit.study.evidence.selection import Selection
     from sparsefit.study.spec.design import Cell
     from sparsefit.study.spec.study import Study
@@ -37,12 +38,7 @@ def add(verbs: Verbs) -> None:
         example=EXAMPLE,
     )
     parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
-    parser.add_argument(
-        "--results",
-        default="results",
-        metavar="FOLDER",
-        help="folder of the results of all studies; default: results",
-    )
+    add_results(parser)
     parser.add_argument(
         "--criterion",
         metavar="NAME",
@@ -99,37 +95,35 @@ def run(args: argparse.Namespace) -> int:
 
 def estimator_of(study: Study, chosen: Selection) -> Estimator:
     """The estimator that the chosen cases used."""
-    return study.estimator(next(cell for cell in study.cells if _is(cell, chosen)))
+    return study.estimator(next(cell for cell in study.cells if _is(cell, chosen.winner)))
 
 
-def _is(cell: Cell, chosen: Selection) -> bool:
+def _is(cell: Cell, winner: Candidate) -> bool:
     from sparsefit.study.spec.document import canonical_json
 
     fixed = (cell.protocol, cell.backend, cell.label, cell.canonical_settings)
-    if fixed != (chosen.protocol, chosen.backend, chosen.label, chosen.settings):
+    if fixed != tuple(map(winner.of, ("protocol", "backend", "label", "settings"))):
         return False
     # A column of levels that are not all numbers holds them as text.
     return all(
         value in (cell.levels[key], canonical_json(cell.levels[key]))
-        for key, value in chosen.factors.items()
+        for key, value in winner.factors.items()
     )
 
 
 def _record(chosen: Selection, output: str) -> dict[str, object]:
     from sparsefit.codec import finite_or_none
 
-    scores = {
-        name: finite_or_none(getattr(chosen, name))
-        for name in ("validate", "evaluate", "failure_rate", "seconds")
-    }
+    winner = chosen.winner
+    scores = ("validate", "evaluate", "failure_rate", "seconds")
     return {
         "study": chosen.study,
         "criterion": chosen.criterion,
-        "protocol": chosen.protocol,
-        "backend": chosen.backend,
-        "settings": json.loads(chosen.settings),
-        "factors": dict(chosen.factors),
-        **scores,
+        "protocol": winner.of("protocol"),
+        "backend": winner.of("backend"),
+        "settings": json.loads(winner.of("settings")),
+        "factors": dict(winner.factors),
+        **{name: finite_or_none(getattr(winner, name)) for name in scores},
         "candidates": chosen.candidates,
         "eligible": chosen.eligible,
         "output": output,
@@ -140,9 +134,10 @@ def _record(chosen: Selection, output: str) -> dict[str, object]:
 def _lines(chosen: Selection, output: str) -> list[str]:
     from sparsefit.study.report.render import to_text
 
+    winner = chosen.winner
     return [
         to_text(chosen.table, width=terminal_width()),
-        f"{output}: {chosen.backend}, {chosen.criterion} {chosen.evaluate:.3g} % on flights that "
-        "had no part in the choice",
+        f"{output}: {winner.of('backend')}, {chosen.criterion} {winner.evaluate:.3g} % on flights "
+        "that had no part in the choice",
         f"use it: sparsefit estimate FLIGHT --estimator {output}",
     ]

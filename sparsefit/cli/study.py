@@ -8,7 +8,7 @@ import dataclasses
 import sparsefit.cli.study_read as study_read
 import sparsefit.cli.study_run as study_run
 from sparsefit.cli.output import print_json
-from sparsefit.cli.parser import Parser, Run, Verbs, verb
+from sparsefit.cli.parser import Parser, Run, Verbs, add_results, verb
 
 EXAMPLE = """\
   sparsefit study check studies/NAME.toml
@@ -50,12 +50,7 @@ def add(verbs: Verbs) -> None:
 def _add_common(parser: Parser, name: str, *, reads: bool) -> None:
     parser.add_argument("study", metavar="STUDY", help="study file, .toml")
     if reads:
-        parser.add_argument(
-            "--results",
-            default="results",
-            metavar="FOLDER",
-            help="folder of the results of all studies; default: results",
-        )
+        add_results(parser)
     if name in HAVE_JSON:
         parser.add_argument("--json", action="store_true", help="print JSON")
 

@@ -78,7 +78,8 @@ def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
 def write_pages(study: Study, results: str, cases: pd.DataFrame) -> list[Path]:
     """Tables, figures and README of the stored cases; the files written, README last."""
     from sparsefit.study.report.pages import write_report
-    from sparsefit.study.run.store import WEIGHTS, read_weights
+    from sparsefit.study.run.folder import WEIGHTS
+    from sparsefit.study.run.store import read_weights
 
     folder = Path(results) / study.name
     weights = read_weights(folder) if (folder / WEIGHTS).exists() else None

@@ -366,7 +366,7 @@ class TestReport:
 
     def test_a_folder_that_cannot_be_made_is_an_input_error(self, tmp_path: Path):
         (tmp_path / "demo").write_text("a file")
-        with pytest.raises(InputError, match="cannot be written"):
+        with pytest.raises(InputError, match="choose another results folder"):
             write_report(study(), tmp_path, synthetic(2))
 
     def test_show_asks_before_it_answers(self):

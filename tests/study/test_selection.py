@@ -62,10 +62,10 @@ def chosen(frame, **options):
 
 def test_the_winner_is_that_of_validate_and_is_scored_on_evaluate():
     selection = chosen(cases({"lasso": (2.0, 9.0), "stlsq": (3.0, 1.0), "slow": (30.0, 30.0)}))
-    assert selection.backend == "lasso"
-    assert selection.settings == '{"of":"lasso"}'
-    assert selection.validate == pytest.approx(2.0)
-    assert selection.evaluate == pytest.approx(9.0)
+    assert selection.winner.of("backend") == "lasso"
+    assert selection.winner.of("settings") == '{"of":"lasso"}'
+    assert selection.winner.validate == pytest.approx(2.0)
+    assert selection.winner.evaluate == pytest.approx(9.0)
     assert (selection.candidates, selection.eligible) == (3, 3)
     rows = {row[2]: row for row in selection.table.rows}
     assert [row[2] for row in selection.table.rows] == ["lasso", "stlsq", "slow"]
@@ -79,12 +79,12 @@ def test_the_winner_is_that_of_validate_and_is_scored_on_evaluate():
 def test_a_failure_counts_as_a_hundred_percent():
     frame = cases({"lasso": (2.0, 2.0), "stlsq": (10.0, 2.0)}, failed={("lasso", 1)})
     selection = chosen(frame)
-    assert selection.backend == "stlsq"
+    assert selection.winner.of("backend") == "stlsq"
     assert selection.table.rows[1][4] == pytest.approx((5 * 2.0 + 100.0) / 6)
     assert selection.table.rows[1][5] == pytest.approx(100 / 6)
     median = chosen(frame, criterion="median-absolute-percentage-error-timescale")
-    assert median.backend == "lasso"
-    assert median.validate == pytest.approx(2.0)
+    assert median.winner.of("backend") == "lasso"
+    assert median.winner.validate == pytest.approx(2.0)
     assert "counting as 100 %" in selection.table.notes[0]
 
 
@@ -107,12 +107,12 @@ class TestLimits:
 
     def test_time(self):
         selection = chosen(self.frame, max_seconds=1.0)
-        assert (selection.backend, selection.eligible) == ("stlsq", 1)
-        assert selection.seconds == 0.5
+        assert (selection.winner.of("backend"), selection.eligible) == ("stlsq", 1)
+        assert selection.winner.seconds == 0.5
 
     def test_failure_rate(self):
-        assert chosen(self.frame, max_failure_rate=0.1).backend == "lasso"
-        assert chosen(self.frame, max_failure_rate=0.1).failure_rate == 0.0
+        assert chosen(self.frame, max_failure_rate=0.1).winner.of("backend") == "lasso"
+        assert chosen(self.frame, max_failure_rate=0.1).winner.failure_rate == 0.0
 
     def test_none_keeps_them_and_the_closest_is_named(self):
         with pytest.raises(InputError, match=r"none of the 2 candidates .* matched: stlsq, "):
@@ -167,7 +167,7 @@ class TestFactors:
         worse = frame["library.target"] == "a"
         frame.loc[worse, "est_timescale"] = 0.5 * 1.5
         selection = chosen(frame)
-        assert selection.factors == {"library.target": "b"}
+        assert selection.winner.factors == {"library.target": "b"}
         assert selection.candidates == 2
 
     def test_a_factor_of_the_flights_is_a_condition(self):
@@ -175,9 +175,9 @@ class TestFactors:
         frame = cases({"lasso": (2.0, 2.0)}, levels=levels)
         frame.loc[frame["flights.velocity_noise"] == 0.5, "est_timescale"] = 0.5 * 1.2
         selection = chosen(frame)
-        assert selection.factors == {}
+        assert selection.winner.factors == {}
         assert selection.candidates == 1
-        assert selection.validate == pytest.approx((2.0 + 20.0) / 2)
+        assert selection.winner.validate == pytest.approx((2.0 + 20.0) / 2)
 
 
 class TestInterval:

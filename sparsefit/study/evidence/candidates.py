@@ -55,7 +55,12 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One protocol, back-end, setting and estimator factors; losses per flight [%]."""
+    """One protocol, back-end and setting (`group`) at one level of the estimator's factors.
+
+    factors: those levels by dotted name, as they stand in its rows. validate, evaluate: the
+    criterion [%] on the flights of either split; failure_rate: the share of validate cases
+    without an estimate; seconds: their median time [s]; losses: (flights, cases) [%] of evaluate.
+    """
 
     group: Group
     factors: Mapping[str, Value]
@@ -69,7 +74,11 @@ class Candidate:
     def title(self) -> str:
         """One line that tells this candidate from the others."""
         chosen = [f"{name}={value}" for name, value in self.factors.items()]
-        return ", ".join([f"{self.group.key['protocol']}: {self.group.title}", *chosen])
+        return ", ".join([f"{self.group.protocol}: {self.group.title}", *chosen])
+
+    def of(self, column: str) -> str:
+        """What its rows have in a column that they share: protocol, backend, label, settings."""
+        return str(self.group.key[column])
 
     def excess(self, limits: Limits) -> float:
         """How far beyond the limits, as a sum of shares: 0 within them."""

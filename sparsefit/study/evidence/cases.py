@@ -84,13 +84,13 @@ def by_setting(cases: pd.DataFrame, *more: str) -> list[Group]:
     ]
 
 
-def first_settings(cases: pd.DataFrame) -> list[Group]:
-    """The first listed setting of each protocol and back-end, over all levels.
+def first_settings(cases: pd.DataFrame, *more: str) -> list[Group]:
+    """The first listed setting of each protocol and back-end, and first level of each of `more`.
 
     Nothing here is chosen by looking at the truth.
     """
     firsts: dict[tuple[str, Value], Group] = {}
-    for group in by_setting(cases):
+    for group in by_setting(cases, *more):
         firsts.setdefault((group.protocol, group.key["backend"]), group)
     return list(firsts.values())
 

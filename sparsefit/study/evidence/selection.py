@@ -7,7 +7,6 @@ that is less than 100 % off.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -23,6 +22,7 @@ from sparsefit.study.evidence.candidates import (
     measure_of,
     paired_interval,
 )
+from sparsefit.study.evidence.columns import setting_columns, setting_values
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
 
 if TYPE_CHECKING:
@@ -35,23 +35,14 @@ RUNNERS_UP_SHOWN = 10
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The winner, and the table that shows why.
+    """The winner of a study by a criterion, and the table that shows why.
 
-    `settings` is the back-end's canonical JSON and `factors` the swept values, dotted names, as
-    they stand in the winner's rows. `validate` and `evaluate` are the criterion [%].
+    candidates: how many there are; eligible: how many of them keep the limits.
     """
 
     study: str
     criterion: str
-    protocol: str
-    backend: str
-    label: str
-    settings: str
-    factors: Mapping[str, Value]
-    validate: float
-    evaluate: float
-    failure_rate: float
-    seconds: float
+    winner: Candidate
     candidates: int
     eligible: int
     table: Table
@@ -94,34 +85,7 @@ def select(
     # Rounding must not decide between equals: to six digits the same, the faster wins.
     ranked = sorted(eligible, key=lambda one: (float(f"{one.validate:.6g}"), one.seconds))
     table = _evidence(study, ranked, len(candidates), criterion, seed)
-    return _selection(study, ranked[0], criterion, len(candidates), len(eligible), table)
-
-
-def _selection(
-    study: Study,
-    winner: Candidate,
-    criterion: str,
-    candidates: int,
-    eligible: int,
-    table: Table,
-) -> Selection:
-    key = winner.group.key
-    return Selection(
-        study=study.name,
-        criterion=criterion,
-        protocol=str(key["protocol"]),
-        backend=str(key["backend"]),
-        label=str(key["label"]),
-        settings=str(key["settings"]),
-        factors=winner.factors,
-        validate=winner.validate,
-        evaluate=winner.evaluate,
-        failure_rate=winner.failure_rate,
-        seconds=winner.seconds,
-        candidates=candidates,
-        eligible=eligible,
-        table=table,
-    )
+    return Selection(study.name, criterion, ranked[0], len(candidates), len(eligible), table)
 
 
 def _check_finished(study: Study, cases: pd.DataFrame) -> None:
@@ -166,7 +130,7 @@ def _evidence(
     rows = tuple(_row(place, one, winner, criterion, seed) for place, one in enumerate(ranked))
     columns = (
         Column("rank", format="d"),
-        *(Column(name, align="left") for name in ("protocol", "backend", "setting", *names)),
+        *setting_columns(names),
         Column("criterion", "%", SIGNIFICANT, group="validate"),
         Column("failures", "%", ".1f", group="validate"),
         Column("median", "s", SIGNIFICANT, group="validate"),
@@ -190,11 +154,10 @@ def _evidence(
 def _row(
     place: int, one: Candidate, winner: Candidate, criterion: str, seed: int
 ) -> tuple[Value, ...]:
-    key = one.group.key
     against: tuple[Value, ...] = (None, None, None)
     if one is not winner:
         interval = paired_interval(one.losses, winner.losses, criterion.partition("-")[0], seed)
         against = (one.evaluate - winner.evaluate, *interval)
-    named = (key["protocol"], key["backend"], one.group.setting, *one.factors.values())
+    named = (*setting_values(one.group), *one.factors.values())
     scores = (one.validate, 100.0 * one.failure_rate, one.seconds, one.evaluate)
     return (place + 1, *named, *scores, *against)

@@ -105,6 +105,11 @@ def legend(figure: Figure, every: Sequence[Axes], more: Sequence[Artist] = ()) -
     figure.legend(handles=shown, loc="outside upper center", ncols=min(len(shown), columns))
 
 
+def with_unit(words: str, unit: str) -> str:
+    """Return the words of an axis with their unit in brackets, where they have one."""
+    return f"{words} [{unit}]" if unit else words
+
+
 def shortened(text: str, length: int) -> str:
     """Return `text`, its middle left out where it is longer than `length` letters."""
     half = (length - 1) // 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,7 @@ from sparsefit.study.evidence.cases import (
 from sparsefit.study.evidence.measure import TINY, Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.report.drawing import (
+    COLOURS,
     GREY,
     STYLES,
     colours,
@@ -38,6 +39,7 @@ from sparsefit.study.report.drawing import (
     share_y,
     shortened,
     ticked,
+    with_unit,
 )
 
 if TYPE_CHECKING:
@@ -66,6 +68,29 @@ class Panel:
         return self.along not in numeric_factors(self.cases)
 
 
+@dataclass(frozen=True)
+class Series:
+    """What tells the lines of a picture apart: `line` by colour, the protocol by style.
+
+    names: the values of `line`, in order; protocols: none where they have a place of their own.
+    """
+
+    line: str
+    names: tuple[str, ...]
+    protocols: tuple[str, ...]
+
+    @property
+    def keys(self) -> list[str]:
+        """The columns of the cases that a line stands for."""
+        return [self.line, *(["protocol"] if self.protocols else [])]
+
+    def style(self, group: Group) -> str:
+        """The style of a line: by protocol, or dashed where the colours begin anew."""
+        if self.protocols:
+            return STYLES[self.protocols.index(group.protocol) % len(STYLES)]
+        return "-" if self.names.index(str(group.key[self.line])) < len(COLOURS) else "--"
+
+
 def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> Figure:
     """Draw measures along a factor: a line per setting, or per protocol.
 
@@ -76,48 +101,42 @@ def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> 
     Raises:
         InputError: if the factor is not swept, or no case has the measure.
     """
-    asked.needs(study.name, "measure")
+    axes_of = _checked_axes(asked, study, cases)
     shown = _titled(cases, every=asked.settings == "every")
-    axes_of = [asked.along] if asked.along else numeric_factors(cases)
-    dimensions = ("protocol", SETTING, *factors(cases))
-    for name in (*asked.rows, *asked.columns):
-        if name not in (*dimensions, OTHERS):
-            raise refuse(study.name, f'does not sweep "{name}"', f'the figure "{asked.file_name}"')
-    output = f'the figure "{asked.file_name}"'
-    if not axes_of or not set(axes_of) <= set(dimensions):
-        what = f'"{asked.along}"' if asked.along else "number"
-        verb = "does not sweep" if asked.along else "sweeps no"
-        raise refuse(study.name, f"{verb} {what}", output)
-    if not any(np.isfinite(one.read(cases)).any() for one in asked.measures):
-        raise refuse(study.name, f"has no {asked.first.words}", output)
     grid = [row for along in axes_of for row in _rows(asked, shown, along)]
-    columns = len(grid[0])
     each = 2.1 if len(grid) < 4 else 1.6
-    figure, axes_grid = panels(len(grid), columns, height=0.9 + each * len(grid))
-    names = [str(name) for name in dict.fromkeys(shown[_line(asked)])]
-    used = {_line(asked), *asked.columns, *axes_of, *(name for row in grid for name in row[0].rows)}
-    styles = [] if "protocol" in used else [str(one) for one in dict.fromkeys(shown["protocol"])]
-    for row, axes_row in zip(grid, axes_grid, strict=True):
+    figure, axes_grid = panels(len(grid), len(grid[0]), height=0.9 + each * len(grid))
+    line = "protocol" if asked.over == "protocol" else SETTING
+    placed = {line, *asked.columns, *axes_of, *(name for row in grid for name in row[0].rows)}
+    free = () if "protocol" in placed else tuple(map(str, dict.fromkeys(shown["protocol"])))
+    series = Series(line, tuple(map(str, dict.fromkeys(shown[line]))), free)
+    lowest = {row[0].along: place for place, row in enumerate(grid)}  # of the rows of one axis
+    for place, (row, axes_row) in enumerate(zip(grid, axes_grid, strict=True)):
         for panel, axes in zip(row, axes_row, strict=True):
-            _draw(axes, panel, asked, names, styles)
+            _draw(axes, panel, asked, series)
+            if panel.along != "protocol" and lowest[panel.along] == place:
+                axes.set_xlabel(with_unit(words_of(panel.along), unit_of(panel.along)))
         _finish(row, axes_row, asked)
-        if row[0].title and not row[0].heading:
-            axes_row[0].set_title(row[0].title, loc="left", fontweight="bold")
-    for row, below, axes_row in zip(grid, [*grid[1:], None], axes_grid, strict=True):
-        along = row[0].along
-        if along != "protocol" and (below is None or below[0].along != along):
-            unit = f" [{unit_of(along)}]" if unit_of(along) else ""
-            for axes in axes_row:
-                axes.set_xlabel(f"{words_of(along)}{unit}")
+    every = [axes for row in axes_grid for axes in row]
     if asked.limits:
-        share_y([axes for row in axes_grid for axes in row], alike=True, highest=HIGHEST)
-    _legend(figure, axes_grid, asked, styles)
+        share_y(every, alike=True, highest=HIGHEST)
+    legend(figure, every, list(_explained(asked, series.protocols)))
     return figure
 
 
-def _line(asked: Asked) -> str:
-    """The dimension that a line stands for."""
-    return "protocol" if asked.over == "protocol" else SETTING
+def _checked_axes(asked: Asked, study: Study, cases: pd.DataFrame) -> list[str]:
+    """The factors that the entry draws along, each of them there and with something to show."""
+    asked.needs(study.name, "measure")
+    output, dimensions = f'the figure "{asked.file_name}"', ("protocol", SETTING, *factors(cases))
+    axes_of = [asked.along] if asked.along else numeric_factors(cases)
+    for name in (*axes_of, *asked.columns, *(one for one in asked.rows if one != OTHERS)):
+        if name not in dimensions:
+            raise refuse(study.name, f'does not sweep "{name}"', output)
+    if not axes_of:
+        raise refuse(study.name, "sweeps no number", output)
+    if not any(np.isfinite(one.read(cases)).any() for one in asked.measures):
+        raise refuse(study.name, f"has no {asked.first.words}", output)
+    return axes_of
 
 
 def _titled(cases: pd.DataFrame, *, every: bool) -> pd.DataFrame:
@@ -161,19 +180,17 @@ def _words(group: Group) -> str:
     )
 
 
-def _draw(axes: Axes, panel: Panel, asked: Asked, names: list[str], styles: Sequence[str]) -> None:
+def _draw(axes: Axes, panel: Panel, asked: Asked, series: Series) -> None:
+    names = list(series.names)
     colour, marker = colours(names), markers(names)
-    keys = [_line(asked), *(["protocol"] if styles else [])]
-    series = groups_by(panel.cases, keys)
+    groups = groups_by(panel.cases, series.keys)
     ticks = [level_text(one.key[panel.along]) for one in by_level(panel.cases, panel.along)]
-    for order, group in enumerate(series):
-        name = str(group.key[keys[0]])
+    for order, group in enumerate(groups):
+        name = str(group.key[series.line])
         # Lines that agree lie on each other: the first are drawn wider, so that all are seen.
-        width = 2.6 - 1.7 * order / max(len(series) - 1, 1)
+        width = 2.6 - 1.7 * order / max(len(groups) - 1, 1)
         at, middle, low, high = _summaries(group.cases, panel, ticks)
-        style = "-" if names.index(name) < len(colours(names[:7])) else "--"
-        if styles:
-            style = STYLES[styles.index(str(group.key["protocol"])) % len(STYLES)]
+        style = series.style(group)
         if panel.along == "protocol":  # names without an order: marks, side by side
             at = at + SPREAD * ((names.index(name) + 0.5) / len(names) - 0.5)
             style, width = "", 1.8
@@ -185,7 +202,7 @@ def _draw(axes: Axes, panel: Panel, asked: Asked, names: list[str], styles: Sequ
             lw=width, ls=style, label=name, zorder=3, clip_on=panel.measure.summary != "share",
         )  # fmt: skip
     if panel.measure.beside:
-        _beside(axes, panel, [group.cases for group in series])
+        _beside(axes, panel, [group.cases for group in groups])
     if panel.measure.target is not None:
         axes.axhline(panel.measure.target, color="black", lw=1.0, zorder=4)
     if panel.named:
@@ -233,8 +250,7 @@ def _beside(axes: Axes, panel: Panel, series: list[pd.DataFrame]) -> None:
 def _finish(row: list[Panel], axes_row: list[Axes], asked: Asked) -> None:
     for panel, axes in zip(row, axes_row, strict=True):
         measure = panel.measure
-        unit = f" [{measure.unit}]" if measure.unit else ""
-        words = f"{measure.phrase}{unit}".replace("Cramér-Rao ", "")
+        words = with_unit(measure.phrase, measure.unit).replace("Cramér-Rao ", "")
         said = [panel.title, words] if panel.title and panel.heading else [words]
         axes.set_ylabel("\n".join(textwrap.fill(line, 30) for line in said))
         if panel.along == "protocol":
@@ -251,6 +267,8 @@ def _finish(row: list[Panel], axes_row: list[Axes], asked: Asked) -> None:
                 1.01, limit, f"{limit:g} {measure.unit}", transform=axes.get_yaxis_transform(),
                 ha="left", va="center", fontsize=6.5, color=GREY,
             )  # fmt: skip
+    if row[0].title and not row[0].heading:
+        axes_row[0].set_title(row[0].title, loc="left", fontweight="bold")
     if row[0].measure.summary != "share":
         share_y(axes_row, alike=bool(asked.columns), highest=np.inf)
     if asked.columns and len(asked.measures) == 1:
@@ -259,16 +277,12 @@ def _finish(row: list[Panel], axes_row: list[Axes], asked: Asked) -> None:
             axes.tick_params(labelleft=False)
 
 
-def _legend(figure: Figure, grid: list[list[Axes]], asked: Asked, styles: Sequence[str]) -> None:
-    more: list[Line2D] = []
+def _explained(asked: Asked, styles: Sequence[str]) -> Iterator[Line2D]:
+    """What the legend has beside the lines: the bound, and the style of each protocol."""
     if any(one.beside or one.target is not None for one in asked.measures):
-        more.append(Line2D([], [], color="black", lw=1.0, label="Cramér-Rao bound"))
-    if len(styles) > 1:
-        more += [
-            Line2D([], [], color=GREY, ls=STYLES[place % len(STYLES)], label=name)
-            for place, name in enumerate(styles)
-        ]
-    legend(figure, [axes for row in grid for axes in row], more)
+        yield Line2D([], [], color="black", lw=1.0, label="Cramér-Rao bound")
+    for place, name in enumerate(styles if len(styles) > 1 else ()):
+        yield Line2D([], [], color=GREY, ls=STYLES[place % len(STYLES)], label=name)
 
 
 def pooling_note(measures: Sequence[Measure]) -> str:

@@ -18,6 +18,7 @@ from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import FIGURES, caption, figures_for
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.run.folder import made_folder
 from sparsefit.study.spec.outputs import Entry
 from sparsefit.whole_file import write_whole
 
@@ -53,7 +54,7 @@ def write_report(
         files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
         captions[name] = caption(asked)
     files["README.md"] = readme(study, cases, tables, captions).encode()
-    return _write(Path(results_dir) / study.name, files)
+    return _write(made_folder(study, results_dir), files)
 
 
 def check_outputs(study: Study) -> None:
@@ -133,13 +134,6 @@ def _table_files(study: Study, tables: dict[str, Table]) -> Iterator[tuple[str, 
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(
-            f"{folder}: cannot be written: {reason}: choose another results folder"
-        ) from None
     for name, content in files.items():
         write_whole(folder / name, content)
     return [folder / name for name in files]

@@ -10,19 +10,27 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import (
     SYMBOLS,
     UNITS,
     Group,
-    by_setting,
     estimated,
     factors,
+    first_settings,
     in_a_flow,
     numbers,
 )
-from sparsefit.study.report.drawing import GREY, colours, logarithmic, markers, panels, shortened
+from sparsefit.study.report.drawing import (
+    GREY,
+    colours,
+    legend,
+    logarithmic,
+    markers,
+    panels,
+    shortened,
+)
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -66,16 +74,14 @@ def scatter(_: Asked, study: Study, cases: pd.DataFrame, weights: object = None)
         row[0].set_ylabel(f"{shortened(shown[0].title, 34)}\n\nestimated {SYMBOLS[ORDER[0]]} [s]")
     for name, axes in zip(ORDER, grid[-1], strict=True):
         axes.set_xlabel(f"true {SYMBOLS[name]} [{UNITS[name]}]")
-    _legend(figure, grid[0][0], len(protocols))
+    if len(protocols) > 1:
+        legend(figure, grid[0][:1])
     return figure
 
 
 def first_listed(cases: pd.DataFrame) -> list[Group]:
     """Return, for every protocol and back-end, its first setting and first sweep level."""
-    firsts: dict[tuple[object, object], Group] = {}
-    for group in by_setting(cases[in_a_flow(cases)], *factors(cases)):
-        firsts.setdefault((group.protocol, group.key["backend"]), group)
-    return list(firsts.values())
+    return first_settings(cases[in_a_flow(cases)], *factors(cases))
 
 
 def _panel(axes: Axes, name: str, shown: list[Group], protocols: list[str]) -> None:
@@ -86,9 +92,8 @@ def _panel(axes: Axes, name: str, shown: list[Group], protocols: list[str]) -> N
         axes.set_ylabel(f"estimated {SYMBOLS[name]} [{UNITS[name]}]")
     colour, marker = colours(protocols), markers(protocols)
     for group in shown:
-        protocol = group.protocol
-        _points(axes, name, group.cases, frame, protocol, colour[protocol], marker[protocol])
-    _counts(axes, name, every, frame)
+        _points(axes, name, group, frame, colour[group.protocol], marker[group.protocol])
+    _counts(axes, Placed.of(every, name, frame))
 
 
 def _set_up(axes: Axes, frame: Frame) -> None:
@@ -103,44 +108,41 @@ def _set_up(axes: Axes, frame: Frame) -> None:
     axes.plot([frame.low, frame.high], [frame.low, frame.high], color=GREY, lw=0.8, zorder=1)
 
 
-def _points(
-    axes: Axes,
-    name: str,
-    cases: pd.DataFrame,
-    frame: Frame,
-    protocol: str,
-    colour: str,
-    marker: str,
-) -> None:
-    true, estimate = numbers(cases, f"true_{name}"), numbers(cases, f"est_{name}")
-    answered = estimated(cases)
-    above, below = answered & (estimate > frame.high), answered & (estimate < frame.low)
-    inside = answered & ~above & ~below
+@dataclass(frozen=True)
+class Placed:
+    """Cases by where their estimates lie: in the frame, above it, below it, or nowhere."""
+
+    inside: BoolArray
+    above: BoolArray
+    below: BoolArray
+    failed: BoolArray
+
+    @classmethod
+    def of(cls, cases: pd.DataFrame, name: str, frame: Frame) -> Placed:
+        """Return where the estimates of one parameter lie."""
+        estimate, answered = numbers(cases, f"est_{name}"), estimated(cases)
+        above, below = answered & (estimate > frame.high), answered & (estimate < frame.low)
+        return cls(answered & ~above & ~below, above, below, ~answered)
+
+
+def _points(axes: Axes, name: str, group: Group, frame: Frame, colour: str, marker: str) -> None:
+    true, estimate = (numbers(group.cases, f"{one}_{name}") for one in ("true", "est"))
+    at = Placed.of(group.cases, name, frame)
     axes.scatter(
-        true[inside], estimate[inside], s=12, marker=marker, facecolor=colour, edgecolor="white",
-        linewidth=0.3, alpha=0.85, label=protocol, zorder=3,
+        true[at.inside], estimate[at.inside], s=12, marker=marker, facecolor=colour,
+        edgecolor="white", linewidth=0.3, alpha=0.85, label=group.protocol, zorder=3,
     )  # fmt: skip
     # On the edge itself, whatever the scale of the axis: y in fractions of the frame.
     edge = axes.get_xaxis_transform()
-    for chosen, height, sign in ((above, 0.975, "^"), (below, 0.025, "v"), (~answered, 0.09, "x")):
+    for chosen, height, sign in ((at.above, 0.975, "^"), (at.below, 0.025, "v"),
+                                 (at.failed, 0.09, "x")):  # fmt: skip
         axes.scatter(
             true[chosen], np.full(chosen.sum(), height), s=16, marker=sign, color=colour,
             linewidth=0.8, transform=edge, zorder=4, clip_on=False,
         )  # fmt: skip
 
 
-def _counts(axes: Axes, name: str, cases: pd.DataFrame, frame: Frame) -> None:
-    estimate, answered = numbers(cases, f"est_{name}"), estimated(cases)
-    tally = {
-        "▲ {} above": int((answered & (estimate > frame.high)).sum()),
-        "▼ {} below": int((answered & (estimate < frame.low)).sum()),
-        "× {} failed": int((~answered).sum()),
-    }
-    words = "  ".join(text.format(count) for text, count in tally.items() if count)
+def _counts(axes: Axes, at: Placed) -> None:
+    tally = {"▲ {} above": at.above, "▼ {} below": at.below, "× {} failed": at.failed}
+    words = "  ".join(text.format(chosen.sum()) for text, chosen in tally.items() if chosen.any())
     axes.set_title(words, fontsize=6.5, color=GREY, loc="right", pad=5)
-
-
-def _legend(figure: Figure, axes: Axes, protocols: int) -> None:
-    if protocols > 1:
-        handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(protocols, 5))

@@ -12,7 +12,15 @@ from matplotlib.figure import Figure
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import Group, by_setting, estimated, factors, in_a_flow
 from sparsefit.study.evidence.measure import TINY, Measure, Share
-from sparsefit.study.report.drawing import COLOURS, GREY, colours, logarithmic, panels, shortened
+from sparsefit.study.report.drawing import (
+    COLOURS,
+    GREY,
+    colours,
+    legend,
+    logarithmic,
+    panels,
+    shortened,
+)
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -54,7 +62,9 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
             axes.set_xscale("log")
             logarithmic(axes.xaxis, *axes.get_xlim())
         _failures(row[-1], groups)
-        _protocol_legend(figure, colour)
+        if len(colour) > 1:
+            legend(figure, [], [row[0].scatter([], [], s=14, color=one, label=name)
+                                for name, one in colour.items()])  # fmt: skip
         names = [shortened(group.title, 34) for group in groups]
     row[0].set_yticks(range(len(groups)), names)
     if len(every) > ROWS:
@@ -114,12 +124,3 @@ def _failures(axes: Axes, groups: list[Group]) -> None:
             1.04, place, f"{failed}/{planned}", transform=right, fontsize=6.5, va="center",
             color="black" if failed else GREY,
         )  # fmt: skip
-
-
-def _protocol_legend(figure: Figure, colour: dict[str, str]) -> None:
-    if len(colour) > 1:
-        handles = [
-            figure.axes[0].scatter([], [], s=14, color=one, label=name)
-            for name, one in colour.items()
-        ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 5))

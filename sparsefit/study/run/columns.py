@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, TypeAlias
 
 from sparsefit.flight.flow import Cells
@@ -78,17 +79,8 @@ def _three(prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]
     return [Column(f"{prefix}_{name}", kind, read=at(name)) for name in PARAMETERS]
 
 
-def _truth(parameter: str) -> Column:
-    """A parameter of the true flow."""
-    return Column(
-        f"true_{parameter}",
-        LEVEL,
-        planned=lambda row: None if row.flow is None else getattr(row.flow, parameter),
-    )
-
-
-def _shape(name: str, read: Callable[[Cells], float]) -> Column:
-    """What says the shape or the motion of the true cells."""
+def _true(name: str, read: Callable[[Cells], float]) -> Column:
+    """What belongs to the true flow, nothing in still air."""
     return Column(
         f"true_{name}", LEVEL, planned=lambda row: None if row.flow is None else read(row.flow)
     )
@@ -134,7 +126,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("label", TEXT, planned=lambda row: row.case.cell.label),
     Column("status", TEXT),
     Column("reason", TEXT),
-    *map(_truth, PARAMETERS),
+    *(_true(name, attrgetter(name)) for name in PARAMETERS),
     *_three("est", REAL, lambda case, name: getattr(case.estimate, name)),
     Column("grid_length_scale", LEVEL, read=lambda case: case.estimate.grid_length_scale),
     Column("hit", FLAG, read=lambda case: case.hit),
@@ -159,11 +151,11 @@ COLUMNS: tuple[Column, ...] = (
     *_three("high", REAL, lambda case, name: case.interval(name)[1]),
     *_three("bound", SINGLE, Reading.bound),
     Column("doubt", TEXT, read=lambda case: case.estimate.doubt and str(case.estimate.doubt)),
-    _shape("length_scale_x", lambda cells: cells.length_scales[0]),
-    _shape("length_scale_y", lambda cells: cells.length_scales[1]),
-    _shape("heading", lambda cells: cells.heading),
-    _shape("drift_x", lambda cells: cells.drift[0]),
-    _shape("drift_y", lambda cells: cells.drift[1]),
+    _true("length_scale_x", lambda cells: cells.length_scales[0]),
+    _true("length_scale_y", lambda cells: cells.length_scales[1]),
+    _true("heading", lambda cells: cells.heading),
+    _true("drift_x", lambda cells: cells.drift[0]),
+    _true("drift_y", lambda cells: cells.drift[1]),
     Column("est_heading", SINGLE, read=lambda case: case.estimate.heading),
     Column("prediction_error", SINGLE, read=lambda case: case.prediction_error),
     Column("outliers", WHOLE, read=lambda case: case.estimate.repairs.outliers),

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import TypeAlias
 
 from sparsefit.errors import InputError
-from sparsefit.study.run import partial, store
+from sparsefit.study.run import partial
 from sparsefit.study.run.manifest import MANIFEST, read_manifest, sparsefit_version
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.study import Study
 
+CASES = "cases.parquet"
+WEIGHTS = "weights.parquet"
 Outcomes: TypeAlias = dict[tuple[int, int], Outcome]  # by flight and cell
 
 
@@ -29,7 +31,7 @@ def made_folder(study: Study, results_dir: str | Path) -> Path:
 def clear(folder: Path) -> None:
     """Remove the rows and the manifest of whatever study was run here."""
     partial.discard(folder)
-    for name in (store.CASES, store.WEIGHTS, MANIFEST):
+    for name in (CASES, WEIGHTS, MANIFEST):
         (folder / name).unlink(missing_ok=True)
 
 
@@ -48,7 +50,7 @@ def refuse_foreign(study: Study, folder: Path) -> None:
             f"{folder} was begun by sparsefit {header.get('sparsefit')}, this is "
             f"{sparsefit_version()}: use --fresh to start over, or go on with that version"
         )
-    if header is None and (folder / store.CASES).exists() and read_manifest(folder) is None:
+    if header is None and (folder / CASES).exists() and read_manifest(folder) is None:
         raise InputError(
             f"{folder} holds cases of an unknown study: use --fresh to start over, or rename"
         )
@@ -57,7 +59,7 @@ def refuse_foreign(study: Study, folder: Path) -> None:
 def is_finished(folder: Path) -> bool:
     """Whether all rows of the study are in the folder, and none are left to be put in order."""
     done = partial.read_header(folder) is None and read_manifest(folder) is not None
-    return done and (folder / store.CASES).exists()
+    return done and (folder / CASES).exists()
 
 
 def resume(study: Study, folder: Path) -> Outcomes:

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sparsefit.errors import InputError, is_integer
-from sparsefit.study.run import partial, store
+from sparsefit.study.run import partial
 from sparsefit.study.run.folder import (
     Outcomes,
     clear,
@@ -99,8 +99,7 @@ def run(
             clear(folder)
         refuse_foreign(study, folder)
         if is_finished(folder):
-            statuses = Counter(store.read_cases(folder)["status"])
-            summary = RunSummary(folder, study.planned, study.planned, statuses, 0.0)
+            summary = RunSummary(folder, study.planned, study.planned, _statuses(folder), 0.0)
         else:
             summary = _finish(study, folder, workers, progress)
         if publish:
@@ -117,7 +116,9 @@ def _finish(study: Study, folder: Path, processes: int, progress: Progress | Non
     statuses = Counter(outcome.status for outcome in done.values())
     fresh = [outcome for key, outcome in done.items() if key not in known]
     solving = solver_seconds(study, fresh)
-    store.write_cases(study, done.values(), folder)
+    from sparsefit.study.run.store import write_cases  # data frames: workers import this module
+
+    write_cases(study, done.values(), folder)
     write_manifest(
         study,
         folder,
@@ -148,11 +149,17 @@ def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
     folder = Path(results_dir) / study.name
     refuse_foreign(study, folder)
     if is_finished(folder):
-        statuses = Counter(store.read_cases(folder)["status"])
-        return RunStatus(folder, study.planned, study.planned, True, statuses)
+        return RunStatus(folder, study.planned, study.planned, True, _statuses(folder))
     rows = partial.read_rows(folder)
     statuses = Counter(outcome.status for outcome in rows.values())
     return RunStatus(folder, study.planned, len(rows), False, statuses)
+
+
+def _statuses(folder: Path) -> Counter[str]:
+    """How many cases of a finished study ended in each status."""
+    from sparsefit.study.run.store import read_cases
+
+    return Counter(read_cases(folder)["status"])
 
 
 def _work(

@@ -13,6 +13,7 @@ from sparsefit.errors import InputError, is_real
 from sparsefit.flight.flow import Cells
 from sparsefit.score import strongest
 from sparsefit.study.run.columns import COLUMNS, KINDS, LEVEL, TEXT, Column, Planned
+from sparsefit.study.run.folder import CASES, WEIGHTS
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.design import Factor
 from sparsefit.study.spec.document import canonical_json
@@ -20,8 +21,6 @@ from sparsefit.study.spec.plan import Case, flight_key
 from sparsefit.study.spec.study import Study
 from sparsefit.whole_file import whole_file
 
-CASES = "cases.parquet"
-WEIGHTS = "weights.parquet"
 WEIGHT_COLUMNS = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sparsefit import backends
-from sparsefit.codec import Place, number, shown
+from sparsefit.codec import Place, number, shown, text
 from sparsefit.errors import SparsefitError
 from sparsefit.study.spec.document import (
     Section,
@@ -18,7 +18,6 @@ from sparsefit.study.spec.document import (
     items,
     read_sections,
     required,
-    text,
 )
 
 Setting = float | int | str | bool

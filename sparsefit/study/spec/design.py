@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sparsefit.backends import settings_of
-from sparsefit.codec import Place, shown
+from sparsefit.codec import Place, shown, text
 from sparsefit.study.spec.choices import BackendChoice, Setting, make_backend
 from sparsefit.study.spec.document import (
     Section,
@@ -18,7 +18,6 @@ from sparsefit.study.spec.document import (
     read_section,
     read_sections,
     required,
-    text,
 )
 from sparsefit.study.spec.setup import SECTION_KEYS, Setup, check_dotted, override, read_setup
 

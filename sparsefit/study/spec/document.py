@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-import unicodedata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
@@ -14,7 +13,6 @@ from sparsefit.codec import Place, number, shown
 from sparsefit.errors import InputError
 
 Section: TypeAlias = Mapping[str, object]
-CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
 
 
 def read_toml(path: str | Path) -> dict[str, object]:
@@ -53,17 +51,6 @@ def positive(value: object, place: Place) -> float:
     if real <= 0.0:
         raise place.error(f"must be above 0, not {shown(value)}")
     return real
-
-
-def text(value: object, place: Place) -> str:
-    """One non-empty line of text."""
-    if not isinstance(value, str):
-        raise place.error(f"must be text in quotes, not {shown(value)}")
-    if not value.strip() or "\n" in value:
-        raise place.error("must be one non-empty line of text")
-    if any(unicodedata.category(one) in CONTROL for one in value):
-        raise place.error(f"must not hold control characters: {shown(value)}")
-    return value
 
 
 def items(value: object, place: Place) -> list[object]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from sparsefit.codec import Place, only
+from sparsefit.codec import Place, only, text
 from sparsefit.errors import suggestion
 from sparsefit.flight.turbulence import SPECTRA
-from sparsefit.study.spec.document import Section, text
+from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.draw import Draw, stream
 from sparsefit.study.spec.entry import Entry, read_entry
 from sparsefit.study.spec.quantities import (

@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from sparsefit.codec import Place, integer, number, only
-from sparsefit.study.spec.document import distinct, items, read_section, required, text
+from sparsefit.codec import Place, build, mapping, only, text
+from sparsefit.study.spec.document import distinct, items, read_section
 
 Entry: TypeAlias = str | Mapping[str, object]
 KINDS = ("tables", "figures", "answers")
-THREE = ("estimate", "deviation", "signed_error")
+Three: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Reference:
 
     name: str
     flights: int | None = None
-    estimate: tuple[float, float, float] | None = None
-    deviation: tuple[float, float, float] | None = None
-    signed_error: tuple[float, float, float] | None = None
+    estimate: Three | None = None
+    deviation: Three | None = None
+    signed_error: Three | None = None
     note: str = ""
 
 
@@ -49,10 +49,14 @@ def read_outputs(value: object, place: Place) -> Outputs:
     section = read_section(value, place.at("outputs"))
     here = place.within("outputs")
     only(section, (*KINDS, "reference"), here)
-    return Outputs(
-        **{kind: _entries(section[kind], here.at(kind)) for kind in KINDS if kind in section},
-        reference=_reference(section["reference"], here) if "reference" in section else None,
+    tables, figures, answers = (
+        _entries(section[kind], here.at(kind)) if kind in section else () for kind in KINDS
     )
+    reference = None
+    if "reference" in section:
+        printed = mapping(section["reference"], here.at("reference"))
+        reference = build(Reference, printed, place.within("outputs.reference"))
+    return Outputs(tables, figures, answers, reference)
 
 
 def name_of(entry: Entry) -> str:
@@ -71,24 +75,3 @@ def _entries(value: object, place: Place) -> tuple[Entry, ...]:
     )
     distinct([entry if isinstance(entry, str) else repr(entry) for entry in entries], place)
     return entries
-
-
-def _reference(value: object, place: Place) -> Reference:
-    section = read_section(value, place.at("reference"))
-    here = place.within("outputs.reference")
-    only(section, ("name", "flights", *THREE, "note"), here)
-    given = {key: _three(section[key], here.at(key)) for key in THREE if key in section}
-    flights = section.get("flights")
-    return Reference(
-        name=text(required(section, "name", here), here.at("name")),
-        flights=None if flights is None else integer(flights, here.at("flights"), least=1),
-        note=text(section["note"], here.at("note")) if "note" in section else "",
-        **given,
-    )
-
-
-def _three(value: object, place: Place) -> tuple[float, float, float]:
-    values = [number(item, place) for item in items(value, place)]
-    if len(values) != 3:
-        raise place.error(f"must be three numbers, for U0, L_w and tau_w, not {len(values)}")
-    return values[0], values[1], values[2]

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sparsefit.codec import Place, integer, only, shown
+from sparsefit.codec import Place, build, integer, only, shown, text
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.study.spec.choices import BackendChoice, make_backend, read_backends
@@ -21,7 +21,6 @@ from sparsefit.study.spec.document import (
     read_section,
     read_toml,
     required,
-    text,
 )
 from sparsefit.study.spec.draw import Draw
 from sparsefit.study.spec.outputs import Entry, Outputs, Reference, name_of, read_outputs
@@ -44,6 +43,24 @@ KEYS = (
 # What a case does not depend on: changing it never makes finished rows those of another study.
 PRESENTATION = ("question", "outputs")
 SPLITS = ("validate", "evaluate")
+
+
+@dataclass(frozen=True)
+class Run:
+    """How cases are run: seconds that one may take, and the tolerance of its certificate.
+
+    prediction_flights: how many other flights each estimate predicts the flow along.
+    """
+
+    case_timeout: float = 60.0
+    tolerance: float = 1e-8
+    prediction_flights: int = 0
+
+    def __post_init__(self) -> None:
+        if self.case_timeout <= 0.0:
+            raise InputError(f"case_timeout must be above 0 [s], not {self.case_timeout:g}")
+        if not 0.0 < self.tolerance < 1.0:
+            raise InputError(f"tolerance must be above 0 and below 1, not {self.tolerance:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +146,7 @@ def _read(document: Section, place: Place) -> Study:
     count, sections = _read_sections(document, place)
     read_setup(sections, place)
     sweep = read_sweep(document, place)
-    run = _read_run(document, place)
+    run = build(Run, read_section(document.get("run", {}), place.at("run")), place.within("run"))
     output = read_outputs(document.get("outputs", {}), place)
     _check_predicted(output, run.prediction_flights, place)
     name = _name(required(document, "name", place), place.at("name"))
@@ -216,27 +233,6 @@ def _read_split(document: Section, count: int, place: Place) -> int | None:
     if not 0 < validate < count:
         raise here.error(f"leaves one part of {count} flights empty: use more flights")
     return validate
-
-
-@dataclass(frozen=True)
-class _Run:
-    """The [run] section, under the names of `Study`."""
-
-    case_timeout: float
-    tolerance: float
-    prediction_flights: int
-
-
-def _read_run(document: Section, place: Place) -> _Run:
-    here = place.within("run")
-    entries = read_section(document.get("run", {}), place.at("run"))
-    only(entries, ("case_timeout", "tolerance", "prediction_flights"), here)
-    timeout = positive(entries.get("case_timeout", 60.0), here.at("case_timeout"))
-    tolerance = positive(entries.get("tolerance", 1e-8), here.at("tolerance"))
-    if tolerance >= 1.0:
-        raise here.at("tolerance").error(f"must be below 1, not {tolerance:g}")
-    others = integer(entries.get("prediction_flights", 0), here.at("prediction_flights"), least=0)
-    return _Run(timeout, tolerance, others)
 
 
 def _check_predicted(output: Outputs, others: int, place: Place) -> None:
