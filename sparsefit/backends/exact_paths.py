@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dposv
 
 from sparsefit.arrays import Array
 from sparsefit.backends.block_newton import block_path
-from sparsefit.backends.homotopy import lasso_path
+from sparsefit.backends.homotopy import HomotopyPath, lasso_path
 from sparsefit.backends.penalised import ExactPath, Points
 from sparsefit.backends.variational import group_path
 from sparsefit.regression.objective import Penalty
@@ -29,22 +29,33 @@ def ridge_weights(gram: Array, cross: Array, alpha: float) -> tuple[Array, bool]
 
 def _homotopy(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
     """The path of one target; z_j / omega_j has the weight omega_j v_j."""
-    omega, cross = penalty.weights, statistics.cross[:, targets].ravel()
-    plain = bool(np.all(omega == 1.0))
-    unit = statistics.gram if plain else statistics.gram / np.multiply.outer(omega, omega)
-    pieces = alphas[:, None] if penalty.ridge else alphas[None]
+    gram, cross = statistics.gram, statistics.cross[:, targets].ravel()
+    omega = penalty.weights
+    weighted = bool(np.any(omega != 1.0))
+    if weighted:
+        gram, cross = gram / np.multiply.outer(omega, omega), cross / omega
+    if penalty.ridge:
+        path = _ridged(gram, cross, penalty.ridge / omega**2, alphas)
+    else:
+        path = lasso_path(gram, cross, alphas)
+    values = path.weights / omega if weighted else path.weights
+    iterations = np.full(len(alphas), path.steps)  # events are not counted point by point
+    return Points(values[:, :, None], path.complete, iterations, path.loop)
+
+
+def _ridged(gram: Array, cross: Array, ridge: Array, alphas: Array) -> HomotopyPath:
+    """Paths of one point each, on the Gram matrix with alpha times this ridge (k,)."""
     paths = []
-    for some in pieces:
-        gram = unit
-        if penalty.ridge:
-            gram = unit.copy()
-            gram.flat[:: len(gram) + 1] += some[0] * penalty.ridge / omega**2
-        paths.append(lasso_path(gram, cross if plain else cross / omega, some))
-    weights = np.concatenate([path.weights for path in paths])
-    iterations = np.repeat([path.steps for path in paths], pieces.shape[1])  # events, not by point
-    complete = np.concatenate([path.complete for path in paths])
-    values = weights if plain else weights / omega
-    return Points(values[:, :, None], complete, iterations, paths[0].loop)
+    for alpha in alphas.tolist():
+        shifted = gram.copy()
+        shifted.flat[:: len(gram) + 1] += alpha * ridge
+        paths.append(lasso_path(shifted, cross, np.array([alpha])))
+    return HomotopyPath(
+        np.concatenate([path.weights for path in paths]),
+        sum(path.steps for path in paths),
+        np.concatenate([path.complete for path in paths]),
+        paths[0].loop,
+    )
 
 
 def _variational(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
