@@ -76,13 +76,8 @@ class GroupMCP:
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
     ) -> tuple[Solution, ...]:
         """Fixed points at descending penalties, each from the group-LASSO's there."""
-        penalty = self.penalty(problem)
-        unit = alpha_max(problem.statistics.cross, penalty)
-        each = [slice(t, t + 1) for t in range(problem.targets)]
-        systems = [
-            _System(problem, penalty, targets, self.gamma)
-            for targets in (each if self.separate else [slice(None)])
-        ]
+        unit = alpha_max(problem.statistics.cross, self.penalty(problem))
+        systems = self._systems(problem)
         solutions = []
         for fraction in alpha_fractions:
             solved = [system.fixed_point(fraction * unit) for system in systems]
@@ -99,19 +94,22 @@ class GroupMCP:
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
         """The support after one more approximation, for the fixed-point certificate."""
-        penalty, statistics = self.penalty(problem), problem.statistics
-        fraction = numeric_fraction(self.name, self.alpha_fraction)
-        alpha = fraction * alpha_max(statistics.cross, penalty)
-        scaled = weights * statistics.rms[:, None]
+        statistics, fraction = problem.statistics, numeric_fraction(self.name, self.alpha_fraction)
+        alpha = fraction * alpha_max(statistics.cross, self.penalty(problem))
         support = np.zeros(weights.shape, dtype=bool)
         if alpha == 0.0:
             return support
-        each = [slice(t, t + 1) for t in range(problem.targets)]
-        for targets in each if self.separate else [slice(None)]:
-            system = _System(problem, penalty, targets, self.gamma)
-            slopes = system.slopes(scaled[:, targets], alpha)
-            support[:, targets] = system.weighted(slopes, alpha) != 0
+        for system in self._systems(problem):
+            scaled = weights[:, system.targets] * statistics.rms[:, None]
+            slopes = system.slopes(scaled, alpha)
+            support[:, system.targets] = system.weighted(slopes, alpha) != 0
         return support
+
+    def _systems(self, problem: RegressionProblem) -> "list[_System]":
+        """All targets together, or one by one."""
+        each = [slice(t, t + 1) for t in range(problem.targets)]
+        together = each if self.separate else [slice(None)]
+        return [_System(problem, self.penalty(problem), part, self.gamma) for part in together]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,28 +145,30 @@ class _System:
         """The group-LASSO (k, n) with these weights, which may be zero."""
         statistics, groups = self.problem.statistics, self.penalty.groups
         gram, cross = statistics.gram, statistics.cross[:, self.targets]
-        square = statistics.target_square[self.targets].sum()
-        values = np.zeros(cross.shape)
         free = slopes[groups] == 0.0
-        kept = np.flatnonzero(~free)
-        if free.any():
-            loose = np.flatnonzero(free)
-            roots, vectors = np.linalg.eigh(gram[np.ix_(loose, loose)])
-            on = roots > RANK * roots[-1]
-            half = vectors[:, on] / np.sqrt(roots[on])
-            shared, known = half.T @ gram[np.ix_(loose, kept)], half.T @ cross[loose]
-            rest = gram[np.ix_(kept, kept)] - shared.T @ shared
-            square = square - float(np.sum(known**2))
-            reduced = cross[kept] - shared.T @ known
-        else:
-            rest, reduced = gram, cross
+        loose, kept = np.flatnonzero(free), np.flatnonzero(~free)
+        half = _whitened(gram[np.ix_(loose, loose)])
+        shared, known = half.T @ gram[np.ix_(loose, kept)], half.T @ cross[loose]
+        square = float(statistics.target_square[self.targets].sum() - np.sum(known**2))
+        values = np.zeros(cross.shape)
         if len(kept) and square > 0.0 and alpha > 0.0:
-            labels = np.unique(groups[kept], return_inverse=True)[1]
-            some = slopes[slopes > 0.0]
             path = group_path(
-                rest, reduced, labels, some, [alpha], target_square=square, tolerance=STOP
+                gram[np.ix_(kept, kept)] - shared.T @ shared,
+                cross[kept] - shared.T @ known,
+                np.unique(groups[kept], return_inverse=True)[1],
+                slopes[slopes > 0.0],
+                [alpha],
+                target_square=square,
+                tolerance=STOP,
             )
             values[kept] = path.weights[0]
-        if free.any():
-            values[loose] = half @ (known - shared @ values[kept])
+        values[loose] = half @ (known - shared @ values[kept])
         return values
+
+
+def _whitened(gram: Array) -> Array:
+    """H (k, r) with H'GH = I on the range of G (k, k), which may be empty."""
+    roots, vectors = np.linalg.eigh(gram)
+    on = roots > RANK * roots.max(initial=0.0)
+    half: Array = vectors[:, on] / np.sqrt(roots[on])
+    return half

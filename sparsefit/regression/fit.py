@@ -88,7 +88,7 @@ def _along(
     """The fits at the penalty fractions ``asked`` (p,), solved from the strongest on."""
     order = np.argsort(-asked, kind="stable")
     fractions = tuple(asked[order].tolist())
-    points = [dataclasses.replace(backend, alpha_fraction=f) for f in fractions]  # type: ignore[type-var]
+    points = _at(backend, fractions)
     start = perf_counter()
     if isinstance(backend, PathBackend):
         solutions = backend.solve_path(problem, fractions)
@@ -110,6 +110,13 @@ def _along(
     ]
     as_asked = tuple(fits[place] for place in np.argsort(order).tolist())
     return Path(asked, unit, as_asked, perf_counter() - start)
+
+
+def _at(backend: PenalisedBackend, fractions: tuple[float, ...]) -> list[PenalisedBackend]:
+    """The back-end at each penalty; `dataclasses.replace` would look its fields up each time."""
+    names = [field.name for field in dataclasses.fields(backend) if field.init]  # type: ignore[arg-type]
+    settings = {name: getattr(backend, name) for name in names}
+    return [type(backend)(**(settings | {"alpha_fraction": f})) for f in fractions]
 
 
 def _chosen(problem: RegressionProblem, backend: ChoosingBackend, tolerance: float) -> Fit:
