@@ -29,7 +29,8 @@ class ShapedCells:
         mean_velocity: U0 = sqrt(2 <|w|^2>) [m/s] without swell, > 0.
         length_scales: (L_x, L_y) [m], the distances between the walls of a cell along its own
             axes, > 0; one number: square cells.
-        heading: by which the cells are turned counter-clockwise [rad].
+        heading: by which the cells are turned counter-clockwise [rad]: rectangles so that L_x is
+            along (cos, sin) of it, cells of any shape so that it halves the angle of their waves.
         angle: between the two families of walls [rad], in (0, pi); pi/2: rectangles; else cells
             with L_x = L_y are rhombs.
         offset: where a corner of the cells is at t = 0 [m], (x, y).
@@ -99,13 +100,14 @@ class ShapedCells:
     @cached_property
     def waves(self) -> WaveFlow:
         """The two waves of the cells, without their swell."""
-        turns = np.array([self.heading, self.heading + self.angle])
-        walls = math.pi / np.array(self.length_scales)
-        p, q = walls[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        (p_size, q_size), half = math.pi / np.array(self.length_scales), 0.5 * self.angle
+        p, q = p_size * _direction(-half), q_size * _direction(half)
+        bisector = np.mean([math.atan2(*wave[::-1]) for wave in (p - q, p + q)])
+        p, q = (_turned(wave, self.heading - float(bisector)) for wave in (p, q))
         wavevectors = np.stack([p - q, p + q])
-        half = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
+        amplitude = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
         shift = wavevectors @ np.array(self.offset)
-        signed = np.array([half, -half])
+        signed = np.array([amplitude, -amplitude])
         return WaveFlow(
             wavevectors, signed * np.cos(shift), signed * np.sin(shift), wavevectors @ self.drift
         )
@@ -139,3 +141,13 @@ class ShapedCells:
     @property
     def _swell_rate(self) -> float:
         return 2.0 * math.pi / self.swell_period
+
+
+def _direction(angle: float) -> Array:
+    return np.array([math.cos(angle), math.sin(angle)])
+
+
+def _turned(vector: Array, angle: float) -> Array:
+    """A vector turned counter-clockwise by an angle [rad]."""
+    (cos, sin), (x, y) = _direction(angle), vector
+    return np.array([cos * x - sin * y, sin * x + cos * y])

@@ -90,12 +90,20 @@ def test_swell_multiplies_the_velocity():
 
 def test_walls_of_a_rhombic_cell_are_where_no_flow_crosses():
     # p = pi/4 (1, 0), q = pi/4 (1, sqrt 3)/2: x = 4 is a wall, and so is x + sqrt(3) y = 8
-    cells = ShapedCells(6.0, 4.0, angle=math.pi / 3)
+    # k = p - q and p + q are at -60 and 30 degrees: -15 degrees halve their angle
+    cells = ShapedCells(6.0, 4.0, angle=math.pi / 3, heading=-math.pi / 12)
     along = np.linspace(-5.0, 5.0, 11)
     np.testing.assert_allclose(cells.velocity(4.0, along)[:, 0], 0.0, atol=1e-13)
     normal = np.array([0.5, math.sqrt(3) / 2])
     across = cells.velocity(8.0 - math.sqrt(3) * along, along) @ normal
     np.testing.assert_allclose(across, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["turned", "stretched", "rhombic"])
+def test_heading_halves_the_angle_between_the_waves(name):
+    directions = [math.atan2(*k[::-1]) for k in KINDS[name].waves.wavevectors]
+    turned = math.remainder(sum(directions) / 2 - KINDS[name].heading, math.pi / 2)
+    assert turned == pytest.approx(0.0, abs=1e-14)
 
 
 @pytest.mark.parametrize("name", ["turned", "stretched", "rhombic"])
