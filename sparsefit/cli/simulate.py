@@ -6,11 +6,15 @@ import argparse
 
 from sparsefit.cli.output import refuse_existing
 from sparsefit.cli.parser import Verbs, number, verb, whole
+from sparsefit.cli.simulated import add_faults, add_flow, faults_of, flow_of
 
 EXAMPLE = """\
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --response-time 0.5 \\
       --thrust 5 3 --duration 10 --sample-rate 100 --seed 7 -o flight.csv
+  sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --heading 0.3 --drift 1 0.5 \\
+      --turbulence 1.5 8 --outliers 0.01 5 -o windy.csv
 """
+FAULTY = 100  # the child of the seed that faults are drawn from, as in a study
 
 
 def add(verbs: Verbs) -> None:
@@ -19,19 +23,10 @@ def add(verbs: Verbs) -> None:
         verbs,
         "simulate",
         run,
-        summary="simulate a flight through a cellular flow and write it to a file",
+        summary="simulate a flight through cells, in turbulence too, and write it to a file",
         example=EXAMPLE,
     )
-    flow = parser.add_argument_group("flow")
-    flow.add_argument("--mean-velocity", type=number("m/s"), required=True, metavar="U0")
-    flow.add_argument("--length-scale", type=number("m"), required=True, metavar="L")
-    flow.add_argument(
-        "--wind",
-        type=number("m/s"),
-        nargs=2,
-        metavar=("X", "Y"),
-        help="a steady wind that carries the flow; default: none",
-    )
+    add_flow(parser)
     craft = parser.add_argument_group("vehicle")
     craft.add_argument(
         "--response-time", type=number("s"), default=0.5, metavar="S", help="default: 0.5 s"
@@ -45,6 +40,7 @@ def add(verbs: Verbs) -> None:
         help="thrust acceleration; default: 5 3 m/s^2",
     )
     _add_log(parser)
+    add_faults(parser)
     parser.add_argument(
         "-o", "--output", required=True, metavar="FILE", help="flight to write, .csv or .parquet"
     )
@@ -80,13 +76,15 @@ def _add_log(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
     refuse_existing(args.output, force=args.force)
+    from numpy.random import SeedSequence
+
     from sparsefit.flight import simulate_flight, write_flight
-    from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+    from sparsefit.flight.faults import LogFaults
     from sparsefit.flight.vehicle import PointMassVehicle
 
-    cells = CellularFlow(args.mean_velocity, args.length_scale)
+    flow, faults = flow_of(args), faults_of(args)
     flight = simulate_flight(
-        SuperposedFlow((cells,), tuple(args.wind)) if args.wind else cells,
+        flow,
         PointMassVehicle(args.response_time, tuple(args.thrust)),
         duration=args.duration,
         sample_rate=args.sample_rate,
@@ -95,7 +93,10 @@ def run(args: argparse.Namespace) -> int:
         process_noise=args.process_noise,
         position_noise=args.position_noise,
         velocity_noise=args.velocity_noise,
+        time_jitter=args.time_jitter,
     )
+    if faults != LogFaults():
+        flight = faults.spoil(flight, SeedSequence(args.seed, spawn_key=(FAULTY,)))
     write_flight(flight, args.output, overwrite=args.force)
     print(
         f"{args.output}: {flight.samples} samples over {flight.duration:g} s, "

@@ -7,11 +7,16 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+import sparsefit.flight
 from sparsefit.cli import main
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import read_flight, write_flight
+from sparsefit.flight.flow import SuperposedFlow
+from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.turbulence import Turbulence
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 
@@ -89,9 +94,54 @@ def test_simulate_overwrites_only_with_force(capsys, flight):
     assert read_lines(flight) != before
 
 
+def test_simulate_flies_through_what_it_is_told(capsys, monkeypatch):
+    flown = []
+    keep = sparsefit.flight.simulate_flight
+
+    def kept(flow, *rest, **options):
+        flown.append(flow)
+        return keep(flow, *rest, **options)
+
+    monkeypatch.setattr(sparsefit.flight, "simulate_flight", kept)
+    options = ("--heading", "0.3", "--stretch", "1.2", "--angle", "1.4", "--offset", "1", "2")
+    moving = ("--drift", "1", "-0.5", "--swell", "0.2", "9", "--wind", "0", "2")
+    gusts = ("--turbulence", "1.5", "8", "--turbulence-memory", "3", "--spectrum", "von-karman")
+    short = ("--duration", "0.5", "-o", "flight.csv")
+    assert run(capsys, *SIMULATE, *options, *moving, *gusts, *short)[0] == 0
+    cells = ShapedCells(
+        15.43, (4.21, 1.2 * 4.21), 0.3, 1.4, (1.0, 2.0), (1.0, -0.5), 0.2, 9.0
+    )  # fmt: skip
+    gusty = Turbulence(1.5, 8.0, 3.0, "von-karman", 7)
+    assert flown == [SuperposedFlow((cells, gusty), (0.0, 2.0))]
+    assert read_flight("flight.csv").samples == 51
+
+
+def test_simulate_spoils_the_log(capsys):
+    run(capsys, *SIMULATE, "--duration", "2", "-o", "clean.csv")
+    faults = ("--outliers", "0.1", "5", "--jumps", "1", "3", "--gaps", "2", "0.3")
+    code, out, _ = run(capsys, *SIMULATE, "--duration", "2", *faults, "-o", "log.csv")
+    assert code == 0
+    clean, log = read_flight("clean.csv"), read_flight("log.csv")
+    assert log.samples < clean.samples == 201
+    assert f"log.csv: {log.samples} samples" in out
+    kept = np.isin(clean.time, log.time)
+    off = np.hypot(*(log.velocity - clean.velocity[kept]).T)
+    assert off[off > 1e-9] == pytest.approx(5.0)
+    wandering = ("--wander", "0.2", "5", "--time-jitter", "0.3")
+    assert run(capsys, *SIMULATE, "--duration", "2", *wandering, "-o", "late.csv")[0] == 0
+    assert np.ptp(np.diff(read_flight("late.csv").time)) > 0.005
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (("--turbulence-memory", "3"), "--turbulence-memory needs --turbulence too"),
+        (("--spectrum", "dreyden", "--turbulence", "1", "8"), "dreyden"),
+        (("--turbulence", "0", "8"), "intensity must be a finite number above 0"),
+        (("--stretch", "0"), "length_scales must be"),
+        (("--swell", "1", "9"), "swell is a share of mean_velocity"),
+        (("--gaps", "1.5", "1"), "gaps must be an integer"),
+        (("--time-jitter", "0.5"), "time_jitter is a share"),
         (("--duration", "5min"), '"5min" is not a number; give it in s, without the unit'),
         (("--duration", "1_0"), "is not a number"),
         (("--duration", "nan"), "duration must be a finite number above 0 [s]"),

@@ -1,0 +1,127 @@
+"""What `sparsefit simulate` flies through, and what it spoils: the options and their records."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from sparsefit.cli.parser import number
+from sparsefit.errors import InputError
+
+if TYPE_CHECKING:
+    from sparsefit.flight.faults import LogFaults
+    from sparsefit.flight.flow import Flow
+
+SHAPING = ("heading", "stretch", "angle", "offset", "drift", "swell")
+MEANT = {
+    "turbulence_memory": "turbulence",
+    "spectrum": "turbulence",
+}  # an option, and the one that it says nothing without
+
+
+def add_flow(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the flow."""
+    group = parser.add_argument_group("flow")
+    group.add_argument("--mean-velocity", type=number("m/s"), required=True, metavar="U0")
+    group.add_argument("--length-scale", type=number("m"), required=True, metavar="L")
+    for option, unit, names, text in (
+        ("--wind", "m/s", ("X", "Y"), "a steady wind beside the flow; default: none"),
+        ("--heading", "rad", ("RAD",), "turns the cells counter-clockwise; default: 0"),
+        ("--stretch", "", ("RATIO",), "side of a cell along its y axis over that along x, L"),
+        ("--angle", "rad", ("RAD",), "between the walls of a cell; default: a right angle"),
+        ("--offset", "m", ("X", "Y"), "where a corner of the cells is at the start"),
+        ("--drift", "m/s", ("X", "Y"), "velocity at which the cells move; default: none"),
+        ("--swell", "", ("SHARE", "S"), "share of U0 by which it swells and ebbs, and its period"),
+        ("--turbulence", "", ("RMS", "M"), "rms of each component in m/s, integral length in m"),
+        ("--turbulence-memory", "s", ("S",), "integral time of turbulence; default: frozen"),
+    ):
+        nargs = len(names) if len(names) > 1 else None
+        group.add_argument(
+            option,
+            type=number(unit),
+            nargs=nargs,
+            metavar=names if nargs else names[0],
+            help=text,
+        )
+    group.add_argument(
+        "--spectrum", choices=("dryden", "von-karman"), help="of turbulence; default: dryden"
+    )
+
+
+def add_faults(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of what goes wrong in the log."""
+    group = parser.add_argument_group("faults of the log")
+    group.add_argument(
+        "--time-jitter",
+        type=number(),
+        default=0.0,
+        metavar="SHARE",
+        help="of a sample interval, below 0.5, by which samples are early or late; default: 0",
+    )
+    for option, names, text in (
+        ("--wander", ("M", "S"), "rms of a position error that wanders, and its time"),
+        ("--outliers", ("SHARE", "M/S"), "share of velocities far off, and by how much"),
+        ("--jumps", ("COUNT", "M"), "jumps of the position, and their size"),
+        ("--gaps", ("COUNT", "S"), "gaps, and the longest that they may be"),
+    ):
+        group.add_argument(option, type=number(), nargs=2, metavar=names, help=text)
+
+
+def flow_of(args: argparse.Namespace) -> Flow:
+    """The flow that the options say.
+
+    Raises:
+        InputError: for an option without the one that it belongs to, or out of its range.
+    """
+    from sparsefit.flight.flow import Cells, CellularFlow, SuperposedFlow
+    from sparsefit.flight.shaped import ShapedCells
+    from sparsefit.flight.turbulence import Turbulence
+
+    for option, needed in MEANT.items():
+        if getattr(args, option) is not None and getattr(args, needed) is None:
+            raise InputError(f"--{option.replace('_', '-')} needs --{needed} too")
+    cells: Cells = CellularFlow(args.mean_velocity, args.length_scale)
+    if any(getattr(args, option) is not None for option in SHAPING):
+        stretch = 1.0 if args.stretch is None else args.stretch
+        share, period = args.swell or (0.0, 1.0)
+        angle = {} if args.angle is None else {"angle": args.angle}
+        cells = ShapedCells(
+            args.mean_velocity,
+            (args.length_scale, stretch * args.length_scale),
+            heading=args.heading or 0.0,
+            offset=tuple(args.offset or (0.0, 0.0)),
+            drift=tuple(args.drift or (0.0, 0.0)),
+            swell=share,
+            swell_period=period,
+            **angle,
+        )
+    gusts: tuple[Turbulence, ...] = ()
+    if args.turbulence:
+        (rms, length), spectrum = args.turbulence, args.spectrum or "dryden"
+        gusts = (Turbulence(rms, length, args.turbulence_memory, spectrum, args.seed),)
+    wind = tuple(args.wind or (0.0, 0.0))
+    return SuperposedFlow((cells, *gusts), wind) if gusts or any(wind) else cells
+
+
+def faults_of(args: argparse.Namespace) -> LogFaults:
+    """The faults that the options say.
+
+    Raises:
+        InputError: for one that is out of its range.
+    """
+    from sparsefit.flight.faults import LogFaults
+
+    given: dict[str, float] = {}
+    for option, size in (
+        ("wander", "wander_time"),
+        ("outliers", "outlier_size"),
+        ("jumps", "jump_size"),
+        ("gaps", "gap_duration"),
+    ):
+        pair = getattr(args, option)
+        if pair:
+            given |= {option: pair[0], size: pair[1]}
+    for count in ("jumps", "gaps"):
+        if count in given and given[count] == round(given[count]):
+            given[count] = round(given[count])
+    return LogFaults(**given)  # type: ignore[arg-type]
