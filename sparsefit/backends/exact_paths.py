@@ -16,6 +16,9 @@ from sparsefit.backends.variational import group_path
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.statistics import Statistics
 
+FEW = 3  # groups that a single point is sought on first, and as many more each time
+SHARE = 4  # of the columns, one in so many at most: beyond, all of Z'Z costs no more
+FEASIBLE = 1e-12  # of alpha, by which a group without weights may pull more
 STOP = 1e-11  # the solvers' own stop, far below any tolerance the certificate is asked to meet
 
 
@@ -60,6 +63,10 @@ def _ridged(gram: Array, cross: Array, ridge: Array, alphas: Array) -> HomotopyP
 
 def _variational(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
     """The path of targets that share the norm of each group."""
+    if len(alphas) == 1 and not statistics.formed:
+        point = _among_few(statistics, penalty, alphas, targets)
+        if point is not None:
+            return point
     path = group_path(
         statistics.gram,
         statistics.cross[:, targets],
@@ -70,6 +77,48 @@ def _variational(statistics: Statistics, penalty: Penalty, alphas: Array, target
         tolerance=STOP,
     )
     return Points(path.weights, path.complete, path.iterations, path.loop)
+
+
+def _among_few(
+    statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice
+) -> Points | None:
+    """One point of the path on the groups that pull hardest, where no other pulls beyond alpha.
+
+    That is all of the optimum's conditions, from the rows of Z'Z/m of few columns. None where the
+    groups become many, or the path is not complete on them.
+    """
+    cross, omega = statistics.cross[:, targets], penalty.weights
+
+    def pulls(correlation: Array) -> Array:
+        norms: Array = penalty.block_norms(correlation)[:, 0] / omega
+        return norms
+
+    chosen = np.sort(np.argsort(-pulls(cross), kind="stable")[:FEW])
+    while True:
+        columns = np.flatnonzero(np.isin(penalty.groups, chosen))
+        if SHARE * len(columns) > len(cross):
+            return None
+        rows = statistics.gram_rows(columns)
+        path = group_path(
+            rows[:, columns],
+            cross[columns],
+            np.searchsorted(chosen, penalty.groups[columns]),
+            omega[chosen],
+            alphas,
+            target_square=float(statistics.target_square[targets].sum()),
+            tolerance=STOP,
+        )
+        if not path.complete[0]:
+            return None
+        pull = pulls(cross - rows.T @ path.weights[0])
+        pull[chosen] = 0.0
+        beyond = np.flatnonzero(pull > alphas[0] * (1.0 + FEASIBLE))
+        if not len(beyond):
+            weights = np.zeros((1, *cross.shape))
+            weights[:, columns] = path.weights
+            return Points(weights, path.complete, path.iterations, path.loop)
+        worst = beyond[np.argsort(-pull[beyond], kind="stable")[:FEW]]
+        chosen = np.sort(np.concatenate([chosen, worst]))
 
 
 def _blocks(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:

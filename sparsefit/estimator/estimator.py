@@ -63,7 +63,8 @@ class Estimator:
         derivative, say); a flight that cannot tell the parameters has status ``unidentifiable``,
         one through another flow than was fitted ``misfit``.
         """
-        prepared = self.prepare(flight)
+        assert isinstance(self.derivative, Derivative)
+        prepared = prepare(flight, self.derivative, self.library, shared=False)
         return self.read(prepared, self.fit(prepared))
 
     def prepare(self, flight: Flight) -> Prepared:

@@ -72,15 +72,20 @@ class Prepared:
         return cast(Result, self._answers[key])
 
 
-def prepare(flight: Flight, derivative: Derivative, library: Library) -> Prepared:
+def prepare(
+    flight: Flight, derivative: Derivative, library: Library, *, shared: bool = True
+) -> Prepared:
     """Derivatives, flow velocity and regression problem of a flight.
 
-    Raises InputError where the flight does not suit the settings.
+    shared: whether several back-ends will use it: what they share is worked out here, not in
+    whichever of them happens to come first. Raises InputError where the flight does not suit the
+    settings.
     """
     start = perf_counter()
     samples = derivative(flight)
     problem = library.build(samples, flight.vehicle)
     target = library.response(samples, flight.vehicle)
-    _ = problem.statistics  # here, not in whichever back-end happens to come first
+    if shared:
+        _ = problem.statistics.gram
     seconds = perf_counter() - start
     return Prepared(samples, flight.vehicle, library, problem, target, seconds)

@@ -128,12 +128,13 @@ def gram_gaps(
     statistics: Statistics, weights: Array, alphas: Array, penalty: Penalty
 ) -> tuple[Certificate, ...]:
     """The same certificates from the Gram matrix alone, in k^2 operations a point."""
-    gram, target_square = statistics.gram, statistics.target_square
+    target_square = statistics.target_square
     scaled = weights * statistics.rms[:, None]
     points, columns, targets = scaled.shape
     flat = scaled.transpose(0, 2, 1).reshape(points * targets, columns)
     used = np.flatnonzero(np.any(flat != 0, axis=0))
-    fitted = flat[:, used] @ gram[used] if 2 * len(used) < columns else flat @ gram
+    few = 2 * len(used) < columns
+    fitted = flat[:, used] @ statistics.gram_rows(used) if few else flat @ statistics.gram
     correlation = statistics.cross - fitted.reshape(points, targets, columns).transpose(0, 2, 1)
     product = target_square - np.einsum("pkt,kt->pt", scaled, statistics.cross)
     square = product - np.einsum("pkt,pkt->pt", scaled, correlation)

@@ -12,7 +12,7 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.continuum import Continuum
-from sparsefit.regression.statistics import Statistics, accumulate
+from sparsefit.regression.statistics import Statistics
 
 FIRST_ROWS = 32  # a column that is not zero in these is not a column of zeros
 
@@ -171,8 +171,8 @@ class RegressionProblem:
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Sufficient statistics in scaled columns, formed once and shared by all back-ends."""
-        return accumulate([(self.theta, self.target)], count=self.samples)
+        """Sufficient statistics in scaled columns, shared by all back-ends."""
+        return Statistics.of(self.theta, self.target, count=self.samples)
 
     @cached_property
     def compressed(self) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 
 Products: TypeAlias = Callable[[Array, Array], tuple[Array, Array, Array]]
@@ -27,21 +27,64 @@ class Statistics:
     """Sufficient statistics of a regression problem in scaled columns z_j = theta_j / rms_j.
 
     samples: the number m of samples; rows: of how many rows the sums were taken, fewer than m
-    where a QR compressed them. gram = Z'Z/m (k, k), cross = Z'Y/m (k, n), target_square =
-    |y_t|^2/m (n,), rms (k,) in the units of theta. The arrays are read-only: every back-end and
-    the certificate read the same ones.
+    where a QR compressed them. cross = Z'Y/m (k, n), target_square = |y_t|^2/m (n,), rms (k,) in
+    the units of theta. square: Z'Z/m (k, k) where it is known, or the rows theta (m, k) that it is
+    formed from when `gram` is first asked for. The arrays are read-only: every back-end and the
+    certificate read the same ones.
     """
 
     samples: int
     rows: int
     rms: Array
-    gram: Array
     cross: Array
     target_square: Array
+    square: Array | None = None
+    theta: Array | None = None
 
     def __post_init__(self) -> None:
-        for array in (self.rms, self.gram, self.cross, self.target_square):
+        for array in (self.rms, self.cross, self.target_square):
             array.setflags(write=False)
+
+    @classmethod
+    def of(cls, theta: Array, target: Array, *, count: int) -> "Statistics":
+        """The statistics of rows theta (r, k) and target (r, n) of ``count`` samples.
+
+        Z'Z/m is left to who asks for it: a back-end that keeps few columns needs few rows of it.
+        """
+        square = np.einsum("ij,ij->j", theta, theta)
+        rms = np.sqrt(square / count)
+        scale = np.where(rms > 0, rms, 1.0)
+        cross = (target.T @ theta).T / (scale[:, None] * count)
+        target_square = np.einsum("ij,ij->j", target, target) / count
+        return cls(count, len(theta), scale, cross, target_square, theta=theta)
+
+    @cached_property
+    def gram(self) -> Array:
+        """Z'Z/m (k, k)."""
+        gram = self.square
+        if gram is None:
+            assert self.theta is not None
+            nothing = np.zeros((len(self.theta), 1))
+            gram = _products()(self.theta, nothing)[0]
+            gram /= self.rms[:, None] * self.samples
+            gram /= self.rms
+        gram.setflags(write=False)
+        return gram
+
+    @property
+    def formed(self) -> bool:
+        """Whether `gram` is there already."""
+        return self.square is not None or "gram" in vars(self)
+
+    def gram_rows(self, columns: IntArray) -> Array:
+        """The rows (c, k) of Z'Z/m of some columns; where it is not formed, only these."""
+        if self.formed:
+            return self.gram[columns]
+        assert self.theta is not None
+        rows: Array = self.theta[:, columns].T @ self.theta
+        rows /= self.rms[columns, None] * self.samples
+        rows /= self.rms
+        return rows
 
     @property
     def null_objective(self) -> float:
@@ -74,7 +117,7 @@ def accumulate(
     ``products``: what sums up a block, by default the faster one on this machine. Raises
     ValueError where there is no block.
     """
-    products = products or (kernel_products if product_loop() == "compiled" else block_products)
+    products = products or _products()
     gram: Array | None = None
     for theta, target in blocks:
         if gram is None:
@@ -93,7 +136,11 @@ def accumulate(
     scale = np.where(rms > 0, rms, 1.0)
     gram /= scale[:, None] * m
     gram /= scale
-    return Statistics(m, rows, scale, gram, cross / (scale[:, None] * m), square / m)
+    return Statistics(m, rows, scale, cross / (scale[:, None] * m), square / m, gram)
+
+
+def _products() -> Products:
+    return kernel_products if product_loop() == "compiled" else block_products
 
 
 def block_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:

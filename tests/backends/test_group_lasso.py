@@ -156,3 +156,20 @@ def test_a_fit_names_the_loop_that_ran(monkeypatch, separate):
 def test_bad_settings_are_refused(change, words):
     with pytest.raises(InputError, match=words):
         backends.get("group-lasso", **change)
+
+
+@pytest.mark.parametrize("separate", [False, True])
+@pytest.mark.parametrize("fraction", [1.0, 0.6, 0.3, 0.1, 1e-3])
+@pytest.mark.parametrize("group_weights", ["unit", "sqrt-size"])
+def test_a_point_on_the_groups_that_pull_is_the_point_on_all(separate, fraction, group_weights):
+    """The Gram matrix is formed only where the groups in use become many."""
+    alone, whole = regular(groups=40, samples=400), regular(groups=40, samples=400)
+    setting = {"separate": separate, "group_weights": group_weights}
+    backend = backends.get("group-lasso", alpha_fraction=fraction, **setting)
+    few = sf.fit(alone, backend)
+    assert few.status == "ok"
+    assert alone.statistics.formed == (len(set(alone.groups[few.support])) > 10)
+    assert whole.statistics.gram.shape == (120, 120)
+    every = sf.fit(whole, backend)
+    np.testing.assert_allclose(few.weights, every.weights, rtol=1e-9, atol=1e-12)
+    assert few.certificate.value < 1e-10

@@ -154,3 +154,19 @@ def test_statistics_cannot_be_changed_by_who_reads_them():
     for name in ("rms", "gram", "cross", "target_square"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(found, name)[...] = 0.0
+
+
+def test_the_gram_matrix_is_formed_for_who_asks_and_by_rows_until_then():
+    problem = regular(groups=6)
+    summed = accumulate([(problem.theta, problem.target)])
+    own = problem.statistics
+    some = np.array([1, 4, 5])
+    assert summed.formed
+    assert not own.formed
+    np.testing.assert_allclose(own.gram_rows(some), summed.gram[some], rtol=1e-13, atol=1e-15)
+    assert not own.formed
+    np.testing.assert_allclose(own.gram, summed.gram, rtol=1e-13, atol=1e-15)
+    assert own.formed
+    np.testing.assert_array_equal(own.gram_rows(some), own.gram[some])
+    for name in ("rms", "cross", "target_square"):
+        np.testing.assert_allclose(getattr(own, name), getattr(summed, name), rtol=1e-13)
