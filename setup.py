@@ -14,7 +14,7 @@ LOOPS = (
 )  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
 KERNELS = ("regression._gram",)  # C
 STABLE = {
-    "extra_compile_args": [] if os.name == "nt" else ["-g0"],  # a fifth of the size
+    "extra_compile_args": [] if os.name == "nt" else ["-g0"],  # no debugging symbols
     "define_macros": [("Py_LIMITED_API", "0x030b0000")],
     "py_limited_api": True,
     "optional": True,
