@@ -38,6 +38,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
     rows = [
         ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
         *([("repaired", estimate.repairs.words)] if estimate.repairs.words else []),
+        *_wander(estimate),
         ("vehicle", ", ".join(vehicle) or "unknown"),
         ("", ""),
         *_parameters(estimate),
@@ -71,6 +72,15 @@ def _structure(whiteness: float) -> str:
     if whiteness != whiteness:
         return ""
     return f"; the rest is noise of the sensors with p = {whiteness:.2g}"
+
+
+def _wander(estimate: Estimate) -> list[tuple[str, str]]:
+    """What the position errs with a memory, where that is seen."""
+    agreement = estimate.agreement
+    if agreement is None or not agreement.wanders or agreement.broken:
+        return []
+    words = f"by {agreement.wander:.2g} m in {agreement.wander_time:.2g} s, "
+    return [("position wanders", f"{words}which the intervals leave out")]
 
 
 def _estimated(estimate: Estimate) -> list[tuple[str, str]]:

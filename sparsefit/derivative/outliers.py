@@ -72,19 +72,19 @@ def clean_position(position: Array, velocity: Array, step: float) -> tuple[Array
     velocity [m/s], outliers and all: what is a jump only beside one of them is none; step [s]
     between the samples.
     """
-    left = _left(position, velocity, step)
+    left = unexplained(position, velocity, step)
     jumps = _jumps(left, FELT_JUMP * step * _rms(velocity))
     if jumps.any():
         mended, found = clean_velocity(None, velocity, step)
         if found.any():
-            left = _left(position, mended, step)
+            left = unexplained(position, mended, step)
             jumps &= _jumps(left, FELT_JUMP * step * _rms(mended))
     if not 0 < jumps.sum() <= MOST_JUMPS * len(jumps):
         return position, np.empty(0)
     return _rejoined(position, left, np.flatnonzero(jumps))
 
 
-def _left(position: Array, velocity: Array, step: float) -> Array:
+def unexplained(position: Array, velocity: Array, step: float) -> Array:
     """What the integral of the velocity leaves of every step [m], (m - 1, 2)."""
     left: Array = np.diff(position, axis=0) - step * _quadrature(velocity)
     return left

@@ -9,6 +9,8 @@ from typing import TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.derivative.agreement import Agreement, agreement_of
+from sparsefit.derivative.outliers import unexplained
 from sparsefit.derivative.pieces import Pieces
 from sparsefit.derivative.repair import Repairs, repaired, untouched
 from sparsefit.derivative.smoothing import FEWEST, Channels, Smoothing, smooth
@@ -42,6 +44,7 @@ class Samples:
         weak: with ``weak`` the rows of the regression, which the library and the readout take in
             place of the samples; these, by ``auto``, then only say where a scan has to look.
         repairs: what was mended in the flight before.
+        agreement: of position and velocity in the longest piece, where ``auto`` smoothed both.
 
     ``smoothing`` is None where the samples were not made by a `Derivative`.
     """
@@ -54,6 +57,7 @@ class Samples:
     smoothing: Smoothing | None = None
     weak: WeakRows | None = None
     repairs: Repairs = Repairs()
+    agreement: Agreement | None = None
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
@@ -160,6 +164,7 @@ class Derivative:
             smoothing=smoothing,
             weak=weak,
             repairs=repairs,
+            agreement=_agreement(log, smoothing),
         )
 
     def _log(self, flight: Flight) -> tuple[Pieces, Repairs]:
@@ -169,6 +174,17 @@ class Derivative:
         smoothed = _RULES[self.method] is _auto
         shortest = FEWEST if smoothed else self.window or MINIMUM_SAMPLES
         return repaired(flight, even=smoothed, shortest=shortest)
+
+
+def _agreement(log: Pieces, smoothing: Smoothing) -> Agreement | None:
+    """Of the longest piece."""
+    if smoothing.method != "auto" or smoothing.positions_only:
+        return None
+    piece = max(log.slices, key=lambda rows: rows.stop - rows.start)
+    step, position = log.step(), log.position[piece]
+    left = unexplained(position, log.velocity[piece], step)
+    moved = np.diff(position, axis=0) - left
+    return agreement_of(left, moved, step, smoothing.sigma_position, smoothing.sigma_velocity)
 
 
 def _in_each_piece(rule: Callable[[Derivative, Array, Array], Rates]) -> Rule:

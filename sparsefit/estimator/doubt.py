@@ -13,6 +13,8 @@ class Doubt(StrEnum):
     """The back-end gave every column the weight zero."""
     STILL_AIR = "still-air"
     """The flow velocity is nothing beside the vehicle's own."""
+    DISAGREEMENT = "disagreement"
+    """The logged velocity is not that of the logged position."""
     FEW_SAMPLES = "few-samples"
     """There are fewer samples than a length scale has unknowns, or than a standard error needs."""
     UNDERSAMPLED = "undersampled"

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sparsefit.codec import finite_or_none
-from sparsefit.derivative import Repairs
+from sparsefit.derivative import Agreement, Repairs
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
@@ -50,7 +50,8 @@ class Estimate:
     [rad]: by which the cells are turned counter-clockwise. flow: what was found, to be evaluated
     anywhere, in the coordinates and the time of the flight. goodness: how well refined modes fit,
     with the ``rms`` mean velocity.
-    repairs: what was mended in the flight before.
+    repairs: what was mended in the flight before. agreement: of logged position and velocity; the
+    intervals leave out what a position wanders.
     """
 
     mean_velocity: float
@@ -77,6 +78,7 @@ class Estimate:
     heading: float = math.nan
     flow: FlowField | None = field(default=None, repr=False)
     repairs: Repairs = Repairs()
+    agreement: Agreement | None = None
     goodness: Goodness | None = None
 
     def to_dict(self) -> dict[str, Any]:

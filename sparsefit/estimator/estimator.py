@@ -125,6 +125,7 @@ class Estimator:
             doubt=verdict.doubt,
             flow=flow_of(prepared, fit, place) if place else None,
             repairs=prepared.samples.repairs,
+            agreement=prepared.samples.agreement,
             goodness=reading.goodness,
             **unknown,
         )

@@ -39,6 +39,7 @@ def judge(
     short = _short(located, scales)
     return (
         _still(located, samples)
+        or _disagreeing(samples)
         or _few(located)
         or _undersampled(located, samples)
         or _undetected(located)
@@ -76,6 +77,18 @@ def _still(located: Located, samples: Samples) -> Verdict | None:
     if float(np.abs(located.space.empty.rest).max()) > CALM * speed:
         return None
     return Verdict.against(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
+
+
+def _disagreeing(samples: Samples) -> Verdict | None:
+    """Whether position and velocity tell two motions: of these no one has flown."""
+    agreement = samples.agreement
+    if agreement is None or not agreement.broken:
+        return None
+    return Verdict.against(
+        Doubt.DISAGREEMENT,
+        "the logged velocity is not that of the logged position: they are "
+        f"{100 * agreement.apart:.0f} % of the motion apart; check units, axes and time stamps",
+    )
 
 
 def _few(located: Located) -> Verdict | None:

@@ -88,6 +88,7 @@ def estimate_of_waves(prepared: Prepared, fit: Fit, readout: Readout) -> Estimat
         heading=reading.heading,
         flow=reading.flow,
         repairs=prepared.samples.repairs,
+        agreement=prepared.samples.agreement,
         **unknown,
     )
 

@@ -159,6 +159,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("est_heading", SINGLE, read=lambda case: case.estimate.heading),
     Column("prediction_error", SINGLE, read=lambda case: case.prediction_error),
     Column("outliers", WHOLE, read=lambda case: case.estimate.repairs.outliers),
+    Column("wander", SINGLE, read=lambda case: getattr(case.estimate.agreement, "wander", None)),
     Column("repairs", TEXT, read=lambda case: case.estimate.repairs.words),
     _of_goodness("r_squared", "r_squared"),
     _of_goodness("whiteness", "whiteness"),
