@@ -196,7 +196,14 @@ def divergence(problem, penalty, name, alpha, **more):
 
 @pytest.mark.parametrize("fraction", [0.6, 0.2, 0.03])
 @pytest.mark.parametrize(
-    ("name", "more"), [("lasso", {}), ("group-lasso", {}), ("group-lasso", {"separate": True})]
+    ("name", "more"),
+    [
+        ("lasso", {}),
+        ("group-lasso", {}),
+        ("group-lasso", {"separate": True}),
+        ("sparse-group-lasso", {"l1_ratio": 0.3}),
+        ("ridge", {}),
+    ],
 )
 def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
     problem = regular(5, samples=24)
