@@ -22,7 +22,8 @@ def read_flight(path: str | os.PathLike[str], *, vehicle: PointMassVehicle | Non
     Columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored. The
     vehicle: ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0
     where it is not given), the same keys in the metadata of Parquet. The true flow, where known:
-    ``mean_velocity`` and ``length_scale``, numbered ``_1``, ``_2``, ... when superposed.
+    ``mean_velocity`` and ``length_scale``, or those of shaped cells and of turbulence, numbered
+    ``_1``, ``_2``, ... when superposed (`sparsefit.flight.flow_settings`).
 
     Args:
         path: the file.
@@ -56,7 +57,7 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write ``flight`` to a ``.csv`` or ``.parquet`` file; `read_flight` returns it exactly.
 
-    The file appears whole or not at all.
+    A true flow that holds a `WaveFlow` is left out. The file appears whole or not at all.
 
     Raises:
         InputError: if the file exists and ``overwrite`` is false, or cannot be written.

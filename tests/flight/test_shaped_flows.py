@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight import Flight, read_flight, simulate_flight, write_flight
 from sparsefit.flight.flow import CellularFlow, SuperposedFlow
 from sparsefit.flight.shaped import ShapedCells
 from sparsefit.flight.turbulence import Turbulence
@@ -206,3 +206,44 @@ def test_waves_are_kept_from_changes():
     assert flow.cosine[0] == 1.0
     with pytest.raises(ValueError, match="read-only"):
         flow.sine[0] = 2.0
+
+
+SHAPED = ShapedCells(6.0, (4.0, 5.0), 0.3, 1.4, (1.0, 2.0), (0.5, -1.0), 0.2, 9.0, 0.7)
+GUSTS = (Turbulence(1.5, 8.0, seed=2**32), Turbulence(0.5, 3.0, 2.0, "von-karman", 3))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    "flow", [SHAPED, GUSTS[1], SuperposedFlow((PLAIN, *GUSTS, SHAPED), (1.0, -2.0))]
+)
+def test_files_keep_the_true_flow(tmp_path, suffix, flow):
+    vehicle = PointMassVehicle(0.5)
+    flight = simulate_flight(flow, vehicle, duration=0.1, sample_rate=50.0, seed=3)
+    write_flight(flight, tmp_path / f"flight.{suffix}")
+    assert read_flight(tmp_path / f"flight.{suffix}").flow == flow
+
+
+def test_files_leave_out_a_flow_of_waves(tmp_path):
+    flight = simulate_flight(WAVES, PointMassVehicle(0.5), duration=0.1, sample_rate=50.0, seed=3)
+    write_flight(flight, tmp_path / "flight.csv")
+    assert read_flight(tmp_path / "flight.csv").flow is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("# heading=0.3\n", "", "is given without heading"),
+        ("# swell=0.2", "# swell=2.0", "swell is a share"),
+        ("# swell=0.2", "# swel=0.2", "unknown key"),
+        ("# length_scale_x=4.0", "# turbulence_intensity=1.0", "without turbulence_length"),
+    ],
+)
+def test_half_a_flow_in_a_file_is_refused(tmp_path, old, new, message):
+    flight = simulate_flight(SHAPED, PointMassVehicle(0.5), duration=0.1, sample_rate=50.0, seed=3)
+    path = tmp_path / "flight.csv"
+    write_flight(flight, path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_flight(path)
