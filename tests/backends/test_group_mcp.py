@@ -79,11 +79,9 @@ def test_it_lets_a_flights_length_scale_go_free():
 
 def test_the_penalty_can_be_chosen():
     problem = regular(7, noise=1.0)
-    for selection in ("cross-validation", "stability"):
-        backend = backends.get("group-mcp", alpha_fraction="auto", selection=selection)
-        found = sf.fit(problem, backend)
-        assert found.status == "ok"
-        assert set(found.support) <= {0, 1, 2}
+    found = sf.fit(problem, backends.get("group-mcp", alpha_fraction="auto"))
+    assert found.status == "ok"
+    assert set(found.support) <= {0, 1, 2}
 
 
 @pytest.mark.parametrize(
