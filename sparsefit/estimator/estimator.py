@@ -16,7 +16,6 @@ from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.judge import imprecise, judge
 from sparsefit.estimator.locate import Place, locate
-from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.prepare import Prepared, prepare
 from sparsefit.estimator.waves import estimate_of_waves
 from sparsefit.flight import Flight
@@ -144,8 +143,14 @@ class Estimator:
             return Verdict.against(Doubt.MEAN_VELOCITY, f"no mean velocity: {words}")
         samples, scales = prepared.samples, reading.scales
         if place.located is not None:
-            instead = misfit(reading.goodness, prepared.library.unknown)
-            doubts = judge(place.located, scales, samples, instead, assessed=reading.assessed)
+            doubts = judge(
+                place.located,
+                scales,
+                samples,
+                reading.goodness,
+                assessed=reading.assessed,
+                unknown=prepared.library.unknown,
+            )
             return doubts or verdict
         return (imprecise(scales) if reading.assessed else None) or verdict
 

@@ -10,9 +10,10 @@ import numpy as np
 from sparsefit.derivative import Samples
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import ScaleEstimate
+from sparsefit.estimator.misfit import misfit
 from sparsefit.modes.search import Located
 from sparsefit.modes.space import FALSE_ALARM
-from sparsefit.uncertainty import LAGS
+from sparsefit.uncertainty import LAGS, Goodness
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
@@ -22,9 +23,10 @@ def judge(
     located: Located,
     scales: Sequence[ScaleEstimate],
     samples: Samples,
-    instead: Verdict | None = None,
+    goodness: Goodness | None = None,
     *,
     assessed: bool,
+    unknown: tuple[str, ...] = (),
 ) -> Verdict | None:
     """The first reason not to believe modes off the grid; None where there is none.
 
@@ -32,11 +34,11 @@ def judge(
         located: the modes and their rivals.
         scales: the estimates of the modes, fastest first.
         samples: of the flight.
-        instead: the verdict ``misfit`` where the flow seems to be another than was fitted; less
-            than one period of a flow does not tell that.
+        goodness: of the fit, where it is known.
         assessed: whether standard errors were asked for: values known too poorly are doubted.
+        unknown: what the library has freed beside the flow.
     """
-    short = _short(located, scales)
+    short = _short(located, scales, goodness)
     return (
         _still(located, samples)
         or _disagreeing(samples)
@@ -45,7 +47,7 @@ def judge(
         or _undetected(located)
         or _at_edge(located)
         or _left_over(located)
-        or (instead if short is None else None)
+        or (misfit(goodness, unknown) if short is None else None)
         or _mistaken(located)
         or (imprecise(scales) if assessed else None)
         or short
@@ -141,10 +143,15 @@ def _at_edge(located: Located) -> Verdict | None:
     )
 
 
-def _short(located: Located, scales: Sequence[ScaleEstimate]) -> Verdict | None:
-    """Whether the flight covers less than one period, 2 L, of the fastest flow."""
+def _short(
+    located: Located, scales: Sequence[ScaleEstimate], goodness: Goodness | None
+) -> Verdict | None:
+    """Whether the flight covers less than one period, 2 L, of the fastest flow.
+
+    A fit that leaves nothing but truncation is no chance.
+    """
     extent, period = located.space.extent, 2 * scales[0].length_scale
-    if not extent < period:
+    if not extent < period or (goodness and goodness.exact):
         return None
     words = f"the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} m"
     return Verdict.against(Doubt.SHORT_TRACK, f"{words}; fly farther")

@@ -97,51 +97,57 @@ def suspected(left: Turbulence, mean_velocity: float) -> Suspect | None:
     """
     if left.observed.unexplained <= TRUNCATION:
         return None
-    own = columns(left.observed.fit)
-    tried = [_tested(left, cause, each) for cause, each in own.items()]
-    guilty = [one for one in tried if one is not None and _guilty(left, one, own[one.cause])]
-    nearest = sorted(guilty, key=lambda one: one.p_value)[: len(own) if left.found else BEST]
+    tried = _tested(left)
+    guilty = [suspect for suspect, freed in tried if _guilty(left, suspect, freed)]
+    nearest = sorted(guilty, key=lambda one: one.p_value)[: len(Cause) if left.found else BEST]
     if not nearest and left.speed > MOST * mean_velocity:
         return Suspect(Cause.TURBULENCE, (left.speed,), math.exp(-left.ratio / 2), 1.0)
     return max(nearest, key=lambda one: one.share, default=None)
 
 
-def _guilty(left: Turbulence, suspect: Suspect, own: Array) -> bool:
+def _guilty(left: Turbulence, suspect: Suspect, freed: Array) -> bool:
     if suspect.p_value >= CHANCE:
         return False
     if not left.found:
         return True
     if suspect.share > TAKEN and suspect.cause is not Cause.RESPONSE_TIME:
         return True
-    return relieved(left, own).ratio < RELIEVED
+    return relieved(left, freed).ratio < RELIEVED
 
 
-def relieved(left: Turbulence, own: Array) -> Turbulence:
-    """What is left after columns (k, 2, m) are freed as well, by least squares."""
-    observed = left.observed
-    freed = observed.fit.plain.freed(own).reshape(len(own), -1)
-    taken = np.linalg.lstsq(freed.T, observed.errors.T.ravel(), rcond=None)[0] @ freed
+def relieved(left: Turbulence, freed: Array) -> Turbulence:
+    """What is left without columns (k, 2, m), of which the fit has taken its part."""
+    observed, flat = left.observed, freed.reshape(len(freed), -1)
+    taken = np.linalg.lstsq(flat.T, observed.errors.T.ravel(), rcond=None)[0] @ flat
     return Turbulence(replace(observed, errors=observed.errors - taken.reshape(2, -1).T))
 
 
-def _tested(left: Turbulence, cause: Cause, own: Array) -> Suspect | None:
-    """The score of a cause, and its size by least squares; None where the fit has freed it."""
-    observed, count = left.observed, len(own)
-    freed, errors = observed.fit.plain.freed(own), observed.errors.T.ravel()
-    flat = freed.reshape(count, -1)
-    if np.sum(flat**2) <= FREED**2 * np.sum(own**2):
-        return None
-    score, gram = flat @ errors, flat @ flat.T
-    spectra = np.fft.rfft(freed, observed.passage.size).view(np.float64)
-    parts = spectra.reshape(count, -1)
-    weighted = frequency_weights(observed.passage.size) * (observed.amounts @ observed.shapes)
-    covariance = (parts * np.tile(np.repeat(weighted, 2), 2)) @ parts.T
-    statistic = float(score @ np.linalg.pinv(covariance, hermitian=True) @ score)
-    size = np.linalg.pinv(gram, hermitian=True) @ score
-    share = float(score @ size) / float(errors @ errors)
-    told = size
+def _tested(left: Turbulence) -> list[tuple[Suspect, Array]]:
+    """Each cause that the fit has not freed, and what is left of its columns."""
+    observed, named = left.observed, columns(left.observed.fit)
+    own = np.concatenate(list(named.values()))
+    freed = observed.fit.plain.freed(own)
+    flat, errors = freed.reshape(len(own), -1), observed.errors.T.ravel()
+    scores, gram, square = flat @ errors, flat @ flat.T, float(errors @ errors)
+    parts = np.fft.rfft(freed, observed.passage.size).view(np.float64).reshape(len(own), -1)
+    spectrum = frequency_weights(observed.passage.size) * (observed.amounts @ observed.shapes)
+    covariance = (parts * np.tile(np.repeat(spectrum, 2), 2)) @ parts.T
+    whole, tried, first = np.sum(own**2, axis=(1, 2)), [], 0
+    for cause, each in named.items():
+        part = slice(first, first + len(each))
+        first = part.stop
+        if np.trace(gram[part, part]) <= FREED**2 * np.sum(whole[part]):
+            continue
+        size = np.linalg.pinv(gram[part, part], hermitian=True) @ scores[part]
+        statistic = scores[part] @ np.linalg.pinv(covariance[part, part], hermitian=True)
+        chance = float(gammaincc(len(each) / 2, float(statistic @ scores[part]) / 2))
+        share = float(scores[part] @ size) / square
+        tried.append((Suspect(cause, _told(cause, size), chance, share), freed[part]))
+    return tried
+
+
+def _told(cause: Cause, size: Array) -> tuple[float, ...]:
+    """The size of a cause from the coefficients of its columns."""
     if cause is Cause.SWELLING:
-        told = np.array([math.sqrt(0.5 * float(size @ size))])
-    elif cause is Cause.STRETCH:
-        told = 2 * size
-    return Suspect(cause, tuple(told.tolist()), float(gammaincc(count / 2, statistic / 2)), share)
+        return (math.sqrt(0.5 * float(size @ size)),)
+    return tuple((2 * size if cause is Cause.STRETCH else size).tolist())

@@ -15,7 +15,7 @@ from scipy.special import kolmogorov
 
 from sparsefit.uncertainty.causes import Suspect, suspected
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.turbulence import Turbulence
+from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,11 @@ class Goodness:
     turbulence: float = math.nan
     turbulence_share: float = math.nan
     suspect: Suspect | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether the fit leaves less than a filter's truncation may be."""
+        return 1 - self.r_squared <= TRUNCATION
 
 
 def goodness_of(model: Model, left: Turbulence | None, mean_velocity: float) -> Goodness:

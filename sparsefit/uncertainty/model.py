@@ -149,10 +149,13 @@ class Model:
         every = (parameters.ravel(), weights.transpose(2, 0, 1).ravel(), coefficients)
         return np.concatenate(every)
 
-    def left(self, shapes: Array, spectra: ComplexArray, size: int) -> Array:
+    def left(
+        self, shapes: Array, spectra: ComplexArray, size: int, inside: slice = slice(None)
+    ) -> Array:
         """What a fit leaves of the spectra (n, size/2 + 1) of errors of the rows.
 
-        spectra: the transforms, of that size, of J's columns.
+        spectra: the transforms, of that size, of J's columns; inside: the frequencies where the
+        answer is sought.
 
         With P = Q Q' the projection onto J, S the spectra and F the transform,
 
@@ -163,15 +166,18 @@ class Model:
         """
         jacobian, basis = self.jacobian, self.information.basis
         parts, both = spectra.view(np.float64), 2 * len(self.rows.target)
+        first, last, _ = inside.indices(shapes.shape[1])
+        there = parts[:, 2 * first : 2 * last]
 
         def power(form: Array) -> Array:
             columns = jacobian.onto_columns(basis @ form @ basis.T)
-            return paired(np.sum((columns @ parts) * parts, axis=0)) / both
+            return paired(np.sum((columns @ there) * there, axis=0)) / both
 
         weight, taken = frequency_weights(size), power(np.eye(basis.shape[1]))
-        left = np.empty(shapes.shape)
+        left = np.empty((len(shapes), last - first))
         for row, shape in zip(left, shapes, strict=True):
             loaded = (np.repeat(weight * shape, 2) * parts) @ parts.T
             back = power(basis.T @ jacobian.onto_theta(loaded) @ basis)
-            row[:] = np.maximum(shape * (1 - 2 * taken) + back, LEFT * shape)
+            own = shape[inside]
+            row[:] = np.maximum(own * (1 - 2 * taken) + back, LEFT * own)
         return left

@@ -126,9 +126,9 @@ class Observed:
         measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
         return np.array([self.squares @ measured, np.abs(passage.kicks) ** 2])
 
-    def left(self, shapes: Array) -> Array:
-        """What the fit leaves of errors of these spectra, as many."""
-        return self.fit.plain.left(shapes, self.spectra, self.passage.size)
+    def left(self, shapes: Array, inside: slice = slice(None)) -> Array:
+        """What the fit leaves of errors of these spectra, as many, inside some frequencies."""
+        return self.fit.plain.left(shapes, self.spectra, self.passage.size, inside)
 
     @cached_property
     def remaining(self) -> Array:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.uncertainty.information import Information
 from sparsefit.uncertainty.model import Model
@@ -37,6 +37,7 @@ TRUNCATION = 1e-5  # of the variance: what is left of a fit without noise has a 
 BAND = 8.0  # times the mean frequency of the cells: over all of them L is under-covered
 BLOCKS = 10  # of the jackknife
 ROUNDS = 200  # of the levels: low-pass spectra of neighbouring corners are hard to tell apart
+SMALL = 3.0  # a score statistic
 FEWEST = 2.0  # degrees of freedom: below it no variance
 ACTIVE = 1e-3  # of the spectrum somewhere, below it a level is zero
 
@@ -52,16 +53,16 @@ class Turbulence:
     observed: Observed
 
     @cached_property
-    def band(self) -> BoolArray:
-        """The frequencies (size/2 + 1,) at which the cells act, 0 left out."""
+    def band(self) -> slice:
+        """The frequencies, of size/2 + 1, at which the cells act, 0 left out."""
         passage, samples = self.observed.passage, self.observed.fit.samples
         step = float(np.mean(np.diff(samples.time)))
         frequencies = np.fft.rfftfreq(passage.size, step)
         flow = np.fft.rfft(self.observed.fit.plain.flow.T, passage.size)
         power = np.sum(flow.real**2 + flow.imag**2, axis=0)
         mean = float(frequencies @ power / power.sum())
-        inside: BoolArray = (frequencies > 0) & (frequencies < BAND * mean) & self.observed.passed
-        return inside
+        inside = np.flatnonzero((frequencies < BAND * mean) & self.observed.passed)
+        return slice(1, int(inside.max(initial=1)) + 1)
 
     @cached_property
     def shapes(self) -> Array:
@@ -78,8 +79,8 @@ class Turbulence:
     @cached_property
     def remaining(self) -> Array:
         """What the fit leaves in the band of measured noise, kicks and `shapes`, (2 + n, b)."""
-        coloured = self.observed.left(self.shapes)
-        return np.concatenate([self.observed.remaining, coloured])[:, self.band]
+        coloured = self.observed.left(self.shapes, self.band)
+        return np.concatenate([self.observed.remaining[:, self.band], coloured])
 
     @cached_property
     def levels(self) -> Array:
@@ -98,11 +99,19 @@ class Turbulence:
 
     @cached_property
     def ratio(self) -> float:
-        """2 ln(likelihood ratio) of noise with turbulence against noise without."""
+        """2 ln(likelihood ratio) of noise with turbulence against noise without.
+
+        Where it is small, Rao's score statistic (1948) of the one spectrum that raises the
+        likelihood most: they agree there, and most flights are spared the fit.
+        """
         seen, shapes = self.observed.seen[self.band], self.remaining
-        alone = likeliest(shapes[:2], seen, ROUNDS)
-        gain = _unlikely(alone @ shapes[:2], seen) - _unlikely(self.levels @ shapes, seen)
-        return 2 * self.weight * gain
+        alone = likeliest(shapes[:2], seen) @ shapes[:2]
+        over, parts = seen / alone - 1, shapes[2:] / alone
+        rising = np.maximum(parts @ over, 0.0)
+        score = self.weight * float((rising**2 / np.sum(parts**2, axis=1)).max())
+        if score < SMALL:
+            return score
+        return 2 * self.weight * (_unlikely(alone, seen) - _unlikely(self.levels @ shapes, seen))
 
     @property
     def spectrum(self) -> Array:
