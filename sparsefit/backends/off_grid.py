@@ -30,8 +30,8 @@ def refusal(
             None,
             "error",
             f"{name} makes its own columns and needs the position of every row; build the problem "
-            "with Library from a flight whose columns fit in memory (a coarser grid or fewer "
-            "samples where they do not), or use group-lasso",
+            "with Library of family 'cells' from a flight whose columns fit in memory (a coarser "
+            "grid or fewer samples where they do not), or use group-lasso",
         )
     if not continuum.extent > 0:
         return Solution(None, "unidentifiable", f"{name}: the flight stands still: no extent")
