@@ -11,14 +11,8 @@ from typing import Protocol, runtime_checkable
 from sparsefit.arrays import Array
 
 
-@runtime_checkable
-class Family(Protocol):
-    """Columns (s, c, r) of s modes at m positions, of parameters (s, p) and weights (s, c, n)."""
-
-    @property
-    def name(self) -> str:
-        """The name of the family, as a library is asked for it."""
-        ...
+class Columns(Protocol):
+    """What a projection needs: columns (s, c, r) of s modes at m positions, of parameters (s, p)."""
 
     @property
     def parameters(self) -> int:
@@ -36,7 +30,21 @@ class Family(Protocol):
         ...
 
     def values(self, position: Array, parameters: Array) -> Array:
-        """Columns (s, c, r) at positions (m, 2) [m]."""
+        """Columns (s, c, r) at positions (m, 2) [m]; (m, 3) with the time [s] where they drift."""
+        ...
+
+    def bent(self, position: Array, parameters: Array, values: Array, weights: Array) -> Array:
+        """The derivatives of each mode's flow by its parameters, (s, p, r, n)."""
+        ...
+
+
+@runtime_checkable
+class Family(Columns, Protocol):
+    """Columns of modes with weights (s, c, n), and how they change by parameters and in space."""
+
+    @property
+    def name(self) -> str:
+        """The name of the family, as a library is asked for it."""
         ...
 
     def slopes(self, position: Array, parameters: Array, values: Array) -> Array:
@@ -45,10 +53,6 @@ class Family(Protocol):
 
     def bends(self, position: Array, parameters: Array, values: Array) -> Array:
         """Their second derivatives by the parameters, (s, p, p, c, r)."""
-        ...
-
-    def bent(self, position: Array, parameters: Array, values: Array, weights: Array) -> Array:
-        """The derivatives of each mode's flow by its parameters, (s, p, r, n)."""
         ...
 
     def bent_gradients(

@@ -8,7 +8,7 @@ is unknown beside the flow (`sparsefit.library.nuisance`) join without a penalty
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.library.family import Family
+from sparsefit.library.family import Columns
 from sparsefit.library.nuisance import Nuisance
 
 if TYPE_CHECKING:
@@ -28,7 +28,8 @@ class Rows:
     """What is fitted: q rows, averages of m samples or those themselves.
 
     Args:
-        position: where columns are evaluated, from the middle of the flight's box (m, 2) [m].
+        position: where columns are evaluated, from the middle of the flight's box (m, 2) [m], or
+            (m, 3) with the time from its middle [s].
         target: Psi Phi of the vehicle as it is believed to be, (q, 2) [m/s].
         nuisance: N (2, q, j), the columns of j coefficients in either velocity component.
         operator: Psi (q, m), or None where the rows are the samples.
@@ -51,6 +52,16 @@ class Rows:
             source.operator if isinstance(source, WeakRows) else None,
         )
 
+    def timed(self, time: Array) -> Rows:
+        """The same rows, their positions with the time (m,) [s] of the samples from its middle."""
+        from_middle = time - 0.5 * (time[0] + time[-1])
+        return replace(self, position=np.column_stack([self.position[:, :2], from_middle]))
+
+    def thinned(self, step: int) -> Rows:
+        """Every so many-th of rows that are samples."""
+        position, target = self.position[::step], self.target[::step]
+        return Rows(position, target, self.nuisance[:, ::step])
+
     @classmethod
     def plain(cls, position: Array, flow_velocity: Array) -> Rows:
         """Samples of Phi (m, 2) [m/s] at positions (m, 2) [m], nothing unknown beside the flow."""
@@ -66,7 +77,7 @@ class Rows:
             len(values), values.shape[1] // halves.shape[1] * len(self.target)
         )
 
-    def stacked(self, family: Family) -> tuple[Array, Array]:
+    def stacked(self, family: Columns) -> tuple[Array, Array]:
         """The target (r, n) and the nuisance columns (n, r, j), as a family's columns need them."""
         if family.targets == 2:
             return self.target, self.nuisance

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.library.family import Family
+from sparsefit.library.family import Columns
 from sparsefit.modes.fitted_rows import Rows
 
 RANK = 1e-12  # eigenvalues of the scaled Gram matrix below this, relative, are dropped
@@ -46,7 +46,7 @@ class Projection:
     moves: Array
 
 
-def project(family: Family, rows: Rows, parameters: Array) -> Projection:
+def project(family: Columns, rows: Rows, parameters: Array) -> Projection:
     """Fit the rows by modes of the family at parameters (s, p); without modes by N alone."""
     modes, count = parameters.shape
     target, nuisance = rows.stacked(family)

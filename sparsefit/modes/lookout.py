@@ -1,0 +1,153 @@
+"""Where waves may be: the rows that they are fitted to, and the scans that show where to start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
+from sparsefit.library.drift_scan import DriftScan
+from sparsefit.library.equal_waves import EqualWaves
+from sparsefit.library.pieced_waves import PiecedWaves
+from sparsefit.library.plane_scan import PlaneScan, crossed, peaks
+from sparsefit.library.waves import SQUARE, Waves
+from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.plane import descended, residuals
+from sparsefit.modes.projection import Projection, project
+from sparsefit.modes.space import SearchSpace
+
+SQUARES, DESCENDED = 40, 4  # peaks of the scan that are ranked by their fit, and descended into
+STRONG = 24  # peaks of single waves, of which rectangles are made
+ALIKE = 0.15  # of |k|: waves that differ by less may be those of a rectangle
+MOVING, KEPT = 8, 3  # peaks of squares that drift, and those that are followed
+FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
+LOUD, SPREAD = 2.0, 6.0  # of the mean power, and of its standard deviation: more is a flow
+
+
+@dataclass(frozen=True, eq=False)
+class Lookout:
+    """What the ladder is fitted to.
+
+    Args:
+        space: that cells were searched in.
+        rows: all rows, with the time as third coordinate.
+        thin: fewer of the samples, to search with.
+        worth: how many rows, of both components, count where errors correlate.
+    """
+
+    space: SearchSpace
+    rows: Rows
+    thin: Rows
+    worth: float
+
+    @classmethod
+    def of(cls, space: SearchSpace, time: Array, cells: Projection) -> Lookout:
+        """Of a flight's samples at time (m,) [s]."""
+        thin = space.sampled.timed(time).thinned(max(1, int(0.5 * space.correlation)))
+        rows = space.rows.timed(time)
+        return cls(space, rows, thin, 2 * len(space.rows.target) / space.correlation)
+
+    @cached_property
+    def target(self) -> Array:
+        """What nuisance columns leave of Phi (m, 2) [m/s]."""
+        return project(Waves(), self.thin, np.zeros((0, 2))).rest
+
+    @cached_property
+    def scan(self) -> PlaneScan:
+        """The plane of wavevectors of square cells between the bounds of the length scale."""
+        return PlaneScan.of(self.thin.position, self._radii)
+
+    @property
+    def _radii(self) -> tuple[float, float]:
+        low, high = self.space.bounds
+        return math.sqrt(2) * low, math.sqrt(2) * high
+
+    @cached_property
+    def _gains(self) -> Array:
+        return self.scan.gains(self.target)
+
+    def bic(self, family: Waves | EqualWaves, fit: Projection) -> float:
+        """N ln RSS + p ln n of a fit, n the rows that count, RSS by row."""
+        parameters = (family.parameters + family.size) * len(fit.parameters)
+        square = max(fit.residual / len(fit.rest), 1e-300)
+        return self.worth * math.log(square) + parameters * math.log(self.worth)
+
+    def quiet(self, rest: Array) -> bool:
+        """Whether errors (m, 2) have no more power where Phi has its own than elsewhere."""
+        own, left = (
+            np.sum(np.abs(np.fft.rfft(one - one.mean(axis=0), axis=0)[1:]) ** 2, axis=1)
+            for one in (self.target, rest)
+        )
+        share = own / own.sum()
+        spread = math.sqrt(0.5 * float(np.sum(share**2)))
+        return float(share @ left) < (LOUD + SPREAD * spread) * float(left.mean())
+
+    def fitted(self, family: Waves, starts: Array) -> Projection:
+        """The best of the descents from starts (j, p), ranked beforehand where they are many."""
+        if len(starts) > DESCENDED:
+            order = np.argsort(residuals(family, self.thin, starts), kind="stable")
+            starts = starts[order[:DESCENDED]]
+        fits = (descended(family, self.thin, one[None], rough=True) for one in starts)
+        return min(fits, key=lambda fit: fit.residual)
+
+    def squares(self) -> Array:
+        """Squares (j, 2), (k, heading), that explain much."""
+        k = self.scan.axis[peaks(crossed(self._gains), SQUARES)]
+        return np.column_stack([np.hypot(*k.T) / math.sqrt(2), _heading(k)])
+
+    def rectangles(self) -> Array:
+        """Rectangles (j, 3), (k_x, k_y, heading), of two strong waves that are equally long."""
+        strong = self.scan.axis[peaks(self._gains, STRONG)]
+        found = []
+        for (one, other), sign in (
+            (pair, sign) for pair in combinations(strong, 2) for sign in (1, -1)
+        ):
+            lengths = np.hypot(*np.stack([one, other]).T)
+            if abs(lengths[0] - lengths[1]) <= ALIKE * lengths.max():
+                total, difference = 0.5 * (one + sign * other), 0.5 * (one - sign * other)
+                sides = np.hypot(*total), np.hypot(*difference)
+                found.append((*sides, math.atan2(total[1], total[0])))
+        return np.array(found).reshape(-1, 3)
+
+    def pairs(self) -> Array:
+        """Pairs (j, 4) of the strongest wave and the strongest in what it leaves."""
+        first = descended(Waves(), self.thin, self.strongest(self.target)[None], rough=True)
+        second = self.scan.axis[peaks(self.scan.gains(first.rest), 2)]
+        return np.column_stack([np.repeat(first.parameters, len(second), axis=0), second])
+
+    def strongest(self, rest: Array) -> Array:
+        """The wave (2,) that explains most of errors (m, 2)."""
+        wave: Array = self.scan.axis[peaks(self.scan.gains(rest), 1)[0]]
+        return wave
+
+    def drifting_squares(self) -> list[Projection]:
+        """Squares that drift, the best first, followed from pieces to the whole flight."""
+        fastest = FASTEST * math.sqrt(2 * float(np.mean(np.sum(self.target**2, axis=1))))
+        scan = DriftScan.of(self.thin.position, self._radii, fastest)
+        gains, (axis, omega) = scan.gains(self.target)
+        highest, at = gains.max(axis=2), omega[gains.argmax(axis=2)]
+        i, j = peaks(crossed(highest), MOVING).T
+        k = np.column_stack([axis[i], axis[j]])
+        # The second wave of a square is the first one turned clockwise, (k_y, -k_x).
+        omegas = [at[i, j], at[j, len(axis) - 1 - i]]
+        starts = np.column_stack([np.hypot(*k.T) / math.sqrt(2), *omegas, _heading(k)])
+        pieces = scan.pieces
+        order = np.argsort(residuals(PiecedWaves(SQUARE.moving, pieces), self.thin, starts))
+        follow = [starts[one][None] for one in order[:KEPT]]
+        while True:
+            family = PiecedWaves(SQUARE.moving, pieces)
+            fits = [descended(family, self.thin, one, rough=True) for one in follow]
+            follow = [fit.parameters for fit in fits]
+            if pieces == 1:
+                return sorted(fits, key=lambda fit: fit.residual)
+            pieces = (pieces + 1) // 2
+
+
+def _heading(waves: Array) -> Array:
+    """The heading (j,) of squares whose first wave is at k (j, 2)."""
+    heading: Array = np.arctan2(waves[:, 1], waves[:, 0]) - math.pi / 4
+    return heading

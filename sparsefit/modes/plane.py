@@ -1,0 +1,80 @@
+"""One mode of waves moved to the least residual in reach: Gauss-Newton in the plane of wavevectors.
+
+As for cells (`sparsefit.modes.space`) weights are projected out; a move is cut to where no wave
+goes farther than a share of a lobe, and no phase by more than a radian.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.library.equal_waves import EqualWaves
+from sparsefit.library.pieced_waves import PiecedWaves
+from sparsefit.library.waves import Waves
+from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.projection import Projection, project
+from sparsefit.modes.space import HALVINGS, ITERATIONS
+
+PlaneFamily: TypeAlias = Waves | EqualWaves | PiecedWaves
+
+LONGEST = 0.5  # of a move, in pi over the extent and over the duration
+ROUGH, END = 1e-3, 1e-9  # of moves, in the same units: where a descent may stop, and where it ends
+SLIGHT = 1e-6  # of RSS: where a rough descent may stop
+
+
+def descended(
+    family: PlaneFamily, rows: Rows, parameters: Array, *, rough: bool = False
+) -> Projection:
+    """The modes moved from parameters (s, p) to the least RSS in reach."""
+    here = project(family, rows, parameters)
+    reach = reach_of(rows, family.pieces if isinstance(family, PiecedWaves) else 1)
+    tolerance = ROUGH if rough else END
+    for _ in range(ITERATIONS):
+        size = _length(family, here, reach)
+        if size <= tolerance:
+            return here
+        moves = here.moves * min(1.0, LONGEST / size)
+        for halving in range(HALVINGS):
+            there = project(family, rows, here.parameters + moves * 0.3**halving)
+            if there.residual < here.residual:
+                break
+        else:
+            return here
+        slight = rough and here.residual - there.residual <= SLIGHT * here.residual
+        here = there
+        if slight:
+            return here
+    return here
+
+
+def reach_of(rows: Rows, pieces: int = 1) -> Array:
+    """Pi over the extents of the rows, or of pieces, in k_x, k_y [1/m] and omega [1/s], (3,)."""
+    every = np.array_split(rows.position, pieces)
+    spans = np.max([np.ptp(one, axis=0) for one in every], axis=0)
+    widest = float(spans[:2].max())
+    duration = float(spans[2]) if len(spans) > 2 else 1.0
+    return math.pi / np.array([widest, widest, duration])
+
+
+def _length(family: PlaneFamily, fit: Projection, reach: Array) -> float:
+    """How far the moves of a fit lead, in units of reach, or in radians of phase."""
+    count = family.pattern.parameters
+    own, phases = fit.moves[:, :count], fit.moves[:, count:]
+    waves = np.einsum("sp,spjd->sjd", own, family.pattern.slopes(fit.parameters[:, :count]))
+    along = float(np.abs(waves / reach).max(initial=0.0))
+    return max(along, LONGEST * float(np.abs(phases).max(initial=0.0)))
+
+
+def residuals(family: PlaneFamily, rows: Rows, parameters: Array) -> Array:
+    """RSS (s,) of every one of s modes alone, at parameters (s, p), nuisance columns left out."""
+    values = family.values(rows.position, parameters)
+    target = rows.stacked(family)[0][:, 0]
+    gram, load = values @ values.swapaxes(1, 2), values @ target
+    gram += SLIGHT * len(target) * np.mean(values**2, axis=2)[:, :, None] * np.eye(family.size)
+    explained = np.sum(load * np.linalg.solve(gram, load[..., None])[..., 0], axis=1)
+    rest: Array = float(target @ target) - explained
+    return rest
