@@ -10,8 +10,10 @@ import numpy as np
 from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.locate import Place
 from sparsefit.estimator.prepare import Prepared
+from sparsefit.estimator.shaped import Shaped, middle_of, shaped_of
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
+from sparsefit.modes.ladder import Ladder
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
 from sparsefit.uncertainty import Assessment, Goodness, VehicleUncertainty, assess
@@ -22,7 +24,7 @@ class Reading:
     """The cellular flows of a flight, fastest first, and what was unknown of the vehicle.
 
     assessed: whether standard errors were sought; goodness: how well the modes fit, where they
-    were.
+    were; shaped: what the ladder found, where it did.
     """
 
     scales: tuple[ScaleEstimate, ...]
@@ -30,6 +32,7 @@ class Reading:
     vehicle_uncertainty: VehicleUncertainty | None = None
     assessed: bool = False
     goodness: Goodness | None = None
+    shaped: Shaped | None = None
 
     @property
     def impossible(self) -> bool:
@@ -43,6 +46,10 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
     Bias is corrected for one mode of plain samples and a known vehicle only, where the readout
     says so.
     """
+    if place.ladder is not None:
+        reading = _of_ladder(prepared, place, place.ladder, readout)
+        if reading is not None:
+            return reading
     sought = readout.refine != "none" and readout.mean_velocity == "rms"
     assessed = sought and place.fit is not None
     if assessed:
@@ -62,6 +69,28 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
         vehicle = _nuisance(prepared).read(fit.coefficients)
     speed = _mean_velocity(prepared, place, readout, vehicle)
     return Reading((_scale(speed, length_scale, place.candidates[0]),), vehicle, None, assessed)
+
+
+def _of_ladder(
+    prepared: Prepared, place: Place, ladder: Ladder, readout: Readout
+) -> Reading | None:
+    """The flow of the best rung; None where its standard errors cannot be told."""
+    best, nuisance, samples = ladder.best, _nuisance(prepared), prepared.samples
+    plain = samples.weak is None and not prepared.library.unknown
+    correct = plain and readout.correction != "none"
+
+    def assessed() -> Assessment | None:
+        return assess(samples, ladder.rows, best.family, best.fit, nuisance, correct=correct)
+
+    known = prepared.once(("shape", tuple(best.phases.ravel().tolist()), correct), assessed)
+    if known is None:
+        return None
+    (mode,) = known.modes
+    origin = middle_of((samples.weak or samples).position, samples.time)
+    shaped = shaped_of(ladder, known, origin, nuisance)
+    scale = ScaleEstimate(*mode.values, place.candidates[0], mode.uncertainty)
+    beside = known.vehicle, known.vehicle_uncertainty
+    return Reading((scale,), *beside, True, known.goodness, shaped)
 
 
 def _sorted(scales: list[ScaleEstimate]) -> tuple[ScaleEstimate, ...]:

@@ -9,7 +9,7 @@ from sparsefit.derivative import Agreement, Repairs
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
-from sparsefit.uncertainty import Goodness, Uncertainty, VehicleUncertainty
+from sparsefit.uncertainty import Goodness, ShapeUncertainty, Uncertainty, VehicleUncertainty
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,23 @@ class ScaleEstimate:
     timescale: float
     grid_length_scale: float
     uncertainty: Uncertainty | None = None
+
+
+@dataclass(frozen=True)
+class RungEstimate:
+    """One shape of flow that was tried.
+
+    Args:
+        shape: its name.
+        drifting: whether it moves.
+        bic: n ln RSS + p ln n, less that of the best.
+        residual: what it leaves of the flow velocity, as a share of its squares.
+    """
+
+    shape: str
+    drifting: bool
+    bic: float
+    residual: float
 
 
 @dataclass(frozen=True)
@@ -52,6 +69,10 @@ class Estimate:
     with the ``rms`` mean velocity.
     repairs: what was mended in the flight before. agreement: of logged position and velocity; the
     intervals leave out what a position wanders.
+    shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,
+    ``rectangle``, ``pair`` or ``several``; length_scales: (L_x, L_y) [m] in the cells' own axes;
+    drift: at which they move [m/s], (x, y); shape_uncertainty: how sure these are; rungs: every
+    shape that was tried.
     """
 
     mean_velocity: float
@@ -80,6 +101,11 @@ class Estimate:
     repairs: Repairs = Repairs()
     agreement: Agreement | None = None
     goodness: Goodness | None = None
+    shape: str = ""
+    length_scales: tuple[float, float] | None = None
+    drift: tuple[float, float] | None = None
+    shape_uncertainty: ShapeUncertainty | None = None
+    rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None."""

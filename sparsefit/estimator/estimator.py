@@ -14,8 +14,9 @@ from sparsefit.estimator.assess import Reading, read_place
 from sparsefit.estimator.candidate_flow import flow_of
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
-from sparsefit.estimator.judge import imprecise, judge
+from sparsefit.estimator.judge import imprecise, judge, judge_shape
 from sparsefit.estimator.locate import Place, locate
+from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.prepare import Prepared, prepare
 from sparsefit.estimator.waves import estimate_of_waves
 from sparsefit.flight import Flight
@@ -97,7 +98,7 @@ class Estimator:
             else:
                 words = "no length scale: all weights are zero"
                 verdict = Verdict.against(Doubt.NO_WEIGHTS, words)
-        first, vehicle = reading.scales[0], reading.vehicle
+        first, vehicle, shaped = reading.scales[0], reading.vehicle, reading.shaped
         rival = place.located.rival if place and place.located else None
         other = rival.wavenumber if rival else math.nan
         if place and place.located and math.isfinite(place.located.left_over):
@@ -122,10 +123,11 @@ class Estimator:
             scales=reading.scales if place and self.readout.scales == "several" else (),
             vehicle_uncertainty=reading.vehicle_uncertainty,
             doubt=verdict.doubt,
-            flow=flow_of(prepared, fit, place) if place else None,
+            flow=None if not place else shaped.flow if shaped else flow_of(prepared, fit, place),
             repairs=prepared.samples.repairs,
             agreement=prepared.samples.agreement,
             goodness=reading.goodness,
+            **(shaped.fields if shaped else {}),
             **unknown,
         )
 
@@ -142,6 +144,9 @@ class Estimator:
             words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
             return Verdict.against(Doubt.MEAN_VELOCITY, f"no mean velocity: {words}")
         samples, scales = prepared.samples, reading.scales
+        if place.ladder is not None and reading.shaped and not place.ladder.steady_cells:
+            instead = misfit(reading.goodness, prepared.library.unknown)
+            return judge_shape(place.ladder, scales, prepared.space, samples, instead) or verdict
         if place.located is not None:
             doubts = judge(
                 place.located,

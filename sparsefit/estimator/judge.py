@@ -11,8 +11,10 @@ from sparsefit.derivative import Samples
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.misfit import misfit
+from sparsefit.estimator.shaped import outside
+from sparsefit.modes.ladder import Ladder
 from sparsefit.modes.search import Located
-from sparsefit.modes.space import FALSE_ALARM
+from sparsefit.modes.space import FALSE_ALARM, SearchSpace
 from sparsefit.uncertainty import LAGS, Goodness
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
@@ -184,3 +186,29 @@ def _mistaken(located: Located) -> Verdict | None:
         f"cannot tell {scale:.3g} m from {other:.3g} m: the flight covers {extent:.3g} m{short}, "
         "or too straight a line; fly farther, or turn",
     )
+
+
+def judge_shape(
+    ladder: Ladder,
+    scales: Sequence[ScaleEstimate],
+    space: SearchSpace,
+    samples: Samples,
+    instead: Verdict | None = None,
+) -> Verdict | None:
+    """The first reason not to believe a shape other than steady cells along the axes."""
+    disagreeing = _disagreeing(samples)
+    if disagreeing:
+        return disagreeing
+    if float(np.abs(space.empty.rest).max()) <= CALM * float(np.abs(samples.velocity).max()):
+        return Verdict.against(Doubt.STILL_AIR, "no flow detected: the air is still")
+    if ladder.evidence <= ladder.chance:
+        words = "no flow detected: no waves explain more than chance does"
+        return Verdict.against(Doubt.NO_FLOW, words)
+    edge = outside(ladder, space.bounds)
+    if not math.isnan(edge):
+        words = f"a wave of the flow has a length scale of {edge:.3g} m, outside the search"
+        return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
+    if not ladder.quiet:
+        words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
+        return instead or Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")
+    return instead or imprecise(scales)

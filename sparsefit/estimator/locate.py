@@ -12,11 +12,14 @@ from sparsefit.errors import InputError
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.library.cells import Cells
 from sparsefit.library.scan import extent_of
+from sparsefit.modes.ladder import Ladder, climbed
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.proposals import proposals
 from sparsefit.modes.readout import Readout, mean_velocity_of
 from sparsefit.modes.search import MOST, SLOWEST, Located, locate_one, locate_several
 from sparsefit.regression.fit import Fit
+
+FEWEST = 10  # rows that count: fewer cannot tell a shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +31,14 @@ class Place:
         candidates: the length scales on the back-end's grid that they come from (s,) [m].
         located: how they were found off the grid; None where they were read on it.
         fit: of the modes, all together; None where the one mode on the grid is read by its own.
+        ladder: the shapes that were tried beyond square cells, if any were.
     """
 
     wavenumbers: Array
     candidates: tuple[float, ...]
     located: Located | None = None
     fit: Projection | None = None
+    ladder: Ladder | None = None
 
     @property
     def length_scales(self) -> tuple[float, ...]:
@@ -53,7 +58,20 @@ def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> 
         return Place(np.array([math.pi / candidate]), (candidate,))
     space = prepared.space
     located = prepared.once(("one", candidate), lambda: locate_one(space, math.pi / candidate))
-    return Place(located.wavenumbers, (candidate,), located, located.fit)
+    ladder = None
+    if _climbable(prepared, readout):
+        key = ("ladder", float(located.wavenumbers[0]))
+        time = prepared.samples.time
+        ladder = prepared.once(key, lambda: climbed(space, time, located.fit))
+    return Place(located.wavenumbers, (candidate,), located, located.fit, ladder)
+
+
+def _climbable(prepared: Prepared, readout: Readout) -> bool:
+    """Whether the readout asks for the ladder, and there are rows enough for its freest shape."""
+    if readout.refine != "ladder" or readout.mean_velocity != "rms":
+        return False
+    rows, moments = prepared.space.rows, len(prepared.samples.time)
+    return len(rows.position) == moments and moments > FEWEST * prepared.space.correlation
 
 
 def _several(prepared: Prepared, fit: Fit, readout: Readout, refined: bool) -> Place:

@@ -12,7 +12,7 @@ from sparsefit.arrays import Array
 
 
 class Columns(Protocol):
-    """What a projection needs: columns (s, c, r) of s modes at m positions, of parameters (s, p)."""
+    """What a projection needs: columns (s, c, r) of s modes at m positions, parameters (s, p)."""
 
     @property
     def parameters(self) -> int:

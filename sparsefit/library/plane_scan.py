@@ -108,12 +108,12 @@ def crossed(gains: Array) -> Array:
 
 
 def peaks(gains: Array, count: int) -> IntArray:
-    """Indices (p, 2) of the highest local maxima of gains (n, n), one of k and -k, highest first."""
+    """Indices (p, 2) of the highest local maxima of gains (n, n), of k or -k, highest first."""
     from scipy.ndimage import maximum_filter
 
     half = len(gains) // 2
     tops = (gains >= maximum_filter(gains, size=3, mode="constant")) & (gains > 0)
-    places = np.argwhere(tops[:, half:]) + (0, half)
+    places = np.argwhere(tops[:, half:]) + np.array([0, half])
     order = np.argsort(-gains[tuple(places.T)], kind="stable")
     chosen: IntArray = places[order[:count]]
     return chosen

@@ -22,6 +22,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.waves import AXIS, PAIR, RECTANGLE, SQUARE, WAVE, Pattern, Waves
+from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.lookout import Lookout
 from sparsefit.modes.plane import descended
 from sparsefit.modes.projection import Projection
@@ -29,7 +30,7 @@ from sparsefit.modes.space import SearchSpace
 
 CELLS = (AXIS, SQUARE, RECTANGLE)
 NEAR_AXIS = 0.1  # of heading [rad]: cells turned by less are tried along the axes
-MOST = 6  # waves
+MOST = 4  # waves
 CLOSE = 10.0  # of BIC to the best: rungs that are fitted to all rows before one is chosen
 Family = Waves | EqualWaves
 
@@ -73,17 +74,28 @@ class Ladder:
         best: the rung with the least BIC, of all rows.
         rungs: the best of every shape that was tried, by rising BIC.
         quiet: whether no more than noise is left.
+        rows: all rows, with the time as third coordinate.
+        evidence: 2 ln(likelihood ratio) of the best to a uniform wind.
+        chance: what that reaches in one flight of 1000 without a flow.
     """
 
     best: Rung
     rungs: tuple[Rung, ...]
     quiet: bool
+    rows: Rows
+    evidence: float
+    chance: float
+
+    @property
+    def steady_cells(self) -> bool:
+        """Whether the lowest rung won: cells as the search for cells sees them."""
+        return self.best.shape == AXIS.name and not self.best.drifting
 
 
 def climbed(space: SearchSpace, time: Array, cells: Projection) -> Ladder:
     """The ladder of a flight's samples at time (m,) [s], from cells that were fitted to them."""
-    climb = _Climb(Lookout.of(space, time, cells), {})
-    climb.bound(AXIS, cells.parameters[:1])
+    climb = _Climb(Lookout.of(space, time), {})
+    climb.bound(AXIS, cells.parameters[0])
     climb.near()
     for look in (climb.standing, climb.moving, climb.pairs, climb.several):
         if climb.quiet:
@@ -115,9 +127,9 @@ class _Climb:
             self.rungs[key] = rung
         return rung
 
-    def bound(self, pattern: Pattern, starts: Array) -> Rung:
-        """Cells of waves equally strong, by way of free ones."""
-        free = self.lookout.fitted(Waves(pattern), starts)
+    def bound(self, pattern: Pattern, start: Array) -> Rung:
+        """Cells of waves equally strong from a start (p,), by way of free ones."""
+        free = descended(Waves(pattern), self.lookout.thin, start[None], rough=True)
         return self._bound(pattern, free)
 
     def _bound(self, pattern: Pattern, free: Projection) -> Rung:
@@ -125,9 +137,10 @@ class _Climb:
         start = family.bound(free.parameters, free.weights)
         return self.keep(family, descended(family, self.lookout.thin, start, rough=True))
 
-    def pair(self, pattern: Pattern, starts: Array) -> Rung:
-        """Any two waves."""
-        return self.keep(Waves(pattern), self.lookout.fitted(Waves(pattern), starts))
+    def pair(self, pattern: Pattern, start: Array) -> Rung:
+        """Any two waves from a start (p,)."""
+        family = Waves(pattern)
+        return self.keep(family, descended(family, self.lookout.thin, start[None], rough=True))
 
     def near(self) -> None:
         """Every shape of two waves from the best one, where one could have a lower BIC."""
@@ -170,28 +183,36 @@ class _Climb:
 
     def _from(self, pattern: Pattern, rung: Rung) -> Rung:
         """A shape, started from another one of two waves."""
-        start = as_pattern(pattern, rung.phases)[None]
+        start = as_pattern(pattern, rung.phases)
         return (
             self.pair(pattern, start) if pattern.name == PAIR.name else self.bound(pattern, start)
         )
 
     def standing(self) -> None:
-        """Squares and rectangles that stand, from the peaks of a scan."""
-        self.bound(SQUARE, self.lookout.squares())
-        rectangles = self.lookout.rectangles()
-        if len(rectangles):
-            self.bound(RECTANGLE, rectangles)
-        self.near()
+        """Squares, then rectangles that stand, from the peaks of a scan."""
+        look = self.lookout
+        for pattern, starts in ((SQUARE, look.squares), (RECTANGLE, look.rectangles)):
+            for start in look.ranked(Waves(pattern), starts()):
+                self.bound(pattern, start)
+                if self.quiet:
+                    break
+            self.near()
+            if self.quiet:
+                return
 
     def moving(self) -> None:
         """Square cells that drift, from pieces of the flight."""
-        for free in self.lookout.drifting_squares():
-            self._bound(SQUARE.moving, free)
+        pieces, starts = self.lookout.drifting_squares()
+        for start in starts:
+            self._bound(SQUARE.moving, self.lookout.followed(pieces, start))
+            if self.quiet:
+                break
         self.near()
 
     def pairs(self) -> None:
         """Any two waves that stand, the strongest and the strongest beside it."""
-        self.pair(PAIR, self.lookout.pairs())
+        for start in self.lookout.pairs():
+            self.pair(PAIR, start)
         self.near()
 
     def several(self) -> None:
@@ -203,10 +224,13 @@ class _Climb:
         while len(q) < MOST:
             more = np.zeros((1, pattern.parameters))
             more[0, :2] = self.lookout.strongest(here.fit.rest)
-            there = self.keep(family, descended(family, thin, np.vstack([q, more]), rough=True))
+            fit = descended(family, thin, np.vstack([q, more]), rough=True)
+            if self.lookout.blown(fit):
+                return
+            there = self.keep(family, fit)
             if there.bic >= here.bic:
                 return
-            here, q = there, there.fit.parameters
+            here, q = there, fit.parameters
             if self.lookout.quiet(here.fit.rest):
                 return
 
@@ -215,7 +239,10 @@ class _Climb:
         ranked = sorted(self.rungs.values(), key=lambda rung: rung.bic)
         close = [rung for rung in ranked if rung.bic - ranked[0].bic < CLOSE]
         best = min((self._whole(rung) for rung in close), key=lambda rung: rung.bic)
-        return Ladder(best, tuple(ranked), self.quiet)
+        look, fit = self.lookout, best.fit
+        evidence = look.space.evidence(look.space.null_residual, fit.residual)
+        chance = look.chance(best.family, fit)
+        return Ladder(best, tuple(ranked), self.quiet, look.rows, evidence, chance)
 
     def _whole(self, rung: Rung) -> Rung:
         fit = descended(rung.family, self.lookout.rows, rung.fit.parameters)
@@ -229,9 +256,11 @@ def as_pattern(pattern: Pattern, phases: Array) -> Array:
     exchanges the waves.
     """
     if pattern.name == PAIR.name:
-        waves, omegas = phases[:, :2].ravel(), phases[:, 2]
-        return np.concatenate([waves, omegas]) if pattern.drifting else waves
+        waves: Array = phases[:, :2].ravel()
+        return np.concatenate([waves, phases[:, 2]]) if pattern.drifting else waves
     first, second = phases
+    if second[0] * first[1] < second[1] * first[0]:  # the first is counter-clockwise of the second
+        first, second = second, first
     for _ in range(4):
         total = first + second
         heading = math.atan2(total[1], total[0])
@@ -240,5 +269,5 @@ def as_pattern(pattern: Pattern, phases: Array) -> Array:
         first, second = second, -first
     k_x, k_y = (0.5 * float(np.hypot(*one[:2])) for one in (first + second, first - second))
     wavenumbers = [k_x, k_y] if pattern.name == RECTANGLE.name else [math.sqrt(k_x * k_y)]
-    omegas = [first[2], second[2]] if pattern.drifting else []
-    return np.array([*wavenumbers, *omegas, *([heading] if pattern.turned else [])])
+    frequencies = [first[2], second[2]] if pattern.drifting else []
+    return np.array([*wavenumbers, *frequencies, *([heading] if pattern.turned else [])])

@@ -18,13 +18,17 @@ from sparsefit.library.waves import SQUARE, Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.plane import descended, residuals
 from sparsefit.modes.projection import Projection, project
-from sparsefit.modes.space import SearchSpace
+from sparsefit.modes.space import FALSE_ALARM, SearchSpace
 
-SQUARES, DESCENDED = 40, 4  # peaks of the scan that are ranked by their fit, and descended into
+SQUARES, DESCENDED = 40, 6  # peaks of the scan that are ranked by their fit, and descended into
 STRONG = 24  # peaks of single waves, of which rectangles are made
 ALIKE = 0.15  # of |k|: waves that differ by less may be those of a rectangle
-MOVING, KEPT = 8, 3  # peaks of squares that drift, and those that are followed
+MOVING = 12  # peaks of squares that drift
+OMEGAS = 100.0  # that are told apart, about
 FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
+EXACT = 1e-6  # of |Phi|^2: squares below it are what smoothing takes, and tell no shape
+STRONGEST = 6.0  # of the rms of a component of Phi: a wave that strong is one of two that cancel
+PART = 0.05  # of |Phi|^2: errors that are more could hide a flow
 LOUD, SPREAD = 2.0, 6.0  # of the mean power, and of its standard deviation: more is a flow
 
 
@@ -45,11 +49,11 @@ class Lookout:
     worth: float
 
     @classmethod
-    def of(cls, space: SearchSpace, time: Array, cells: Projection) -> Lookout:
+    def of(cls, space: SearchSpace, time: Array) -> Lookout:
         """Of a flight's samples at time (m,) [s]."""
         thin = space.sampled.timed(time).thinned(max(1, int(0.5 * space.correlation)))
         rows = space.rows.timed(time)
-        return cls(space, rows, thin, 2 * len(space.rows.target) / space.correlation)
+        return cls(space, rows, thin, 2 * len(rows.target) / space.correlation)
 
     @cached_property
     def target(self) -> Array:
@@ -71,28 +75,59 @@ class Lookout:
         return self.scan.gains(self.target)
 
     def bic(self, family: Waves | EqualWaves, fit: Projection) -> float:
-        """N ln RSS + p ln n of a fit, n the rows that count, RSS by row."""
+        """N ln RSS + p ln n of a fit, n the rows that count, RSS over |Phi|^2."""
         parameters = (family.parameters + family.size) * len(fit.parameters)
-        square = max(fit.residual / len(fit.rest), 1e-300)
-        return self.worth * math.log(square) + parameters * math.log(self.worth)
+        share = max(fit.residual / self._square(fit), EXACT)
+        return self.worth * math.log(share) + parameters * math.log(self.worth)
+
+    def _square(self, fit: Projection) -> float:
+        """|Phi|^2 of the rows that were fitted, [m^2/s^2]."""
+        target = (self.thin if len(fit.rest) == len(self.thin.target) else self.rows).target
+        return float(np.sum(target**2)) or 1.0
 
     def quiet(self, rest: Array) -> bool:
-        """Whether errors (m, 2) have no more power where Phi has its own than elsewhere."""
+        """Whether errors (m, 2) have no more power where Phi has its own than elsewhere.
+
+        Where they are a good part of Phi, no wave may explain more of them than chance does either.
+        """
+        size = float(np.sum(rest**2)) / (float(np.sum(self.target**2)) or 1.0)
+        if size <= EXACT:
+            return True
         own, left = (
-            np.sum(np.abs(np.fft.rfft(one - one.mean(axis=0), axis=0)[1:]) ** 2, axis=1)
-            for one in (self.target, rest)
+            np.sum(np.abs(np.fft.rfft(one, axis=0)) ** 2, axis=1) for one in (self.target, rest)
         )
+        if not own.any():
+            return True
         share = own / own.sum()
         spread = math.sqrt(0.5 * float(np.sum(share**2)))
-        return float(share @ left) < (LOUD + SPREAD * spread) * float(left.mean())
+        if float(share @ left) > (LOUD + SPREAD * spread) * float(left.mean()):
+            return False
+        return size < PART or self._unexplained(rest)
 
-    def fitted(self, family: Waves, starts: Array) -> Projection:
-        """The best of the descents from starts (j, p), ranked beforehand where they are many."""
-        if len(starts) > DESCENDED:
-            order = np.argsort(residuals(family, self.thin, starts), kind="stable")
-            starts = starts[order[:DESCENDED]]
-        fits = (descended(family, self.thin, one[None], rough=True) for one in starts)
-        return min(fits, key=lambda fit: fit.residual)
+    def _unexplained(self, rest: Array) -> bool:
+        """Whether no wave explains more of errors (m, 2) than chance does."""
+        whole, gain = float(np.sum(rest**2)), float(self.scan.gains(rest).max())
+        places = 0.5 * float(self.scan.inside.sum())
+        most = 2 * math.log(places / FALSE_ALARM) + 2 * Waves().size
+        return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
+
+    def blown(self, waves: Projection) -> bool:
+        """Whether single waves are so strong that two of them nearly cancel."""
+        sizes = np.hypot(*waves.parameters[:, :2].T) * np.linalg.norm(waves.weights[..., 0], axis=1)
+        return bool(sizes.max() > STRONGEST * math.sqrt(float(np.mean(self.target**2))))
+
+    def ranked(self, family: Waves | PiecedWaves, starts: Array) -> Array:
+        """The starts (j, p) of most promise, by what they leave as they are, the best first."""
+        order = np.argsort(residuals(family, self.thin, starts), kind="stable")
+        ranked: Array = starts[order[:DESCENDED]]
+        return ranked
+
+    def chance(self, family: Waves | EqualWaves, fit: Projection) -> float:
+        """What 2 ln(likelihood ratio) of waves to a wind reaches by chance in 1 of 1000 flights."""
+        waves = family.pattern.size * len(fit.parameters)
+        places = 0.5 * float(self.scan.inside.sum()) * (OMEGAS if family.pattern.drifting else 1.0)
+        free = (family.parameters + family.size) * len(fit.parameters)
+        return 2 * waves * math.log(places) - 2 * math.log(FALSE_ALARM) + free
 
     def squares(self) -> Array:
         """Squares (j, 2), (k, heading), that explain much."""
@@ -124,8 +159,8 @@ class Lookout:
         wave: Array = self.scan.axis[peaks(self.scan.gains(rest), 1)[0]]
         return wave
 
-    def drifting_squares(self) -> list[Projection]:
-        """Squares that drift, the best first, followed from pieces to the whole flight."""
+    def drifting_squares(self) -> tuple[int, Array]:
+        """Squares that drift (j, 4), the most promising first, and of how many pieces."""
         fastest = FASTEST * math.sqrt(2 * float(np.mean(np.sum(self.target**2, axis=1))))
         scan = DriftScan.of(self.thin.position, self._radii, fastest)
         gains, (axis, omega) = scan.gains(self.target)
@@ -135,16 +170,17 @@ class Lookout:
         # The second wave of a square is the first one turned clockwise, (k_y, -k_x).
         omegas = [at[i, j], at[j, len(axis) - 1 - i]]
         starts = np.column_stack([np.hypot(*k.T) / math.sqrt(2), *omegas, _heading(k)])
-        pieces = scan.pieces
-        order = np.argsort(residuals(PiecedWaves(SQUARE.moving, pieces), self.thin, starts))
-        follow = [starts[one][None] for one in order[:KEPT]]
+        return scan.pieces, self.ranked(PiecedWaves(SQUARE.moving, scan.pieces), starts)
+
+    def followed(self, pieces: int, start: Array) -> Projection:
+        """A square that drifts, (4,), followed from pieces to the whole flight."""
+        parameters = start[None]
         while True:
             family = PiecedWaves(SQUARE.moving, pieces)
-            fits = [descended(family, self.thin, one, rough=True) for one in follow]
-            follow = [fit.parameters for fit in fits]
+            fit = descended(family, self.thin, parameters, rough=True)
             if pieces == 1:
-                return sorted(fits, key=lambda fit: fit.residual)
-            pieces = (pieces + 1) // 2
+                return fit
+            parameters, pieces = fit.parameters, (pieces + 1) // 2
 
 
 def _heading(waves: Array) -> Array:

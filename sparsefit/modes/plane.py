@@ -17,10 +17,10 @@ from sparsefit.library.pieced_waves import PiecedWaves
 from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection, project
-from sparsefit.modes.space import HALVINGS, ITERATIONS
 
 PlaneFamily: TypeAlias = Waves | EqualWaves | PiecedWaves
 
+ITERATIONS, HALVINGS = 25, 6  # of a descent, and of one of its moves
 LONGEST = 0.5  # of a move, in pi over the extent and over the duration
 ROUGH, END = 1e-3, 1e-9  # of moves, in the same units: where a descent may stop, and where it ends
 SLIGHT = 1e-6  # of RSS: where a rough descent may stop

@@ -14,7 +14,7 @@ from sparsefit.regression.problem import RegressionProblem
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]
-Refine = Literal["none", "variable-projection"]
+Refine = Literal["none", "variable-projection", "ladder"]
 Scales = Literal["one", "several"]
 Correction = Literal["none", "first-order"]
 
@@ -31,7 +31,10 @@ class Readout:
     least-squares coefficient, ``pseudo-inverse``), ``rms`` over the cell in closed form, or the
     ``peak`` of |w| over the cell.
     refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
-    the 8-column fit between the grid's bounds; ``none`` reports the candidate itself.
+    the 8-column fit between the grid's bounds; ``ladder`` goes on from there to the shapes of an
+    incompressible flow, cells at any heading, of any sides, steady or drifting, and lets the flight
+    choose (`sparsefit.modes.ladder`; with ``rms`` and one scale, else as ``variable-projection``);
+    ``none`` reports the candidate itself.
     scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
     (`sparsefit.modes.search`). Its peaks are those of the Euclidean norm always.

@@ -5,6 +5,7 @@ from sparsefit.uncertainty.causes import Cause, Suspect
 from sparsefit.uncertainty.goodness import Goodness
 from sparsefit.uncertainty.noise import LAGS
 from sparsefit.uncertainty.record import Uncertainty
+from sparsefit.uncertainty.shape import Shape, ShapeUncertainty
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
 
 __all__ = [
@@ -13,6 +14,8 @@ __all__ = [
     "Cause",
     "Goodness",
     "ModeAssessment",
+    "Shape",
+    "ShapeUncertainty",
     "Suspect",
     "Uncertainty",
     "VehicleUncertainty",

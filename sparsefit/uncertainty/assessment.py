@@ -1,4 +1,4 @@
-"""One assessment of one fit of cellular modes: U0, L and tau_w of each, the vehicle, how sure."""
+"""One assessment of one fit: U0, L and tau_w of every mode of cells, or of waves; how sure."""
 
 from __future__ import annotations
 
@@ -10,15 +10,19 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.family import Family
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
+from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
 from sparsefit.uncertainty.corrected import Known, corrected
 from sparsefit.uncertainty.goodness import Goodness, goodness_of
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.reading import MODE, reader
+from sparsefit.uncertainty.reading import MODE, Reader, Reading, cellular, joined
+from sparsefit.uncertainty.reading import vehicle as of_vehicle
 from sparsefit.uncertainty.record import Uncertainty
+from sparsefit.uncertainty.shape import CELL, Shape, names_of, waves
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
 
 
@@ -51,24 +55,26 @@ class Assessment:
         vehicle: the vehicle and the wind that fit best, None where all of it was known.
         vehicle_uncertainty: how sure what was unknown of them is.
         goodness: how well the modes fit.
+        shape: the cells that two waves make.
     """
 
     modes: tuple[ModeAssessment, ...]
     vehicle: VehicleEstimate | None = None
     vehicle_uncertainty: VehicleUncertainty | None = None
     goodness: Goodness | None = None
+    shape: Shape | None = None
 
 
 def assess(
     samples: Samples,
     rows: Rows,
-    family: Family,
+    family: Family | EqualWaves,
     fit: Projection,
     nuisance: Nuisance,
     *,
     correct: bool,
 ) -> Assessment | None:
-    """Assess a fit of the modes of `Cells` to the rows of a flight, where it is best.
+    """Assess a fit of modes of `Cells`, or of one flow of waves, to the rows of a flight.
 
     Args:
         samples: what the rows were made of.
@@ -91,6 +97,9 @@ def assess(
     known = corrected(samples, model, nuisance, reader(nuisance), correct=correct)
     if known is None:
         return None
+    if isinstance(model.family, Waves):
+        names = names_of(model.family, len(model.parameters))
+        return _of_waves(known, names, model, vehicle)
     count = len(MODE) * len(fit.parameters)
     every = known.values, known.errors, known.freedom
     by_mode = [array[:count].reshape(-1, 3) for array in every]
@@ -102,6 +111,32 @@ def assess(
     return Assessment(modes, *_vehicle(vehicle, beside), goodness=goodness)
 
 
+def reader(nuisance: Nuisance) -> Reader:
+    """What a model is read for: its modes by their family, and what is unknown beside them."""
+
+    def read(model: Model) -> Reading:
+        modes = (waves if isinstance(model.family, Waves) else cellular)(model, nuisance)
+        return joined(modes, of_vehicle(model, nuisance)) if nuisance.unknown else modes
+
+    return read
+
+
+def _of_waves(
+    known: Known, names: tuple[str, ...], model: Model, vehicle: VehicleEstimate
+) -> Assessment:
+    """What is known of all waves together."""
+    every = known.values, known.errors, known.freedom
+    modes = (_mode(*(array[: len(MODE)] for array in every)),)
+    goodness, shape = goodness_of(model, known.left, modes[0].mean_velocity), None
+    if CELL[0] in names:
+        shape = Shape.around(*(array[len(MODE) : len(names)] for array in every))
+    if not vehicle.unknown:
+        return Assessment(modes, goodness=goodness, shape=shape)
+    values, errors, freedom = (array[len(names) :] for array in every)
+    beside = Known(values, errors, freedom)
+    return Assessment(modes, *_vehicle(vehicle, beside), goodness, shape)
+
+
 def _as_found(
     samples: Samples, model: Model, nuisance: Nuisance, vehicle: VehicleEstimate
 ) -> tuple[Model, Nuisance]:
@@ -111,7 +146,9 @@ def _as_found(
     left = (*[0.0] * nuisance.shared, *(vehicle.wind if nuisance.constant else ()))
     turned = replace(
         model,
-        rows=Rows.of(samples.weak or samples, found, vehicle.unknown),
+        rows=replace(
+            Rows.of(samples.weak or samples, found, vehicle.unknown), position=model.rows.position
+        ),
         weights=model.weights / ratio,
         coefficients=np.array(left),
     )

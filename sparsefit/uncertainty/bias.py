@@ -119,7 +119,7 @@ class Truncated:
 def without_truncation(fit: Filtered) -> Truncated:
     """Take the truncation from a fit; nothing is known of it where steps are uneven."""
     samples, model = fit.samples, fit.model
-    position, velocity = model.rows.position, samples.velocity
+    position, velocity = model.rows.position[:, :2], samples.velocity
     distortion = Distortion.of(position, velocity, fit.filters)
     if distortion is None:
         return Truncated(model, model.residual, fit.plain.residual)

@@ -39,7 +39,9 @@ class Filtered:
             return None  # or weak rows of the states as they were measured
         if samples.weak is not None:
             single = replace(samples, weak=None)
-            plain = replace(model, rows=Rows.of(single, nuisance.believed, nuisance.unknown))
+            rows = Rows.of(single, nuisance.believed, nuisance.unknown)
+            timed = model.rows.position.shape[1] > 2
+            plain = replace(model, rows=rows.timed(samples.time) if timed else rows)
         tau = nuisance.believed.response_time
         return cls(samples, filters, model, plain, tau, nuisance.shared)
 

@@ -29,20 +29,26 @@ class Information:
         vectors: their eigenvectors (n, n), in columns.
         kept: which of them are no null directions (n,).
         scale: lengths of the columns of J (n,), 1 for a column of zeros.
+        tangent: the directions (N, n) that parameters (N,) can move along; None: all.
+
+    With a tangent J is that of steps along it, and n its columns.
     """
 
     roots: Array
     vectors: Array
     kept: BoolArray
     scale: Array
+    tangent: Array | None = None
 
     @classmethod
-    def of(cls, gram: Array) -> Information:
-        """The information of J'J (n, n)."""
+    def of(cls, gram: Array, tangent: Array | None = None) -> Information:
+        """The information of J'J (N, N), of steps along a tangent (N, n)."""
+        if tangent is not None:
+            gram = tangent.T @ gram @ tangent
         scale = np.sqrt(np.diagonal(gram))
         scale = np.where(scale > 0, scale, 1.0)
         roots, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-        return cls(roots, vectors, roots > RANK * roots[-1], scale)
+        return cls(roots, vectors, roots > RANK * roots[-1], scale, tangent)
 
     @property
     def whole(self) -> bool:
@@ -54,7 +60,7 @@ class Information:
         """B (n, rank) with J B orthonormal: (J'J)^+ = B B'."""
         kept = self.kept
         basis: Array = self.vectors[:, kept] / self.scale[:, None] / np.sqrt(self.roots[kept])
-        return basis
+        return basis if self.tangent is None else self.tangent @ basis
 
     def solved(self, values: Array) -> Array:
         """(J'J)^+ values, of values (n,) or (n, f)."""
@@ -63,7 +69,8 @@ class Information:
 
     def lost(self, gradients: Array) -> BoolArray:
         """Which functions of theta, by their gradients (f, n), the rows do not tell."""
-        turned = self.vectors.T @ (gradients / self.scale).T
+        own = gradients if self.tangent is None else gradients @ self.tangent
+        turned = self.vectors.T @ (own / self.scale).T
         hidden, whole = (np.linalg.norm(part, axis=0) for part in (turned[~self.kept], turned))
         lost: BoolArray = ~(hidden <= LOST * whole)
         return lost

@@ -15,6 +15,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray
 from sparsefit.cached import cached_property
+from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.family import Family
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
@@ -35,6 +36,7 @@ class Model:
         parameters: q (s, p).
         weights: W (s, c, n) [m/s].
         coefficients: b (j,) of the nuisance columns.
+        tangent: the directions (n, l) in theta that the fit could move along; None: all.
     """
 
     family: Family
@@ -42,10 +44,17 @@ class Model:
     parameters: Array
     weights: Array
     coefficients: Array
+    tangent: Array | None = None
 
     @classmethod
-    def of(cls, family: Family, rows: Rows, fit: Projection) -> Model:
-        """The model of a projection of these rows."""
+    def of(cls, family: Family | EqualWaves, rows: Rows, fit: Projection) -> Model:
+        """The model of a projection of these rows; of waves equally strong, as waves so bound."""
+        if isinstance(family, EqualWaves):
+            parameters, weights, own = family.freed(fit.parameters, fit.weights)
+            tangent, loose = np.zeros(np.add(own.shape, len(fit.coefficients))), own.shape[0]
+            tangent[:loose, : own.shape[1]] = own
+            tangent[loose:, own.shape[1] :] = np.eye(len(fit.coefficients))
+            return cls(family.waves, rows, parameters, weights, fit.coefficients, tangent)
         return cls(family, rows, fit.parameters, fit.weights, fit.coefficients)
 
     @cached_property
@@ -113,7 +122,7 @@ class Model:
     @cached_property
     def information(self) -> Information:
         """J'J of the rows, and what they do not tell."""
-        return Information.of(self.jacobian.gram)
+        return Information.of(self.jacobian.gram, self.tangent)
 
     def influence(self, gradients: Array) -> Array:
         """c (f, 2, q): errors e of the rows move functions of theta, gradients (f, n), by c.e."""

@@ -114,13 +114,3 @@ def vehicle(model: Model, nuisance: Nuisance) -> Reading:
         np.array(limits),
         np.zeros(len(names), dtype=bool),
     )
-
-
-def reader(nuisance: Nuisance) -> Reader:
-    """What a model of `Cells` is read for: its modes, and what is unknown beside them."""
-
-    def read(model: Model) -> Reading:
-        modes = cellular(model, nuisance)
-        return joined(modes, vehicle(model, nuisance)) if nuisance.unknown else modes
-
-    return read

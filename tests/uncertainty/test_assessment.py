@@ -18,9 +18,8 @@ from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import project
 from sparsefit.uncertainty import Uncertainty
-from sparsefit.uncertainty.assessment import _as_found, assess
+from sparsefit.uncertainty.assessment import _as_found, assess, reader
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.reading import reader
 from tests.fits import cells_at, located
 from tests.fleet import fly_together
 

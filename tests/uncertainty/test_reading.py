@@ -10,8 +10,8 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import Cells, rms_mean_velocity
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
+from sparsefit.uncertainty.assessment import reader
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.reading import reader
 
 VEHICLE = PointMassVehicle(0.4, (5.0, 3.0))
 UNKNOWNS = [

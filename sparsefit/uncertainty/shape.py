@@ -1,0 +1,130 @@
+"""What is read from waves: U0, L and tau_w, and of two waves the cells' sides, heading and drift.
+
+    U0^2 = sum_j |k_j|^2 (a_j^2 + b_j^2),    L = sqrt(2) pi / sqrt(mean |k_j|^2),    tau_w = L/U0
+
+Two waves make cells between the lines on which (k_1 + k_2).x/2 and (k_1 - k_2).x/2 step by pi:
+L_x and L_y are their distances, the heading that of k_1 + k_2, brought to (-pi/4, pi/4] by quarter
+turns, and the drift c solves k_j . c = omega_j. Gradients are differences of these, in parameters
+scaled to their size.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.waves import Waves
+from sparsefit.uncertainty.model import Model
+from sparsefit.uncertainty.reading import FIRST_ORDER, MODE, Reading
+from sparsefit.uncertainty.record import interval
+
+CELL = ("length_scale_x", "length_scale_y", "heading")
+DRIFT = ("drift_x", "drift_y")
+STEP = 1e-6  # of differences, relative to a parameter's size
+TURN = 0.05  # [rad] that a correction of first order may turn cells by
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ShapeUncertainty:
+    """Standard errors and 95 % intervals of (L_x, L_y) [m], the heading [rad] and the drift [m/s].
+
+    None of a drift that the shape does not have; pairs are (x, y).
+    """
+
+    length_scales: tuple[float, float]
+    length_scale_intervals: tuple[Interval, Interval]
+    heading: float
+    heading_interval: Interval
+    drift: tuple[float, float] | None = None
+    drift_intervals: tuple[Interval, Interval] | None = None
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The cells that two waves make.
+
+    Args:
+        length_scales: (L_x, L_y) [m], in the cells' own axes.
+        heading: by which these are turned counter-clockwise [rad], in (-pi/4, pi/4].
+        drift: at which the pattern moves [m/s], (x, y); 0 of a steady shape.
+        uncertainty: how sure they are.
+    """
+
+    length_scales: tuple[float, float]
+    heading: float
+    drift: tuple[float, float]
+    uncertainty: ShapeUncertainty
+
+    @classmethod
+    def around(cls, values: Array, errors: Array, freedom: Array) -> Shape:
+        """Of values (f,) of `CELL`, and of `DRIFT` where it is told; standard errors, freedom."""
+        every = (array.tolist() for array in (values, errors, freedom))
+        ends = [interval(*one) for one in zip(*every, strict=True)]
+        (x, y, heading), drift = values[:3].tolist(), tuple(values[3:].tolist())
+        own = errors.tolist()
+        moves = (tuple(own[3:]), tuple(ends[3:])) if drift else (None, None)
+        sure = ShapeUncertainty((own[0], own[1]), (ends[0], ends[1]), own[2], ends[2], *moves)
+        return cls((x, y), heading, drift or (0.0, 0.0), sure)
+
+
+def names_of(family: Waves, modes: int) -> tuple[str, ...]:
+    """What is read of a model of so many modes of waves."""
+    if family.pattern.size * modes != 2:
+        return MODE
+    return (*MODE, *CELL, *(DRIFT if family.pattern.drifting else ()))
+
+
+def waves(model: Model, nuisance: Nuisance) -> Reading:
+    """The values of `names_of` of a model of `Waves`, all of its waves together."""
+    family = model.family
+    assert isinstance(family, Waves)
+    theta = model.joined(model.parameters, model.weights, model.coefficients)
+
+    def read(other: Array) -> Array:
+        parameters, weights, coefficients = model.split(other)
+        phases = family.pattern.phases(parameters).reshape(-1, 3)
+        amplitudes = weights.reshape(-1, 2) / nuisance.ratio(coefficients)
+        return _values(phases, amplitudes, drifting=family.pattern.drifting)
+
+    values, names = read(theta), names_of(family, len(model.parameters))
+    gradients = np.zeros((len(values), len(theta)))
+    for i, step in enumerate(STEP * _sizes(model)):
+        ends = [read(theta + sign * step * np.eye(len(theta))[i]) for sign in (1, -1)]
+        gradients[:, i] = (ends[0] - ends[1]) / (2 * step)
+    limits = FIRST_ORDER * np.abs(values)
+    limits[[name == "heading" for name in names]] = TURN
+    limits[[name in DRIFT for name in names]] = math.inf
+    norms = np.array([name in ("mean_velocity", "timescale") for name in names])
+    return Reading(names, values, gradients, limits, norms)
+
+
+def _sizes(model: Model) -> Array:
+    """The size of every entry of theta: parts are alike."""
+    sizes = [np.full_like(model.parameters, float(np.abs(model.parameters).max()))]
+    weights = np.full_like(model.weights, float(np.abs(model.weights).max()))
+    return model.joined(sizes[0], weights, np.ones_like(model.coefficients))
+
+
+def _values(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
+    """U0, L, tau_w of waves (J, 3), amplitudes (J, 2); of two L_x, L_y, heading and drift."""
+    squares = np.sum(phases[:, :2] ** 2, axis=1)
+    speed = math.sqrt(float(squares @ np.sum(amplitudes**2, axis=1)))
+    scale = math.sqrt(2.0 / float(np.mean(squares))) * math.pi
+    values = [speed, scale, scale / speed if speed else math.inf]
+    if len(phases) == 2:
+        first, second = phases[:, :2]
+        total, difference = first + second, first - second
+        heading = math.atan2(total[1], total[0])
+        quarter = round(heading / (0.5 * math.pi))
+        sides = [2 * math.pi / math.hypot(*one) for one in (total, difference)]
+        values += sides[::-1] if quarter % 2 else sides
+        values.append(heading - 0.5 * math.pi * quarter)
+        if drifting:
+            values += np.linalg.solve(phases[:, :2], phases[:, 2]).tolist()
+    return np.array(values)

@@ -1,0 +1,55 @@
+"""The ladder in an estimate: shape, heading, drift and flow of a flight, with their intervals."""
+
+import math
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.flight.waves import WaveFlow
+from sparsefit.modes.readout import Readout
+
+VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
+LADDER = sf.Estimator(readout=Readout(refine="ladder"))
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """A flight through square cells turned by 0.3 rad, and what is estimated from it."""
+    scale, heading, speed = 4.0, 0.3, 10.0
+    k = math.pi / scale * np.array([[1.0, 1.0], [1.0, -1.0]])
+    turn = np.array(
+        [[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]]
+    )
+    size = speed / (2 * math.pi / scale)
+    flow = WaveFlow(k @ turn.T, np.array([size, -size]), np.zeros(2))
+    flight = sf.simulate_flight(
+        flow, VEHICLE, duration=8.0, sample_rate=100.0, seed=3, position_noise=0.02,
+        velocity_noise=0.1, initial_position=(101.0, -57.0),
+    )  # fmt: skip
+    return flow, flight, LADDER.estimate(flight)
+
+
+def test_cells_at_a_heading_are_told(turned):
+    flow, _, estimate = turned
+    assert (estimate.status, estimate.shape) == ("ok", "square")
+    sure, shape = estimate.uncertainty, estimate.shape_uncertainty
+    assert abs(estimate.mean_velocity - flow.mean_velocity) < 4 * sure.mean_velocity
+    assert abs(estimate.length_scale - 4.0) < 4 * sure.length_scale < 0.1
+    assert abs(estimate.heading - 0.3) < 4 * shape.heading < 0.05
+    assert estimate.drift == (0.0, 0.0)
+    assert estimate.length_scales == pytest.approx([estimate.length_scale] * 2)
+    assert estimate.rungs[0].bic == 0 < estimate.rungs[1].bic
+
+
+def test_the_flow_is_that_of_the_flight_in_its_own_coordinates(turned):
+    flow, flight, estimate = turned
+    x, y = flight.position.T
+    true, found = flow.velocity(x, y), estimate.flow.velocity(x, y, flight.time)
+    assert np.mean((found - true) ** 2) < 1e-3 * np.mean(true**2)
+
+
+def test_an_estimate_with_its_shape_is_json(turned):
+    ready = turned[2].to_dict()
+    assert ready["shape"] == "square"
+    assert len(ready["rungs"]) > 1
