@@ -18,7 +18,7 @@ from sparsefit.flight.shaped import ShapedCells
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, legend, panels
 from sparsefit.study.spec.design import Cell
-from sparsefit.study.spec.draw import SIMULATION, stream
+from sparsefit.study.spec.draw import SIMULATION, Draw, stream
 from sparsefit.study.spec.study import Study
 
 FLIGHT = 0
@@ -42,24 +42,32 @@ def plane_figure(_: Asked, study: Study, cases: pd.DataFrame, weights: object = 
             'drop the figure "plane-certificate" from [outputs]'
         )
     figure, (row,) = panels(1, len(chosen), height=3.9)
-    for axes, cell in zip(row, chosen, strict=True):
-        draw = study.draw(FLIGHT, cell)
-        flown = replace(draw.fly(stream(study.seed, FLIGHT, SIMULATION)), flow=None)
-        shades = _panel(axes, certificate_map(study.estimator(cell), flown), _true_waves(draw.flow))
+    flown = [(cell, study.draw(FLIGHT, cell)) for cell in chosen]
+    maps = [_map(study, cell, draw) for cell, draw in flown]
+    top = max(1.0, *(shown.highest for shown in maps))
+    for axes, shown, (cell, draw) in zip(row, maps, flown, strict=True):
+        shades = _panel(axes, shown, _true_waves(draw.flow), top)
         axes.set_title(cell.protocol, loc="left")
     figure.colorbar(shades, ax=row, label="η", shrink=0.8)
     legend(figure, row)
     return figure
 
 
+def _map(study: Study, cell: Cell, draw: Draw) -> CertificateMap:
+    flown = replace(draw.fly(stream(study.seed, FLIGHT, SIMULATION)), flow=None)
+    return certificate_map(study.estimator(cell), flown)
+
+
 def _chosen(study: Study) -> list[Cell]:
-    """The first cell of group-lasso on waves of every protocol."""
-    found: dict[str, Cell] = {}
+    """The first cell of group-lasso on waves of every world: of flights and their library."""
+    found: list[Cell] = []
     for cell in study.cells:
         library = cell.setup.library
-        if (cell.backend, library.family, library.groups) == (BACKEND, "waves", "wave"):
-            found.setdefault(cell.protocol, cell)
-    return list(found.values())[:PANELS]
+        wanted = (cell.backend, library.family, library.groups) == (BACKEND, "waves", "wave")
+        worlds = [(other.setup.flights, other.setup.library) for other in found]
+        if wanted and (cell.setup.flights, library) not in worlds:
+            found.append(cell)
+    return found[:PANELS]
 
 
 def _true_waves(flow: Flow | None) -> Array:
@@ -74,11 +82,11 @@ def _as_shaped(cells: CellularFlow | ShapedCells) -> ShapedCells:
     return ShapedCells(cells.mean_velocity, cells.length_scales)
 
 
-def _panel(axes: Axes, shown: CertificateMap, truth: Array) -> AxesImage:
+def _panel(axes: Axes, shown: CertificateMap, truth: Array, top: float) -> AxesImage:
     edge = float(shown.axis[-1])
     shades = axes.imshow(
         shown.eta.T, origin="lower", extent=(-edge, edge, -edge, edge), cmap=SHADES, vmin=0.0,
-        vmax=max(1.0, shown.highest), interpolation="nearest",
+        vmax=top, interpolation="nearest",
     )  # fmt: skip
     if shown.highest > 1.0:
         axes.contour(shown.axis, shown.axis, shown.eta.T, levels=[1.0], colors="white",
