@@ -119,7 +119,8 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--refine",
         metavar="NAME",
-        help="variable-projection (default: L off the grid) or none (the candidate itself)",
+        help="variable-projection (default: off the grid), ladder (shape, heading and drift too) "
+        "or none (the candidate itself)",
     )
     group.add_argument(
         "--scales",

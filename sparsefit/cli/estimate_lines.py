@@ -19,6 +19,14 @@ MEANINGS = {
     "fixed_point": "share of the support one more step would change",
 }
 
+SHAPES = {
+    "axis": "square cells along the axes",
+    "square": "square cells",
+    "rectangle": "rectangular cells",
+    "pair": "two waves",
+    "several": "several waves",
+}
+
 
 def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:
     """The lines of the answer: flight and vehicle, the parameters, the status and its proof.
@@ -42,6 +50,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         ("vehicle", ", ".join(vehicle) or "unknown"),
         ("", ""),
         *_parameters(estimate),
+        *_shape(estimate),
         *_estimated(estimate),
         *_goodness(estimate),
         ("", ""),
@@ -53,6 +62,28 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         ("time", duration(estimate.seconds)),
     ]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _shape(estimate: Estimate) -> list[tuple[str, str]]:
+    """What the cells are where they are not simply squares along the axes that stand."""
+    shape, known = estimate.shape, estimate.shape_uncertainty
+    moves = estimate.drift is not None and any(estimate.drift)
+    if not shape or (shape == "axis" and not moves):
+        return []
+    rows = [("shape", SHAPES[shape] + (", drifting" if moves else ""))]
+    if known is None or estimate.length_scales is None:
+        return rows
+    if shape != "axis":
+        degrees, spread = (math.degrees(one) for one in (estimate.heading, known.heading))
+        rows.append(("heading", f"{degrees:.4f} degrees  ± {spread:.2g}"))
+    if shape in ("rectangle", "pair"):
+        sides = estimate.length_scales
+        words = f"({sides[0]:.4f}, {sides[1]:.4f}) m" + _spread(known.length_scales)
+        rows.append(("length scales  x, y", words))
+    if moves and estimate.drift is not None:
+        words = f"({estimate.drift[0]:.4f}, {estimate.drift[1]:.4f}) m/s" + _spread(known.drift)
+        rows.append(("drift", words))
+    return rows
 
 
 def _goodness(estimate: Estimate) -> list[tuple[str, str]]:

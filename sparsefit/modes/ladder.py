@@ -31,6 +31,7 @@ from sparsefit.modes.space import SearchSpace
 CELLS = (AXIS, SQUARE, RECTANGLE)
 NEAR_AXIS = 0.1  # of heading [rad]: cells turned by less are tried along the axes
 MOST = 4  # waves
+ROUNDS = 8  # of the search around the best shape, at most
 CLOSE = 10.0  # of BIC to the best: rungs that are fitted to all rows before one is chosen
 Family = Waves | EqualWaves
 
@@ -144,7 +145,7 @@ class _Climb:
 
     def near(self) -> None:
         """Every shape of two waves from the best one, where one could have a lower BIC."""
-        for _ in range(len(CELLS)):
+        for _ in range(ROUNDS):
             here = self.best
             if here.shape == "several":
                 return

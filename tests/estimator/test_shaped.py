@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
+from sparsefit.cli.estimate_lines import lines
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.modes.readout import Readout
 
@@ -53,3 +54,11 @@ def test_an_estimate_with_its_shape_is_json(turned):
     ready = turned[2].to_dict()
     assert ready["shape"] == "square"
     assert len(ready["rungs"]) > 1
+
+
+def test_the_command_line_tells_the_shape(turned):
+    _, flight, estimate = turned
+    words = "\n".join(lines("turned", flight, estimate, ()))
+    assert "shape                 square cells\n" in words
+    assert f"heading               {math.degrees(estimate.heading):.4f} degrees" in words
+    assert "drift" not in words
