@@ -99,10 +99,10 @@ def _goodness(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def _structure(whiteness: float) -> str:
-    """Whether noise of the sensors explains the rest, where that could be tested."""
+    """The p-value that noise of the sensors and kicks explains the rest, where it was tested."""
     if whiteness != whiteness:
         return ""
-    return f"; the rest is noise of the sensors with p = {whiteness:.2g}"
+    return f"; whiteness of the rest: p = {whiteness:.2g}"
 
 
 def _wander(estimate: Estimate) -> list[tuple[str, str]]:

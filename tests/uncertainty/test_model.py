@@ -174,3 +174,15 @@ def test_what_a_fit_leaves_of_a_spectrum(family):
     assert np.abs(left - expected).max() < 0.05 * expected.max()
     assert left.sum() == pytest.approx(expected.sum(), rel=1e-2)
     assert (left < 0.9 * shape).any()
+
+
+@families
+@kinds
+@unknowns
+def test_freed_columns_are_orthogonal_to_the_jacobian(family, weak, unknown):
+    model = model_of(family, rows_of(weak, unknown))
+    columns = np.random.default_rng(1).standard_normal((3, 2, len(model.rows.target)))
+    jacobian = dense(model)
+    flat = columns.reshape(3, -1).T
+    expected = flat - jacobian @ np.linalg.lstsq(jacobian, flat, rcond=1e-10)[0]
+    np.testing.assert_allclose(model.freed(columns).reshape(3, -1).T, expected, atol=1e-8)
