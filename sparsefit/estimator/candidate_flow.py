@@ -69,8 +69,7 @@ def flow_of(prepared: Prepared, fit: Fit, place: Place) -> CandidateFlow | WaveF
 
 def _as_weighed(prepared: Prepared, fit: Fit) -> CandidateFlow | WaveFlow | None:
     library, scales = prepared.library, fit.problem.group_scales
-    of_velocity = library.family == "cells" and library.target == "flow-velocity"
-    if not of_velocity or library.unknown or scales is None:
+    if library.target != "flow-velocity" or library.unknown or scales is None:
         return None
     if library.family == "stream":
         assert fit.problem.parameters is not None

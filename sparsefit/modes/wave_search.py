@@ -15,14 +15,13 @@ from sparsefit.arrays import Array
 from sparsefit.library.scan import extent_of
 from sparsefit.library.waves import WAVE, Waves
 from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.plane import descended
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.wave_peaks import strengths
 
 CLOSE = 0.5  # in pi/extent: waves nearer than that are one, with amplitudes of opposite sign
 UNKNOWNS = 4  # of a wave: its wavevector, and the amplitudes of its cosine and its sine
 LARGEST = 4.0  # of the rms of Phi: a wave that strong is one of two that cancel
-STEPS, HALVINGS, LONGEST = 60, 12, 0.5  # of a descent, of its moves, and of a move in pi/extent
-ROUGH, END = 1e-3, 1e-9  # of a move, in pi/extent: where a search and where a descent may stop
 EXACT = 1e-12  # of |Phi|^2: a residual below it is rounding, and no wave lowers it
 
 
@@ -41,32 +40,14 @@ def refined(rows: Rows, thin: Rows, peaks: Array, worth: float) -> Projection:
     best = project(family, thin, kept).residual
     floor = EXACT * best
     for peak in peaks:
-        tried = _descended(family, thin, np.vstack([kept, peak]), reach, ROUGH)
+        tried = descended(family, thin, np.vstack([kept, peak]), rough=True)
         strongest = strengths(tried.parameters, tried.weights[:, :, 0]).max()
         if best <= floor or strongest > most or _closest(tried.parameters) < CLOSE * reach:
             continue
         ratio = max(tried.residual, floor) / best
         if worth * math.log(ratio) + UNKNOWNS * math.log(worth) < 0:
             kept, best = tried.parameters, tried.residual
-    return _descended(family, rows, kept, reach, END)
-
-
-def _descended(family: Waves, rows: Rows, k: Array, reach: float, end: float) -> Projection:
-    """All waves moved from k (s, 2) [1/m] to the least residual in reach, by Gauss-Newton."""
-    here = project(family, rows, k)
-    for _ in range(STEPS):
-        longest = float(np.linalg.norm(here.moves, axis=1).max(initial=0.0)) / reach
-        if longest <= end:
-            return here
-        moves = here.moves * min(1.0, LONGEST / longest)
-        for halving in range(HALVINGS):
-            there = project(family, rows, here.parameters + moves * 0.3**halving)
-            if there.residual < here.residual:
-                break
-        else:
-            return here
-        here = there
-    return here
+    return descended(family, rows, kept)
 
 
 def _closest(wavevectors: Array) -> float:
