@@ -236,18 +236,28 @@ class _Climb:
                 return
 
     def ladder(self) -> Ladder:
-        """The rungs by BIC; those that are close are fitted to all rows before one is chosen."""
-        ranked = sorted(self.rungs.values(), key=lambda rung: rung.bic)
-        close = [rung for rung in ranked if rung.bic - ranked[0].bic < CLOSE]
-        best = min((self._whole(rung) for rung in close), key=lambda rung: rung.bic)
-        look, fit = self.lookout, best.fit
-        evidence = look.space.evidence(look.space.null_residual, fit.residual)
-        chance = look.chance(best.family, fit)
-        return Ladder(best, tuple(ranked), self.quiet, look.rows, evidence, chance)
+        """The rungs by BIC; those that are close are fitted to all rows before one is chosen.
 
-    def _whole(self, rung: Rung) -> Rung:
-        fit = descended(rung.family, self.lookout.rows, rung.fit.parameters)
-        return replace(rung, fit=fit, bic=self.lookout.bic(rung.family, fit))
+        Where more than noise is left it is turbulence, or another flow: rows then count for less,
+        and more waves only follow the one or the other.
+        """
+        look, quiet, rungs = self.lookout, self.quiet, list(self.rungs.values())
+        if not quiet:
+            look = look.coloured(self.best.fit.rest)
+            rungs = [rung for rung in rungs if rung.shape != "several"]
+        again = (replace(rung, bic=look.bic(rung.family, rung.fit)) for rung in rungs)
+        ranked = sorted(again, key=lambda rung: rung.bic)
+        close = [rung for rung in ranked if rung.bic - ranked[0].bic < CLOSE]
+        best = min((_whole(look, rung) for rung in close), key=lambda rung: rung.bic)
+        evidence = look.space.evidence(look.space.null_residual, best.fit.residual)
+        chance = look.chance(best.family, best.fit)
+        return Ladder(best, tuple(ranked), quiet, look.rows, evidence, chance)
+
+
+def _whole(look: Lookout, rung: Rung) -> Rung:
+    """A rung, fitted to all rows."""
+    fit = descended(rung.family, look.rows, rung.fit.parameters)
+    return replace(rung, fit=fit, bic=look.bic(rung.family, fit))
 
 
 def as_pattern(pattern: Pattern, phases: Array) -> Array:

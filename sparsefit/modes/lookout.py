@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +18,7 @@ from sparsefit.library.waves import SQUARE, Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.plane import descended, residuals
 from sparsefit.modes.projection import Projection, project
-from sparsefit.modes.space import FALSE_ALARM, SearchSpace
+from sparsefit.modes.space import FALSE_ALARM, SearchSpace, concentration
 
 SQUARES, DESCENDED = 40, 6  # peaks of the scan that are ranked by their fit, and descended into
 STRONG = 24  # peaks of single waves, of which rectangles are made
@@ -73,6 +73,10 @@ class Lookout:
     @cached_property
     def _gains(self) -> Array:
         return self.scan.gains(self.target)
+
+    def coloured(self, rest: Array) -> Lookout:
+        """The same where errors (m, 2) of thinned rows correlate as far as these do."""
+        return replace(self, worth=min(self.worth, 2 * len(rest) / concentration(rest)))
 
     def bic(self, family: Waves | EqualWaves, fit: Projection) -> float:
         """N ln RSS + p ln n of a fit, n the rows that count, RSS over |Phi|^2."""

@@ -17,12 +17,14 @@ TRACK = np.column_stack(
 )
 
 
-def flown(pattern, q, weights=(1.0, 0.4, -0.4, 1.0), noise=0.05):
-    """The ladder of a track through waves of such parameters."""
+def flown(pattern, q, weights=(1.0, 0.4, -0.4, 1.0), noise=0.05, memory=0.0):
+    """The ladder of a track through waves of such parameters; memory of the noise, per sample."""
     position = np.column_stack([TRACK, TIME - TIME.mean()])
     columns = Waves(pattern).values(position, np.array([q]))[0]
     flow = (columns.T @ np.array(weights)).reshape(2, -1).T
     errors = np.random.default_rng(11).standard_normal(flow.shape)
+    for row in range(1, len(errors)):
+        errors[row] += memory * errors[row - 1]
     space = SearchSpace.plain(TRACK, flow + noise * errors, BOUNDS)
     return climbed(space, TIME, locate_one(space).fit)
 
@@ -54,6 +56,13 @@ def test_the_shape_that_was_flown_is_found(name):
 def test_two_waves_that_make_no_cells_are_a_pair():
     best = flown(PAIR, (1.0, 0.3, -0.2, 0.7), (1.0, 0.4, 0.9, -1.5)).best
     assert (best.shape, best.drifting) == ("pair", False)
+
+
+def test_turbulence_is_no_reason_for_more_waves():
+    ladder = flown(AXIS, (0.9,), noise=0.15, memory=0.97)
+    assert not ladder.quiet
+    assert ladder.steady_cells
+    assert all(rung.shape != "several" for rung in ladder.rungs)
 
 
 @pytest.mark.parametrize("heading", [0.3, -0.7, 1.2, 2.9, -2.2])
