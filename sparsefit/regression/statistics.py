@@ -162,7 +162,7 @@ def kernel_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:
 def product_loop() -> Literal["compiled", "numpy"]:
     """Which of the two sums up Gram matrices on this machine."""
     try:
-        kernel = import_module(_KERNEL)
-    except ImportError:  # not built: no compiler
+        preferred = import_module(_KERNEL).preferred
+    except (ImportError, AttributeError):  # not built: no compiler; or of older sources
         return "numpy"
-    return "compiled" if kernel.preferred() else "numpy"
+    return "compiled" if preferred() else "numpy"

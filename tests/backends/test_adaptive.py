@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import sklearn.linear_model as peers
-from problems import DEGENERATE_KINDS, degenerate, orthonormal, regular
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
+from tests.problems import DEGENERATE_KINDS, degenerate, orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.02]
 PLAIN = {"adaptive-lasso": "lasso", "adaptive-group-lasso": "group-lasso"}

@@ -5,13 +5,13 @@ import warnings
 import cvxpy
 import numpy as np
 import pytest
-from problems import flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.backends import conic
 from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import flight_problem, regular
 
 FOUND = {name.lower() for name in cvxpy.installed_solvers()}
 SOLVERS = {

@@ -7,7 +7,6 @@ import json
 import cvxpy
 import numpy as np
 import pytest
-from problems import GENERAL, flight_problem, orthonormal, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -15,6 +14,7 @@ from sparsefit.errors import InputError
 from sparsefit.regression.backend import PathBackend, PenalisedBackend
 from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import GENERAL, flight_problem, orthonormal, regular
 
 FOUND = {name.lower() for name in cvxpy.installed_solvers()}
 BY_SOLVER = [

@@ -6,7 +6,6 @@ import pytest
 from celer import GroupLasso
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -14,6 +13,7 @@ from sparsefit.backends import loops
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01]
 

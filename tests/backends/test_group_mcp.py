@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.02]
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 from sklearn.linear_model import Lasso
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max, lasso_penalty
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 
 PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01, 1e-3]
 

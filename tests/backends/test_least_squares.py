@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import flight_problem, regular
 
 
 def fitted(problem, rcond=None, tolerance=1e-8):

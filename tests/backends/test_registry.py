@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from problems import regular
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError, number_setting
 from sparsefit.regression.backend import Solution
+from tests.problems import regular
 
 
 @dataclass(frozen=True)

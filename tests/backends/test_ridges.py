@@ -5,7 +5,6 @@ import pytest
 import sklearn.linear_model as peers
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -13,6 +12,7 @@ from sparsefit.errors import InputError
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.objective import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 FRACTIONS = [0.7, 0.1, 0.01, 0.001]
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -15,6 +14,7 @@ from sparsefit.backends.block_newton import block_path
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.05]
 UNEQUAL = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]

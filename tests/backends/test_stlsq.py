@@ -5,12 +5,12 @@ import warnings
 import numpy as np
 import pysindy
 import pytest
-from problems import flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import flight_problem, regular
 
 
 def fixture():

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import SMALL_GRID, VEHICLE, flight
 
 import sparsefit as sf
 from sparsefit import backends
@@ -18,6 +17,7 @@ from sparsefit.estimator.saved import FORMAT
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.certificate import Certificate
+from tests.problems import SMALL_GRID, VEHICLE, flight
 
 SMALL = Library(SMALL_GRID)
 

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from problems import flight
 
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.modes.proposals import Window, proposals
 from sparsefit.score import score_scales
+from tests.problems import flight
 
 SEVERAL = sf.Readout(scales="several")
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(20.0, 11.3))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import SMALL_GRID, VEHICLE, flight, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -16,6 +15,7 @@ from sparsefit.library.cells import CANDIDATES
 from sparsefit.library.cells import candidate_columns as columns_of
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import SMALL_GRID, VEHICLE, flight, flight_problem, regular
 
 FORMULAS = (
     lambda x, y: np.sin(x),

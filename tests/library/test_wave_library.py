@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from problems import VEHICLE, flight
 from sklearn.linear_model import Lasso
 
 import sparsefit as sf
@@ -16,6 +15,7 @@ from sparsefit.library.columns import stream_columns, wave_columns
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.wave_grid import WaveGrid
 from sparsefit.regression.objective import alpha_max
+from tests.problems import VEHICLE, flight
 
 GRID = LengthScaleGrid(3.0, 8.0)
 WAVES = Library(GRID, family="waves", every=10)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from problems import VEHICLE, flight, flight_problem
 
 import sparsefit as sf
 from sparsefit.errors import InputError
@@ -14,6 +13,7 @@ from sparsefit.modes.readout import (
     rms_mean_velocity,
 )
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import VEHICLE, flight, flight_problem
 
 
 def exact_weights(speed):

@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from references import residual_curve
 
 from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
@@ -12,6 +11,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import candidate_columns, rms_mean_velocity
 from sparsefit.modes.search import locate_one
 from sparsefit.modes.space import SearchSpace
+from tests.references import residual_curve
 
 VEHICLES = PointMassVehicle(0.1, (20.0, 12.0)), PointMassVehicle(0.5, (5.0, 3.0))
 LOWER, UPPER = 1.0, 12.0

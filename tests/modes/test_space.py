@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from references import residual_curve
 
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow
@@ -12,6 +11,7 @@ from sparsefit.library.cells import candidate_columns
 from sparsefit.modes.fitted_rows import centred
 from sparsefit.modes.search import locate_one
 from sparsefit.modes.space import SearchSpace
+from tests.references import residual_curve
 
 BOUNDS = (math.pi / 12, math.pi / 1)
 TRUTH = np.pi / np.array([3.1, 4.4])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -15,6 +14,7 @@ from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.regression.statistics import accumulate
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
 TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5

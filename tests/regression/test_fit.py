@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -19,6 +18,7 @@ from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.objective import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
+from tests.problems import flight_problem, regular
 
 judgement = import_module("sparsefit.regression.judgement")
 PROBLEM = regular()

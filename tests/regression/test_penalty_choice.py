@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from problems import SMALL_GRID, degenerate, flight, flight_problem, regular
 
 import sparsefit as sf
 from sparsefit import backends
@@ -23,6 +22,7 @@ from sparsefit.regression.penalty_choice import (
 )
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study import Study, read_cases, run
+from tests.problems import SMALL_GRID, degenerate, flight, flight_problem, regular
 
 NAMES = ("lasso", "group-lasso")
 every = pytest.mark.parametrize("selection", RULES)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from problems import regular
 
 from sparsefit.regression import statistics
 from sparsefit.regression.statistics import (
@@ -14,6 +13,7 @@ from sparsefit.regression.statistics import (
     product_loop,
     row_blocks,
 )
+from tests.problems import regular
 
 
 def kernel_runs():

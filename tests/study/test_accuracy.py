@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from test_tables import STUDY, TABLE1, beside, case, column, frame
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study, cells
@@ -24,6 +23,7 @@ from sparsefit.study.run.store import cases_table
 from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.plan import fit_key
 from sparsefit.uncertainty.bound import cramer_rao
+from tests.study.test_tables import STUDY, TABLE1, beside, case, column, frame
 
 GROUP = "rms of error/bound"
 

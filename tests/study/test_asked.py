@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from test_figures import LEVELS, study, synthetic
 
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.answers import ANSWERS, sentences
@@ -15,6 +14,7 @@ from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.tables import TABLES, tables_of
 from sparsefit.study.report.figures import FIGURES
 from sparsefit.study.report.pages import check_outputs, write_report
+from tests.study.test_figures import LEVELS, study, synthetic
 
 NOISE = "flights.velocity_noise"
 CASES = synthetic(6, LEVELS)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from test_tables import case
 
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.answers import ANSWERS
@@ -14,6 +13,7 @@ from sparsefit.study.evidence.cases import level_text
 from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.report.figures import FIGURES
+from tests.study.test_tables import case
 
 STUDY = SimpleNamespace(name="demo", reference=None)
 ALONG = {"measure": "timescale-error", "compare": "protocols", "along": NOISE}

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.stats import norm
-from test_tables import STUDY, case, column, frame
 
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.estimator import Estimator
@@ -24,6 +23,7 @@ from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.reading import Reading, Yardstick, outward
 from sparsefit.study.run.store import write_cases
 from sparsefit.uncertainty import Uncertainty
+from tests.study.test_tables import STUDY, case, column, frame
 
 COVERAGE = {
     "compare": "regimes",

@@ -15,13 +15,13 @@ from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.uncertainty import bias
-from sparsefit.uncertainty.assessment import assess
+from sparsefit.uncertainty.assessment import assess, reader
 from sparsefit.uncertainty.corrected import corrected
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.goodness import whiteness
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.noise import Influence, Observed
-from sparsefit.uncertainty.reading import cellular, reader
+from sparsefit.uncertainty.reading import cellular
 from sparsefit.uncertainty.turbulence import BLOCKS, Turbulence, jackknifed
 from tests.fits import located
 
