@@ -74,7 +74,10 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
 def _of_ladder(
     prepared: Prepared, place: Place, ladder: Ladder, readout: Readout
 ) -> Reading | None:
-    """The flow of the best rung; None where its standard errors cannot be told."""
+    """The flow of the best rung; None where its standard errors cannot be told.
+
+    Nor where waves that make no cells leave turbulence: they may follow nothing else.
+    """
     best, nuisance, samples = ladder.best, _nuisance(prepared), prepared.samples
     plain = samples.weak is None and not prepared.library.unknown
     correct = plain and readout.correction != "none"
@@ -83,7 +86,7 @@ def _of_ladder(
         return assess(samples, ladder.rows, best.family, best.fit, nuisance, correct=correct)
 
     known = prepared.once(("shape", tuple(best.phases.ravel().tolist()), correct), assessed)
-    if known is None:
+    if known is None or not (best.of_cells or known.white):
         return None
     (mode,) = known.modes
     origin = middle_of((samples.weak or samples).position, samples.time)

@@ -14,7 +14,7 @@ from sparsefit.estimator.assess import Reading, read_place
 from sparsefit.estimator.candidate_flow import flow_of
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
-from sparsefit.estimator.judge import imprecise, judge, judge_shape
+from sparsefit.estimator.judge import imprecise, judge, judge_shape, rivalled
 from sparsefit.estimator.locate import Place, locate
 from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.prepare import Prepared, prepare
@@ -156,7 +156,7 @@ class Estimator:
                 assessed=reading.assessed,
                 unknown=prepared.library.unknown,
             )
-            return doubts or verdict
+            return doubts or (rivalled(place.ladder) if reading.shaped else None) or verdict
         return (imprecise(scales) if reading.assessed else None) or verdict
 
     def to_json(self) -> str:

@@ -13,6 +13,7 @@ from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.shaped import outside
 from sparsefit.modes.ladder import Ladder
+from sparsefit.modes.rung import Rung
 from sparsefit.modes.search import Located
 from sparsefit.modes.space import FALSE_ALARM, SearchSpace
 from sparsefit.uncertainty import LAGS, Goodness
@@ -211,4 +212,20 @@ def judge_shape(
     if not ladder.quiet:
         words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
         return instead or Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")
-    return instead or imprecise(scales)
+    return instead or rivalled(ladder) or imprecise(scales)
+
+
+def rivalled(ladder: Ladder | None) -> Verdict | None:
+    """Whether another shape, or the same one elsewhere, explains the flight nearly as well."""
+    if ladder is None or ladder.rival is None:
+        return None
+    best, other = (
+        f"{_named(rung)} with {rung.mean_velocity:.3g} m/s and {rung.length_scale:.3g} m"
+        for rung in (ladder.best, ladder.rival)
+    )
+    words = f"cannot tell {best} from {other}; fly longer, across more cells"
+    return Verdict.against(Doubt.RIVAL, words)
+
+
+def _named(rung: Rung) -> str:
+    return f"a {'drifting' if rung.drifting else 'steady'} flow of shape {rung.shape!r}"

@@ -11,10 +11,10 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.estimator.estimate import RungEstimate
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import middle
-from sparsefit.modes.ladder import Ladder, Rung
+from sparsefit.modes.ladder import Ladder
+from sparsefit.modes.rung import Rung
 from sparsefit.modes.wave_peaks import at_origin
 from sparsefit.uncertainty import Assessment, Shape
 
@@ -79,12 +79,9 @@ def middle_of(position: Array, time: Array) -> Array:
 
 def flow_of(rung: Rung, origin: Array, ratio: float) -> WaveFlow:
     """The flow of a rung; ratio: of fitted weights to those of the vehicle that fits best."""
-    weights = rung.fit.weights
-    if isinstance(rung.family, EqualWaves):
-        weights = rung.family.freed(rung.fit.parameters, weights)[1]
     phases = rung.phases
     place = origin * np.array([1.0, 1.0, -1.0])
-    cosine, sine = at_origin(phases, weights.reshape(-1, 2) / ratio, place).T
+    cosine, sine = at_origin(phases, rung.weights / ratio, place).T
     return WaveFlow(phases[:, :2], cosine, sine, phases[:, 2])
 
 

@@ -26,45 +26,16 @@ from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.lookout import Lookout
 from sparsefit.modes.plane import descended
 from sparsefit.modes.projection import Projection
+from sparsefit.modes.rung import Family, Rung, as_pattern
 from sparsefit.modes.space import SearchSpace
 
 CELLS = (AXIS, SQUARE, RECTANGLE)
 NEAR_AXIS = 0.1  # of heading [rad]: cells turned by less are tried along the axes
 MOST = 4  # waves
 ROUNDS = 8  # of the search around the best shape, at most
-CLOSE = 10.0  # of BIC to the best: rungs that are fitted to all rows before one is chosen
-Family = Waves | EqualWaves
-
-
-@dataclass(frozen=True, eq=False)
-class Rung:
-    """One shape, fitted: its family and where RSS is least.
-
-    Args:
-        family: of its waves.
-        fit: of the rows it was last fitted to.
-        bic: n ln RSS + p ln n.
-    """
-
-    family: Family
-    fit: Projection
-    bic: float
-
-    @property
-    def shape(self) -> str:
-        """The name: of the pattern, or ``several`` waves."""
-        return "several" if len(self.fit.parameters) > 1 else self.family.pattern.name
-
-    @property
-    def drifting(self) -> bool:
-        """Whether its waves move."""
-        return self.family.pattern.drifting
-
-    @property
-    def phases(self) -> Array:
-        """(k_x, k_y, omega) of every wave, (J, 3)."""
-        pattern = self.family.pattern
-        return pattern.phases(self.fit.parameters[:, : pattern.parameters]).reshape(-1, 3)
+CLOSE = 10.0  # of BIC to the best: rungs that are fitted to all rows, and could be the flow too
+SETTLED = 0.05  # of |Phi|^2: where less is left the flow is found, and more waves are not sought
+INSTEAD = 4  # places that are tried for either wave of a pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +49,7 @@ class Ladder:
         rows: all rows, with the time as third coordinate.
         evidence: 2 ln(likelihood ratio) of the best to a uniform wind.
         chance: what that reaches in one flight of 1000 without a flow.
+        rival: a fit with nearly the same BIC that says another U0 or L, where there is one.
     """
 
     best: Rung
@@ -86,6 +58,7 @@ class Ladder:
     rows: Rows
     evidence: float
     chance: float
+    rival: Rung | None = None
 
     @property
     def steady_cells(self) -> bool:
@@ -95,22 +68,24 @@ class Ladder:
 
 def climbed(space: SearchSpace, time: Array, cells: Projection) -> Ladder:
     """The ladder of a flight's samples at time (m,) [s], from cells that were fitted to them."""
-    climb = _Climb(Lookout.of(space, time), {})
+    climb = _Climb(Lookout.of(space, time), {}, [])
     climb.bound(AXIS, cells.parameters[0])
     climb.near()
     for look in (climb.standing, climb.moving, climb.pairs, climb.several):
-        if climb.quiet:
+        if climb.quiet or climb.settled:
             break
         look()
+    climb.instead()
     return climb.ladder()
 
 
 @dataclass(frozen=True, eq=False)
 class _Climb:
-    """The rungs so far, the best of every shape."""
+    """The rungs so far, the best of every shape, and all that were tried."""
 
     lookout: Lookout
     rungs: dict[tuple[str, bool], Rung]
+    tried: list[Rung]
 
     @property
     def best(self) -> Rung:
@@ -120,9 +95,16 @@ class _Climb:
     def quiet(self) -> bool:
         return self.lookout.quiet(self.best.fit.rest)
 
+    @property
+    def settled(self) -> bool:
+        """Whether little is left of the flow, as of turbulence or a vehicle that is another."""
+        whole = float(np.sum(self.lookout.thin.target**2))
+        return self.best.fit.residual <= SETTLED * whole
+
     def keep(self, family: Family, fit: Projection) -> Rung:
         """A rung, which stays where it is the best of its shape."""
         rung = Rung(family, fit, self.lookout.bic(family, fit))
+        self.tried.append(rung)
         key = rung.shape, rung.drifting
         if key not in self.rungs or rung.bic < self.rungs[key].bic:
             self.rungs[key] = rung
@@ -235,50 +217,59 @@ class _Climb:
             if self.lookout.quiet(here.fit.rest):
                 return
 
+    def instead(self) -> None:
+        """Other places for either wave of the best pair, which may fit a track as well."""
+        here, thin = self.best, self.lookout.thin
+        if here.shape != PAIR.name or not self.quiet:
+            return
+        pattern = WAVE.moving if here.drifting else WAVE
+        columns = Waves(pattern).values(thin.position, here.phases[:, : pattern.parameters])
+        for wave, (own, weights) in enumerate(zip(columns, here.weights, strict=True)):
+            without = here.fit.rest + (own.T @ weights).reshape(2, -1).T
+            for place in self.lookout.strong(without, INSTEAD):
+                phases = here.phases.copy()
+                phases[wave, :2] = place
+                self.pair(here.family.pattern, as_pattern(here.family.pattern, phases))
+
     def ladder(self) -> Ladder:
         """The rungs by BIC; those that are close are fitted to all rows before one is chosen.
 
         Where more than noise is left it is turbulence, or another flow: rows then count for less,
-        and more waves only follow the one or the other.
+        and waves that make no cells only follow the one or the other.
         """
-        look, quiet, rungs = self.lookout, self.quiet, list(self.rungs.values())
+        look, quiet = self.lookout, self.quiet
+        rungs, tried = list(self.rungs.values()), self.tried
         if not quiet:
-            look = look.coloured(self.best.fit.rest)
-            rungs = [rung for rung in rungs if rung.shape != "several"]
-        again = (replace(rung, bic=look.bic(rung.family, rung.fit)) for rung in rungs)
-        ranked = sorted(again, key=lambda rung: rung.bic)
-        close = [rung for rung in ranked if rung.bic - ranked[0].bic < CLOSE]
-        best = min((_whole(look, rung) for rung in close), key=lambda rung: rung.bic)
+            rungs, tried = ([rung for rung in some if rung.of_cells] for some in (rungs, tried))
+            look = look.coloured(min(rungs, key=lambda rung: rung.bic).fit.rest)
+        whole = [_whole(look, rung) for rung in _close(_ranked(look, tried))]
+        best, *others = sorted(whole, key=lambda rung: rung.bic)
+        rivals = (rung for rung in others if rung.bic - best.bic < CLOSE and not rung.alike(best))
         evidence = look.space.evidence(look.space.null_residual, best.fit.residual)
         chance = look.chance(best.family, best.fit)
-        return Ladder(best, tuple(ranked), quiet, look.rows, evidence, chance)
+        ranked = _ranked(look, rungs)
+        return Ladder(best, ranked, quiet, look.rows, evidence, chance, next(rivals, None))
+
+
+def _ranked(look: Lookout, rungs: list[Rung]) -> tuple[Rung, ...]:
+    """Rungs by BIC, which they get anew: rows may count for less than they did."""
+    again = (replace(rung, bic=look.bic(rung.family, rung.fit)) for rung in rungs)
+    return tuple(sorted(again, key=lambda rung: rung.bic))
+
+
+def _close(ranked: tuple[Rung, ...]) -> list[Rung]:
+    """Those that are close to the best, of alike ones of a shape the best."""
+    found: list[Rung] = []
+    for rung in ranked:
+        if rung.bic - ranked[0].bic < CLOSE and not any(
+            (rung.shape, rung.drifting) == (other.shape, other.drifting) and rung.alike(other)
+            for other in found
+        ):
+            found.append(rung)
+    return found
 
 
 def _whole(look: Lookout, rung: Rung) -> Rung:
     """A rung, fitted to all rows."""
     fit = descended(rung.family, look.rows, rung.fit.parameters)
     return replace(rung, fit=fit, bic=look.bic(rung.family, fit))
-
-
-def as_pattern(pattern: Pattern, phases: Array) -> Array:
-    """Parameters (p,) of a pattern of two waves that come nearest to (k_x, k_y, omega) (2, 3).
-
-    The heading of cells is that of k_1 + k_2, brought to (-pi/4, pi/4] by a quarter turn, which
-    exchanges the waves.
-    """
-    if pattern.name == PAIR.name:
-        waves: Array = phases[:, :2].ravel()
-        return np.concatenate([waves, phases[:, 2]]) if pattern.drifting else waves
-    first, second = phases
-    if second[0] * first[1] < second[1] * first[0]:  # the first is counter-clockwise of the second
-        first, second = second, first
-    for _ in range(4):
-        total = first + second
-        heading = math.atan2(total[1], total[0])
-        if -math.pi / 4 < heading <= math.pi / 4:
-            break
-        first, second = second, -first
-    k_x, k_y = (0.5 * float(np.hypot(*one[:2])) for one in (first + second, first - second))
-    wavenumbers = [k_x, k_y] if pattern.name == RECTANGLE.name else [math.sqrt(k_x * k_y)]
-    frequencies = [first[2], second[2]] if pattern.drifting else []
-    return np.array([*wavenumbers, *frequencies, *([heading] if pattern.turned else [])])

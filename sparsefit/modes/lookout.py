@@ -160,8 +160,13 @@ class Lookout:
 
     def strongest(self, rest: Array) -> Array:
         """The wave (2,) that explains most of errors (m, 2)."""
-        wave: Array = self.scan.axis[peaks(self.scan.gains(rest), 1)[0]]
+        wave: Array = self.strong(rest, 1)[0]
         return wave
+
+    def strong(self, rest: Array, most: int) -> Array:
+        """The waves (j, 2) that explain most of errors (m, 2), one beside another."""
+        waves: Array = self.scan.axis[peaks(self.scan.gains(rest), most)]
+        return waves
 
     def drifting_squares(self) -> tuple[int, Array]:
         """Squares that drift (j, 4), the most promising first, and of how many pieces."""

@@ -64,6 +64,11 @@ class Assessment:
     goodness: Goodness | None = None
     shape: Shape | None = None
 
+    @property
+    def white(self) -> bool:
+        """Whether no turbulence was found beside the flow."""
+        return self.goodness is None or not self.goodness.turbulence > 0
+
 
 def assess(
     samples: Samples,

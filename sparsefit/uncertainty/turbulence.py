@@ -139,7 +139,9 @@ class Turbulence:
         parts = self.remaining[active] / spectrum
         spread = np.linalg.pinv(self.weight * parts @ parts.T, rcond=1e-8, hermitian=True)
         doubt = np.einsum("jf,jk,kf->f", each[active], spread, each[active])
-        return variance, np.maximum(2 * variance**2 / doubt, FEWEST)
+        certain = np.full_like(doubt, math.inf)  # of what no parameter moves
+        freedom = np.divide(2 * variance**2, doubt, out=certain, where=doubt > 0)
+        return variance, np.maximum(freedom, FEWEST)
 
 
 def jackknifed(model: Model, gradients: Array) -> Array:

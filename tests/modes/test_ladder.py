@@ -1,12 +1,14 @@
 """The ladder of shapes: the shape that was flown is the one that is found, and no freer one."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sparsefit.library.waves import AXIS, PAIR, RECTANGLE, SQUARE, Waves
-from sparsefit.modes.ladder import as_pattern, climbed
+from sparsefit.modes.ladder import climbed
+from sparsefit.modes.rung import as_pattern
 from sparsefit.modes.search import locate_one
 from sparsefit.modes.space import SearchSpace
 
@@ -76,3 +78,23 @@ def test_any_two_waves_of_a_rectangle_lead_back_to_it(heading):
         same = [np.abs(again - sign * phases[order]).max(axis=1)
                 for sign in (1, -1) for order in ([0, 1], [1, 0])]  # fmt: skip
         assert np.min(same, axis=0).max() < 1e-12
+
+
+def test_what_another_shape_explains_as_well_is_a_rival():
+    drifting = flown(AXIS.moving, (0.9, 0.1, 0.1), noise=1.0)
+    best, rival = drifting.best, drifting.rival
+    assert (best.drifting, rival.drifting) == (True, False)
+    assert not rival.alike(best)
+    assert rival.bic - best.bic < 10
+    assert flown(AXIS, (0.9,), noise=1.0).rival is None
+
+
+def test_rungs_are_alike_by_what_they_say_of_the_flow():
+    best = flown(SQUARE, (0.9, 0.4)).best
+    assert best.length_scale == pytest.approx(math.pi / 0.9, rel=1e-3)
+    assert best.mean_velocity == pytest.approx(math.sqrt(2 * 2 * (1 + 0.4**2)) * 0.9, rel=0.02)
+    louder = replace(best, fit=replace(best.fit, weights=1.05 * best.fit.weights))
+    longer = replace(best, fit=replace(best.fit, parameters=best.fit.parameters * [[0.98, 1, 1]]))
+    assert best.alike(best)
+    assert not best.alike(louder)
+    assert not best.alike(longer)
