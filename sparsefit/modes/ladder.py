@@ -25,7 +25,7 @@ from sparsefit.library.waves import AXIS, PAIR, RECTANGLE, SQUARE, WAVE, Pattern
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.lookout import Lookout
 from sparsefit.modes.plane import descended
-from sparsefit.modes.projection import Projection
+from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.rung import Family, Rung, as_pattern
 from sparsefit.modes.space import SearchSpace
 
@@ -167,9 +167,9 @@ class _Climb:
     def _from(self, pattern: Pattern, rung: Rung) -> Rung:
         """A shape, started from another one of two waves."""
         start = as_pattern(pattern, rung.phases)
-        return (
-            self.pair(pattern, start) if pattern.name == PAIR.name else self.bound(pattern, start)
-        )
+        if pattern.name == PAIR.name:
+            return self.pair(pattern, start)
+        return self._bound(pattern, project(Waves(pattern), self.lookout.thin, start[None]))
 
     def standing(self) -> None:
         """Squares, then rectangles that stand, from the peaks of a scan."""
