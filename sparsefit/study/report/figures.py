@@ -63,9 +63,10 @@ def _styled(draw: Draw) -> Draw:
             mpl.rcdefaults()
             mpl.rcParams.update(STYLE)
             figure = draw(asked, study, cases, weights)
-            # Laid out once: saving twice must not move anything.
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            # Laid out once: saving twice must not move anything, nor draw a second time for it.
+            if layout := figure.get_layout_engine():
+                layout.execute(figure)
+            figure.set_layout_engine(None)
             return figure
 
     return styled

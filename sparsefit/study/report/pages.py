@@ -45,6 +45,7 @@ def write_report(
             cannot be written.
     """
     _refuse_empty(study, cases)
+    folder = made_folder(study, results_dir)
     tables = tables_of(study, cases)
     entries: Sequence[Entry] = study.figures or figures_for(cases, weights)
     files = dict(_table_files(study, tables))
@@ -54,7 +55,7 @@ def write_report(
         files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
         captions[name] = caption(asked)
     files["README.md"] = readme(study, cases, tables, captions).encode()
-    return _write(made_folder(study, results_dir), files)
+    return _write(folder, files)
 
 
 def check_outputs(study: Study) -> None:
