@@ -149,6 +149,7 @@ def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
         assert Path("results/small", name).is_file()
 
 
+@pytest.mark.usefixtures("in_process")
 def test_run_goes_on_where_it_was_stopped(capsys, half):
     code, out, err = run(capsys, "study", "run", half, "--processes", "1", "--json")
     found = json.loads(out)

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 import pytest
@@ -18,7 +19,11 @@ import pytest
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.study import Study, read_cases, run, status
+from sparsefit.study.run import runner
+from sparsefit.study.run.folder import resume
+from sparsefit.study.run.lock import LOCK, locked
 from sparsefit.study.run.worker import Worker
+from tests.conftest import SECONDS
 
 ROOT = Path(__file__).parents[2]
 PLUGIN = '''
@@ -82,7 +87,7 @@ alpha_fraction = [0.3, 0.1, 0.03]
 name = "group-lasso"
 [[backends]]
 name = "hostile"
-seconds = {seconds}
+seconds = 0.1
 [[protocols]]
 name = "a"
 [[protocols]]
@@ -99,39 +104,59 @@ if __name__ == "__main__":
 """
 
 DIES_LOCKED = """
-import os, sys, pathlib
-from sparsefit.study.run.lock import locked
-with locked(pathlib.Path(sys.argv[1])):
-    os.kill(os.getpid(), 9)
+import os, sys
+from filelock import SoftFileLock
+lock = SoftFileLock(sys.argv[1], timeout=0)
+lock.acquire()
+os.kill(os.getpid(), 9)
 """
 
 Write = Callable[..., Path]
 
 
-@pytest.fixture(autouse=True)
-def plugin(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Path]:
+@pytest.fixture(scope="module", autouse=True)
+def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("plugin")
     (folder / "hostile.py").write_text(PLUGIN)
     info = folder / "hostile-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[sparsefit.backends]\nhostile = hostile:Hostile\n")
-    monkeypatch.syspath_prepend(str(folder))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        backends._plugins.cache_clear()
+        yield folder
     backends._plugins.cache_clear()
-    yield folder
-    backends._plugins.cache_clear()
+
+
+def text_of(body: str, *, count: int = 3, timeout: float = 30.0) -> str:
+    return HEAD.format(count=count, timeout=timeout) + body
 
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    def _write(body: str, *, count: int = 3, timeout: float = 30.0, name: str = "r.toml") -> Path:
+    def _write(body: str, *, name: str = "r.toml", **how: float) -> Path:
         path = tmp_path / name
-        path.write_text(HEAD.format(count=count, timeout=timeout) + body)
+        path.write_text(text_of(body, **how))
         return path
 
     return _write
+
+
+class Whole(NamedTuple):
+    """A study of 3 flights that ran undisturbed in one process."""
+
+    path: Path
+    folder: Path
+    statuses: dict[str, int]
+
+
+@pytest.fixture(scope="module")
+def whole(plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Whole:
+    path = tmp_path_factory.mktemp("whole") / "r.toml"
+    path.write_text(text_of(REAL))
+    summary = run(Study.load(path), path.parent, processes=1)
+    return Whole(path, summary.folder, dict(summary.statuses))
 
 
 def deeds(*names: str) -> str:
@@ -178,20 +203,18 @@ def group_is_gone(group: int) -> bool:
     return True
 
 
-def test_same_rows_with_one_process_and_with_two(tmp_path: Path, write: Write) -> None:
-    study = Study.load(write(REAL.format(seconds=0.0), count=2))
-    one = run(study, tmp_path / "one", processes=1)
-    two = run(study, tmp_path / "two", processes=2)
-    assert one.statuses == two.statuses
-    assert len(read_cases(one.folder)) == study.planned == 2 * 2 * 2 * 5
-    pd.testing.assert_frame_equal(stable(one.folder), stable(two.folder))
+def test_same_rows_with_one_process_and_with_two(tmp_path: Path, whole: Whole) -> None:
+    study = Study.load(whole.path)
+    two = run(study, tmp_path, processes=2)
+    assert whole.statuses == two.statuses
+    assert len(read_cases(whole.folder)) == study.planned == 3 * 2 * 2 * 5
+    pd.testing.assert_frame_equal(stable(whole.folder), stable(two.folder))
 
 
 def test_killed_and_resumed_is_as_if_never_killed(
-    tmp_path: Path, write: Write, plugin: Path
+    tmp_path: Path, whole: Whole, plugin: Path
 ) -> None:
-    path = write(REAL.format(seconds=0.1), count=3)
-    process = start(path, tmp_path / "killed", plugin)
+    process = start(whole.path, tmp_path / "killed", plugin)
     folder = tmp_path / "killed" / "r"
     until(lambda: len(rows(folder)) >= 5)
     process.send_signal(signal.SIGKILL)
@@ -201,7 +224,7 @@ def test_killed_and_resumed_is_as_if_never_killed(
     assert not (folder / "cases.parquet").exists()
     with (folder / ".partial" / "rows.jsonl").open("ab") as file:
         file.write(b'{"flight":1,"cel')  # torn by the kill
-    study = Study.load(path)
+    study = Study.load(whole.path)
     so_far = status(study, tmp_path / "killed")
     assert (so_far.finished, so_far.done) == (False, len(before))
 
@@ -210,37 +233,47 @@ def test_killed_and_resumed_is_as_if_never_killed(
         study, tmp_path / "killed", processes=1, progress=lambda done, _p, _e: seen.append(done)
     )
     assert resumed.resumed == seen[0] == len(before)
-    whole = run(study, tmp_path / "whole", processes=1)
     pd.testing.assert_frame_equal(stable(resumed.folder), stable(whole.folder))
     assert sorted(p.name for p in folder.iterdir()) == ["cases.parquet", "manifest.json"]
 
 
 def test_interrupt_leaves_a_state_to_resume_and_no_process(
-    tmp_path: Path, write: Write, plugin: Path
+    tmp_path: Path, whole: Whole, plugin: Path
 ) -> None:
-    path = write(REAL.format(seconds=0.1), count=3)
-    process = start(path, tmp_path / "out", plugin)
+    process = start(whole.path, tmp_path / "out", plugin, processes=1)
     folder = tmp_path / "out" / "r"
     until(lambda: len(rows(folder)) >= 3)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     assert process.wait(timeout=20) != 0
     until(lambda: group_is_gone(process.pid), 10.0)
     assert not (folder / ".lock").exists()
-    kept = len(rows(folder))
-    assert run(Study.load(path), tmp_path / "out", processes=1).resumed == kept
+    assert len(resume(Study.load(whole.path), folder)) == len(rows(folder))
 
 
-def test_a_case_that_hangs_is_killed_and_the_others_go_on(tmp_path: Path, write: Write) -> None:
-    study = Study.load(write(deeds("work", "hang", "nothing"), count=1, timeout=4.0))
+def test_a_fit_that_hangs_is_killed_with_all_its_readouts_and_the_others_go_on(
+    tmp_path: Path, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[Study] = []
+    start = Worker.start
+
+    def counted(study: Study, *, patience: float) -> Worker:
+        started.append(study)
+        return start(study, patience=patience)
+
+    monkeypatch.setattr(Worker, "start", counted)
+    sweep = '[sweep]\n"readout.mean_velocity" = ["rms", "peak", "paper"]\n'
+    deed = deeds("work", "hang", "nothing") + sweep
+    study = Study.load(write(deed, count=1, timeout=6.0))
     begun = time.monotonic()
     cases = read_cases(run(study, tmp_path, processes=1).folder)
     assert time.monotonic() - begun < 300.0  # of the 600 s that it would hang
     by_deed = {json.loads(s)["deed"]: g for s, g in cases.groupby("settings")}
     assert (by_deed["hang"]["status"] == "timeout").all()
-    assert (by_deed["hang"]["reason"] == "fitting took longer than 4 s").all()
+    assert (by_deed["hang"]["reason"] == "fitting took longer than 6 s").all()
     assert by_deed["work"]["status"].isin(["ok", "unidentifiable"]).all()
     assert (by_deed["nothing"]["status"] == "error").all()
-    assert len(cases) == 3
+    assert len(cases) == 3 * 3
+    assert len(started) == 2  # the second for the others: none was spent on what had hung
 
 
 def test_a_worker_that_dies_takes_one_case_along(tmp_path: Path, write: Write) -> None:
@@ -257,24 +290,7 @@ def test_a_worker_that_dies_takes_one_case_along(tmp_path: Path, write: Write) -
     assert cases["true_length_scale"].between(3.0, 6.0).all()
 
 
-def test_a_fit_that_hangs_takes_all_its_readouts_along_at_once(
-    tmp_path: Path, write: Write, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[Study] = []
-    start = Worker.start
-
-    def counted(study: Study, *, patience: float) -> Worker:
-        started.append(study)
-        return start(study, patience=patience)
-
-    monkeypatch.setattr(Worker, "start", counted)
-    sweep = '[sweep]\n"readout.mean_velocity" = ["rms", "peak", "paper"]\n'
-    study = Study.load(write(deeds("hang") + sweep, count=1, timeout=4.0))
-    summary = run(study, tmp_path, processes=1)
-    assert summary.statuses == {"timeout": 3}
-    assert len(started) == 1  # no worker was spent on a readout of what had hung
-
-
+@pytest.mark.usefixtures("in_process")
 def test_a_flight_that_cannot_be_read_is_an_error_with_its_reason(
     tmp_path: Path, write: Write
 ) -> None:
@@ -288,6 +304,7 @@ def test_a_flight_that_cannot_be_read_is_an_error_with_its_reason(
     assert (cases[cases["derivative.window"] == 5.0]["status"] != "error").all()
 
 
+@pytest.mark.usefixtures("in_process")
 def test_finished_means_nothing_to_do_and_fresh_starts_over(tmp_path: Path, write: Write) -> None:
     study = Study.load(write(deeds("work"), count=1))
     published: list[Path] = []
@@ -307,6 +324,7 @@ def test_finished_means_nothing_to_do_and_fresh_starts_over(tmp_path: Path, writ
     assert (first.folder / "cases.parquet").stat().st_mtime_ns != written
 
 
+@pytest.mark.usefixtures("in_process")
 def test_results_of_another_study_are_refused(tmp_path: Path, write: Write) -> None:
     mine = Study.load(write(deeds("work"), count=1))
     other = Study.load(write(deeds("nothing"), count=1, name="other.toml"))
@@ -334,24 +352,20 @@ def test_unfinished_rows_of_another_study_or_version_are_refused(
         run(study, tmp_path, processes=1)
 
 
-def test_two_runs_at_once_are_refused(tmp_path: Path, write: Write, plugin: Path) -> None:
-    path = write(deeds("hang"), count=1, timeout=60.0)
-    process = start(path, tmp_path, plugin)
-    try:
-        until(lambda: (tmp_path / "r" / ".partial" / "header.json").exists())
-        with pytest.raises(InputError, match=f"another run is under way .process {process.pid}"):
-            run(Study.load(path), tmp_path)
-    finally:
-        process.kill()
-        process.wait()
-    until(lambda: group_is_gone(process.pid), 10.0)
+def test_two_runs_at_once_are_refused(tmp_path: Path, write: Write) -> None:
+    folder = tmp_path / "r"
+    folder.mkdir()
+    holder = f"another run is under way .process {os.getpid()} "
+    with locked(folder), pytest.raises(InputError, match=holder):
+        run(Study.load(write(deeds("work"))), tmp_path)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, write: Write) -> None:
     study = Study.load(write(deeds("work"), count=1))
-    lock = tmp_path / "r" / ".lock"
+    lock = tmp_path / "r" / LOCK
     lock.parent.mkdir()
-    subprocess.run([sys.executable, "-c", DIES_LOCKED, str(lock.parent)], cwd=ROOT)
+    subprocess.run([sys.executable, "-c", DIES_LOCKED, str(lock)])
     pid, host, started = lock.read_text().splitlines()
     run(study, tmp_path, processes=1)
     assert not lock.exists()
@@ -383,30 +397,25 @@ def test_processes_are_counted_in_whole_numbers(
         run(Study.load(write(deeds("work"))), tmp_path, processes=processes)
 
 
-def test_progress_counts_to_the_end_and_the_time_left_is_true(tmp_path: Path, write: Write) -> None:
-    body = '[[backends]]\nname = "hostile"\nseconds = 0.3\n'
-    study = Study.load(write(body, count=12))
-    seen: list[tuple[float, int, float | None]] = []
-    run(
-        study,
-        tmp_path,
-        processes=2,
-        progress=lambda done, planned, eta: seen.append((time.monotonic(), done, eta)),
-    )
-    assert [seen[0][1], seen[-1][1]] == [0, 12]
-    assert seen[0][2] is None
-    assert seen[-1][2] == 0.0
-    when, _, eta = next(one for one in seen if one[1] >= 6)
-    assert eta is not None
-    assert 0.5 < eta / (seen[-1][0] - when) < 2.0
+@pytest.mark.usefixtures("in_process")
+def test_progress_counts_to_the_end_and_tells_the_time_left(
+    tmp_path: Path, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner, "PROGRESS_SECONDS", -1.0)
+    seen: list[tuple[int, int, float | None]] = []
+    study = Study.load(write(deeds("work"), count=4))
+    run(study, tmp_path, processes=2, progress=lambda *said: seen.append(said))
+    left = [None, *(pytest.approx(cases * SECONDS / 2) for cases in (3, 2, 1, 0))]
+    assert seen == [(done, 4, eta) for done, eta in enumerate(left)]
 
 
 def test_workers_compute_in_one_thread(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     worker = Worker.start(Study.load(write(deeds("work"))), patience=60.0)
     try:
-        worker.take(worker.pipe.recv())
-        environment = Path(f"/proc/{worker.process.pid}/environ").read_bytes().split(b"\0")
+        told = Path(f"/proc/{worker.process.pid}/environ")
+        until(lambda: bool(told.read_bytes()))
+        environment = told.read_bytes().split(b"\0")
         assert b"OPENBLAS_NUM_THREADS=1" in environment
         assert b"OMP_NUM_THREADS=1" in environment
         assert "OMP_NUM_THREADS" not in os.environ

@@ -93,8 +93,9 @@ def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
         read_cases(tmp_path)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_a_whole_run_with_weights_and_manifest(study: Study, tmp_path: Path) -> None:
-    summary = run(study, tmp_path / "results", processes=2)
+    summary = run(study, tmp_path / "results", processes=1)
     cases, weights = read_cases(summary.folder), read_weights(summary.folder)
     estimated = cases[cases["grid_length_scale"].notna()]
     assert len(estimated) > 20
