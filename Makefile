@@ -18,7 +18,12 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check sparsefit tests
 	$(BIN)/mypy
 
-$(VENV)/.installed: pyproject.toml
+# Compiled loops of older sources would be tested otherwise.
+COMPILED := $(wildcard sparsefit/backends/compiled/*.pxd sparsefit/backends/compiled/*.h)
+LOOPS := $(patsubst sparsefit/backends/compiled/%.pxd,sparsefit/backends/%.py,$(COMPILED))
+
+$(VENV)/.installed: pyproject.toml setup.py sparsefit/regression/_gram.c \
+		$(COMPILED) $(wildcard $(LOOPS))
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@

@@ -18,7 +18,6 @@ ROOMS = (
     *("derivative", "library", "modes", "uncertainty", "estimator", "score", "study", "bench"),
     "cli",
 )
-BACKEND_ROOMS = {"base"}  # every back-end module may know it, back-ends know no other back-end
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy"}
@@ -37,8 +36,13 @@ def tree_of(path):
     return ast.parse(path.read_text())
 
 
+@cache
 def imports_of(path):
     """(module, line) of every import, wherever it stands: for type checkers and by name too."""
+    return tuple(_imports_of(path))
+
+
+def _imports_of(path):
     package = name_of(path).removesuffix(".__init__").split(".")
     package = package if path.stem == "__init__" else package[:-1]
     for node in ast.walk(tree_of(path)):

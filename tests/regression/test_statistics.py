@@ -139,8 +139,9 @@ def test_the_loop_that_is_named_is_the_one_that_runs(monkeypatch, loop):
     assert calls == [loop]
 
 
-def test_without_the_kernel_numpy_runs(monkeypatch):
-    monkeypatch.setattr(statistics, "_KERNEL", "sparsefit.regression._absent")
+@pytest.mark.parametrize("kernel", ["_absent", "objective"])
+def test_without_the_kernel_of_these_sources_numpy_runs(monkeypatch, kernel):
+    monkeypatch.setattr(statistics, "_KERNEL", f"sparsefit.regression.{kernel}")
     product_loop.cache_clear()
     try:
         assert product_loop() == "numpy"
