@@ -144,7 +144,7 @@ def noisy_columns(fit: Filtered) -> Array:
     variances = np.array([[filters.sigma_position], [filters.sigma_velocity]]) ** 2
     place, velocity, acceleration = filters.raw
     through = velocity + fit.response_time * acceleration
-    square = float(np.sum(variances * place**2))
+    square = float(np.sum(variances * place**2)) + fit.wander.rms**2
     bowed = model.rows.averaged(-0.5 * square * model.laplacian)
     score = model.jacobian.score(bowed.T)
     if fit.shared:

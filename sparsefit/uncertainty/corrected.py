@@ -25,6 +25,7 @@ from sparsefit.uncertainty.turbulence import Turbulence, jackknifed
 # Of a correction, what counts as a standard error: terms of second order are left out.
 DOUBT_OF_TRUNCATION, DOUBT_OF_NOISE = 0.2, 0.5
 REACH = 1.0  # standard errors that noisy columns may move a value: beyond, it is ill determined
+STEPS = 2.0  # standard errors that the generalised step may move a value
 EXACT = 1e-6  # residuals below this, relative: no noise but truncation, which adds up coherently
 COHERENT, QUADRATURE = 0.5, 2.0  # of what it could add up to; weak rows fit most of theirs
 
@@ -79,7 +80,8 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     observed = noise.Observed(fit, less.at_samples)
     by_theta = fit.model.information.solved(reading.gradients.T)
     influence, levels = noise.Influence.of(observed, by_theta), observed.levels
-    variance, freedom = levels @ influence.by_noise, np.full(len(reading.values), np.inf)
+    freedom = np.full(len(reading.values), np.inf)
+    variance = observed.amounts @ influence.by_source(observed.squares)
     left = Turbulence(observed)
     if left.found:
         coloured, freedom = left.variances(influence)
@@ -88,6 +90,10 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     variance = variance + _coherent(fit, reading.gradients, less.errors)
     spread = np.sqrt(variance)
     step = read(less.model).values - reading.values
+    moved = np.zeros(len(step))
+    if left.found:
+        away = read(less.model.shifted(left.better)).values - read(less.model).values
+        moved = np.clip(away, -STEPS * spread, STEPS * spread)
     correction = np.clip(step, -reading.limits, reading.limits)
     doubt = (DOUBT_OF_TRUNCATION if correct else 1.0) * correction
     for score in _scores_of_noise(fit, float(levels[2])):
@@ -95,7 +101,7 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
         doubt = np.hypot(doubt, (DOUBT_OF_NOISE if correct else 1.0) * step)
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     errors = np.hypot(spread, doubt)
-    return Known(reading.values + correct * correction, errors, freedom, left)
+    return Known(reading.values + moved + correct * correction, errors, freedom, left)
 
 
 def _coherent(fit: Filtered, gradients: Array, errors: Array) -> Array:

@@ -67,8 +67,11 @@ class Jacobian:
 
     def score(self, errors: Array) -> Array:
         """J'e (n,) of errors (q, 2) of the rows."""
+        return self.placed(self.columns @ errors)
+
+    def placed(self, products: Array) -> Array:
+        """J'e (n,), from the products (u, 2) of `columns` and errors of either component."""
         score = np.zeros(self.size)
-        products = self.columns @ errors
         for t in range(2):
             score[self.places[t]] += products[self.picks[t], t]
         return score

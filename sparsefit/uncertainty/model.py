@@ -137,7 +137,11 @@ class Model:
 
     def moved(self, score: Array) -> Model:
         """The model after a step (J'J)^+ score in theta, (n,)."""
-        parameters, weights, coefficients = self.split(self.information.solved(score))
+        return self.shifted(self.information.solved(score))
+
+    def shifted(self, step: Array) -> Model:
+        """The model after a step (n,) in theta."""
+        parameters, weights, coefficients = self.split(step)
         return replace(
             self,
             parameters=self.parameters + parameters,

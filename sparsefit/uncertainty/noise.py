@@ -11,6 +11,10 @@ likelihood, 1953); what it does to a function that moves by c.e, from c carried 
 filters to the raw samples, where noise is white: var = sigma^2 |F'c|^2. An autocovariance of the
 residuals, tapered, would need lags beyond the window, and then has few windows to average over:
 it is what remains where no filters are known (Bartlett's; Newey and West, 1987).
+
+A position that wanders, a first-order autoregression of rms s and r = exp(-dt/T), has the spectrum
+s^2 (1 - r^2) / |1 - r e^{-iw}|^2 and the autocovariance s^2 r^l, on the same way. In what is left
+of Phi it comes modulated by the gradient: its autocovariance is that of n times that of grad w.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from sparsefit.cached import cached_property
 from sparsefit.derivative import Samples, WeakRows
 from sparsefit.derivative.filters import Filters, kicks_through
 from sparsefit.derivative.transform import fast_length
-from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.filtered import Filtered, Wander
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.spectra import frequency_weights, power
 
@@ -124,7 +128,8 @@ class Observed:
         steep = float(np.mean(np.sum(self.fit.plain.gradient**2, axis=0)))  # along an axis
         through = passage.of_flow_velocity(self.fit.response_time)
         measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
-        return np.array([self.squares @ measured, np.abs(passage.kicks) ** 2])
+        wandered = modulated(self.fit.wander, self.fit.plain.gradient, passage.size)
+        return np.array([self.squares @ measured + wandered, np.abs(passage.kicks) ** 2])
 
     def left(self, shapes: Array, inside: slice = slice(None)) -> Array:
         """What the fit leaves of errors of these spectra, as many, inside some frequencies."""
@@ -143,8 +148,13 @@ class Observed:
 
     @cached_property
     def amounts(self) -> Array:
-        """The likeliest levels (2,) of `shapes`."""
-        return likeliest(self.remaining[:, self.passed], self.seen[self.passed])
+        """The likeliest levels (2,) of `shapes`.
+
+        The slow part of a position that wanders is taken by the fit, and says nothing of its level:
+        that is the one which the derivative found, at least.
+        """
+        found = likeliest(self.remaining[:, self.passed], self.seen[self.passed])
+        return np.maximum(found, [1.0, 0.0]) if self.fit.wander.rms else found
 
     @property
     def levels(self) -> Array:
@@ -186,6 +196,24 @@ class Influence:
             return powers(self.fit, self.passage, self.rows, self.samples)
         return weak_powers(self.fit, weak, self.passage, self.rows)
 
+    def by_source(self, squares: Array) -> Array:
+        """What measured noise, of variances (2,) and as it wanders, and kicks of level 1 add, (2, f)."""
+        own, wander = self.by_noise, self.fit.wander
+        measured = squares @ own[:2]
+        if wander.rms:
+            # By lags: a transform of the flight's length would join its ends, and n is not the same.
+            raw = np.fft.irfft(self._raw()[0], self.passage.size)
+            alike = _products(raw, raw.shape[-1] - 1).sum(axis=1)
+            alike[:, 1:] *= 2
+            measured = measured + alike @ wander.covariance(alike.shape[1])
+        return np.array([measured, own[2]])
+
+    def _raw(self) -> list[ComplexArray]:
+        weak = self.fit.samples.weak
+        if weak is None:
+            return raw_plain(self.fit, self.passage, self.rows, self.samples)
+        return raw_weak(self.fit, weak, self.passage, self.rows)
+
     def under(self, shapes: Array) -> Array:
         """What errors of Phi of these spectra (n, size/2 + 1) add, (n, f)."""
         weight = frequency_weights(self.passage.size)
@@ -197,32 +225,57 @@ def powers(fit: Filtered, passage: Passage, influence: Array, spectra: ComplexAr
 
     influence c (f, 2, m) of the samples, and its transforms (f, 2, size/2 + 1).
     """
+    weight, kicked = frequency_weights(passage.size), np.abs(passage.kicks) ** 2
+    by_raw = [power(one, weight) for one in raw_plain(fit, passage, influence, spectra)]
+    return np.array([*by_raw, power(spectra, weight * kicked)])
+
+
+def raw_plain(
+    fit: Filtered, passage: Passage, influence: Array, spectra: ComplexArray
+) -> list[ComplexArray]:
+    """The influence of raw position and velocity, as transforms (f, 2, size/2 + 1) of each."""
     bent = np.fft.rfft(_bent(fit.model, influence), passage.size)
     through = passage.of_flow_velocity(fit.response_time)
-    weight, kicked = frequency_weights(passage.size), np.abs(passage.kicks) ** 2
-    by_raw = [
-        power(spectra * of_phi - bent * place, weight)
-        for of_phi, place in zip(through, passage.place, strict=True)
-    ]
-    return np.array([*by_raw, power(spectra, weight * kicked)])
+    pairs = zip(through, passage.place, strict=True)
+    return [spectra * of_phi - bent * place for of_phi, place in pairs]
 
 
 def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Array) -> Array:
     """As `powers`, for the influence (f, 2, q) of weak rows of the samples."""
-    size = passage.size
-    mean, rate = averaged_by(weak.operator, influence), averaged_by(weak.rate, influence)
-    bent = np.fft.rfft(_bent(fit.model, mean), size)
-    total = np.fft.rfft(mean + fit.response_time * rate, size)
-    by_raw = [
-        power(total * velocity - bent * place, frequency_weights(size))
-        for velocity, place in zip(passage.velocity, passage.place, strict=True)
-    ]
+    size, rate = passage.size, averaged_by(weak.rate, influence)
+    weight = frequency_weights(size)
+    by_raw = [power(one, weight) for one in raw_weak(fit, weak, passage, influence)]
     # A kick in every raw step moves the velocities after it, and the rate operator sees these.
     slope = np.fft.rfft(rate, size)[:, :, None]
     raw = np.fft.irfft(slope * passage.velocity, size)
     step = float(np.mean(np.diff(fit.samples.time)))
     kicked = [sum(np.sum(kicks_through(one, step) ** 2) for one in both) for both in raw]
     return np.array([*by_raw, kicked])
+
+
+def raw_weak(
+    fit: Filtered, weak: WeakRows, passage: Passage, influence: Array
+) -> list[ComplexArray]:
+    """As `raw_plain`, for the influence (f, 2, q) of weak rows of the samples."""
+    mean, rate = averaged_by(weak.operator, influence), averaged_by(weak.rate, influence)
+    bent = np.fft.rfft(_bent(fit.model, mean), passage.size)
+    total = np.fft.rfft(mean + fit.response_time * rate, passage.size)
+    pairs = zip(passage.velocity, passage.place, strict=True)
+    return [total * velocity - bent * place for velocity, place in pairs]
+
+
+def modulated(wander: Wander, gradient: Array, size: int) -> Array:
+    """The spectrum (size/2 + 1,) in Phi of a position that wanders, by a gradient (2, 2, m)."""
+    samples = gradient.shape[2]
+    if not wander.rms:
+        return np.zeros(size // 2 + 1)
+    alike = _products(gradient.reshape(4, samples), samples - 1).sum(axis=0) / (2 * samples)
+    covariance = alike * wander.covariance(samples)
+    folded = np.zeros(size)
+    folded[:samples] += covariance
+    folded[-np.arange(1, samples) % size] += covariance[1:]
+    spectrum: Array = np.maximum(np.fft.rfft(folded).real, 0.0)
+    return spectrum
 
 
 def averaged_by(operator: csr_array, influence: Array) -> Array:

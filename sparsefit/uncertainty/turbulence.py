@@ -128,11 +128,27 @@ class Turbulence:
         weight = frequency_weights(self.observed.passage.size)
         return math.sqrt(float(self.levels[2:] @ self.shapes @ weight))
 
+    @property
+    def better(self) -> Array:
+        """The step (n,) of theta from least squares to generalised least squares in the band.
+
+        One step from the fit, with the likeliest spectrum S: of frequencies that turbulence has
+        less of, more is believed, (J'S^-1 J)^+ J'S^-1 e.
+        """
+        passage, model = self.observed.passage, self.observed.fit.plain
+        inside = slice(0, self.band.stop)
+        weight = (frequency_weights(passage.size) / self.spectrum)[inside]
+        parts, errors = self.observed.spectra[:, inside], self.observed.errors
+        seen = np.fft.rfft(np.ascontiguousarray(errors.T), passage.size)[:, inside]
+        jacobian, heavy = model.jacobian, parts * weight
+        gram = jacobian.onto_theta((heavy @ parts.conj().T).real)
+        score = jacobian.placed((heavy @ seen.conj().T).real)
+        return Information.of(gram, model.tangent).solved(score)
+
     def variances(self, influence: Influence) -> tuple[Array, Array]:
         """Variances (f,) of functions with an influence, and their degrees of freedom (f,)."""
-        own = influence.by_noise
-        measured = self.observed.squares @ own[:2]
-        each = np.concatenate([[measured, own[2]], influence.under(self.shapes)])
+        own = influence.by_source(self.observed.squares)
+        each = np.concatenate([own, influence.under(self.shapes)])
         variance = self.levels @ each
         spectrum = self.levels @ self.remaining
         active = (self.levels[:, None] * self.remaining / spectrum).max(axis=1) > ACTIVE
