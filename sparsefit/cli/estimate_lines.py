@@ -111,7 +111,7 @@ def _wander(estimate: Estimate) -> list[tuple[str, str]]:
     if agreement is None or not agreement.wanders or agreement.broken:
         return []
     words = f"by {agreement.wander:.2g} m in {agreement.wander_time:.2g} s, "
-    return [("position wanders", f"{words}which the intervals leave out")]
+    return [("position wanders", f"{words}which the intervals hold")]
 
 
 def _estimated(estimate: Estimate) -> list[tuple[str, str]]:

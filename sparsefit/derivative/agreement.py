@@ -36,6 +36,9 @@ class Agreement:
         apart: rms of what is left, less the noise, over that of the motion, at those frequencies.
         wander: rms of a correlated error of the position that explains it [m].
         wander_time: its correlation time [s].
+        expected: rms [m] and time [s] with the mean power, over Whittle's likelihood (flat in the
+            logarithms of both), at either end of the spectrum. A flight of a few T tells s^2/T, as
+            at high frequencies, but hardly s^2 T, as at low ones: intervals rest on this.
     """
 
     excess: float
@@ -43,6 +46,7 @@ class Agreement:
     apart: float
     wander: float = 0.0
     wander_time: float = math.nan
+    expected: tuple[float, float] = (0.0, math.nan)
 
     @property
     def sure(self) -> bool:
@@ -111,8 +115,8 @@ def _power(values: Array) -> Array:
 
 def _wander(
     seen: Array, white: Array, angle: Array, bent: Array, step: float
-) -> tuple[float, float]:
-    """s [m] and T [s] of the largest Whittle likelihood."""
+) -> tuple[float, float, tuple[float, float]]:
+    """s [m] and T [s] of the largest Whittle likelihood, and the same of the mean power."""
     times = np.geomspace(10.0, 2.0 * math.pi / angle[0], TIMES)
     r = np.exp(-1.0 / times)[:, None]
     shape = (1 - r**2) * bent / (1 - 2 * r * np.cos(angle) + r**2)
@@ -121,4 +125,9 @@ def _wander(
     total = white + variance[:, :, None] * shape[:, None]
     cost = np.sum(np.log(total) + seen / total, axis=2)
     time, level = np.unravel_index(int(np.argmin(cost)), cost.shape)
-    return math.sqrt(float(variance[time, level])), float(times[time] * step)
+    likely = np.exp(-2.0 * (cost - cost.min()))  # of two components
+    likely /= likely.sum()
+    low = float(np.sum(likely * variance * times[:, None]))
+    high = float(np.sum(likely * variance / times[:, None]))
+    expected = (low * high) ** 0.25, math.sqrt(low / high) * step
+    return math.sqrt(float(variance[time, level])), float(times[time] * step), expected

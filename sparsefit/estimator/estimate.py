@@ -68,7 +68,7 @@ class Estimate:
     anywhere, in the coordinates and the time of the flight. goodness: how well refined modes fit,
     with the ``rms`` mean velocity.
     repairs: what was mended in the flight before. agreement: of logged position and velocity; the
-    intervals leave out what a position wanders.
+    intervals hold what a position wanders.
     shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,
     ``rectangle``, ``pair`` or ``several``; length_scales: (L_x, L_y) [m] in the cells' own axes;
     drift: at which they move [m/s], (x, y); shape_uncertainty: how sure these are; rungs: every

@@ -3,7 +3,7 @@
 from sparsefit.uncertainty.assessment import Assessment, ModeAssessment, assess
 from sparsefit.uncertainty.causes import Cause, Suspect
 from sparsefit.uncertainty.goodness import Goodness
-from sparsefit.uncertainty.noise import LAGS
+from sparsefit.uncertainty.lags import LAGS
 from sparsefit.uncertainty.record import Uncertainty
 from sparsefit.uncertainty.shape import Shape, ShapeUncertainty
 from sparsefit.uncertainty.vehicle import VehicleUncertainty

@@ -1,7 +1,8 @@
 """What is read of a fit, less its bias where asked, and how sure it is.
 
 The variance is that of the noise carried through the filters (`noise`), and where what is left is
-coloured (`turbulence`) at least the mean of what its spectrum and a jackknife say. Of bias (`bias`)
+coloured (`turbulence`) at least the mean of what its spectrum and a jackknife say; there the values
+move by a step of generalised least squares, which is no correction of bias. Of bias (`bias`)
 that is corrected, what is doubtful counts as a standard error; of bias that is left in, all of it.
 Where residuals are no noise at all, the truncation that is left has one sign over many samples:
 half of what it could add up to is added.
@@ -16,7 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.library.nuisance import Nuisance
-from sparsefit.uncertainty import bias, noise
+from sparsefit.uncertainty import bias, lags, noise
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import Reader
@@ -25,7 +26,7 @@ from sparsefit.uncertainty.turbulence import Turbulence, jackknifed
 # Of a correction, what counts as a standard error: terms of second order are left out.
 DOUBT_OF_TRUNCATION, DOUBT_OF_NOISE = 0.2, 0.5
 REACH = 1.0  # standard errors that noisy columns may move a value: beyond, it is ill determined
-STEPS = 2.0  # standard errors that the generalised step may move a value
+MOST = 2.0  # standard errors that generalised least squares may move a value
 EXACT = 1e-6  # residuals below this, relative: no noise but truncation, which adds up coherently
 COHERENT, QUADRATURE = 0.5, 2.0  # of what it could add up to; weak rows fit most of theirs
 
@@ -57,7 +58,7 @@ def corrected(
     rows than parameters of a velocity component.
     """
     rows, used = len(model.rows.target), model.jacobian.size / 2
-    if len(samples.time) <= noise.LAGS or rows <= used:
+    if len(samples.time) <= lags.LAGS or rows <= used:
         return None
     fit, reading = Filtered.of(samples, model, nuisance), read(model)
     information = model.information
@@ -65,11 +66,11 @@ def corrected(
     if fit is not None:
         known = _through_filters(fit, read, correct=correct)
     else:
-        lags = noise.overlap(samples)
-        if rows <= lags:
+        reach = lags.overlap(samples)
+        if rows <= reach:
             return None
         influence = model.influence(reading.gradients)
-        variance = noise.lagged(influence, model.residual, lags, used)
+        variance = lags.lagged(influence, model.residual, reach, used)
         known = Known(reading.values, np.sqrt(variance), np.full(len(variance), np.inf))
     return replace(known, errors=np.where(lost, np.inf, known.errors))
 
@@ -92,8 +93,8 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     step = read(less.model).values - reading.values
     moved = np.zeros(len(step))
     if left.found:
-        away = read(less.model.shifted(left.better)).values - read(less.model).values
-        moved = np.clip(away, -STEPS * spread, STEPS * spread)
+        better = read(less.model.shifted(left.generalised_step))
+        moved = np.clip(better.values - read(less.model).values, -MOST * spread, MOST * spread)
     correction = np.clip(step, -reading.limits, reading.limits)
     doubt = (DOUBT_OF_TRUNCATION if correct else 1.0) * correction
     for score in _scores_of_noise(fit, float(levels[2])):

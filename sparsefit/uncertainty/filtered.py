@@ -2,45 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.derivative import Samples
 from sparsefit.derivative.filters import Filters
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.uncertainty.model import Model
-
-
-@dataclass(frozen=True)
-class Wander:
-    """A first-order autoregression in the logged position.
-
-    Args:
-        rms: of either component [m], 0 where none was seen.
-        kept: its correlation from sample to sample.
-    """
-
-    rms: float = 0.0
-    kept: float = 0.0
-
-    @classmethod
-    def of(cls, samples: Samples) -> Wander:
-        """What position and velocity of a flight say of it; nothing where they do not agree."""
-        seen = samples.agreement
-        if seen is None or not seen.wanders or seen.broken or not seen.wander_time > 0:
-            return cls()
-        step = float(np.median(np.diff(samples.time)))
-        return cls(seen.wander, math.exp(-step / seen.wander_time))
-
-    def covariance(self, lags: int) -> Array:
-        """Its autocovariance (lags,) [m^2]."""
-        covariance: Array = self.rms**2 * self.kept ** np.arange(lags)
-        return covariance
+from sparsefit.uncertainty.wander import Wander
 
 
 @dataclass(frozen=True, eq=False)

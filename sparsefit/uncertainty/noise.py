@@ -11,10 +11,6 @@ likelihood, 1953); what it does to a function that moves by c.e, from c carried 
 filters to the raw samples, where noise is white: var = sigma^2 |F'c|^2. An autocovariance of the
 residuals, tapered, would need lags beyond the window, and then has few windows to average over:
 it is what remains where no filters are known (Bartlett's; Newey and West, 1987).
-
-A position that wanders, a first-order autoregression of rms s and r = exp(-dt/T), has the spectrum
-s^2 (1 - r^2) / |1 - r e^{-iw}|^2 and the autocovariance s^2 r^l, on the same way. In what is left
-of Phi it comes modulated by the gradient: its autocovariance is that of n times that of grad w.
 """
 
 from __future__ import annotations
@@ -27,17 +23,18 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, ComplexArray
 from sparsefit.cached import cached_property
-from sparsefit.derivative import Samples, WeakRows
+from sparsefit.derivative import WeakRows
 from sparsefit.derivative.filters import Filters, kicks_through
 from sparsefit.derivative.transform import fast_length
-from sparsefit.uncertainty.filtered import Filtered, Wander
+from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.lags import products
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.spectra import frequency_weights, power
+from sparsefit.uncertainty.wander import modulated
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-LAGS = 20  # samples: twice the memory of a smoothing window of 11
 PASSED = 0.05  # of the power: below it the spectrum is leakage
 ROUNDS = 60  # of the multiplicative iteration; the level is stable to 1 % by then
 
@@ -197,13 +194,17 @@ class Influence:
         return weak_powers(self.fit, weak, self.passage, self.rows)
 
     def by_source(self, squares: Array) -> Array:
-        """What measured noise, of variances (2,) and as it wanders, and kicks of level 1 add, (2, f)."""
+        """What measured noise and kicks of level 1 add, (2, f).
+
+        squares: variances (2,) of the white noise of raw position and velocity; what the position
+        wanders is of the first.
+        """
         own, wander = self.by_noise, self.fit.wander
         measured = squares @ own[:2]
         if wander.rms:
-            # By lags: a transform of the flight's length would join its ends, and n is not the same.
+            # By lags: a transform of the flight's length would join its ends.
             raw = np.fft.irfft(self._raw()[0], self.passage.size)
-            alike = _products(raw, raw.shape[-1] - 1).sum(axis=1)
+            alike = products(raw, raw.shape[-1] - 1).sum(axis=1)
             alike[:, 1:] *= 2
             measured = measured + alike @ wander.covariance(alike.shape[1])
         return np.array([measured, own[2]])
@@ -264,20 +265,6 @@ def raw_weak(
     return [total * velocity - bent * place for velocity, place in pairs]
 
 
-def modulated(wander: Wander, gradient: Array, size: int) -> Array:
-    """The spectrum (size/2 + 1,) in Phi of a position that wanders, by a gradient (2, 2, m)."""
-    samples = gradient.shape[2]
-    if not wander.rms:
-        return np.zeros(size // 2 + 1)
-    alike = _products(gradient.reshape(4, samples), samples - 1).sum(axis=0) / (2 * samples)
-    covariance = alike * wander.covariance(samples)
-    folded = np.zeros(size)
-    folded[:samples] += covariance
-    folded[-np.arange(1, samples) % size] += covariance[1:]
-    spectrum: Array = np.maximum(np.fft.rfft(folded).real, 0.0)
-    return spectrum
-
-
 def averaged_by(operator: csr_array, influence: Array) -> Array:
     """The influence (f, 2, m) of samples, from that (f, 2, q) of rows that an operator made."""
     flat = influence.reshape(-1, influence.shape[2]).T
@@ -316,35 +303,3 @@ def likeliest(shapes: Array, observed: Array, rounds: int = ROUNDS) -> Array:
         level = level * (scaled @ inverse) / below
     found: Array = level / size
     return found
-
-
-def lagged(influence: Array, errors: Array, lags: int, used: float) -> Array:
-    """Variances (f,) from the residuals (q, 2) alone, tapered to lags (Bartlett).
-
-    With gamma(l) the autocovariance of the residuals at lag l, and rho(l) that of the influence
-    c (f, 2, q): sum_l gamma(l) rho(l), component by component; used: parameters per component.
-    """
-    rows = len(errors)
-    taper = 1 - np.arange(lags + 1) / (lags + 1)
-    taper[1:] *= 2  # lags of either sign
-    taper *= 1 / max(rows - used, 1.0)
-    variance = np.zeros(len(influence))
-    for t in range(2):
-        variance += _products(influence[:, t], lags) @ (taper * _products(errors[:, t], lags))
-    return variance
-
-
-def overlap(samples: Samples) -> int:
-    """Rows that share samples, twice: the lags at which errors of rows may correlate."""
-    weak = samples.weak
-    if weak is None or len(weak.time) < 2:
-        return LAGS
-    stride = float(np.median(np.diff(weak.time)) / np.median(np.diff(samples.time)))
-    return int(np.ceil(2 * weak.window / max(stride, 1.0)))
-
-
-def _products(series: Array, lags: int) -> Array:
-    """Sums over time of the lagged products of series (..., q), lags 0..lags."""
-    size = series.shape[-1] + lags
-    products: Array = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)
-    return products[..., : lags + 1]

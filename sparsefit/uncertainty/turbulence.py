@@ -14,6 +14,9 @@ Student's t with nu degrees of freedom. Beside it stands the jackknife (Wu, 1986
 same functions read without one of `BLOCKS` stretches of the flight, by one Gauss-Newton step. It
 knows no spectrum, and errors that change along the flight.
 
+What is read moves to generalised least squares in the band by one step. It keeps the width of least
+squares: that of its own is too narrow, as it takes the levels for certain.
+
 White noise pays nothing: this joins only where the likelihood ratio asks for it, and where what is
 left is more than a filter's truncation.
 """
@@ -129,18 +132,19 @@ class Turbulence:
         return math.sqrt(float(self.levels[2:] @ self.shapes @ weight))
 
     @property
-    def better(self) -> Array:
+    def generalised_step(self) -> Array:
         """The step (n,) of theta from least squares to generalised least squares in the band.
 
-        One step from the fit, with the likeliest spectrum S: of frequencies that turbulence has
-        less of, more is believed, (J'S^-1 J)^+ J'S^-1 e.
+        (J'S^-1 J)^+ J'S^-1 e of the frequencies in the band, S the likeliest spectrum: what is
+        seen where turbulence has less power counts for more.
         """
         passage, model = self.observed.passage, self.observed.fit.plain
         inside = slice(0, self.band.stop)
         weight = (frequency_weights(passage.size) / self.spectrum)[inside]
-        parts, errors = self.observed.spectra[:, inside], self.observed.errors
-        seen = np.fft.rfft(np.ascontiguousarray(errors.T), passage.size)[:, inside]
-        jacobian, heavy = model.jacobian, parts * weight
+        errors = np.ascontiguousarray(self.observed.errors.T)
+        seen = np.fft.rfft(errors, passage.size)[:, inside]
+        parts = self.observed.spectra[:, inside]
+        heavy, jacobian = parts * weight, model.jacobian
         gram = jacobian.onto_theta((heavy @ parts.conj().T).real)
         score = jacobian.placed((heavy @ seen.conj().T).real)
         return Information.of(gram, model.tangent).solved(score)

@@ -14,13 +14,12 @@ from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows, centred
 from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.lags import lagged, overlap
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.noise import (
     Influence,
     Observed,
     Passage,
-    lagged,
-    overlap,
     powers,
     weak_powers,
 )

@@ -143,3 +143,37 @@ def test_a_flight_without_noise_has_no_turbulence():
     assert found.goodness.r_squared == pytest.approx(1.0, abs=1e-9)
     assert found.goodness.suspect is None
     assert math.isinf(found.uncertainty.freedom[0])
+
+
+def test_the_generalised_step_is_weighted_least_squares_of_the_transforms():
+    left = left_of(1.2)
+    model, size = left.observed.fit.model, left.observed.passage.size
+    dense = model.jacobian.times(np.eye(model.jacobian.size))  # (n, 2, m)
+    upto = left.band.stop
+    weight = np.sqrt(np.where(np.arange(upto) == 0, 1.0, 2.0) / left.spectrum[:upto])
+
+    def weighed(rows):
+        seen = (np.fft.rfft(rows, size)[..., :upto] * weight).reshape(*rows.shape[:-2], -1)
+        return np.concatenate([seen.real, seen.imag], axis=-1)
+
+    expected = np.linalg.lstsq(weighed(dense).T, weighed(left.observed.errors.T), rcond=None)[0]
+    np.testing.assert_allclose(left.generalised_step, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_estimates_in_turbulence_move_by_the_generalised_step():
+    away = []
+    for seed in range(12):
+        samples, rows, fit = fitted(1.2, "auto", seed)
+        plain = cellular(Model.of(Cells(), rows, fit), KNOWN).values
+        (mode,) = assess(samples, rows, Cells(), fit, KNOWN, correct=False).modes
+        away.append((plain[1] - 4.0, mode.length_scale - 4.0))
+    plain, moved = np.sqrt(np.mean(np.square(away), axis=0))
+    assert moved < 0.9 * plain
+
+
+def test_what_no_error_moves_is_certain():
+    left = left_of(1.2)
+    none = Influence.of(left.observed, np.zeros((left.observed.fit.model.jacobian.size, 1)))
+    variance, freedom = left.variances(none)
+    assert variance[0] == 0.0
+    assert math.isinf(freedom[0])
