@@ -108,7 +108,7 @@ class Truncated:
     Args:
         model: the fit, moved by the truncation that it implies.
         errors: what is then left of the rows, (q, 2) [m/s].
-        at_samples: what is left of Phi at the samples, (m, 2) [m/s].
+        at_samples: what a fit of the samples leaves of their Phi, (m, 2) [m/s].
     """
 
     model: Model
@@ -122,7 +122,9 @@ def without_truncation(fit: Filtered) -> Truncated:
     position, velocity = model.rows.position[:, :2], samples.velocity
     distortion = Distortion.of(position, velocity, fit.filters)
     if distortion is None:
-        return Truncated(model, model.residual, fit.plain.residual)
+        plain = fit.plain
+        left = model.residual if model is plain else _refitted(plain, plain.residual)
+        return Truncated(model, model.residual, left)
     moved = model
     for _ in range(PASSES):
         base = moved
@@ -134,8 +136,18 @@ def without_truncation(fit: Filtered) -> Truncated:
     errors = at_samples = base.residual - lost
     if samples.weak is not None:
         plain = fit.as_samples(base)
-        at_samples = plain.residual - distortion.of_samples(plain, velocity)
+        at_samples = _refitted(plain, plain.residual - distortion.of_samples(plain, velocity))
     return Truncated(moved, errors, at_samples)
+
+
+def _refitted(plain: Model, errors: Array) -> Array:
+    """What a fit of the samples themselves leaves of errors (m, 2), of which weak rows leave more.
+
+    Left in, what the two fits differ by would be taken for kicks, and the intervals be twice as
+    wide.
+    """
+    left: Array = plain.freed(errors.T[None])[0].T
+    return left
 
 
 def noisy_columns(fit: Filtered) -> Array:

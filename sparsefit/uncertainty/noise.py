@@ -76,8 +76,8 @@ class Observed:
 
     Args:
         fit: of rows that are made of filtered samples.
-        errors: what it leaves of Phi at the samples (m, 2) [m/s], even where weak rows were
-            fitted: these overlap, and a sample tells more of the noise's spectrum.
+        errors: what a fit of the samples leaves of their Phi (m, 2) [m/s], even where weak rows
+            were fitted: these overlap, and a sample tells more of the noise's spectrum.
     """
 
     fit: Filtered
