@@ -9,7 +9,7 @@ from sparsefit.codec import Place, build, mapping, only, plain
 from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
 from sparsefit.library.builder import Library
-from sparsefit.modes.readout import Readout
+from sparsefit.modes.readout import UNNAMED, Readout
 from sparsefit.regression.backend import Backend
 
 FORMAT = "sparsefit-estimator/1"
@@ -39,6 +39,9 @@ def record_of(text: str) -> dict[str, Any]:
         raise InputError("not an estimator: too deep; write one with to_json") from None
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise InputError(f'not an estimator: no "format": "{FORMAT}"; write one with to_json')
+    readout = record.get("readout", {})
+    if isinstance(readout, dict):
+        record["readout"] = {"refine": UNNAMED} | readout
     return {key: value for key, value in record.items() if key != "format"}
 
 

@@ -18,6 +18,8 @@ Refine = Literal["none", "variable-projection", "ladder"]
 Scales = Literal["one", "several"]
 Correction = Literal["none", "first-order"]
 
+UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
+
 
 @dataclass(frozen=True)
 class Readout:

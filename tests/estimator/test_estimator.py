@@ -236,7 +236,10 @@ def test_names_stand_for_default_settings():
 
 
 def test_what_is_left_out_of_the_json_is_the_default():
-    assert Estimator.from_json(json.dumps({"format": FORMAT})) == Estimator()
+    read = Estimator.from_json(json.dumps({"format": FORMAT}))
+    assert read == Estimator(readout=sf.Readout(refine="variable-projection"))
+    partly = {"format": FORMAT, "readout": {"refine": "none"}}
+    assert Estimator.from_json(json.dumps(partly)).readout.refine == "none"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from sparsefit.errors import suggestion
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.modes.readout import Readout
+from sparsefit.modes.readout import UNNAMED, Readout
 from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.flights import KEYS as FLIGHT_KEYS
 from sparsefit.study.spec.flights import FlightRules, read_flight_rules
@@ -50,7 +50,7 @@ def read_setup(sections: Sections, place: Place) -> Setup:
         read_flight_rules(sections["flights"], place.within("flights")),
         build(Derivative, sections["derivative"], place.within("derivative")),
         _read_library(sections["library"], place.within("library")),
-        build(Readout, sections["readout"], place.within("readout")),
+        build(Readout, {"refine": UNNAMED, **sections["readout"]}, place.within("readout")),
     )
     # What no estimator can combine is refused here, not in the first case.
     parts = {"derivative": setup.derivative, "library": setup.library, "readout": setup.readout}
