@@ -130,8 +130,9 @@ def _undetected(located: Located) -> Verdict | None:
         return None
     return Verdict.against(
         Doubt.NO_FLOW,
-        "no cellular flow detected: no length scale explains more than a uniform wind does, "
-        f"at {1 / FALSE_ALARM:.0f} to 1 against a false alarm",
+        "no cellular flow along the axes detected: no length scale explains more than a uniform "
+        f"wind does, at {1 / FALSE_ALARM:.0f} to 1 against a false alarm; cells that are turned, "
+        'stretched or drift are for refine = "ladder"',
     )
 
 

@@ -7,17 +7,23 @@ import math
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.uncertainty import Cause, Goodness, Suspect
 
+NAMED = 0.9  # R^2: a fit that explains less may be of another lobe, and its cause by chance
 FREED = {Cause.WIND: "wind", Cause.RESPONSE_TIME: "response_time"}  # what a library can free
 
 
 def misfit(goodness: Goodness | None, unknown: tuple[str, ...] = ()) -> Verdict | None:
     """The verdict ``misfit`` with its cause and remedy in words; None where nothing is suspected.
 
+    No cause is named where the fit explains less than `NAMED`.
     unknown: what the library had freed already.
     """
     suspect = goodness.suspect if goodness else None
     if goodness is None or suspect is None:
         return None
+    if goodness.r_squared < NAMED:
+        explained = f"the fit explains only {100 * goodness.r_squared:.0f} % of the flow velocity"
+        words = f"{explained}: the flow is another, or hardly steady"
+        return Verdict("misfit", words, Doubt.MISFIT)
     words = f"more than noise is left (R² {goodness.r_squared:.4g}): {_words(suspect, goodness)}"
     if suspect.cause in FREED:
         names = ", ".join(f'"{name}"' for name in (*unknown, FREED[suspect.cause]))

@@ -1,6 +1,7 @@
 """The verdict misfit in words, and what comes before it."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -39,6 +40,14 @@ def test_the_reason_says_what_the_flow_seems_to_be(cause, size, words):
 def test_the_remedy_keeps_what_is_freed_already():
     verdict = misfit(suspected(Cause.WIND, 1.0, 0.0), ("response_time",))
     assert verdict.reason.endswith('unknown = ["response_time", "wind"]')
+
+
+def test_no_cause_is_named_where_little_is_explained():
+    goodness = replace(suspected(Cause.WIND, 1.0, 0.0), r_squared=0.62)
+    verdict = misfit(goodness)
+    assert verdict.status == "misfit"
+    assert "explains only 62 % of the flow velocity" in verdict.reason
+    assert "wind" not in verdict.reason
 
 
 def test_nothing_suspected_is_no_misfit():
