@@ -1,6 +1,7 @@
 """What a flight cannot tell is never answered with a number that looks fine."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
 
 
+@cache
 def flown(flow=FLOW, duration=10.0, rate=100.0, seed=7, **noise):
     return sf.simulate_flight(
         flow, VEHICLE, duration=duration, sample_rate=rate, seed=seed, **noise
