@@ -14,13 +14,13 @@ FREED = {Cause.WIND: "wind", Cause.RESPONSE_TIME: "response_time"}  # what a lib
 def misfit(goodness: Goodness | None, unknown: tuple[str, ...] = ()) -> Verdict | None:
     """The verdict ``misfit`` with its cause and remedy in words; None where nothing is suspected.
 
-    No cause is named where the fit explains less than `NAMED`.
+    No cause is named where the fit explains less than `NAMED` and noise does not explain the rest.
     unknown: what the library had freed already.
     """
     suspect = goodness.suspect if goodness else None
     if goodness is None or suspect is None:
         return None
-    if goodness.r_squared < NAMED:
+    if goodness.r_squared < NAMED and goodness.turbulence > 0:  # and not for the sensors' noise
         explained = f"the fit explains only {100 * goodness.r_squared:.0f} % of the flow velocity"
         words = f"{explained}: the flow is another, or hardly steady"
         return Verdict("misfit", words, Doubt.MISFIT)

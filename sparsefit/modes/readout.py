@@ -41,7 +41,8 @@ class Readout:
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
     (`sparsefit.modes.search`). Its peaks are those of the Euclidean norm always.
     correction: ``first-order`` takes from a refined ``rms`` readout what smoothing, differencing
-    and noisy positions are known to do to it; ``none`` leaves it.
+    and noisy positions are known to do to it, and in turbulence moves the values by a step of
+    generalised least squares; ``none`` leaves it.
     """
 
     length_scale: LengthScaleReadout = "group-norm"

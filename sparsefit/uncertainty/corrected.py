@@ -2,7 +2,7 @@
 
 The variance is that of the noise carried through the filters (`noise`), and where what is left is
 coloured (`turbulence`) at least the mean of what its spectrum and a jackknife say; there the values
-move by a step of generalised least squares, which is no correction of bias. Of bias (`bias`)
+move, if they are corrected at all, by a step of generalised least squares. Of bias (`bias`)
 that is corrected, what is doubtful counts as a standard error; of bias that is left in, all of it.
 Where residuals are no noise at all, the truncation that is left has one sign over many samples:
 half of what it could add up to is added.
@@ -92,7 +92,7 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     spread = np.sqrt(variance)
     step = read(less.model).values - reading.values
     moved = np.zeros(len(step))
-    if left.found:
+    if correct and left.found:
         better = read(less.model.shifted(left.generalised_step))
         moved = np.clip(better.values - read(less.model).values, -MOST * spread, MOST * spread)
     correction = np.clip(step, -reading.limits, reading.limits)
@@ -102,7 +102,7 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
         doubt = np.hypot(doubt, (DOUBT_OF_NOISE if correct else 1.0) * step)
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     errors = np.hypot(spread, doubt)
-    return Known(reading.values + moved + correct * correction, errors, freedom, left)
+    return Known(reading.values + correct * (correction + moved), errors, freedom, left)
 
 
 def _coherent(fit: Filtered, gradients: Array, errors: Array) -> Array:

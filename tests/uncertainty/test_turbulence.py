@@ -165,7 +165,7 @@ def test_estimates_in_turbulence_move_by_the_generalised_step():
     for seed in range(12):
         samples, rows, fit = fitted(1.2, "auto", seed)
         plain = cellular(Model.of(Cells(), rows, fit), KNOWN).values
-        (mode,) = assess(samples, rows, Cells(), fit, KNOWN, correct=False).modes
+        (mode,) = assess(samples, rows, Cells(), fit, KNOWN, correct=True).modes
         away.append((plain[1] - 4.0, mode.length_scale - 4.0))
     plain, moved = np.sqrt(np.mean(np.square(away), axis=0))
     assert moved < 0.9 * plain
