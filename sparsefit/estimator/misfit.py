@@ -8,6 +8,7 @@ from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.uncertainty import Cause, Goodness, Suspect
 
 NAMED = 0.9  # R^2: a fit that explains less may be of another lobe, and its cause by chance
+LARGE = 0.15  # of U0, turbulence that makes 1 - R^2 a tenth: less is the sensors' noise
 FREED = {Cause.WIND: "wind", Cause.RESPONSE_TIME: "response_time"}  # what a library can free
 
 
@@ -20,7 +21,8 @@ def misfit(goodness: Goodness | None, unknown: tuple[str, ...] = ()) -> Verdict 
     suspect = goodness.suspect if goodness else None
     if goodness is None or suspect is None:
         return None
-    if goodness.r_squared < NAMED and goodness.turbulence > 0:  # and not for the sensors' noise
+    coloured = goodness.turbulence_share > LARGE
+    if goodness.r_squared < NAMED and coloured:
         explained = f"the fit explains only {100 * goodness.r_squared:.0f} % of the flow velocity"
         words = f"{explained}: the flow is another, or hardly steady"
         return Verdict("misfit", words, Doubt.MISFIT)
