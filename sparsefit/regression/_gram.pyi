@@ -1,4 +1,4 @@
-"""Gram matrices, compiled: `gram.products` is the front door."""
+"""Gram matrices, compiled: `sparsefit.regression.statistics` is the front door."""
 
 from numpy import float64
 from numpy.typing import NDArray
