@@ -119,8 +119,8 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--refine",
         metavar="NAME",
-        help="variable-projection (default: off the grid), ladder (shape, heading and drift too) "
-        "or none (the candidate itself)",
+        help="ladder (default: off the grid, with shape, heading and drift), variable-projection "
+        "(off the grid, steady square cells along the axes only) or none (the candidate itself)",
     )
     group.add_argument(
         "--scales",

@@ -33,10 +33,11 @@ class Readout:
     least-squares coefficient, ``pseudo-inverse``), ``rms`` over the cell in closed form, or the
     ``peak`` of |w| over the cell.
     refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
-    the 8-column fit between the grid's bounds; ``ladder`` goes on from there to the shapes of an
-    incompressible flow, cells at any heading, of any sides, steady or drifting, and lets the flight
-    choose (`sparsefit.modes.ladder`; with ``rms`` and one scale, else as ``variable-projection``);
-    ``none`` reports the candidate itself.
+    the 8-column fit between the grid's bounds; ``ladder``, the default, goes on from there to the
+    shapes of an incompressible flow, cells at any heading, of any sides, steady or drifting, and
+    lets the flight choose (`sparsefit.modes.ladder`). With several scales, ``peak`` or ``paper``,
+    the weak form or fewer than 10 samples that count it is ``variable-projection``. ``none``
+    reports the candidate itself. Files that name no refinement mean ``variable-projection``.
     scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
     (`sparsefit.modes.search`). Its peaks are those of the Euclidean norm always.
@@ -48,7 +49,7 @@ class Readout:
     length_scale: LengthScaleReadout = "group-norm"
     mean_velocity: MeanVelocityReadout = "rms"
     eq24: Eq24 = "pseudo-inverse"
-    refine: Refine = "variable-projection"
+    refine: Refine = "ladder"
     scales: Scales = "one"
     correction: Correction = "first-order"
 
