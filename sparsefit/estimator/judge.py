@@ -204,7 +204,7 @@ def judge_shape(
     if float(np.abs(space.empty.rest).max()) <= CALM * float(np.abs(samples.velocity).max()):
         return Verdict.against(Doubt.STILL_AIR, "no flow detected: the air is still")
     if ladder.evidence <= ladder.chance:
-        words = "no flow detected: no waves explain more than chance does"
+        words = "no cellular flow detected: no waves explain more than chance does"
         return Verdict.against(Doubt.NO_FLOW, words)
     edge = outside(ladder, space.bounds)
     if not math.isnan(edge):

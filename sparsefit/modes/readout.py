@@ -35,9 +35,9 @@ class Readout:
     refine: ``variable-projection`` moves the chosen scale off the grid, to the least residual of
     the 8-column fit between the grid's bounds; ``ladder``, the default, goes on from there to the
     shapes of an incompressible flow, cells at any heading, of any sides, steady or drifting, and
-    lets the flight choose (`sparsefit.modes.ladder`). With several scales, ``peak`` or ``paper``,
-    the weak form or fewer than 10 samples that count it is ``variable-projection``. ``none``
-    reports the candidate itself. Files that name no refinement mean ``variable-projection``.
+    lets the flight choose (`sparsefit.modes.ladder`); with several scales, ``peak``, ``paper`` or
+    fewer than 10 samples that count it is ``variable-projection``. ``none`` reports the candidate
+    itself. Files that name no refinement mean ``variable-projection``.
     scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
     (`sparsefit.modes.search`). Its peaks are those of the Euclidean norm always.

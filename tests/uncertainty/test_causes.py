@@ -81,13 +81,27 @@ def test_a_cause_is_named_and_sized(cause):
     noise = {"velocity_noise": 0.05, "position_noise": 0.01}
     flight = sf.simulate_flight(flow, VEHICLE, duration=12.0, sample_rate=100.0, seed=5, **noise)
     flight = replace(flight, vehicle=PointMassVehicle(believed, (5.0, 3.0)), flow=None)
-    found = sf.Estimator().estimate(flight)
+    found = sf.Estimator(readout=sf.Readout(refine="variable-projection")).estimate(flight)
     suspect = found.goodness.suspect
     assert suspect.cause is cause
     np.testing.assert_allclose(suspect.size, size, rtol=0.35, atol=0.01)
     assert found.status == "misfit"
     assert found.doubt is Doubt.MISFIT
     assert found.to_dict()["goodness"]["suspect"]["cause"] == str(cause)
+
+
+@pytest.mark.parametrize("cause", [Cause.DRIFT, Cause.TURN, Cause.STRETCH])
+def test_what_the_default_reads_is_no_misfit(cause):
+    flow = WORLDS[cause][0]
+    noise = {"velocity_noise": 0.05, "position_noise": 0.01}
+    flight = sf.simulate_flight(flow, VEHICLE, duration=12.0, sample_rate=100.0, seed=5, **noise)
+    found = sf.Estimator().estimate(flight)
+    assert found.status == "ok"
+    assert found.heading == pytest.approx(0.02 if cause is Cause.TURN else 0.0, abs=0.001)
+    drift = (0.03, -0.05) if cause is Cause.DRIFT else (0.0, 0.0)
+    assert found.drift == pytest.approx(drift, abs=0.005)
+    sides = (L * 1.005, L * 0.995) if cause is Cause.STRETCH else (L, L)
+    assert found.length_scales == pytest.approx(sides, rel=0.001)
 
 
 def test_what_is_freed_is_suspected_no_more():
