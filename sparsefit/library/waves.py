@@ -189,7 +189,7 @@ class Waves:
         turned = _across(by_q)
         bent: Array = np.einsum("spjd,sjm->spdm", turned, flow)
         bent += np.einsum("sjd,spjm->spdm", _across(phases), moved * later[:, None])
-        return bent.reshape(*bent.shape[:2], -1, 1)
+        return bent.reshape(*bent.shape[:2], 2 * bent.shape[-1], 1)
 
     def bent_gradients(
         self, position: Array, parameters: Array, values: Array, weights: Array
@@ -205,7 +205,7 @@ class Waves:
             inner = k_by_q[..., None] * later[:, None]
             inner -= k[:, None, :, None] * moved * flow[:, None]
             gradient += np.einsum("sjd,spjm->spdm", across, inner)
-            both.append(gradient.reshape(*gradient.shape[:2], -1, 1))
+            both.append(gradient.reshape(*gradient.shape[:2], 2 * gradient.shape[-1], 1))
         return np.stack(both)
 
     def gradients(self, parameters: Array, values: Array) -> Array:
@@ -225,7 +225,7 @@ class Waves:
     def _waves(self, phases: Array, values: Array) -> Array:
         """G of cos and of sin, (s, J, 2, m), of columns (s, 2 J, 2 m)."""
         across = _across(phases)
-        parts = values.reshape(*phases.shape[:2], 2, 2, -1)
+        parts = values.reshape(*phases.shape[:2], 2, 2, values.shape[-1] // 2)
         waves: Array = np.einsum("sjd,sjcdm->sjcm", across, parts)
         square: Array = np.sum(across * across, axis=2)
         waves /= np.where(square > 0, square, 1.0)[:, :, None, None]
@@ -240,7 +240,7 @@ class Waves:
 
     def _joined(self, parts: Array) -> Array:
         """Columns (..., 2 J, 2 m) of values by wave, column and component, (..., J, 2, 2, m)."""
-        joined: Array = parts.reshape(*parts.shape[:-4], self.size, -1)
+        joined: Array = parts.reshape(*parts.shape[:-4], self.size, 2 * parts.shape[-1])
         return joined
 
 

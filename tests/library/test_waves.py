@@ -121,3 +121,13 @@ def test_a_drift_carries_the_flow_along():
     later = POSITION + np.array([*drift, 1.0])
     q = np.array([[*k, k @ drift]])
     np.testing.assert_allclose(waves.values(later, q), waves.values(POSITION, q), atol=1e-12)
+
+
+@cases
+def test_no_mode_has_no_columns(pattern, q):
+    waves, none = Waves(pattern), np.zeros((0, q.shape[1]))
+    position = np.zeros((7, 3))
+    values = waves.values(position, none)
+    weights = np.zeros((0, waves.size, 1))
+    assert values.shape == (0, waves.size, 14)
+    assert waves.bent(position, none, values, weights).shape == (0, waves.parameters, 14, 1)
