@@ -10,6 +10,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.estimator.estimate import RungEstimate
+from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import middle
@@ -28,14 +29,14 @@ class Shaped:
         cells: that its two waves make; None of another number of waves.
         drifting: whether it moves.
         rungs: all that were tried, by rising BIC.
-        flow: its waves, in the flight's own coordinates.
+        flow: its waves, and a wind that was unknown, in the flight's own coordinates.
     """
 
     name: str
     cells: Shape | None
     drifting: bool
     rungs: tuple[RungEstimate, ...]
-    flow: WaveFlow
+    flow: WaveFlow | SuperposedFlow
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -62,7 +63,9 @@ def shaped_of(ladder: Ladder, known: Assessment, origin: Array, nuisance: Nuisan
         RungEstimate(rung.shape, rung.drifting, rung.bic - least, _share(rung, ladder, square))
         for rung in ladder.rungs
     )
-    flow = flow_of(best, origin, nuisance.ratio(best.fit.coefficients))
+    waves = flow_of(best, origin, nuisance.ratio(best.fit.coefficients))
+    wind = known.vehicle.wind if known.vehicle else (0.0, 0.0)
+    flow = SuperposedFlow((waves,), wind) if any(wind) else waves
     return Shaped(best.shape, known.shape, best.drifting, rungs, flow)
 
 
