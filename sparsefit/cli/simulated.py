@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.parser import number
 from sparsefit.errors import InputError
@@ -111,7 +111,7 @@ def faults_of(args: argparse.Namespace) -> LogFaults:
     """
     from sparsefit.flight.faults import LogFaults
 
-    given: dict[str, float] = {}
+    given: dict[str, Any] = {}
     for option, size in (
         ("wander", "wander_time"),
         ("outliers", "outlier_size"),
@@ -124,4 +124,4 @@ def faults_of(args: argparse.Namespace) -> LogFaults:
     for count in ("jumps", "gaps"):
         if count in given and given[count] == round(given[count]):
             given[count] = round(given[count])
-    return LogFaults(**given)  # type: ignore[arg-type]
+    return LogFaults(**given)

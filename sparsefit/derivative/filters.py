@@ -18,8 +18,9 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
+from sparsefit.derivative.kernels import polynomial_kernels
 from sparsefit.derivative.pieces import GAP
-from sparsefit.derivative.smoothing import Channels, Smoothing, polynomial_kernels
+from sparsefit.derivative.smoothing import Channels, Smoothing
 from sparsefit.derivative.steps import nearly_even
 
 DEGREE = 10  # of the polynomials that the weights on samples keep exact: the smoother's own
@@ -90,7 +91,7 @@ def _kernels(smoothing: Smoothing, step: float) -> tuple[Array, float] | None:
         wide = np.pad(rate, ((0, 0), (trim, trim)))
         return np.stack([*state[[0, 2]].reshape(2, 2, -1), wide]), -(smoothing.window // 2)
     if smoothing.method == "savgol":
-        value, slope = polynomial_kernels(smoothing.window, smoothing.order, step)
+        value, slope, _ = polynomial_kernels(smoothing.window, smoothing.order, step)
         first = -(smoothing.window // 2) * 1.0
     elif smoothing.method in PLAIN:
         state_weights, difference, first = PLAIN[smoothing.method]

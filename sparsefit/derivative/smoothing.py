@@ -20,16 +20,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
+from sparsefit.derivative.kernels import coupled_kernels, polynomial_kernels
 from sparsefit.derivative.pieces import straddling
 from sparsefit.derivative.transform import Transformed
 
-KEPT = 128  # kernels: those of one flight are asked for several times
 ORDER = 10  # of the velocity; 4 doubles the error of tau_w at 0.5 m/s of noise, 8 and 10 agree
 SHORTEST = ORDER + 1  # either channel alone determines the polynomial
 LONGEST = 1001
@@ -138,10 +137,9 @@ class Channels:
         if coupled:
             position, velocity, acceleration = coupled_kernels(window, ORDER, self.step, self.ratio)
             return np.stack([position, velocity, velocity, acceleration])
-        value, slope = polynomial_kernels(window, ORDER, self.step)
+        value, slope, bend = polynomial_kernels(window, ORDER, self.step)
         none = np.zeros(window)
         if self.positions_only:
-            bend = bend_kernel(window, ORDER, self.step)
             return np.stack([np.concatenate([row, none]) for row in (value, slope, slope, bend)])
         rows = [(value, none), (slope, none), (none, value), (none, slope)]
         return np.stack([np.concatenate(row) for row in rows])
@@ -197,48 +195,6 @@ def _differences(values: Array, order: int, starts: IntArray) -> Array:
     if len(starts):
         differences = differences[~straddling(starts, order + 1, len(differences))]
     return differences
-
-
-@lru_cache(maxsize=KEPT)
-def coupled_kernels(
-    window: int, order: int, step: float, ratio: float
-) -> tuple[Array, Array, Array]:
-    """Weights (2n,) of n positions and n velocities in p, p' and p'' at the middle.
-
-    ratio: sigma_v / sigma_x [1/s]; step [s]; order: degree of p'.
-    """
-    reach = window // 2 * step
-    powers = np.vander(np.linspace(-1.0, 1.0, window), order + 2, increasing=True)
-    slopes = np.zeros_like(powers)
-    slopes[:, 1:] = powers[:, :-1] * np.arange(1, order + 2) / reach
-    basis, triangle = np.linalg.qr(np.vstack([ratio * powers, slopes]))
-    solved = np.linalg.solve(triangle.T, np.eye(order + 2)[:, :3]).T @ basis.T
-    solved[:, :window] *= ratio
-    return _kept(solved[0]), _kept(solved[1] / reach), _kept(2.0 * solved[2] / reach**2)
-
-
-@lru_cache(maxsize=KEPT)
-def polynomial_kernels(window: int, order: int, step: float) -> tuple[Array, Array]:
-    """Weights (n,) of one channel in its value and slope at the middle (Savitzky and Golay).
-
-    step [s]; order: degree of the polynomial, below n.
-    """
-    powers = np.vander(np.linspace(-1.0, 1.0, window), order + 1, increasing=True)
-    solved = np.linalg.pinv(powers)
-    return _kept(solved[0]), _kept(solved[1] / (window // 2 * step))
-
-
-@lru_cache(maxsize=KEPT)
-def bend_kernel(window: int, order: int, step: float) -> Array:
-    """Weights (n,) of one channel in its second derivative at the middle."""
-    powers = np.vander(np.linspace(-1.0, 1.0, window), order + 1, increasing=True)
-    return _kept(2.0 * np.linalg.pinv(powers)[2] / (window // 2 * step) ** 2)
-
-
-def _kept(weights: Array) -> Array:
-    """Weights that are shared by all who ask for them: nobody writes into them."""
-    weights.flags.writeable = False
-    return weights
 
 
 def window_sizes(channels: Channels) -> Iterator[int]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.backends.group_lasso import GroupLasso
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import Flight
@@ -60,16 +61,13 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
     if prepared.samples.weak is not None:
         raise InputError("a certificate over the plane needs samples, not the weak form")
     fit = estimator.fit(prepared)
-    fraction, penalty = getattr(fit.backend, "alpha_fraction", None), None
-    if fit.backend.name == "group-lasso":
-        penalty = fit.backend.penalty(fit.problem)  # type: ignore[attr-defined]
-    if penalty is None or not isinstance(fraction, float):
-        raise InputError(
-            f"a certificate over the plane is that of group-lasso, not {fit.backend.name}"
-        )
+    backend = fit.backend
+    if not isinstance(backend, GroupLasso) or isinstance(backend.alpha_fraction, str):
+        raise InputError(f"a certificate over the plane is that of group-lasso, not {backend.name}")
     if not np.isfinite(fit.weights).all():
         raise InputError(f"no certificate over the plane: {fit.status}: {fit.reason}")
-    alpha = fraction * alpha_max(fit.problem.statistics.cross, penalty)
+    penalty = backend.penalty(fit.problem)
+    alpha = backend.alpha_fraction * alpha_max(fit.problem.statistics.cross, penalty)
     residual = (fit.problem.target - fit.problem.theta @ fit.weights).reshape(-1, 2)
     low, high = (math.sqrt(2.0) * math.pi / scale for scale in
                  (library.grid.upper, library.grid.lower))  # fmt: skip

@@ -20,6 +20,7 @@ from sparsefit.uncertainty import LAGS, Goodness
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
+FAR_APART = 10.0  # motions: beyond it a share says no more
 
 
 def judge(
@@ -92,8 +93,13 @@ def _disagreeing(samples: Samples) -> Verdict | None:
     return Verdict.against(
         Doubt.DISAGREEMENT,
         "the logged velocity is not that of the logged position: they are "
-        f"{100 * agreement.apart:.0f} % of the motion apart; check units, axes and time stamps",
+        f"{_as_share(agreement.apart)} the motion apart; check units, axes and time stamps",
     )
+
+
+def _as_share(apart: float) -> str:
+    """Of a motion that hardly is (a velocity of zeros) every share is huge and says nothing."""
+    return f"{100 * apart:.0f} % of" if apart < FAR_APART else f"more than {FAR_APART:g} times"
 
 
 def _few(located: Located) -> Verdict | None:

@@ -98,8 +98,3 @@ def middle(position: Array) -> Array:
     """The middle of the bounding box of positions (m, 2)."""
     centre: Array = 0.5 * (position.max(axis=0) + position.min(axis=0))
     return centre
-
-
-def extent_of(position: Array) -> float:
-    """The larger side of the bounding box of positions (m, 2) [m]."""
-    return float(np.ptp(position, axis=0).max())

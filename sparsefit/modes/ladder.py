@@ -30,7 +30,6 @@ from sparsefit.modes.rung import Family, Rung, as_pattern
 from sparsefit.modes.space import SearchSpace
 
 CELLS = (AXIS, SQUARE, RECTANGLE)
-NEAR_AXIS = 0.1  # of heading [rad]: cells turned by less are tried along the axes
 MOST = 4  # waves
 ROUNDS = 8  # of the search around the best shape, at most
 CLOSE = 10.0  # of BIC to the best: rungs that are fitted to all rows, and could be the flow too

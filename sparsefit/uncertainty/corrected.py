@@ -19,6 +19,7 @@ from sparsefit.derivative import Samples
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.uncertainty import bias, lags, noise
 from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.influence import Influence
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import Reader
 from sparsefit.uncertainty.turbulence import Turbulence, jackknifed
@@ -80,7 +81,7 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     reading, less = read(fit.model), bias.without_truncation(fit)
     observed = noise.Observed(fit, less.at_samples)
     by_theta = fit.model.information.solved(reading.gradients.T)
-    influence, levels = noise.Influence.of(observed, by_theta), observed.levels
+    influence, levels = Influence.of(observed, by_theta), observed.levels
     freedom = np.full(len(reading.values), np.inf)
     variance = observed.amounts @ influence.by_source(observed.squares)
     left = Turbulence(observed)

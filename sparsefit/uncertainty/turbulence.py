@@ -30,9 +30,10 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
+from sparsefit.uncertainty.influence import Influence
 from sparsefit.uncertainty.information import Information
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.noise import Influence, Observed, likeliest
+from sparsefit.uncertainty.noise import Observed, likeliest
 from sparsefit.uncertainty.spectra import frequency_weights
 
 GATE = 15.0  # 2 ln(likelihood ratio): in white noise it is 0 in half of flights, and rarely above 5

@@ -74,3 +74,10 @@ def test_velocities_that_are_noise_throughout_leave_what_the_positions_tell(flig
         assert estimate.mean_velocity == pytest.approx(8.0, rel=5e-2)
     else:
         assert estimate.status == "unidentifiable"
+
+
+def test_a_velocity_of_zeros_disagrees_by_no_absurd_figure(flight):
+    still = replace(flight, velocity=np.zeros_like(flight.velocity))
+    estimate = sf.Estimator().estimate(still)
+    assert str(estimate.doubt) == "disagreement"
+    assert "more than 10 times the motion apart" in estimate.reason

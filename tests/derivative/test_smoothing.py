@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sparsefit.derivative import Derivative
+from sparsefit.derivative.kernels import coupled_kernels, polynomial_kernels
 from sparsefit.derivative.smoothing import (
     FEWEST,
     ORDER,
@@ -16,9 +17,7 @@ from sparsefit.derivative.smoothing import (
     SIDE_BY_SIDE,
     Channels,
     choose,
-    coupled_kernels,
     noise_level,
-    polynomial_kernels,
     window_sizes,
 )
 from sparsefit.flight import Flight, simulate_flight
@@ -86,10 +85,12 @@ def test_coupled_kernels_are_weighted_least_squares_by_normal_equations():
 def test_polynomial_kernels_are_savitzky_golay():
     from scipy.signal import savgol_coeffs
 
-    value, slope = polynomial_kernels(21, 4, 0.01)
+    value, slope, bend = polynomial_kernels(21, 4, 0.01)
     np.testing.assert_allclose(value, savgol_coeffs(21, 4, use="dot"), atol=1e-12)
     expected = savgol_coeffs(21, 4, deriv=1, delta=0.01, use="dot")
     np.testing.assert_allclose(slope, expected, atol=1e-9)
+    expected = savgol_coeffs(21, 4, deriv=2, delta=0.01, use="dot")
+    np.testing.assert_allclose(bend, expected, atol=1e-6)
 
 
 def test_velocity_carries_the_position_over_the_window():

@@ -14,15 +14,10 @@ from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows, centred
 from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.influence import Influence, powers, weak_powers
 from sparsefit.uncertainty.lags import lagged, overlap
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.noise import (
-    Influence,
-    Observed,
-    Passage,
-    powers,
-    weak_powers,
-)
+from sparsefit.uncertainty.noise import Observed, Passage
 from sparsefit.uncertainty.reading import cellular
 from tests.fits import cells_at
 

@@ -19,8 +19,9 @@ from sparsefit.uncertainty.assessment import assess, reader
 from sparsefit.uncertainty.corrected import corrected
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.goodness import whiteness
+from sparsefit.uncertainty.influence import Influence
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.noise import Influence, Observed
+from sparsefit.uncertainty.noise import Observed
 from sparsefit.uncertainty.reading import cellular
 from sparsefit.uncertainty.turbulence import BLOCKS, Turbulence, jackknifed
 from tests.fits import located

@@ -15,7 +15,8 @@ from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.uncertainty.assessment import assess
 from sparsefit.uncertainty.filtered import Filtered
-from sparsefit.uncertainty.noise import Influence, Observed
+from sparsefit.uncertainty.influence import Influence
+from sparsefit.uncertainty.noise import Observed
 from sparsefit.uncertainty.reading import cellular
 from sparsefit.uncertainty.wander import Wander, modulated
 from tests.fits import cells_at, located
