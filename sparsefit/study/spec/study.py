@@ -24,6 +24,7 @@ from sparsefit.study.spec.document import (
 )
 from sparsefit.study.spec.draw import Draw
 from sparsefit.study.spec.outputs import Entry, Outputs, Reference, name_of, read_outputs
+from sparsefit.study.spec.selection import SelectionRule, read_selection
 from sparsefit.study.spec.setup import SECTION_KEYS, read_setup
 
 MAX_CASES = 2_000_000
@@ -38,10 +39,11 @@ KEYS = (
     "sweep",
     "split",
     "run",
+    "select",
     "outputs",
 )
 # What a case does not depend on: changing it never makes finished rows those of another study.
-PRESENTATION = ("question", "outputs")
+PRESENTATION = ("question", "select", "outputs")
 SPLITS = ("validate", "evaluate")
 
 
@@ -69,7 +71,8 @@ class Study:
 
     `count` is the number of flights, `cells` what is done to every one of them; `given` the keys
     of the sections flights, derivative, library and readout that the file sets, dotted, with
-    their values as canonical JSON; `case_timeout` is in seconds;
+    their values as canonical JSON; `case_timeout` is in seconds; `selection` says by what one
+    candidate is chosen;
     `prediction_flights` is the number of other flights along which a flow found is predicted.
     """
 
@@ -91,6 +94,7 @@ class Study:
     figures: tuple[Entry, ...]
     answers: tuple[Entry, ...]
     reference: Reference | None
+    selection: SelectionRule
     hash: str
 
     @classmethod
@@ -175,6 +179,7 @@ def _read(document: Section, place: Place) -> Study:
         figures=output.figures,
         answers=output.answers,
         reference=output.reference,
+        selection=read_selection(document.get("select", {}), protocols, sweep, place),
         hash=study_hash(document),
     )
 
@@ -202,7 +207,7 @@ def _given(sections: Mapping[str, Section]) -> dict[str, str]:
 
 
 def study_hash(document: Section) -> str:
-    """sha256 of what the cases depend on: not of comments, blanks, the question, [outputs]."""
+    """sha256 of what the cases depend on: not of comments, the question, [select], [outputs]."""
     content = {key: value for key, value in document.items() if key not in PRESENTATION}
     return hashlib.sha256(canonical_json(content).encode()).hexdigest()
 
