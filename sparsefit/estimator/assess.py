@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.locate import Place
 from sparsefit.estimator.prepare import Prepared
-from sparsefit.estimator.shaped import Shaped, middle_of, shaped_of
+from sparsefit.estimator.shaped import Shaped, flow_of, middle_of, rungs_of, with_wind
+from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
 from sparsefit.modes.ladder import Ladder
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
-from sparsefit.uncertainty import Assessment, Goodness, VehicleUncertainty, assess
+from sparsefit.uncertainty import (
+    Assessment,
+    Goodness,
+    Shape,
+    VehicleUncertainty,
+    assess,
+    values_of,
+)
+
+NOTHING = ScaleEstimate(math.nan, math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -24,7 +34,7 @@ class Reading:
     """The cellular flows of a flight, fastest first, and what was unknown of the vehicle.
 
     assessed: whether standard errors were sought; goodness: how well the modes fit, where they
-    were; shaped: what the ladder found, where it did.
+    were; shaped: the flow of waves, where it is one.
     """
 
     scales: tuple[ScaleEstimate, ...]
@@ -50,6 +60,8 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
         reading = _of_ladder(prepared, place, place.ladder, readout)
         if reading is not None:
             return reading
+    if place.grid is not None:
+        return _on_grid(prepared, place, place.grid)
     sought = readout.refine != "none" and readout.mean_velocity == "rms"
     assessed = sought and place.fit is not None
     if assessed:
@@ -74,26 +86,73 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
 def _of_ladder(
     prepared: Prepared, place: Place, ladder: Ladder, readout: Readout
 ) -> Reading | None:
-    """The flow of the best rung; None where its standard errors cannot be told.
+    """The flow of the best rung; None where cells that were located are believed instead.
 
-    Nor where waves that make no cells leave turbulence: they may follow nothing else.
+    That is where waves that make no cells leave turbulence: they may follow nothing else.
     """
     best, nuisance, samples = ladder.best, _nuisance(prepared), prepared.samples
+    if not len(best.phases):
+        return Reading((NOTHING,), assessed=True)
     plain = samples.weak is None and not prepared.library.unknown
     correct = plain and readout.correction != "none"
 
     def assessed() -> Assessment | None:
         return assess(samples, ladder.rows, best.family, best.fit, nuisance, correct=correct)
 
-    known = prepared.once(("shape", tuple(best.phases.ravel().tolist()), correct), assessed)
-    if known is None or not (best.of_cells or known.white):
-        return None
-    (mode,) = known.modes
     origin = middle_of((samples.weak or samples).position, samples.time)
-    shaped = shaped_of(ladder, known, origin, nuisance)
+    flow = flow_of(best, origin, nuisance.ratio(best.fit.coefficients))
+    key = ("shape", tuple(best.phases.ravel().tolist()), best.shape, correct)
+    known = prepared.once(key, assessed)
+    waves = prepared.library.family == "waves"
+    if not waves and (known is None or not (best.of_cells or known.white)):
+        return None
+    if known is None:
+        plainly = _plain(prepared, place, flow, drifting=best.drifting)
+        return replace(plainly, shaped=_shaped(plainly, ladder), assessed=True)
+    (mode,) = known.modes
+    all_of_it = with_wind(flow, nuisance.read(best.fit.coefficients))
+    shaped = Shaped(best.shape, known.shape, best.drifting, rungs_of(ladder), all_of_it)
     scale = ScaleEstimate(*mode.values, place.candidates[0], mode.uncertainty)
     beside = known.vehicle, known.vehicle_uncertainty
     return Reading((scale,), *beside, True, known.goodness, shaped)
+
+
+def _shaped(plainly: Reading, ladder: Ladder) -> Shaped | None:
+    """What was read without standard errors, as what the ladder says."""
+    best, rungs = ladder.best, rungs_of(ladder)
+    shaped = plainly.shaped
+    return shaped and replace(shaped, name=best.shape, drifting=best.drifting, rungs=rungs)
+
+
+def _on_grid(prepared: Prepared, place: Place, grid: WaveFlow) -> Reading:
+    """Waves on the grid: U0 of their peaks, and the sum of all as the flow."""
+    assert place.fit is not None
+    ratio = _nuisance(prepared).ratio(place.fit.coefficients)
+    flow = WaveFlow(grid.wavevectors, grid.cosine / ratio, grid.sine / ratio)
+    peaks = place.fit.weights[..., 0] / ratio
+    return _plain(prepared, place, flow, WaveFlow(place.fit.parameters, *peaks.T))
+
+
+def _plain(
+    prepared: Prepared,
+    place: Place,
+    flow: WaveFlow,
+    read: WaveFlow | None = None,
+    *,
+    drifting: bool = False,
+) -> Reading:
+    """A flow of waves without standard errors; read: the waves that are read, else its own."""
+    assert place.fit is not None
+    own = read or flow
+    moving = np.zeros(len(own.cosine)) if own.frequencies is None else own.frequencies
+    phases = np.column_stack([own.wavevectors, moving])
+    amplitudes = np.column_stack([own.cosine, own.sine])
+    speed, scale, timescale, *cells = values_of(phases, amplitudes, drifting=drifting).tolist()
+    vehicle = _nuisance(prepared).read(place.fit.coefficients)
+    shape = Shape.of(np.array(cells)) if cells else None
+    shaped = Shaped("", shape, drifting, flow=with_wind(flow, vehicle))
+    scales = (ScaleEstimate(speed, scale, timescale, place.candidates[0]),)
+    return Reading(scales, vehicle if vehicle.unknown else None, shaped=shaped)
 
 
 def _sorted(scales: list[ScaleEstimate]) -> tuple[ScaleEstimate, ...]:

@@ -10,15 +10,14 @@ from sparsefit import backends
 from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError, number_setting
 from sparsefit.estimator import saved
-from sparsefit.estimator.assess import Reading, read_place
+from sparsefit.estimator.assess import NOTHING, Reading, read_place
 from sparsefit.estimator.candidate_flow import flow_of
 from sparsefit.estimator.doubt import Doubt, Verdict
-from sparsefit.estimator.estimate import Estimate, ScaleEstimate
+from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.judge import imprecise, judge, judge_shape, rivalled
 from sparsefit.estimator.locate import Place, locate
-from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.prepare import Prepared, prepare
-from sparsefit.estimator.waves import estimate_of_waves
+from sparsefit.estimator.waves import strengths_by_scale
 from sparsefit.flight import Flight
 from sparsefit.library.builder import Library
 from sparsefit.modes.readout import Readout
@@ -79,30 +78,23 @@ class Estimator:
 
     def read(self, prepared: Prepared, fit: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25): locate the modes, assess them, judge them."""
-        if self.library.family == "waves":
-            return estimate_of_waves(prepared, fit, self.readout)
         start = perf_counter()
         problem = fit.problem
-        assert problem.group_scales is not None
         by_scale: dict[float, float] = {}
-        place, reading = None, Reading((_NOTHING,))
+        place, reading = None, Reading((NOTHING,))
         verdict = Verdict(fit.status, fit.reason)
         if np.isfinite(fit.weights).all():
-            weights = self.readout.scale_weights(problem, fit.weights)
-            scales = problem.group_scales.tolist()
-            by_scale = dict(zip(scales, weights.tolist(), strict=True))
+            by_scale = self._by_scale(fit)
             if fit.weights.any():
-                place = locate(prepared, fit, self.readout, scales[int(np.argmax(weights))])
+                largest = max(by_scale, key=lambda scale: by_scale[scale])
+                place = locate(prepared, fit, self.readout, largest)
                 reading = read_place(prepared, place, self.readout)
                 verdict = self._judged(prepared, place, reading, verdict)
             else:
                 words = "no length scale: all weights are zero"
                 verdict = Verdict.against(Doubt.NO_WEIGHTS, words)
         first, vehicle, shaped = reading.scales[0], reading.vehicle, reading.shaped
-        rival = place.located.rival if place and place.located else None
-        other = rival.wavenumber if rival else math.nan
-        if place and place.located and math.isfinite(place.located.left_over):
-            other = place.located.left_over
+        other = place.other if place else math.nan
         unknown = {name: getattr(vehicle, name) for name in vehicle.unknown} if vehicle else {}
         return Estimate(
             first.mean_velocity,
@@ -116,7 +108,7 @@ class Estimator:
             first.grid_length_scale,
             by_scale,
             prepared.seconds + fit.seconds + perf_counter() - start,
-            problem.samples,
+            problem.samples if self.library.family == "cells" else len(prepared.target),
             problem.columns,
             math.pi / other,
             first.uncertainty,
@@ -140,13 +132,16 @@ class Estimator:
             words = f"the response time that fits best is {vehicle.response_time:.3g} s"
             reason = f"{words}; fly longer, or give the response time"
             return Verdict.against(Doubt.VEHICLE, reason)
+        samples, scales = prepared.samples, reading.scales
+        waves = reading.shaped is not None or self.library.family == "waves"
+        if place.ladder is not None and waves and not place.ladder.steady_cells:
+            doubts = judge_shape(
+                place.ladder, reading, prepared.space, samples, prepared.library.unknown
+            )
+            return doubts or verdict
         if not 0 < first.mean_velocity < math.inf:
             words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
             return Verdict.against(Doubt.MEAN_VELOCITY, f"no mean velocity: {words}")
-        samples, scales = prepared.samples, reading.scales
-        if place.ladder is not None and reading.shaped and not place.ladder.steady_cells:
-            instead = misfit(reading.goodness, prepared.library.unknown)
-            return judge_shape(place.ladder, scales, prepared.space, samples, instead) or verdict
         if place.located is not None:
             doubts = judge(
                 place.located,
@@ -159,6 +154,14 @@ class Estimator:
             return doubts or (rivalled(place.ladder) if reading.shaped else None) or verdict
         return (imprecise(scales) if reading.assessed else None) or verdict
 
+    def _by_scale(self, fit: Fit) -> dict[float, float]:
+        """The weight of each length scale [m]."""
+        if self.library.family == "waves":
+            return strengths_by_scale(fit)
+        assert fit.problem.group_scales is not None
+        weights = self.readout.scale_weights(fit.problem, fit.weights).tolist()
+        return dict(zip(fit.problem.group_scales.tolist(), weights, strict=True))
+
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""
         return saved.text_of({item.name: getattr(self, item.name) for item in fields(self)})
@@ -167,6 +170,3 @@ class Estimator:
     def from_json(cls, text: str) -> "Estimator":
         """Read an estimator written by ``to_json``. Raises InputError on anything else."""
         return cls(**saved.parts_of(saved.record_of(text)))
-
-
-_NOTHING = ScaleEstimate(math.nan, math.nan, math.nan, math.nan)

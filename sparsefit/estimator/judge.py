@@ -8,10 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from sparsefit.derivative import Samples
+from sparsefit.estimator.assess import Reading
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.shaped import outside
+from sparsefit.library.scan import extent_of
 from sparsefit.modes.ladder import Ladder
 from sparsefit.modes.rung import Rung
 from sparsefit.modes.search import Located
@@ -42,7 +44,7 @@ def judge(
         assessed: whether standard errors were asked for: values known too poorly are doubted.
         unknown: what the library has freed beside the flow.
     """
-    short = _short(located, scales, goodness)
+    short = _short(located.space.extent, scales, goodness)
     return (
         _still(located, samples)
         or _disagreeing(samples)
@@ -115,12 +117,18 @@ def _few(located: Located) -> Verdict | None:
 
 def _undersampled(located: Located, samples: Samples) -> Verdict | None:
     """A scale that is told must be resolved; where none is, the least one that was searched."""
+    lower = math.pi / located.space.bounds[1]
+    least = math.pi / float(located.wavenumbers.max()) if located.identifiable else lower
+    return _too_coarse(samples, least, lower)
+
+
+def _too_coarse(samples: Samples, least: float, lower: float) -> Verdict | None:
+    """Whether steps are too long for a length scale [m]; lower: the bound of the search."""
     steps = np.diff(samples.time)
     if not len(steps):
         return None
-    step, lower = float(np.median(steps)), math.pi / located.space.bounds[1]
+    step = float(np.median(steps))
     speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
-    least = math.pi / float(located.wavenumbers.max()) if located.identifiable else lower
     moved = speed * step
     if moved * RESOLVED <= least or 2 * moved <= lower:
         return None
@@ -154,13 +162,13 @@ def _at_edge(located: Located) -> Verdict | None:
 
 
 def _short(
-    located: Located, scales: Sequence[ScaleEstimate], goodness: Goodness | None
+    extent: float, scales: Sequence[ScaleEstimate], goodness: Goodness | None
 ) -> Verdict | None:
     """Whether the flight covers less than one period, 2 L, of the fastest flow.
 
     A fit that leaves nothing but truncation is no chance.
     """
-    extent, period = located.space.extent, 2 * scales[0].length_scale
+    period = 2 * scales[0].length_scale
     if not extent < period or (goodness and goodness.exact):
         return None
     words = f"the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} m"
@@ -198,28 +206,56 @@ def _mistaken(located: Located) -> Verdict | None:
 
 def judge_shape(
     ladder: Ladder,
-    scales: Sequence[ScaleEstimate],
+    reading: Reading,
     space: SearchSpace,
     samples: Samples,
-    instead: Verdict | None = None,
+    unknown: tuple[str, ...] = (),
 ) -> Verdict | None:
-    """The first reason not to believe a shape other than steady cells along the axes."""
-    disagreeing = _disagreeing(samples)
-    if disagreeing:
-        return disagreeing
+    """The first reason not to believe waves, or a shape other than steady cells along the axes."""
+    short = _short(_swept(samples, reading), reading.scales, reading.goodness)
+    return (
+        _disagreeing(samples)
+        or _no_waves(ladder, space, samples)
+        or _unresolved(ladder, space, samples)
+        or (misfit(reading.goodness, unknown) if short is None else None)
+        or _more(ladder)
+        or rivalled(ladder)
+        or _unsure(reading.scales)
+        or short
+    )
+
+
+def _swept(samples: Samples, reading: Reading) -> float:
+    """The extent [m] of the flight through the pattern, which may drift."""
+    cells = reading.shaped.cells if reading.shaped else None
+    drift = np.array(cells.drift if cells else (0.0, 0.0))
+    return extent_of(samples.position - samples.time[:, None] * drift)
+
+
+def _no_waves(ladder: Ladder, space: SearchSpace, samples: Samples) -> Verdict | None:
     if float(np.abs(space.empty.rest).max()) <= CALM * float(np.abs(samples.velocity).max()):
         return Verdict.against(Doubt.STILL_AIR, "no flow detected: the air is still")
     if ladder.evidence <= ladder.chance:
         words = "no cellular flow detected: no waves explain more than chance does"
         return Verdict.against(Doubt.NO_FLOW, words)
-    edge = outside(ladder, space.bounds)
+    return None
+
+
+def _unresolved(ladder: Ladder, space: SearchSpace, samples: Samples) -> Verdict | None:
+    """Whether a wave is out of the bounds of the search, or too short for the samples."""
+    edge, lower = outside(ladder, space.bounds), math.pi / space.bounds[1]
     if not math.isnan(edge):
         words = f"a wave of the flow has a length scale of {edge:.3g} m, outside the search"
         return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
-    if not ladder.quiet:
-        words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
-        return instead or Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")
-    return instead or rivalled(ladder) or imprecise(scales)
+    largest = float(np.hypot(*ladder.best.phases[:, :2].T).max())
+    return _too_coarse(samples, math.sqrt(2.0) * math.pi / largest, lower)
+
+
+def _more(ladder: Ladder) -> Verdict | None:
+    if ladder.quiet:
+        return None
+    words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
+    return Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")
 
 
 def rivalled(ladder: Ladder | None) -> Verdict | None:
@@ -236,3 +272,10 @@ def rivalled(ladder: Ladder | None) -> Verdict | None:
 
 def _named(rung: Rung) -> str:
     return f"a {'drifting' if rung.drifting else 'steady'} flow of shape {rung.shape!r}"
+
+
+def _unsure(scales: Sequence[ScaleEstimate]) -> Verdict | None:
+    if scales[0].uncertainty is None:
+        words = "too few samples for a standard error; fly longer, or sample faster"
+        return Verdict.against(Doubt.FEW_SAMPLES, words)
+    return imprecise(scales)

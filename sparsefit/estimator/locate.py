@@ -10,13 +10,17 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.estimator.prepare import Prepared
+from sparsefit.estimator.waves import MOST_WAVES, wavenumbers_of, waves_of
+from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
 from sparsefit.library.scan import extent_of
-from sparsefit.modes.ladder import Ladder, climbed
+from sparsefit.library.waves import Waves
+from sparsefit.modes.ladder import Ladder, climbed, joined
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.proposals import proposals
 from sparsefit.modes.readout import Readout, mean_velocity_of
 from sparsefit.modes.search import MOST, SLOWEST, Located, locate_one, locate_several
+from sparsefit.modes.wave_peaks import wave_peaks
 from sparsefit.regression.fit import Fit
 
 FEWEST = 10  # rows that count: fewer cannot tell a shape
@@ -31,7 +35,8 @@ class Place:
         candidates: the length scales on the back-end's grid that they come from (s,) [m].
         located: how they were found off the grid; None where they were read on it.
         fit: of the modes, all together; None where the one mode on the grid is read by its own.
-        ladder: the shapes that were tried beyond square cells, if any were.
+        ladder: the shapes of waves that were tried, if any were.
+        grid: the sum of all waves on the back-end's grid, where it was not left.
     """
 
     wavenumbers: Array
@@ -39,11 +44,24 @@ class Place:
     located: Located | None = None
     fit: Projection | None = None
     ladder: Ladder | None = None
+    grid: WaveFlow | None = None
 
     @property
     def length_scales(self) -> tuple[float, ...]:
         """L = pi/k (s,) [m]."""
         return tuple(math.pi / k for k in self.wavenumbers.tolist())
+
+    @property
+    def other(self) -> float:
+        """The wavenumber [1/m] of what a mode could be mistaken for, or is left; NaN of nothing."""
+        if self.ladder is not None and not self.ladder.steady_cells:
+            rival = self.ladder.rival
+            return math.pi / rival.length_scale if rival else math.nan
+        if self.located is None:
+            return math.nan
+        if math.isfinite(self.located.left_over):
+            return self.located.left_over
+        return self.located.rival.wavenumber if self.located.rival else math.nan
 
 
 def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> Place:
@@ -52,6 +70,8 @@ def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> 
     candidate: the length scale of the largest weight [m], by the readout's rule.
     """
     refined = readout.refine != "none" and not prepared.narrow
+    if prepared.library.family == "waves":
+        return _waves(prepared, fit, readout, candidate, refined)
     if readout.scales == "several":
         return _several(prepared, fit, readout, refined)
     if not refined:
@@ -64,6 +84,30 @@ def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> 
         time = prepared.samples.time
         ladder = prepared.once(key, lambda: climbed(space, time, located.fit))
     return Place(located.wavenumbers, (candidate,), located, located.fit, ladder)
+
+
+def _waves(
+    prepared: Prepared, fit: Fit, readout: Readout, candidate: float, refined: bool
+) -> Place:
+    """Waves: the peaks of the weights, and off the grid what the flight bears out of them."""
+    k, weights = waves_of(fit)
+    peaks = wave_peaks(k, weights, extent_of(prepared.samples.position), MOST_WAVES)
+    if not refined:
+        on_grid = project(Waves(), prepared.rows, k[peaks.top])
+        used = weights.any(axis=1)
+        grid = WaveFlow(k[used], *weights[used].T)
+        return Place(wavenumbers_of(k[peaks.top]), (candidate,), None, on_grid, grid=grid)
+    space, time, located = prepared.space, prepared.samples.time, None
+    proposed = tuple(peaks.wavevectors.ravel().tolist())
+    if _climbable(prepared, readout):
+        found = located = prepared.once(("one", None), lambda: locate_one(space))
+        climb = lambda: climbed(space, time, found.fit, peaks.wavevectors)  # noqa: E731
+        ladder = prepared.once(("ladder", proposed), climb)
+    else:
+        join = lambda: joined(space, time, peaks.wavevectors)  # noqa: E731
+        ladder = prepared.once(("waves", proposed), join)
+    best = ladder.best
+    return Place(wavenumbers_of(best.phases[:, :2]), (candidate,), located, best.fit, ladder)
 
 
 def _climbable(prepared: Prepared, readout: Readout) -> bool:

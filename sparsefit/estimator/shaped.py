@@ -1,4 +1,4 @@
-"""What the ladder of shapes says of a flight, as the fields of an estimate."""
+"""What waves and the ladder of shapes say of a flight, as the fields of an estimate."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from sparsefit.arrays import Array
 from sparsefit.estimator.estimate import RungEstimate
 from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.nuisance import VehicleEstimate
 from sparsefit.modes.fitted_rows import middle
 from sparsefit.modes.ladder import Ladder
 from sparsefit.modes.rung import Rung
 from sparsefit.modes.wave_peaks import at_origin
-from sparsefit.uncertainty import Assessment, Shape
+from sparsefit.uncertainty import Shape
 
 
 @dataclass(frozen=True)
 class Shaped:
-    """The rung that won.
+    """A flow of waves.
 
     Args:
-        name: of its shape.
-        cells: that its two waves make; None of another number of waves.
+        name: of its shape; empty of waves on the grid.
+        cells: that its two strongest waves make; None of fewer.
         drifting: whether it moves.
         rungs: all that were tried, by rising BIC.
-        flow: its waves, and a wind that was unknown, in the flight's own coordinates.
+        flow: its waves, in the flight's own coordinates; None where no vehicle could have flown so.
     """
 
     name: str
     cells: Shape | None
-    drifting: bool
-    rungs: tuple[RungEstimate, ...]
-    flow: WaveFlow | SuperposedFlow
+    drifting: bool = False
+    rungs: tuple[RungEstimate, ...] = ()
+    flow: WaveFlow | SuperposedFlow | None = None
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -44,29 +44,23 @@ class Shaped:
         fields: dict[str, Any] = {"shape": self.name, "rungs": self.rungs}
         if self.cells is None:
             return fields
+        fields["heading"] = self.cells.heading
+        if not self.name:
+            return fields
         return fields | {
-            "heading": self.cells.heading,
             "length_scales": self.cells.length_scales,
             "drift": self.cells.drift if self.drifting else (0.0, 0.0),
             "shape_uncertainty": self.cells.uncertainty,
         }
 
 
-def shaped_of(ladder: Ladder, known: Assessment, origin: Array, nuisance: Nuisance) -> Shaped:
-    """What a ladder says, with its assessment.
-
-    origin (3,): the place [m] and time [s] that its rows are counted from.
-    """
-    best, square = ladder.best, float(np.sum(ladder.rows.target**2)) or 1.0
-    least = ladder.rungs[0].bic
-    rungs = tuple(
+def rungs_of(ladder: Ladder) -> tuple[RungEstimate, ...]:
+    """The rungs of a ladder as an estimate reports them."""
+    least, square = ladder.rungs[0].bic, float(np.sum(ladder.rows.target**2)) or 1.0
+    return tuple(
         RungEstimate(rung.shape, rung.drifting, rung.bic - least, _share(rung, ladder, square))
         for rung in ladder.rungs
     )
-    waves = flow_of(best, origin, nuisance.ratio(best.fit.coefficients))
-    wind = known.vehicle.wind if known.vehicle else (0.0, 0.0)
-    flow = SuperposedFlow((waves,), wind) if any(wind) else waves
-    return Shaped(best.shape, known.shape, best.drifting, rungs, flow)
 
 
 def _share(rung: Rung, ladder: Ladder, square: float) -> float:
@@ -81,11 +75,20 @@ def middle_of(position: Array, time: Array) -> Array:
 
 
 def flow_of(rung: Rung, origin: Array, ratio: float) -> WaveFlow:
-    """The flow of a rung; ratio: of fitted weights to those of the vehicle that fits best."""
-    phases = rung.phases
-    place = origin * np.array([1.0, 1.0, -1.0])
+    """The flow of a rung; ratio: of fitted weights to those of the vehicle that fits best.
+
+    origin (3,): the place [m] and time [s] that its rows are counted from.
+    """
+    phases, place = rung.phases, origin * np.array([1.0, 1.0, -1.0])
     cosine, sine = at_origin(phases, rung.weights / ratio, place).T
     return WaveFlow(phases[:, :2], cosine, sine, phases[:, 2])
+
+
+def with_wind(flow: WaveFlow, vehicle: VehicleEstimate) -> WaveFlow | SuperposedFlow | None:
+    """A flow and the wind that was found beside it; None of a vehicle that cannot be."""
+    if not vehicle.possible:
+        return None
+    return SuperposedFlow((flow,), vehicle.wind) if any(vehicle.wind) else flow
 
 
 def outside(ladder: Ladder, bounds: tuple[float, float]) -> float:

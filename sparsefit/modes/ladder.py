@@ -26,8 +26,9 @@ from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.lookout import Lookout
 from sparsefit.modes.plane import descended
 from sparsefit.modes.projection import Projection, project
-from sparsefit.modes.rung import Family, Rung, as_pattern
+from sparsefit.modes.rung import Family, Rung, as_pair, as_pattern
 from sparsefit.modes.space import SearchSpace
+from sparsefit.modes.wave_peaks import strengths
 
 CELLS = (AXIS, SQUARE, RECTANGLE)
 MOST = 4  # waves
@@ -65,17 +66,37 @@ class Ladder:
         return self.best.shape == AXIS.name and not self.best.drifting
 
 
-def climbed(space: SearchSpace, time: Array, cells: Projection) -> Ladder:
-    """The ladder of a flight's samples at time (m,) [s], from cells that were fitted to them."""
+def climbed(
+    space: SearchSpace, time: Array, cells: Projection, proposed: Array | None = None
+) -> Ladder:
+    """The ladder of a flight's samples at time (m,) [s], from cells that were fitted to them.
+
+    proposed: wavevectors (p, 2) [1/m] of a back-end, strongest first, to start from as well.
+    """
     climb = _Climb(Lookout.of(space, time), {}, [])
     climb.bound(AXIS, cells.parameters[0])
     climb.near()
+    if proposed is not None and not climb.quiet:
+        climb.join(proposed)
+        climb.bind()
     for look in (climb.standing, climb.moving, climb.pairs, climb.several):
         if climb.quiet or climb.settled:
             break
         look()
     climb.instead()
     return climb.ladder()
+
+
+def joined(space: SearchSpace, time: Array, proposed: Array) -> Ladder:
+    """The waves that a back-end proposes (p, 2) [1/m], strongest first, where BIC falls.
+
+    Where two are left, other places for either are tried too. There is one rung, of no wave, where
+    the flight bears out none.
+    """
+    climb = _Climb(Lookout.of(space, time), {}, [])
+    climb.join(proposed)
+    climb.instead()
+    return climb.ladder(free=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +144,34 @@ class _Climb:
         """Any two waves from a start (p,)."""
         family = Waves(pattern)
         return self.keep(family, descended(family, self.lookout.thin, start[None], rough=True))
+
+    def join(self, proposed: Array) -> None:
+        """Waves that stand, which join one by one where BIC falls; all of them move together."""
+        none = project(Waves(WAVE), self.lookout.thin, np.zeros((0, 2)))
+        best, least = none, self.lookout.bic(Waves(WAVE), none)
+        for wave in proposed:
+            for less in (False, True):  # the wave joins, and the weakest may then leave
+                waves = best.parameters
+                more = np.delete(waves, _weakest(best), axis=0) if less else [*waves, wave]
+                if not len(more):
+                    break
+                fit = descended(Waves(WAVE), self.lookout.thin, np.array(more), rough=True)
+                bic = self.lookout.bic(Waves(WAVE), fit)
+                if bic >= least or self.lookout.blown(fit) or self.lookout.close(fit):
+                    break
+                best, least = fit, bic
+                self.keep(*as_pair(fit))
+        if not self.rungs:
+            self.keep(Waves(WAVE), none)
+
+    def bind(self) -> None:
+        """Cells of the two strongest of the waves that joined."""
+        free = [rung for rung in self.rungs.values() if not rung.of_cells]
+        if free:
+            strongest = min(free, key=lambda rung: rung.bic).strongest
+            for pattern in (SQUARE, RECTANGLE) if len(strongest) == 2 else ():
+                self.bound(pattern, as_pattern(pattern, strongest))
+        self.near()
 
     def near(self) -> None:
         """Every shape of two waves from the best one, where one could have a lower BIC."""
@@ -230,15 +279,15 @@ class _Climb:
                 phases[wave, :2] = place
                 self.pair(here.family.pattern, as_pattern(here.family.pattern, phases))
 
-    def ladder(self) -> Ladder:
+    def ladder(self, *, free: bool = False) -> Ladder:
         """The rungs by BIC; those that are close are fitted to all rows before one is chosen.
 
         Where more than noise is left it is turbulence, or another flow: rows then count for less,
-        and waves that make no cells only follow the one or the other.
+        and waves that make no cells only follow the one or the other; free: they are all there is.
         """
         look, quiet = self.lookout, self.quiet
         rungs, tried = list(self.rungs.values()), self.tried
-        if not quiet:
+        if not quiet and not free:
             rungs, tried = ([rung for rung in some if rung.of_cells] for some in (rungs, tried))
             look = look.coloured(min(rungs, key=lambda rung: rung.bic).fit.rest)
         whole = [_whole(look, rung) for rung in _close(_ranked(look, tried))]
@@ -248,6 +297,11 @@ class _Climb:
         chance = look.chance(best.family, best.fit)
         ranked = _ranked(look, rungs)
         return Ladder(best, ranked, quiet, look.rows, evidence, chance, next(rivals, None))
+
+
+def _weakest(fit: Projection) -> int:
+    """The place of the weakest of single waves."""
+    return int(np.argmin(strengths(fit.parameters, fit.weights[..., 0])))
 
 
 def _ranked(look: Lookout, rungs: list[Rung]) -> tuple[Rung, ...]:

@@ -27,6 +27,7 @@ MOVING = 12  # peaks of squares that drift
 OMEGAS = 100.0  # that are told apart, about
 FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 EXACT = 1e-6  # of |Phi|^2: squares below it are what smoothing takes, and tell no shape
+CLOSE = 0.5  # in pi/extent: waves nearer than that are one, with amplitudes of opposite sign
 STRONGEST = 6.0  # of the rms of a component of Phi: a wave that strong is one of two that cancel
 PART = 0.05  # of |Phi|^2: errors that are more could hide a flow
 LOUD, SPREAD = 2.0, 6.0  # of the mean power, and of its standard deviation: more is a flow
@@ -111,14 +112,26 @@ class Lookout:
     def _unexplained(self, rest: Array) -> bool:
         """Whether no wave explains more of errors (m, 2) than chance does."""
         whole, gain = float(np.sum(rest**2)), float(self.scan.gains(rest).max())
-        places = 0.5 * float(self.scan.inside.sum())
-        most = 2 * math.log(places / FALSE_ALARM) + 2 * Waves().size
+        most = 2 * math.log(self.places / FALSE_ALARM) + 2 * Waves().size
         return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
 
     def blown(self, waves: Projection) -> bool:
         """Whether single waves are so strong that two of them nearly cancel."""
         sizes = np.hypot(*waves.parameters[:, :2].T) * np.linalg.norm(waves.weights[..., 0], axis=1)
         return bool(sizes.max() > STRONGEST * math.sqrt(float(np.mean(self.target**2))))
+
+    def close(self, waves: Projection) -> bool:
+        """Whether two of single waves that stand are so close that they are one."""
+        k = waves.parameters[:, :2]
+        first, second = np.triu_indices(len(k), 1)
+        apart = [k[first] + sign * k[second] for sign in (-1.0, 1.0)]
+        nearest = float(np.linalg.norm(apart, axis=2).min(initial=math.inf))
+        return nearest < CLOSE * self.scan.step
+
+    @property
+    def places(self) -> float:
+        """How many waves the scan can tell apart."""
+        return max(1.0, 0.5 * float(self.scan.inside.sum()))
 
     def ranked(self, family: Waves | PiecedWaves, starts: Array) -> Array:
         """The starts (j, p) of most promise, by what they leave as they are, the best first."""
@@ -129,7 +142,7 @@ class Lookout:
     def chance(self, family: Waves | EqualWaves, fit: Projection) -> float:
         """What 2 ln(likelihood ratio) of waves to a wind reaches by chance in 1 of 1000 flights."""
         waves = family.pattern.size * len(fit.parameters)
-        places = 0.5 * float(self.scan.inside.sum()) * (OMEGAS if family.pattern.drifting else 1.0)
+        places = self.places * (OMEGAS if family.pattern.drifting else 1.0)
         free = (family.parameters + family.size) * len(fit.parameters)
         return 2 * waves * math.log(places) - 2 * math.log(FALSE_ALARM) + free
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.library.equal_waves import EqualWaves
-from sparsefit.library.waves import PAIR, RECTANGLE, Pattern, Waves
+from sparsefit.library.waves import PAIR, RECTANGLE, WAVE, Pattern, Waves
 from sparsefit.modes.projection import Projection
+from sparsefit.modes.wave_peaks import strengths
 
 FASTER, LONGER = 0.03, 0.01  # of U0 and L: what two rungs may differ by and still say the same
 Family = Waves | EqualWaves
@@ -60,6 +61,13 @@ class Rung:
         return weights.reshape(-1, 2)
 
     @property
+    def strongest(self) -> Array:
+        """The `phases` of the two strongest waves, or of fewer."""
+        order = np.argsort(-strengths(self.phases[:, :2], self.weights), kind="stable")
+        strongest: Array = self.phases[order[:2]]
+        return strongest
+
+    @property
     def mean_velocity(self) -> float:
         """U0 [m/s] of its waves, as the fitted rows have them."""
         squares = np.sum(self.phases[:, :2] ** 2, axis=1)
@@ -67,8 +75,8 @@ class Rung:
 
     @property
     def length_scale(self) -> float:
-        """L [m] of its waves."""
-        return math.pi * math.sqrt(2 / float(np.mean(np.sum(self.phases[:, :2] ** 2, axis=1))))
+        """L [m] of its two strongest waves."""
+        return math.pi * math.sqrt(2 / float(np.mean(np.sum(self.strongest[:, :2] ** 2, axis=1))))
 
     def alike(self, other: Rung) -> bool:
         """Whether both say the same U0 and, of as many waves, the same L."""
@@ -79,6 +87,15 @@ class Rung:
         if speeds[1] > (1 + FASTER) * speeds[0]:
             return False
         return len(self.phases) != len(other.phases) or scales[1] <= (1 + LONGER) * scales[0]
+
+
+def as_pair(fit: Projection) -> tuple[Waves, Projection]:
+    """Single waves as what they are called: two of them are a pair."""
+    if len(fit.parameters) != 2:
+        return Waves(WAVE), fit
+    parameters, moves = (one.reshape(1, -1) for one in (fit.parameters, fit.moves))
+    weights = fit.weights.reshape(1, -1, 1)
+    return Waves(PAIR), replace(fit, parameters=parameters, moves=moves, weights=weights)
 
 
 def as_pattern(pattern: Pattern, phases: Array) -> Array:

@@ -5,7 +5,7 @@ from sparsefit.uncertainty.causes import Cause, Suspect
 from sparsefit.uncertainty.goodness import Goodness
 from sparsefit.uncertainty.lags import LAGS
 from sparsefit.uncertainty.record import Uncertainty
-from sparsefit.uncertainty.shape import Shape, ShapeUncertainty
+from sparsefit.uncertainty.shape import Shape, ShapeUncertainty, values_of
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
 
 __all__ = [
@@ -20,4 +20,5 @@ __all__ = [
     "Uncertainty",
     "VehicleUncertainty",
     "assess",
+    "values_of",
 ]

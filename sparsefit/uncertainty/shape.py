@@ -2,10 +2,10 @@
 
     U0^2 = sum_j |k_j|^2 (a_j^2 + b_j^2),    L = sqrt(2) pi / sqrt(mean |k_j|^2),    tau_w = L/U0
 
-Two waves make cells between the lines on which (k_1 + k_2).x/2 and (k_1 - k_2).x/2 step by pi:
-L_x and L_y are their distances, the heading that of k_1 + k_2, brought to (-pi/4, pi/4] by quarter
-turns, and the drift c solves k_j . c = omega_j. Gradients are differences of these, in parameters
-scaled to their size.
+U0 is of all waves, everything else of the two strongest. Two waves make cells between the lines
+on which (k_1 + k_2).x/2 and (k_1 - k_2).x/2 step by pi: L_x and L_y are their distances, the
+heading that of k_1 + k_2, brought to (-pi/4, pi/4] by quarter turns, and the drift c solves
+k_j . c = omega_j. Gradients are differences of these, in parameters scaled to their size.
 """
 
 from __future__ import annotations
@@ -53,13 +53,19 @@ class Shape:
         length_scales: (L_x, L_y) [m], in the cells' own axes.
         heading: by which these are turned counter-clockwise [rad], in (-pi/4, pi/4].
         drift: at which the pattern moves [m/s], (x, y); 0 of a steady shape.
-        uncertainty: how sure they are.
+        uncertainty: how sure they are, where that was asked and can be told.
     """
 
     length_scales: tuple[float, float]
     heading: float
     drift: tuple[float, float]
-    uncertainty: ShapeUncertainty
+    uncertainty: ShapeUncertainty | None = None
+
+    @classmethod
+    def of(cls, values: Array) -> Shape:
+        """Of values (f,) of `CELL`, and of `DRIFT` where it is told."""
+        x, y, heading, *drift = values.tolist()
+        return cls((x, y), heading, (drift[0], drift[1]) if drift else (0.0, 0.0))
 
     @classmethod
     def around(cls, values: Array, errors: Array, freedom: Array) -> Shape:
@@ -75,7 +81,7 @@ class Shape:
 
 def names_of(family: Waves, modes: int) -> tuple[str, ...]:
     """What is read of a model of so many modes of waves."""
-    if family.pattern.size * modes != 2:
+    if family.pattern.size * modes < 2:
         return MODE
     return (*MODE, *CELL, *(DRIFT if family.pattern.drifting else ()))
 
@@ -90,7 +96,7 @@ def waves(model: Model, nuisance: Nuisance) -> Reading:
         parameters, weights, coefficients = model.split(other)
         phases = family.pattern.phases(parameters).reshape(-1, 3)
         amplitudes = weights.reshape(-1, 2) / nuisance.ratio(coefficients)
-        return _values(phases, amplitudes, drifting=family.pattern.drifting)
+        return values_of(phases, amplitudes, drifting=family.pattern.drifting)
 
     values, names = read(theta), names_of(family, len(model.parameters))
     gradients = np.zeros((len(values), len(theta)))
@@ -111,14 +117,17 @@ def _sizes(model: Model) -> Array:
     return model.joined(sizes[0], weights, np.ones_like(model.coefficients))
 
 
-def _values(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
-    """U0, L, tau_w of waves (J, 3), amplitudes (J, 2); of two L_x, L_y, heading and drift."""
+def values_of(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
+    """U0, L, tau_w of waves (J, 3), amplitudes (J, 2); of two or more L_x, L_y, heading, drift."""
     squares = np.sum(phases[:, :2] ** 2, axis=1)
-    speed = math.sqrt(float(squares @ np.sum(amplitudes**2, axis=1)))
-    scale = math.sqrt(2.0 / float(np.mean(squares))) * math.pi
+    powers = squares * np.sum(amplitudes**2, axis=1)
+    strongest = np.sort(np.argsort(-powers, kind="stable")[:2])
+    speed = math.sqrt(float(powers.sum()))
+    scale = math.sqrt(2.0 / float(np.mean(squares[strongest]))) * math.pi
     values = [speed, scale, scale / speed if speed else math.inf]
-    if len(phases) == 2:
-        first, second = phases[:, :2]
+    if len(phases) > 1:
+        pair = phases[strongest]
+        first, second = pair[:, :2]
         total, difference = first + second, first - second
         heading = math.atan2(total[1], total[0])
         quarter = round(heading / (0.5 * math.pi))
@@ -126,5 +135,5 @@ def _values(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
         values += sides[::-1] if quarter % 2 else sides
         values.append(heading - 0.5 * math.pi * quarter)
         if drifting:
-            values += np.linalg.solve(phases[:, :2], phases[:, 2]).tolist()
+            values += np.linalg.solve(pair[:, :2], pair[:, 2]).tolist()
     return np.array(values)

@@ -50,6 +50,10 @@ def test_every_back_end_leads_to_the_turned_cells(name, settings):
     assert found.length_scale == pytest.approx(4.2, rel=0.002)
     assert math.degrees(found.heading) == pytest.approx(25.0, abs=0.2)
     assert found.timescale == found.length_scale / found.mean_velocity
+    assert found.shape == "pair"
+    assert abs(found.mean_velocity - 12.0) < 4 * found.uncertainty.mean_velocity < 0.5
+    assert abs(found.length_scale - 4.2) < 4 * found.uncertainty.length_scale < 0.1
+    assert found.goodness.r_squared > 0.98
     assert missed(found.flow) < 0.02
 
 
@@ -120,6 +124,14 @@ def test_it_goes_with_the_weak_form_and_an_unknown_vehicle():
         assert found.response_time == pytest.approx(0.5, rel=0.01)
         assert found.mean_velocity == pytest.approx(12.0, rel=0.02)
         assert missed(found.flow) < 0.05
+
+
+def test_the_ladder_starts_from_waves_that_a_back_end_proposes():
+    readout = sf.Readout(refine="ladder")
+    found = sf.Estimator(library=WAVES, readout=readout).estimate(FLIGHT)
+    assert (found.status, found.shape) == ("ok", "square")
+    assert {"square", "pair"} <= {rung.shape for rung in found.rungs}
+    assert found.length_scale == pytest.approx(4.2, rel=0.002)
 
 
 def test_zero_weights_and_waves_that_the_flight_does_not_bear_out_are_said():
