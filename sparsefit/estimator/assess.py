@@ -14,7 +14,7 @@ from sparsefit.estimator.shaped import Shaped, flow_of, middle_of, rungs_of, wit
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance, VehicleEstimate
-from sparsefit.modes.ladder import Ladder
+from sparsefit.modes.choice import Ladder
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
 from sparsefit.uncertainty import (

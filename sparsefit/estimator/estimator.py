@@ -95,6 +95,9 @@ class Estimator:
                 verdict = Verdict.against(Doubt.NO_WEIGHTS, words)
         first, vehicle, shaped = reading.scales[0], reading.vehicle, reading.shaped
         other = place.other if place else math.nan
+        flow = shaped.flow if shaped else None
+        if place and len(place.wavenumbers) and not shaped:
+            flow = flow_of(prepared, fit, place)
         unknown = {name: getattr(vehicle, name) for name in vehicle.unknown} if vehicle else {}
         return Estimate(
             first.mean_velocity,
@@ -115,7 +118,7 @@ class Estimator:
             scales=reading.scales if place and self.readout.scales == "several" else (),
             vehicle_uncertainty=reading.vehicle_uncertainty,
             doubt=verdict.doubt,
-            flow=None if not place else shaped.flow if shaped else flow_of(prepared, fit, place),
+            flow=flow,
             repairs=prepared.samples.repairs,
             agreement=prepared.samples.agreement,
             goodness=reading.goodness,
@@ -149,6 +152,7 @@ class Estimator:
                 samples,
                 reading.goodness,
                 assessed=reading.assessed,
+                climbed=place.ladder is not None,
                 unknown=prepared.library.unknown,
             )
             return doubts or (rivalled(place.ladder) if reading.shaped else None) or verdict

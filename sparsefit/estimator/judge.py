@@ -14,7 +14,7 @@ from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.shaped import outside
 from sparsefit.library.scan import extent_of
-from sparsefit.modes.ladder import Ladder
+from sparsefit.modes.choice import Ladder
 from sparsefit.modes.rung import Rung
 from sparsefit.modes.search import Located
 from sparsefit.modes.space import FALSE_ALARM, SearchSpace
@@ -32,6 +32,7 @@ def judge(
     goodness: Goodness | None = None,
     *,
     assessed: bool,
+    climbed: bool = False,
     unknown: tuple[str, ...] = (),
 ) -> Verdict | None:
     """The first reason not to believe modes off the grid; None where there is none.
@@ -42,6 +43,7 @@ def judge(
         samples: of the flight.
         goodness: of the fit, where it is known.
         assessed: whether standard errors were asked for: values known too poorly are doubted.
+        climbed: whether other shapes than steady cells along the axes were tried.
         unknown: what the library has freed beside the flow.
     """
     short = _short(located.space.extent, scales, goodness)
@@ -50,7 +52,7 @@ def judge(
         or _disagreeing(samples)
         or _few(located)
         or _undersampled(located, samples)
-        or _undetected(located)
+        or _undetected(located, climbed=climbed)
         or _at_edge(located)
         or _left_over(located)
         or (misfit(goodness, unknown) if short is None else None)
@@ -139,15 +141,13 @@ def _too_coarse(samples: Samples, least: float, lower: float) -> Verdict | None:
     )
 
 
-def _undetected(located: Located) -> Verdict | None:
+def _undetected(located: Located, *, climbed: bool) -> Verdict | None:
     if located.detected:
         return None
-    return Verdict.against(
-        Doubt.NO_FLOW,
-        "no cellular flow along the axes detected: no length scale explains more than a uniform "
-        f"wind does, at {1 / FALSE_ALARM:.0f} to 1 against a false alarm; cells that are turned, "
-        'stretched or drift are for refine = "ladder"',
-    )
+    axes, other = " along the axes", "; cells that are turned, stretched or drift are for refine = "
+    words = f"no cellular flow{'' if climbed else axes} detected: no length scale explains more "
+    words += f"than a uniform wind does, at {1 / FALSE_ALARM:.0f} to 1 against a false alarm"
+    return Verdict.against(Doubt.NO_FLOW, words if climbed else f'{words}{other}"ladder"')
 
 
 def _at_edge(located: Located) -> Verdict | None:

@@ -15,7 +15,8 @@ from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
 from sparsefit.library.scan import extent_of
 from sparsefit.library.waves import Waves
-from sparsefit.modes.ladder import Ladder, climbed, joined
+from sparsefit.modes.choice import Ladder
+from sparsefit.modes.ladder import climbed, joined
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.proposals import proposals
 from sparsefit.modes.readout import Readout, mean_velocity_of

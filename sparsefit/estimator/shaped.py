@@ -13,8 +13,8 @@ from sparsefit.estimator.estimate import RungEstimate
 from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.nuisance import VehicleEstimate
+from sparsefit.modes.choice import Ladder
 from sparsefit.modes.fitted_rows import middle
-from sparsefit.modes.ladder import Ladder
 from sparsefit.modes.rung import Rung
 from sparsefit.modes.wave_peaks import at_origin
 from sparsefit.uncertainty import Shape

@@ -15,14 +15,14 @@ says whether to look further.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.waves import AXIS, PAIR, RECTANGLE, SQUARE, WAVE, Pattern, Waves
-from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.choice import Ladder, chosen
 from sparsefit.modes.lookout import Lookout
 from sparsefit.modes.plane import descended
 from sparsefit.modes.projection import Projection, project
@@ -33,37 +33,8 @@ from sparsefit.modes.wave_peaks import strengths
 CELLS = (AXIS, SQUARE, RECTANGLE)
 MOST = 4  # waves
 ROUNDS = 8  # of the search around the best shape, at most
-CLOSE = 10.0  # of BIC to the best: rungs that are fitted to all rows, and could be the flow too
 SETTLED = 0.05  # of |Phi|^2: where less is left the flow is found, and more waves are not sought
 INSTEAD = 4  # places that are tried for either wave of a pair
-
-
-@dataclass(frozen=True, eq=False)
-class Ladder:
-    """What the flight bears out.
-
-    Args:
-        best: the rung with the least BIC, of all rows.
-        rungs: the best of every shape that was tried, by rising BIC.
-        quiet: whether no more than noise is left.
-        rows: all rows, with the time as third coordinate.
-        evidence: 2 ln(likelihood ratio) of the best to a uniform wind.
-        chance: what that reaches in one flight of 1000 without a flow.
-        rival: a fit with nearly the same BIC that says another U0 or L, where there is one.
-    """
-
-    best: Rung
-    rungs: tuple[Rung, ...]
-    quiet: bool
-    rows: Rows
-    evidence: float
-    chance: float
-    rival: Rung | None = None
-
-    @property
-    def steady_cells(self) -> bool:
-        """Whether the lowest rung won: cells as the search for cells sees them."""
-        return self.best.shape == AXIS.name and not self.best.drifting
 
 
 def climbed(
@@ -147,22 +118,25 @@ class _Climb:
 
     def join(self, proposed: Array) -> None:
         """Waves that stand, which join one by one where BIC falls; all of them move together."""
-        none = project(Waves(WAVE), self.lookout.thin, np.zeros((0, 2)))
-        best, least = none, self.lookout.bic(Waves(WAVE), none)
+        none = best = project(Waves(WAVE), self.lookout.thin, np.zeros((0, 2)))
         for wave in proposed:
-            for less in (False, True):  # the wave joins, and the weakest may then leave
-                waves = best.parameters
-                more = np.delete(waves, _weakest(best), axis=0) if less else [*waves, wave]
-                if not len(more):
-                    break
-                fit = descended(Waves(WAVE), self.lookout.thin, np.array(more), rough=True)
-                bic = self.lookout.bic(Waves(WAVE), fit)
-                if bic >= least or self.lookout.blown(fit) or self.lookout.close(fit):
-                    break
-                best, least = fit, bic
-                self.keep(*as_pair(fit))
+            there = self._lower(best, np.vstack([best.parameters, wave]))
+            while there is not None:  # the weakest leave where what is left does without
+                best = there
+                there = self._lower(best, np.delete(best.parameters, _weakest(best), axis=0))
         if not self.rungs:
             self.keep(Waves(WAVE), none)
+
+    def _lower(self, best: Projection, waves: Array) -> Projection | None:
+        """Waves (s, 2) that stand, moved and kept; None where BIC does not fall."""
+        family, look = Waves(WAVE), self.lookout
+        fit = descended(family, look.thin, waves, rough=True)
+        if not look.bic(family, fit) < look.bic(family, best):
+            return None
+        if look.blown(fit) or look.close(fit):
+            return None
+        self.keep(*as_pair(fit))
+        return fit
 
     def bind(self) -> None:
         """Cells of the two strongest of the waves that joined."""
@@ -280,49 +254,17 @@ class _Climb:
                 self.pair(here.family.pattern, as_pattern(here.family.pattern, phases))
 
     def ladder(self, *, free: bool = False) -> Ladder:
-        """The rungs by BIC; those that are close are fitted to all rows before one is chosen.
-
-        Where more than noise is left it is turbulence, or another flow: rows then count for less,
-        and waves that make no cells only follow the one or the other; free: they are all there is.
-        """
-        look, quiet = self.lookout, self.quiet
-        rungs, tried = list(self.rungs.values()), self.tried
-        if not quiet and not free:
-            rungs, tried = ([rung for rung in some if rung.of_cells] for some in (rungs, tried))
-            look = look.coloured(min(rungs, key=lambda rung: rung.bic).fit.rest)
-        whole = [_whole(look, rung) for rung in _close(_ranked(look, tried))]
-        best, *others = sorted(whole, key=lambda rung: rung.bic)
-        rivals = (rung for rung in others if rung.bic - best.bic < CLOSE and not rung.alike(best))
-        evidence = look.space.evidence(look.space.null_residual, best.fit.residual)
-        chance = look.chance(best.family, best.fit)
-        ranked = _ranked(look, rungs)
-        return Ladder(best, ranked, quiet, look.rows, evidence, chance, next(rivals, None))
+        """What all that was tried says; free: waves that make no cells are all there is."""
+        every = list(self.rungs.values()), self.tried
+        if self.quiet or free:
+            return chosen(self.lookout, *every, quiet=self.quiet)
+        # More than noise is left: turbulence, or another flow. Rows then count for less, and waves
+        # that make no cells only follow the one or the other.
+        rungs, tried = ([rung for rung in some if rung.of_cells] for some in every)
+        rest = min(rungs, key=lambda rung: rung.bic).fit.rest
+        return chosen(self.lookout.coloured(rest), rungs, tried, quiet=False)
 
 
 def _weakest(fit: Projection) -> int:
     """The place of the weakest of single waves."""
     return int(np.argmin(strengths(fit.parameters, fit.weights[..., 0])))
-
-
-def _ranked(look: Lookout, rungs: list[Rung]) -> tuple[Rung, ...]:
-    """Rungs by BIC, which they get anew: rows may count for less than they did."""
-    again = (replace(rung, bic=look.bic(rung.family, rung.fit)) for rung in rungs)
-    return tuple(sorted(again, key=lambda rung: rung.bic))
-
-
-def _close(ranked: tuple[Rung, ...]) -> list[Rung]:
-    """Those that are close to the best, of alike ones of a shape the best."""
-    found: list[Rung] = []
-    for rung in ranked:
-        if rung.bic - ranked[0].bic < CLOSE and not any(
-            (rung.shape, rung.drifting) == (other.shape, other.drifting) and rung.alike(other)
-            for other in found
-        ):
-            found.append(rung)
-    return found
-
-
-def _whole(look: Lookout, rung: Rung) -> Rung:
-    """A rung, fitted to all rows."""
-    fit = descended(rung.family, look.rows, rung.fit.parameters)
-    return replace(rung, fit=fit, bic=look.bic(rung.family, fit))
