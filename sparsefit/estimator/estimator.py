@@ -95,9 +95,7 @@ class Estimator:
                 verdict = Verdict.against(Doubt.NO_WEIGHTS, words)
         first, vehicle, shaped = reading.scales[0], reading.vehicle, reading.shaped
         other = place.other if place else math.nan
-        flow = shaped.flow if shaped else None
-        if place and len(place.wavenumbers) and not shaped:
-            flow = flow_of(prepared, fit, place)
+        found = place if place and len(place.wavenumbers) else None
         unknown = {name: getattr(vehicle, name) for name in vehicle.unknown} if vehicle else {}
         return Estimate(
             first.mean_velocity,
@@ -118,7 +116,7 @@ class Estimator:
             scales=reading.scales if place and self.readout.scales == "several" else (),
             vehicle_uncertainty=reading.vehicle_uncertainty,
             doubt=verdict.doubt,
-            flow=flow,
+            flow=shaped.flow if shaped else flow_of(prepared, fit, found) if found else None,
             repairs=prepared.samples.repairs,
             agreement=prepared.samples.agreement,
             goodness=reading.goodness,
