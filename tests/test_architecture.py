@@ -20,7 +20,7 @@ ROOMS = (
 )
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
-PEERS = {"sklearn", "celer", "skglm", "pysindy"}
+PEERS = {"sklearn", "celer", "skglm", "pysindy", "group_lasso", "spams"}
 STUDY_ROOMS = ("spec", "run", "evidence", "report")
 SOLVER_ROOMS = {"backends", "bench"}  # bench runs the peers that the back-ends are compared with
 NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given

@@ -25,6 +25,7 @@ STATUS: dict[str, SolutionStatus] = {
 }
 """Clarabel's status -> ours; whatever is not named here is an error."""
 BATCH = 10  # blocks that join the working set at a time
+TOLERANCE = 1e-12  # of gap and feasibility, where none is asked for
 VIOLATION = 1e-10  # relative: below it a block outside the working set is optimal at zero
 ROUNDS = 60
 
@@ -45,9 +46,18 @@ class _Blocks:
 
 
 def solve_clarabel(
-    statistics: Statistics, penalty: Penalty, alpha_fractions: tuple[float, ...], *, working: bool
+    statistics: Statistics,
+    penalty: Penalty,
+    alpha_fractions: tuple[float, ...],
+    *,
+    working: bool,
+    tolerance: float | None = None,
 ) -> tuple[Solution, ...]:
-    """Solutions at each penalty fraction; ``working``: on working sets, kept along the path."""
+    """Solutions at each penalty fraction; ``working``: on working sets, kept along the path.
+
+    tolerance: of Clarabel's gap and feasibility; None is `TOLERANCE`.
+    """
+    stop = TOLERANCE if tolerance is None else tolerance
     unit = alpha_max(statistics.cross, penalty)
     shape = statistics.cross.shape
     if not statistics.cross.any():
@@ -58,7 +68,7 @@ def solve_clarabel(
     solutions = []
     for fraction in alpha_fractions:
         gram = statistics.gram + fraction * unit * penalty.ridge * np.eye(shape[0])
-        program = _Program(gram, statistics.cross / unit, penalty, blocks, fraction)
+        program = _Program(gram, statistics.cross / unit, penalty, blocks, fraction, stop)
         values, status, rounds = program.solve(chosen)
         if values is None:
             solutions.append(Solution(None, "error", f"clarabel: {status}", status, rounds))
@@ -79,6 +89,7 @@ class _Program:
     penalty: Penalty
     blocks: _Blocks
     fraction: float
+    tolerance: float
 
     def solve(self, chosen: BoolArray) -> tuple[Array | None, str, int]:
         """Solve on the chosen blocks, add the worst violators to them, until there are none."""
@@ -137,7 +148,7 @@ class _Program:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tolerance
         return clarabel.DefaultSolver(
             quadratic, np.concatenate(linear), matrix, np.zeros(len(columns)), cones, settings
         ).solve()

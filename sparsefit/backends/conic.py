@@ -1,8 +1,9 @@
-"""The referees: penalised least squares through cvxpy by any conic or QP solver it finds.
+"""Penalised least squares through cvxpy by any conic or QP solver it finds: the referees.
 
 cvxpy sees the compressed k x k problem in the form that is fast there,
     1/2 sum_t v_t'G v_t - <C, V> + alpha * Omega(V),  G = Z'Z/m, C = Z'Y/m,
 with targets divided by alpha_max, so that alpha is the penalty fraction and data are of order 1.
+`solve_rows` is the same problem as users write it, by the m rows, for the comparison of solvers.
 """
 
 import warnings
@@ -12,9 +13,9 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.backends.clarabel_direct import solve_clarabel
-from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import Solution, SolutionStatus
 from sparsefit.regression.objective import Penalty, alpha_max
+from sparsefit.regression.problem import RegressionProblem
 from sparsefit.regression.statistics import Statistics
 
 STATUS: dict[str, SolutionStatus] = {
@@ -34,6 +35,15 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 50_000, "polishing": True},
     "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 50_000},
 }
+TOLERANCES: dict[str, tuple[str, ...]] = {
+    "clarabel": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
+    "osqp": ("eps_abs", "eps_rel"),
+    "scs": ("eps_abs", "eps_rel"),
+    "piqp": ("eps_abs", "eps_rel"),
+    "ecos": ("abstol", "reltol", "feastol"),
+    "proxqp": ("eps_abs", "eps_rel"),
+}
+"""Solver -> the settings that hold its stopping tolerance."""
 DIRECT = ("clarabel-direct", "clarabel-working-set")
 QUADRATIC_ONLY = ("osqp", "highs", "piqp", "daqp", "proxqp")
 
@@ -45,33 +55,24 @@ def installed_solvers() -> list[str]:
     return sorted(name.lower() for name in cvxpy.installed_solvers())
 
 
-def check_solver(owner: str, solver: Any, exact: str, *, quadratic: bool) -> None:
-    """Raise InputError unless the solver is ``exact`` or a conic one that cvxpy finds here.
-
-    quadratic: whether the problem is a quadratic program, without cones of group norms.
-    """
-    if solver in (exact, "clarabel", *DIRECT) or (solver == "osqp" and quadratic):
-        return
-    if not isinstance(solver, str):
-        raise InputError(f"{owner}: solver must be a name, not {solver!r}")
-    installed = installed_solvers()
-    if solver.lower() not in installed:
-        names = [exact, *DIRECT, *installed]
-        raise unknown(f"solver of {owner} (or it is not installed)", solver, names)
-    if not quadratic and solver.lower() in QUADRATIC_ONLY:
-        raise InputError(
-            f"{owner}: {solver} solves quadratic programs only, and group norms are cones; use "
-            f"{exact}, clarabel or another conic solver"
-        )
+def with_tolerance(solver: str, tolerance: float | None, given: dict[str, Any]) -> dict[str, Any]:
+    """The settings ``given`` with the solver's stopping tolerance, where one is asked for."""
+    names = TOLERANCES.get(solver.lower(), ()) if tolerance is not None else ()
+    return {**given, **dict.fromkeys(names, tolerance)}
 
 
 def solve_conic(
-    statistics: Statistics, penalty: Penalty, alpha_fractions: tuple[float, ...], solver: str
+    statistics: Statistics,
+    penalty: Penalty,
+    alpha_fractions: tuple[float, ...],
+    solver: str,
+    tolerance: float | None = None,
 ) -> tuple[Solution, ...]:
     """Solutions at each penalty fraction; the problem is compiled once."""
     if solver in DIRECT:
+        working = solver == "clarabel-working-set"
         return solve_clarabel(
-            statistics, penalty, alpha_fractions, working=solver == "clarabel-working-set"
+            statistics, penalty, alpha_fractions, working=working, tolerance=tolerance
         )
     import cvxpy
 
@@ -90,7 +91,42 @@ def solve_conic(
         omega = omega + 0.5 * penalty.ridge * unit * cvxpy.sum_squares(variable)
     problem = cvxpy.Problem(cvxpy.Minimize(quadratic - linear + fraction * omega))
     scale = unit / statistics.rms[:, None]
-    return tuple(_solve_one(problem, variable, fraction, f, solver, scale) for f in alpha_fractions)
+    settings = with_tolerance(solver, tolerance, SETTINGS.get(solver.lower(), {}))
+    found = []
+    for value in alpha_fractions:
+        fraction.value = value
+        found.append(_solve_one(problem, variable, solver, settings, scale))
+    return tuple(found)
+
+
+def solve_rows(
+    problem: RegressionProblem,
+    penalty: Penalty,
+    alpha_fractions: tuple[float, ...],
+    tolerance: float | None = None,
+    *,
+    solver: str,
+) -> tuple[Solution, ...]:
+    """The same as users of cvxpy write it: the sum of squares of m rows, a problem per penalty."""
+    import cvxpy
+
+    statistics = problem.statistics
+    unit = alpha_max(statistics.cross, penalty)
+    if not statistics.cross.any():
+        return tuple(_zero(statistics) for _ in alpha_fractions)
+    scaled = problem.theta / statistics.rms
+    settings = with_tolerance(solver, tolerance, {})
+    found = []
+    for fraction in alpha_fractions:
+        variable = cvxpy.Variable(statistics.cross.shape)
+        omega = _penalty_expression(variable, penalty)
+        if penalty.ridge:
+            omega = omega + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
+        loss = cvxpy.sum_squares(scaled @ variable - problem.target) / (2 * problem.samples)
+        stated = cvxpy.Problem(cvxpy.Minimize(loss + fraction * unit * omega))
+        scale = 1.0 / statistics.rms[:, None]
+        found.append(_solve_one(stated, variable, solver, settings, scale))
+    return tuple(found)
 
 
 def _penalty_expression(variable: Any, penalty: Penalty) -> Any:
@@ -113,15 +149,14 @@ def _penalty_expression(variable: Any, penalty: Penalty) -> Any:
 
 
 def _solve_one(
-    problem: Any, variable: Any, fraction: Any, value: float, solver: str, scale: Array
+    problem: Any, variable: Any, solver: str, settings: dict[str, Any], scale: Array
 ) -> Solution:
     import cvxpy
 
-    fraction.value = value
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "may be inaccurate": the certificate says by how much
         try:
-            problem.solve(solver=solver.upper(), **SETTINGS.get(solver.lower(), {}))
+            problem.solve(solver=solver.upper(), **settings)
         except (cvxpy.error.SolverError, ValueError, ArithmeticError) as error:
             return Solution(None, "error", f"{solver}: {_one_line(error)}", "solver error")
     status = STATUS.get(problem.status, "error")

@@ -26,6 +26,7 @@ class ElasticNet(PenalisedPath):
 
     name: ClassVar[str] = "elastic-net"
     exact: ClassVar[ExactPath] = HOMOTOPY
+    plain: ClassVar[bool] = False
     alpha_fraction: AlphaFraction = 0.1
     l1_ratio: float = 0.5
     solver: str = HOMOTOPY.name

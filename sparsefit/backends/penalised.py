@@ -15,7 +15,7 @@ from typing import ClassVar, Self, TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.backends.conic import check_solver, solve_conic
+from sparsefit.backends.solvers import check_solver, solve_by
 from sparsefit.regression.backend import (
     AlphaFraction,
     Selection,
@@ -69,13 +69,15 @@ class PenalisedPath(ABC):
     """Base of the frozen back-ends of one penalty; their fields are their settings.
 
     solver: the name of the exact path (the default), ``clarabel-working-set``,
-    ``clarabel-direct``, or through cvxpy ``clarabel`` or any other that it finds installed.
+    ``clarabel-direct``, through cvxpy ``clarabel`` or any other that it finds installed, or a
+    public package (see `solvers`).
     alpha_fraction: alpha / alpha_max, or ``auto``: chosen by `fit` by the rule ``selection``.
     """
 
     name: ClassVar[str]
     certificate_kind: ClassVar[CertificateKind] = "duality_gap"
     exact: ClassVar[ExactPath]
+    plain: ClassVar[bool] = True  # nothing but norms of coefficients or of groups
     alpha_fraction: AlphaFraction
     solver: str
     selection: Selection
@@ -84,7 +86,13 @@ class PenalisedPath(ABC):
         checked_alpha_fraction(self.name, self.alpha_fraction, auto=True)
         checked_selection(self.name, self.selection)
         self.check_settings()
-        check_solver(self.name, self.solver, self.exact.name, quadratic=self.exact.quadratic)
+        check_solver(
+            self.name,
+            self.solver,
+            self.exact.name,
+            quadratic=self.exact.quadratic,
+            plain=self.plain,
+        )
 
     def check_settings(self) -> None:  # noqa: B027 - a penalty may have no settings of its own
         """Raise InputError on a setting of this penalty alone that is out of range."""
@@ -98,15 +106,20 @@ class PenalisedPath(ABC):
         return self.solve_path(problem, (numeric_fraction(self.name, self.alpha_fraction),))[0]
 
     def solve_path(
-        self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
+        self,
+        problem: RegressionProblem,
+        alpha_fractions: tuple[float, ...],
+        *,
+        tolerance: float | None = None,
     ) -> tuple[Solution, ...]:
         """Solutions at descending penalties, each warm-started by the one before.
 
-        Targets that the penalty does not couple are separate problems.
+        Targets that the penalty does not couple are separate problems. tolerance: where a solver
+        that is not the exact path stops, in its own measure; None is what `solve_by` takes.
         """
         statistics, penalty = problem.statistics, self.penalty(problem)
         if self.solver != self.exact.name:
-            return solve_conic(statistics, penalty, alpha_fractions, self.solver)
+            return solve_by(self.solver, problem, penalty, alpha_fractions, tolerance)
         alphas = alpha_max(statistics.cross, penalty) * np.array(alpha_fractions)
         each = [slice(t, t + 1) for t in range(problem.targets)]
         together = [slice(None)] if penalty.joint else each

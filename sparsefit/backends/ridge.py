@@ -25,6 +25,7 @@ class Ridge(PenalisedPath):
 
     name: ClassVar[str] = "ridge"
     exact: ClassVar[ExactPath] = CHOLESKY
+    plain: ClassVar[bool] = False
     alpha_fraction: AlphaFraction = 0.001
     solver: str = CHOLESKY.name
     selection: Selection = "cross-validation"

@@ -29,6 +29,7 @@ class SparseGroupLasso(PenalisedPath):
 
     name: ClassVar[str] = "sparse-group-lasso"
     exact: ClassVar[ExactPath] = BLOCK_NEWTON
+    plain: ClassVar[bool] = False
     alpha_fraction: AlphaFraction = 0.1
     l1_ratio: float = 0.5
     separate: bool = False

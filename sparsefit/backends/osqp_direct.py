@@ -1,0 +1,59 @@
+"""The LASSO by OSQP itself (Stellato et al. 2020) on its dual, set up once for the whole path.
+
+    minimise over x:   1/2 x'G x   subject to   c - f <= G x <= c + f
+
+in the notation of `peer_forms`, f the penalty fraction. Its multipliers y obey G x + G y = 0 and
+have the signs of the LASSO's solution where its correlation reaches f: that solution is u = -y.
+Along the path only the bounds move, and each point starts from the last.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from sparsefit.arrays import Array
+from sparsefit.backends.peer_forms import Part, solved
+from sparsefit.regression.backend import Solution
+from sparsefit.regression.objective import Penalty
+from sparsefit.regression.problem import RegressionProblem
+
+TOLERANCE = 1e-9
+STEPS = 50_000
+
+
+def solve_osqp(
+    problem: RegressionProblem,
+    penalty: Penalty,
+    alpha_fractions: tuple[float, ...],
+    tolerance: float | None = None,
+) -> tuple[Solution, ...]:
+    """Solutions at each penalty fraction, with polishing; tolerance: absolute and relative."""
+    along = partial(_along, tolerance=tolerance or TOLERANCE)
+    return solved("osqp-direct", problem, penalty, alpha_fractions, along)
+
+
+def _along(part: Part, fractions: Array, *, tolerance: float) -> Array:
+    import osqp
+
+    gram, cross = part.gram, part.cross
+    matrix = sparse.csc_matrix(gram)
+    solver: Any = osqp.OSQP()
+    solver.setup(
+        P=sparse.triu(matrix, format="csc"),
+        q=np.zeros(len(cross)),
+        A=matrix,
+        l=cross - fractions[0],
+        u=cross + fractions[0],
+        eps_abs=tolerance,
+        eps_rel=tolerance,
+        max_iter=STEPS,
+        polishing=True,
+        verbose=False,
+    )
+    found = []
+    for fraction in fractions.tolist():
+        solver.update(l=cross - fraction, u=cross + fraction)
+        found.append(-np.asarray(solver.solve(raise_error=False).y, dtype=float))
+    return np.stack(found)
