@@ -103,8 +103,8 @@ def _of_ladder(
     flow = flow_of(best, origin, nuisance.ratio(best.fit.coefficients))
     key = ("shape", tuple(best.phases.ravel().tolist()), best.shape, correct)
     known = prepared.once(key, assessed)
-    waves = prepared.library.family == "waves"
-    if not waves and (known is None or not (best.of_cells or known.white)):
+    cells = best.of_cells or ladder.steady_cells
+    if prepared.library.family != "waves" and (known is None or not (cells or known.white)):
         return None
     if known is None:
         plainly = _plain(prepared, place, flow, drifting=best.drifting)

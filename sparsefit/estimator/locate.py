@@ -16,7 +16,7 @@ from sparsefit.library.cells import Cells
 from sparsefit.library.scan import extent_of
 from sparsefit.library.waves import Waves
 from sparsefit.modes.choice import Ladder
-from sparsefit.modes.ladder import climbed, joined
+from sparsefit.modes.ladder import climbed, joined, lowest
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.proposals import proposals
 from sparsefit.modes.readout import Readout, mean_velocity_of
@@ -84,6 +84,9 @@ def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> 
         key = ("ladder", float(located.wavenumbers[0]))
         time = prepared.samples.time
         ladder = prepared.once(key, lambda: climbed(space, time, located.fit))
+    elif prepared.library.family == "stream" and readout.mean_velocity == "rms":
+        key = ("stream", float(located.wavenumbers[0]))
+        ladder = prepared.once(key, lambda: lowest(space, prepared.samples.time, located.fit))
     return Place(located.wavenumbers, (candidate,), located, located.fit, ladder)
 
 

@@ -58,6 +58,13 @@ def climbed(
     return climb.ladder()
 
 
+def lowest(space: SearchSpace, time: Array, cells: Projection) -> Ladder:
+    """Square cells along the axes alone, of a stream function of 4 amplitudes, from fitted ones."""
+    climb = _Climb(Lookout.of(space, time), {}, [])
+    climb.pair(AXIS, cells.parameters[0])
+    return climb.ladder(free=True)
+
+
 def joined(space: SearchSpace, time: Array, proposed: Array) -> Ladder:
     """The waves that a back-end proposes (p, 2) [1/m], strongest first, where BIC falls.
 
@@ -112,7 +119,7 @@ class _Climb:
         return self.keep(family, descended(family, self.lookout.thin, start, rough=True))
 
     def pair(self, pattern: Pattern, start: Array) -> Rung:
-        """Any two waves from a start (p,)."""
+        """Two waves, each as strong as it fits, from a start (p,)."""
         family = Waves(pattern)
         return self.keep(family, descended(family, self.lookout.thin, start[None], rough=True))
 

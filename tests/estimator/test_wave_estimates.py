@@ -93,6 +93,27 @@ def test_a_stream_function_per_length_scale_is_a_flow_too():
     assert refined.mean_velocity == pytest.approx(12.0, rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("method", "unknown"), [("auto", ()), ("weak", ()), ("auto", ("response_time",))]
+)
+def test_off_the_grid_a_stream_function_has_4_amplitudes_for_both_components(method, unknown):
+    straight = flown(sf.CellularFlow(12.0, 4.0), seed=3)
+    free, stream = (
+        sf.Estimator(
+            method, sf.Library(sf.LengthScaleGrid(3.0, 6.0, 0.5), family=family, unknown=unknown),
+            readout=sf.Readout(refine="variable-projection"),
+        ).estimate(straight)
+        for family in ("cells", "stream")
+    )  # fmt: skip
+    assert stream.status == free.status == "ok"
+    assert (free.shape, stream.shape, stream.heading) == ("", "axis", 0.0)
+    assert len(stream.flow.wavevectors) == 2
+    assert abs(stream.mean_velocity - 12.0) < 3 * stream.uncertainty.mean_velocity
+    assert abs(stream.length_scale - 4.0) < 3 * stream.uncertainty.length_scale
+    assert stream.uncertainty.mean_velocity < 0.9 * free.uncertainty.mean_velocity
+    assert math.isnan(stream.response_time) == (not unknown)
+
+
 def test_a_wind_that_was_unknown_is_part_of_the_flow():
     windy = flown(sf.SuperposedFlow((FLOW,), (1.5, -0.5)), noise=0.0)
     found = sf.Estimator(library=replace(WAVES, unknown=("wind",))).estimate(windy)
