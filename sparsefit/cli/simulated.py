@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.parser import number
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, positive
 
 if TYPE_CHECKING:
     from sparsefit.flight.faults import LogFaults
@@ -82,7 +82,7 @@ def flow_of(args: argparse.Namespace) -> Flow:
             raise InputError(f"--{option.replace('_', '-')} needs --{needed} too")
     cells: Cells = CellularFlow(args.mean_velocity, args.length_scale)
     if any(getattr(args, option) is not None for option in SHAPING):
-        stretch = 1.0 if args.stretch is None else args.stretch
+        stretch = 1.0 if args.stretch is None else positive("--stretch", args.stretch)
         share, period = args.swell or (0.0, 1.0)
         angle = {} if args.angle is None else {"angle": args.angle}
         cells = ShapedCells(
