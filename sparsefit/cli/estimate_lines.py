@@ -44,7 +44,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         f"  ({MEANINGS[certificate.kind]})" if certificate and certificate.kind in MEANINGS else ""
     )
     rows = [
-        ("flight", f"{name}: {flight.samples} samples over {flight.duration:g} s"),
+        ("flight", f"{name}: {_measured(flight)}"),
         *([("repaired", estimate.repairs.words)] if estimate.repairs.words else []),
         *_wander(estimate),
         ("vehicle", ", ".join(vehicle) or "unknown"),
@@ -62,6 +62,11 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         ("time", duration(estimate.seconds)),
     ]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _measured(flight: Flight) -> str:
+    words = f"{flight.samples} samples over {flight.duration:g} s"
+    return words if flight.velocity_measured else f"{words}; positions only give the velocity"
 
 
 def _shape(estimate: Estimate) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 
 from sparsefit.errors import InputError, unknown
-from sparsefit.flight.table import COLUMNS, KEYS, FlightTable, check_header, is_key, number
+from sparsefit.flight.table import KEYS, FlightTable, columns_of, is_key, number
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 
@@ -16,8 +16,8 @@ def encode(table: FlightTable) -> bytes:
     """Return the file's content, in UTF-8; its numbers read back to the same floats."""
     # The shortest digits that do are those of repr.
     lines = [f"# {key}={value!r}" for key, value in table.settings.items()]
-    lines.append(",".join(COLUMNS))
-    rows = zip(*(table.columns[name] for name in COLUMNS), strict=True)
+    lines.append(",".join(table.columns))
+    rows = zip(*table.columns.values(), strict=True)
     lines.extend(",".join(map(repr, row)) for row in rows)
     return ("\n".join(lines) + "\n").encode()
 
@@ -57,9 +57,8 @@ def _columns(lines: list[str]) -> dict[str, list[float]]:
     rows = _rows(lines)
     _, header = next(rows, (0, []))
     names = [name.strip() for name in header]
-    check_header(names)
-    places = [(name, names.index(name)) for name in COLUMNS]
-    columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
+    places = [(name, names.index(name)) for name in columns_of(names)]
+    columns: dict[str, list[float]] = {name: [] for name, _ in places}
     for line, row in rows:
         if len(row) != len(names):
             raise InputError(

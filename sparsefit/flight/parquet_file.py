@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight.table import COLUMNS, FlightTable, check_header, is_key, number
+from sparsefit.flight.table import FlightTable, columns_of, is_key, number
 
 
 def encode(table: FlightTable) -> bytes:
@@ -35,11 +35,11 @@ def decode(content: bytes) -> FlightTable:
     arrow, parquet = _arrow()
     try:
         file = parquet.ParquetFile(io.BytesIO(content))
-        check_header(file.schema_arrow.names)
-        read = file.read(columns=list(COLUMNS))
+        wanted = columns_of(file.schema_arrow.names)
+        read = file.read(columns=list(wanted))
     except (arrow.ArrowException, OSError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
-    columns = {name: _values(arrow, name, read.column(name)) for name in COLUMNS}
+    columns = {name: _values(arrow, name, read.column(name)) for name in wanted}
     return FlightTable(columns, _settings(read.schema.metadata or {}))
 
 

@@ -1,4 +1,4 @@
-"""A flight as a file holds it: five named columns and a few named numbers."""
+"""A flight as a file holds it: three or five named columns and a few named numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from sparsefit.flight.flow_settings import flow_of_settings, is_flow_key, settin
 from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 
-COLUMNS = ("time", "x", "y", "vx", "vy")  # s, m, m, m/s, m/s
+POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
+COLUMNS = (*POSITIONS, "vx", "vy")  # m/s, m/s
 KEYS = ("response_time", "thrust_ax", "thrust_ay", "mean_velocity", "length_scale")
 
 
@@ -31,7 +32,8 @@ class FlightTable:
     def from_flight(cls, flight: Flight) -> FlightTable:
         """Return the table of ``flight``; `flight` gives it back exactly."""
         values = np.column_stack([flight.time, flight.position, flight.velocity])
-        columns = {name: values[:, place].tolist() for place, name in enumerate(COLUMNS)}
+        names = COLUMNS if flight.velocity_measured else POSITIONS
+        columns = {name: values[:, place].tolist() for place, name in enumerate(names)}
         ax, ay = flight.vehicle.thrust_acceleration
         vehicle = {"response_time": flight.vehicle.response_time, "thrust_ax": ax, "thrust_ay": ay}
         return cls(columns, vehicle | settings_of_flow(flight.flow))
@@ -42,13 +44,14 @@ class FlightTable:
         Raises:
             InputError: if there is no vehicle, or the flight is not a valid one.
         """
-        return Flight(
-            time=np.array(self.columns["time"]),
-            position=np.column_stack([self.columns["x"], self.columns["y"]]),
-            velocity=np.column_stack([self.columns["vx"], self.columns["vy"]]),
-            vehicle=vehicle_of(self.settings) if vehicle is None else vehicle,
-            flow=flow_of_settings(self.settings),
-        )
+        time = np.array(self.columns["time"])
+        position = np.column_stack([self.columns["x"], self.columns["y"]])
+        flown = vehicle_of(self.settings) if vehicle is None else vehicle
+        flow = flow_of_settings(self.settings)
+        if "vx" not in self.columns:
+            return Flight.from_positions(time, position, flown, flow)
+        velocity = np.column_stack([self.columns["vx"], self.columns["vy"]])
+        return Flight(time=time, position=position, velocity=velocity, vehicle=flown, flow=flow)
 
 
 def is_key(name: str) -> bool:
@@ -56,18 +59,24 @@ def is_key(name: str) -> bool:
     return name in KEYS or is_flow_key(name)
 
 
-def check_header(names: list[str]) -> None:
-    """Raise `InputError` where one of `COLUMNS` is missing or stands twice.
+def columns_of(names: list[str]) -> tuple[str, ...]:
+    """The columns to read of a file that has `names`: `COLUMNS`, or `POSITIONS` without vx and vy.
 
     Other columns are welcome.
+
+    Raises:
+        InputError: where one is missing or stands twice.
     """
-    missing = [name for name in COLUMNS if name not in names]
+    alone = set(POSITIONS) <= set(names) and not {"vx", "vy"} & set(names)
+    wanted = POSITIONS if alone else COLUMNS
+    missing = [name for name in wanted if name not in names]
     if missing:
         present = ascii(", ".join(names)[:200])[1:-1] or "nothing"
         raise InputError(f"no column {', '.join(missing)}; found {present}; rename or add it")
-    twice = [name for name in COLUMNS if names.count(name) > 1]
+    twice = [name for name in wanted if names.count(name) > 1]
     if twice:
         raise InputError(f"column {', '.join(twice)} appears more than once; keep one of each")
+    return wanted
 
 
 def number(text: str, place: str) -> float:

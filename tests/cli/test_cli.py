@@ -138,7 +138,7 @@ def test_simulate_spoils_the_log(capsys):
         (("--turbulence-memory", "3"), "--turbulence-memory needs --turbulence too"),
         (("--spectrum", "dreyden", "--turbulence", "1", "8"), "dreyden"),
         (("--turbulence", "0", "8"), "intensity must be a finite number above 0"),
-        (("--stretch", "0"), "length_scales must be"),
+        (("--stretch", "0"), "--stretch must be"),
         (("--swell", "1", "9"), "swell is a share of mean_velocity"),
         (("--gaps", "1.5", "1"), "gaps must be an integer"),
         (("--time-jitter", "0.5"), "time_jitter is a share"),

@@ -1,12 +1,5 @@
-"""A real drifter (GLAD, Gulf of Mexico 2012): water that is no cellular flow is not called one.
+"""Real drifters (GLAD, Gulf of Mexico 2012): water that is no cellular flow is not called one."""
 
-tests/data/drifter_079.csv, MIT (LICENSE.drifters), from the repository
-EncinasBartos/QuasiObjectiveEddyVisualizationFromSparseDrifterData. Its header says Long, Lat; its
-values are latitude and longitude, every 15 minutes.
-"""
-
-import csv
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,28 +7,28 @@ import pytest
 
 import sparsefit as sf
 
-FILE = Path(__file__).parents[1] / "data" / "drifter_079.csv"
-EARTH = 6.371e6  # m
+FILE = Path(__file__).parents[2] / "studies" / "drifters" / "drifter_079.csv"
 EVERY = 900.0  # s
 DAY = 96  # samples
 WATER = sf.PointMassVehicle(60.0)  # follows the water
 GRID = sf.LengthScaleGrid(2e3, 200e3, spacing="flight")
 
 
-@cache
-def plane():
-    """x east and y north [m], (m, 2), in the plane that touches the earth in the middle."""
-    with FILE.open(encoding="utf-8") as file:
-        degrees = np.array([[float(row[3]), float(row[2])] for row in list(csv.reader(file))[1:]])
-    away = np.radians(degrees - degrees.mean(axis=0))
-    return EARTH * away * [np.cos(np.radians(degrees[:, 1].mean())), 1.0]
+@pytest.fixture(scope="module")
+def track():
+    """x east and y north [m], (m, 2)."""
+    flight = sf.read_flight(FILE)
+    assert not flight.velocity_measured
+    assert flight.vehicle == WATER
+    assert np.all(np.diff(flight.time) == EVERY)
+    return flight.position
 
 
 @pytest.mark.parametrize("days", [5, 10, 25])
-def test_no_piece_of_a_drifter_is_called_a_cellular_flow(days):
+def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days):
     estimator = sf.Estimator(library=sf.Library(GRID))
     for first in range(0, 25 * DAY - days * DAY + 1, days * DAY):
-        position = plane()[first : first + days * DAY]
+        position = track[first : first + days * DAY]
         flight = sf.Flight.from_positions(EVERY * np.arange(len(position)), position, WATER)
         estimate = estimator.estimate(flight)
         assert estimate.status in ("unidentifiable", "misfit")
@@ -43,8 +36,8 @@ def test_no_piece_of_a_drifter_is_called_a_cellular_flow(days):
         assert estimate.repairs.none
 
 
-def test_a_grid_of_metres_is_refused_for_a_sea():
-    flight = sf.Flight.from_positions(EVERY * np.arange(5 * DAY), plane()[: 5 * DAY], WATER)
+def test_a_grid_of_metres_is_refused_for_a_sea(track):
+    flight = sf.Flight.from_positions(EVERY * np.arange(5 * DAY), track[: 5 * DAY], WATER)
     with pytest.raises(sf.InputError, match="too small for a flight of"):
         sf.Estimator().estimate(flight)
 

@@ -117,6 +117,17 @@ def test_column_order_extra_columns_quotes_comments_and_line_ends_do_not_matter(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_log_of_positions_only_stays_one(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    time, position = np.arange(5.0), np.arange(10.0).reshape(5, 2) ** 2
+    write_flight(Flight.from_positions(time, position, VEHICLE), path)
+    flight = read_flight(path)
+    assert not flight.velocity_measured
+    np.testing.assert_array_equal(flight.position, position)
+    np.testing.assert_array_equal(flight.velocity, np.gradient(position, time, axis=0))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_the_vehicle_given_replaces_the_one_in_the_file(tmp_path, suffix):
     write_flight(flight_with(), tmp_path / f"a{suffix}")
     other = PointMassVehicle(2.0)

@@ -189,10 +189,23 @@ def has_status(cases: pd.DataFrame, status: str) -> BoolArray:
 
 
 def in_a_flow(cases: pd.DataFrame) -> BoolArray:
-    """(rows,) whether there was a flow to find; where there was none, an estimate is wrong."""
+    """(rows,) whether there was a flow to find, and it is known which."""
+    return ~_flow_is(cases, "none", "unknown")
+
+
+def in_still_air(cases: pd.DataFrame) -> BoolArray:
+    """(rows,) whether there was no flow to find: an estimate is wrong.
+
+    Of a flight that was logged, neither is known.
+    """
+    return _flow_is(cases, "none")
+
+
+def _flow_is(cases: pd.DataFrame, *words: str) -> BoolArray:
+    """(rows,) whether the column `flow`, which older files lack, holds one of these words."""
     if "flow" not in cases:
-        return np.ones(len(cases), dtype=bool)
-    return np.array([plain(value) != "none" for value in cases["flow"]], dtype=bool)
+        return np.zeros(len(cases), dtype=bool)
+    return np.array([plain(value) in words for value in cases["flow"]], dtype=bool)
 
 
 def called_empty(cases: pd.DataFrame) -> BoolArray:

@@ -133,6 +133,11 @@ def _misfit(cases: pd.DataFrame) -> Array:
     return where(in_a_flow(cases), has_status(cases, "misfit"))
 
 
+def _ended(status: str) -> Read:
+    """(rows,) whether a case ended so, in a flow or not."""
+    return lambda cases: has_status(cases, status).astype(float)
+
+
 def _heading_errors(cases: pd.DataFrame) -> Array:
     """(rows,) |error| of the heading [degrees], up to a quarter turn, of cases with an estimate."""
     quarter = math.pi / 2.0
@@ -163,6 +168,10 @@ _EVERY = (
     _share("silent-misses", f"were called ok and off by more than {OFF:g} %", _silent,
            column="silent misses", format=".2f"),
     _share("misfits", "were called a misfit", _misfit, column="misfit", format=".1f"),
+    *(_share(f"called-{status}", f"ended as {status}", _ended(status), column=status, format=".1f")
+      for status in ("ok", "misfit", "unidentifiable")),
+    Measure("r-squared", "R² of the fit", "", _column("r_squared"), more=True, column="R²",
+            format=".4f"),
     Measure("heading-error", "|error| of the heading", "°", _heading_errors, column="heading"),
     Measure("prediction-error", "error of the flow along other flights", "%", _predicted,
             Failure.MISS, summary="geometric mean", column="prediction"),

@@ -12,7 +12,14 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.study.evidence.cases import called_empty, estimated, has_status, in_a_flow, three_of
+from sparsefit.study.evidence.cases import (
+    called_empty,
+    estimated,
+    has_status,
+    in_a_flow,
+    in_still_air,
+    three_of,
+)
 from sparsefit.study.evidence.table import Value, plain
 
 OFF = 5.0  # percent: an estimate off by more, in any parameter, should have been flagged
@@ -90,13 +97,13 @@ def off_among(cases: pd.DataFrame, status: str) -> Array:
 
 def false_alarms(cases: pd.DataFrame) -> Array:
     """(rows,) whether a case without a flow has an estimate."""
-    return where(~in_a_flow(cases), has_status(cases, "ok") | has_status(cases, "inaccurate"))
+    return where(in_still_air(cases), has_status(cases, "ok") | has_status(cases, "inaccurate"))
 
 
 def called_so(cases: pd.DataFrame) -> Array:
     """(rows,) whether a case without a flow is unidentifiable because none was detected."""
     said = has_status(cases, "unidentifiable") & called_empty(cases)
-    return where(~in_a_flow(cases), said)
+    return where(in_still_air(cases), said)
 
 
 def nearest_hits(cases: pd.DataFrame) -> Array:

@@ -23,6 +23,7 @@ from sparsefit.study.evidence.cases import (
     groups_by,
     has_status,
     in_a_flow,
+    in_still_air,
     is_condition,
     three_of,
 )
@@ -155,7 +156,7 @@ def _of_part(one: Statistic, group: str, *, flow: bool) -> Statistic:
     """The statistic over the cases with, or without, a flow; nothing where there are none."""
 
     def told(cases: pd.DataFrame) -> Value:
-        part = cases[in_a_flow(cases) == flow]
+        part = cases[in_a_flow(cases) if flow else in_still_air(cases)]
         return one.of(part) if len(part) else None
 
     return Statistic(replace(one.column, group=group), told)
@@ -251,7 +252,7 @@ def tables_for(cases: pd.DataFrame, reference: bool = False) -> list[str]:
         "methods": several and MEASUREMENT_NOISE in swept,
         "efficiency": bool(bounded(cases).any()),
         "coverage": bool((~np.isnan(three_of(cases, "low"))).any()),
-        "identifiability": not in_a_flow(cases).all(),
+        "identifiability": bool(in_still_air(cases).any()),
         "windows": several and many_levels(cases, DURATION),
     }
     return [name for name in TABLES.named if said[name]]

@@ -19,6 +19,7 @@ from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, legend, panels
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.draw import SIMULATION, Draw, stream
+from sparsefit.study.spec.logs import Logged
 from sparsefit.study.spec.study import Study
 
 FLIGHT = 0
@@ -53,7 +54,7 @@ def plane_figure(_: Asked, study: Study, cases: pd.DataFrame, weights: object = 
     return figure
 
 
-def _map(study: Study, cell: Cell, draw: Draw) -> CertificateMap:
+def _map(study: Study, cell: Cell, draw: Draw | Logged) -> CertificateMap:
     flown = replace(draw.fly(stream(study.seed, FLIGHT, SIMULATION)), flow=None)
     return certificate_map(study.estimator(cell), flown)
 

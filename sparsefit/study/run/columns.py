@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 from sparsefit.flight.flow import Cells
 from sparsefit.score import ScalesScore
 from sparsefit.study.run.reading import PARAMETERS, Reading, ScaleSets
+from sparsefit.study.spec.logs import Logs
 from sparsefit.study.spec.plan import Case
 from sparsefit.study.spec.study import Study
 
@@ -115,6 +116,19 @@ def _of_score(name: str, read: Callable[[ScalesScore], Value]) -> Column:
     return _of_scales(f"scales_{name}", LEVEL, lambda sets: read(sets.score))
 
 
+def _log(row: Planned) -> str | None:
+    """Where a flight that was logged comes from."""
+    flights = row.case.cell.setup.flights
+    return flights.pieces[row.case.flight].label if isinstance(flights, Logs) else None
+
+
+def _told_flow(row: Planned) -> str:
+    """Whether there is a flow; of a flight that was logged nobody knows."""
+    if isinstance(row.case.cell.setup.flights, Logs):
+        return "unknown"
+    return "cellular" if row.flow else "none"
+
+
 COLUMNS: tuple[Column, ...] = (
     Column("case_id", TEXT, planned=lambda row: row.case.case_id),
     Column("study", TEXT, planned=lambda row: row.study.name),
@@ -144,7 +158,7 @@ COLUMNS: tuple[Column, ...] = (
     _of_score("within_1_percent", lambda score: score.within(WITHIN)),
     _of_scales("true_scales", TEXT, lambda sets: sets.true),
     _of_scales("est_scales", TEXT, lambda sets: sets.estimated),
-    Column("flow", TEXT, planned=lambda row: "cellular" if row.flow else "none"),
+    Column("flow", TEXT, planned=_told_flow),
     Column("extent", SINGLE, read=lambda case: case.yardstick.extent),
     *_three("se", SINGLE, Reading.standard_error),
     *_three("low", REAL, lambda case, name: case.interval(name)[0]),
@@ -170,6 +184,7 @@ COLUMNS: tuple[Column, ...] = (
     _of_goodness("turbulence", "turbulence"),
     _of_goodness("turbulence_share", "turbulence_share"),
     Column("cause", TEXT, read=_cause),
+    Column("log", TEXT, planned=_log),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 

@@ -19,6 +19,7 @@ from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.draw import SIMULATION, Draw, stream
+from sparsefit.study.spec.logs import Logged
 from sparsefit.study.spec.plan import fit_key, flight_key, problem_key, sharing
 from sparsefit.study.spec.study import Study
 
@@ -48,10 +49,12 @@ def run_flight(
             yield from _run_problem(context, same_problem, alone)
 
 
-def _fly(study: Study, flight: int, draw: Draw) -> tuple[Flight, Yardstick]:
+def _fly(study: Study, flight: int, draw: Draw | Logged) -> tuple[Flight, Yardstick]:
     """The flight without its flow: the truth enters at the score and nowhere before."""
     seed = stream(study.seed, flight, SIMULATION)
     flown = draw.fly(seed)
+    if isinstance(draw, Logged):
+        return flown, Yardstick(flown.extent)
     others = draw.others(seed, study.prediction_flights) if draw.flown else ()
     return dataclasses.replace(flown, flow=None), yardstick(draw, flown, others)
 
@@ -60,7 +63,7 @@ def _fly(study: Study, flight: int, draw: Draw) -> tuple[Flight, Yardstick]:
 class _Context:
     study: Study
     flight: int
-    draw: Draw
+    draw: Draw | Logged
     flown: Flight
     yardstick: Yardstick
 

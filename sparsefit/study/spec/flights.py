@@ -11,6 +11,7 @@ from sparsefit.flight.turbulence import SPECTRA
 from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.draw import Draw, stream
 from sparsefit.study.spec.entry import Entry, read_entry
+from sparsefit.study.spec.logs import FILES, Logs, read_logs
 from sparsefit.study.spec.quantities import (
     FLOW_KEYS,
     NEEDS,
@@ -66,6 +67,11 @@ def _third(values: dict[str, float]) -> dict[str, float]:
     if "length_scale" not in values:
         return values | {"length_scale": values["mean_velocity"] * values["timescale"]}
     return values
+
+
+def read_flights(section: Section, place: Place) -> FlightRules | Logs:
+    """What the [flights] section flies, or reads; `InputError` names the bad key."""
+    return read_logs(section, place) if FILES in section else read_flight_rules(section, place)
 
 
 def read_flight_rules(section: Section, place: Place) -> FlightRules:

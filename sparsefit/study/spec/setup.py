@@ -15,7 +15,8 @@ from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.readout import UNNAMED, Readout
 from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.flights import KEYS as FLIGHT_KEYS
-from sparsefit.study.spec.flights import FlightRules, read_flight_rules
+from sparsefit.study.spec.flights import FlightRules, read_flights
+from sparsefit.study.spec.logs import Logs
 
 Sections = Mapping[str, Section]
 
@@ -38,7 +39,7 @@ SECTION_KEYS: dict[str, tuple[str, ...]] = {
 class Setup:
     """Everything of a case but its flight number and its back-end."""
 
-    flights: FlightRules
+    flights: FlightRules | Logs
     derivative: Derivative
     library: Library
     readout: Readout
@@ -47,7 +48,7 @@ class Setup:
 def read_setup(sections: Sections, place: Place) -> Setup:
     """The setup of the four sections; `InputError` names the section and the key."""
     setup = Setup(
-        read_flight_rules(sections["flights"], place.within("flights")),
+        read_flights(sections["flights"], place.within("flights")),
         build(Derivative, sections["derivative"], place.within("derivative")),
         _read_library(sections["library"], place.within("library")),
         build(Readout, {"refine": UNNAMED, **sections["readout"]}, place.within("readout")),

@@ -23,6 +23,8 @@ from sparsefit.study.spec.document import (
     required,
 )
 from sparsefit.study.spec.draw import Draw
+from sparsefit.study.spec.flights import FlightRules
+from sparsefit.study.spec.logs import FILES, Logged, Logs, read_logs
 from sparsefit.study.spec.outputs import Entry, Outputs, Reference, name_of, read_outputs
 from sparsefit.study.spec.selection import SelectionRule, read_selection
 from sparsefit.study.spec.setup import SECTION_KEYS, read_setup
@@ -131,8 +133,8 @@ class Study:
         after = (flight + 1) * self.validate_count // self.count
         return "validate" if after > before else "evaluate"
 
-    def draw(self, flight: int, cell: Cell) -> Draw:
-        """What flight number `flight` of a cell flies: its flow, vehicle and noise."""
+    def draw(self, flight: int, cell: Cell) -> Draw | Logged:
+        """What flight number `flight` of a cell flies: its flow, vehicle and noise, or its log."""
         return cell.setup.flights.draw(flight, self.count, self.seed)
 
     def estimator(self, cell: Cell) -> Estimator:
@@ -148,7 +150,7 @@ class Study:
 
 def _read(document: Section, place: Place) -> Study:
     count, sections = _read_sections(document, place)
-    read_setup(sections, place)
+    setup = read_setup(sections, place)
     sweep = read_sweep(document, place)
     run = build(Run, read_section(document.get("run", {}), place.at("run")), place.within("run"))
     output = read_outputs(document.get("outputs", {}), place)
@@ -180,7 +182,7 @@ def _read(document: Section, place: Place) -> Study:
         answers=output.answers,
         reference=output.reference,
         selection=read_selection(document.get("select", {}), protocols, sweep, place),
-        hash=study_hash(document),
+        hash=study_hash(document, setup.flights),
     )
 
 
@@ -188,8 +190,11 @@ def _read_sections(document: Section, place: Place) -> tuple[int, dict[str, Sect
     """The number of flights, and the sections that protocols and [sweep] may override."""
     flights = dict(read_section(required(document, "flights", place), place.at("flights")))
     within = place.within("flights")
-    count = integer(required(flights, "count", within), within.at("count"), least=1)
-    del flights["count"]
+    if FILES in flights:
+        count = len(read_logs(flights, within).pieces)
+    else:
+        count = integer(required(flights, "count", within), within.at("count"), least=1)
+        del flights["count"]
     others = {
         name: read_section(document.get(name, {}), place.at(name))
         for name in SECTION_KEYS
@@ -206,9 +211,14 @@ def _given(sections: Mapping[str, Section]) -> dict[str, str]:
     }
 
 
-def study_hash(document: Section) -> str:
-    """sha256 of what the cases depend on: not of comments, the question, [select], [outputs]."""
+def study_hash(document: Section, flights: FlightRules | Logs) -> str:
+    """sha256 of what the cases depend on: not of comments, the question, [select], [outputs].
+
+    Of flights that come from files, what these hold counts too.
+    """
     content = {key: value for key, value in document.items() if key not in PRESENTATION}
+    if isinstance(flights, Logs):
+        content |= {"logs": list(dict.fromkeys(piece.digest for piece in flights.pieces))}
     return hashlib.sha256(canonical_json(content).encode()).hexdigest()
 
 

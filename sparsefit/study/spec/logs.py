@@ -1,0 +1,170 @@
+"""Flights that were flown: the [flights] of a study that reads its flights from files.
+
+    [flights]
+    files = ["logs/*.csv"]            # relative to the study file, in order of name
+    windows = [432000, 864000]        # [s] each log in pieces of so long; without, the whole of it
+    response_time = 60.0              # [s] replaces the vehicle in the files, as does the thrust
+
+Nobody knows the flow of a log: its cases have a status and an estimate, and no error.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from sparsefit.codec import Place, number, only, text
+from sparsefit.errors import InputError
+from sparsefit.flight import Flight, read_flight
+from sparsefit.flight.record import MINIMUM_SAMPLES
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.study.spec.document import Section, items, positive
+
+FILES, WINDOWS = "files", "windows"
+KEYS = (FILES, WINDOWS, "response_time", "thrust_acceleration")
+MOST = 1000  # files
+OPEN = 4  # logs that are kept while their pieces are flown
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of a log: its file, the file's digest, and from when to when [s] of its own time."""
+
+    file: str
+    digest: str
+    start: float
+    end: float
+
+    @property
+    def label(self) -> str:
+        """The file's name and the seconds, as a reader would look it up."""
+        return f"{Path(self.file).name} {self.start:g}-{self.end:g} s"
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A flight that was flown, in the place of a draw to fly; its flow is not known."""
+
+    piece: Piece
+    vehicle: PointMassVehicle | None
+
+    @property
+    def flow(self) -> None:
+        """No truth."""
+
+    def fly(self, seed: np.random.SeedSequence) -> Flight:
+        """The flight as it was logged, its time from 0 on: nothing of it is random.
+
+        Raises:
+            InputError: if the file has changed since the study was read.
+        """
+        return _cut(self.piece, self.vehicle)
+
+
+@dataclass(frozen=True)
+class Logs:
+    """The flights of a study that come from files; vehicle: in place of those in the files."""
+
+    pieces: tuple[Piece, ...]
+    vehicle: PointMassVehicle | None
+
+    def draw(self, flight: int, count: int, seed: int) -> Logged:
+        """Flight number `flight`, of the pieces in order."""
+        return Logged(self.pieces[flight], self.vehicle)
+
+
+def _cut(piece: Piece, vehicle: PointMassVehicle | None) -> Flight:
+    whole, digest = _read(piece.file, vehicle)
+    if digest != piece.digest:
+        raise InputError(f"{piece.file} has changed since the study was read: run it again")
+    inside = (whole.time >= piece.start) & (whole.time <= piece.end)
+    time, position = whole.time[inside] - piece.start, whole.position[inside]
+    if not whole.velocity_measured:
+        return Flight.from_positions(time, position, whole.vehicle)
+    return Flight(time, position, whole.velocity[inside], whole.vehicle)
+
+
+def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:
+    """The flight of a file and the sha256 of what the file holds now."""
+    try:
+        content = Path(file).read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}; check the path") from None
+    digest = hashlib.sha256(content).hexdigest()
+    return _parsed(file, digest, vehicle), digest
+
+
+@lru_cache(maxsize=OPEN)
+def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
+    """The flight of a file of this digest, once for all its pieces."""
+    return read_flight(file, vehicle=vehicle)
+
+
+def read_logs(section: Section, place: Place) -> Logs:
+    """The logs of [flights]; `InputError` names the key, the file or the line of a fault."""
+    only(section, KEYS, place)
+    files = [
+        file
+        for pattern in items(section[FILES], place.at(FILES))
+        for file in _matching(text(pattern, place.at(FILES)), place.at(FILES))
+    ]
+    if len(set(files)) < len(files) or len(files) > MOST:
+        why = "are more than 1000" if len(files) > MOST else "name a file twice"
+        raise place.at(FILES).error(why)
+    vehicle = _vehicle(section, place)
+    given = section.get(WINDOWS)
+    windows = None if given is None else _windows(given, place.at(WINDOWS))
+    pieces = tuple(piece for file in files for piece in _pieces(file, vehicle, windows))
+    if not pieces:
+        raise place.at(WINDOWS).error("are longer than every log: no flight is left")
+    return Logs(pieces, vehicle)
+
+
+def _matching(pattern: str, place: Place) -> list[str]:
+    """The files that a pattern names, beside the study file, in order."""
+    folder = Path(place.file).parent
+    plain = not set(pattern) & set("*?[")
+    if Path(pattern).is_absolute() and not plain:
+        raise place.error(f'"{pattern}": a pattern is relative to the study file')
+    found = [folder / pattern] if plain else sorted(folder.glob(pattern))
+    if not found:
+        raise place.error(f'"{pattern}" matches no file beside {Path(place.file).name}')
+    return [str(file) for file in found]
+
+
+def _windows(given: object, place: Place) -> tuple[float, ...]:
+    listed = given if isinstance(given, list) else [given]
+    return tuple(positive(item, place) for item in items(listed, place))
+
+
+def _vehicle(section: Section, place: Place) -> PointMassVehicle | None:
+    if "response_time" not in section:
+        if "thrust_acceleration" in section:
+            raise place.at("response_time").error("missing: a vehicle has it beside its thrust")
+        return None
+    thrust = section.get("thrust_acceleration", [0.0, 0.0])
+    if not isinstance(thrust, list) or len(thrust) != 2:
+        raise place.at("thrust_acceleration").error("must be a pair [x, y]")
+    x, y = (number(item, place.at("thrust_acceleration")) for item in thrust)
+    return PointMassVehicle(positive(section["response_time"], place.at("response_time")), (x, y))
+
+
+def _pieces(
+    file: str, vehicle: PointMassVehicle | None, windows: tuple[float, ...] | None
+) -> Iterator[Piece]:
+    """The log whole, or cut into pieces of each length; what is left at its end is not flown."""
+    flight, digest = _read(file, vehicle)
+    first, last = float(flight.time[0]), float(flight.time[-1])
+    step = float(np.median(np.diff(flight.time)))
+    for window in windows or (last - first,):
+        for number_of in range(int((last - first + step) / window + 1e-9) or (windows is None)):
+            start = first + number_of * window
+            end = last if windows is None else min(start + window - 0.5 * step, last)
+            inside = (flight.time >= start) & (flight.time <= end)
+            if np.count_nonzero(inside) >= MINIMUM_SAMPLES:
+                yield Piece(file, digest, start, end)
