@@ -107,13 +107,17 @@ def crossed(gains: Array) -> Array:
     return gains + gains[::-1].T
 
 
-def peaks(gains: Array, count: int) -> IntArray:
-    """Indices (p, 2) of the highest local maxima of gains (n, n), of k or -k, highest first."""
+def peaks(gains: Array, count: int, *, square: bool = False) -> IntArray:
+    """Indices (p, 2) of the highest local maxima of gains (n, n), highest first.
+
+    Of k and -k one; of squares, whose gains a quarter turn leaves as they are, one of four.
+    """
     from scipy.ndimage import maximum_filter
 
     half = len(gains) // 2
     tops = (gains >= maximum_filter(gains, size=3, mode="constant")) & (gains > 0)
-    places = np.argwhere(tops[:, half:]) + np.array([0, half])
+    first = np.array([half + 1 if square else 0, half])
+    places = np.argwhere(tops[first[0] :, half:]) + first
     order = np.argsort(-gains[tuple(places.T)], kind="stable")
     chosen: IntArray = places[order[:count]]
     return chosen

@@ -22,7 +22,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.waves import AXIS, PAIR, RECTANGLE, SQUARE, WAVE, Pattern, Waves
-from sparsefit.modes.choice import Ladder, chosen
+from sparsefit.modes.choice import CLOSE, Ladder, chosen
 from sparsefit.modes.lookout import Lookout
 from sparsefit.modes.plane import descended
 from sparsefit.modes.projection import Projection, project
@@ -33,6 +33,9 @@ from sparsefit.modes.wave_peaks import strengths
 CELLS = (AXIS, SQUARE, RECTANGLE)
 MOST = 4  # waves
 ROUNDS = 8  # of the search around the best shape, at most
+NEAR = 0.3  # of |Phi|^2: cells that leave less are looked around before the plane is scanned
+FAR = 0.75  # of |Phi|^2: what leaves more has no shape around it that is the flow
+SLIGHTLY, SLOWLY = 0.1, 0.95  # of BIC, and of RSS: a round that gains less is the last
 SETTLED = 0.05  # of |Phi|^2: where less is left the flow is found, and more waves are not sought
 INSTEAD = 4  # places that are tried for either wave of a pair
 
@@ -44,13 +47,14 @@ def climbed(
 
     proposed: wavevectors (p, 2) [1/m] of a back-end, strongest first, to start from as well.
     """
-    climb = _Climb(Lookout.of(space, time), {}, [])
+    climb = _Climb(Lookout.of(space, time), {}, [], [])
     climb.bound(AXIS, cells.parameters[0])
-    climb.near()
+    if climb.quiet or climb.left <= NEAR:
+        climb.near()
     if proposed is not None and not climb.quiet:
         climb.join(proposed)
         climb.bind()
-    for look in (climb.standing, climb.moving, climb.pairs, climb.several):
+    for look in (climb.squares, climb.rectangles, climb.moving, climb.pairs, climb.several):
         if climb.quiet or climb.settled:
             break
         look()
@@ -71,7 +75,7 @@ def joined(space: SearchSpace, time: Array, proposed: Array) -> Ladder:
     Where two are left, other places for either are tried too. There is one rung, of no wave, where
     the flight bears out none.
     """
-    climb = _Climb(Lookout.of(space, time), {}, [])
+    climb = _Climb(Lookout.of(space, time), {}, [], [])
     climb.join(proposed)
     climb.instead()
     return climb.ladder(free=True)
@@ -79,11 +83,12 @@ def joined(space: SearchSpace, time: Array, proposed: Array) -> Ladder:
 
 @dataclass(frozen=True, eq=False)
 class _Climb:
-    """The rungs so far, the best of every shape, and all that were tried."""
+    """The rungs so far: the best of every shape, all that were tried, and those looked around."""
 
     lookout: Lookout
     rungs: dict[tuple[str, bool], Rung]
     tried: list[Rung]
+    surrounded: list[Rung]
 
     @property
     def best(self) -> Rung:
@@ -96,8 +101,23 @@ class _Climb:
     @property
     def settled(self) -> bool:
         """Whether little is left of the flow, as of turbulence or a vehicle that is another."""
-        whole = float(np.sum(self.lookout.thin.target**2))
-        return self.best.fit.residual <= SETTLED * whole
+        return self.left <= SETTLED
+
+    @property
+    def left(self) -> float:
+        """What the best rung leaves, of |Phi|^2."""
+        return self.best.fit.residual / (float(np.sum(self.lookout.thin.target**2)) or 1.0)
+
+    def hopeless(self, family: Family) -> float:
+        """The RSS above which a flow of a family is no answer: another is better, and not close."""
+        if not self.rungs:
+            return math.inf
+        return self.lookout.reaching(self.best.bic + CLOSE, family.parameters + family.size)
+
+    def descended(self, family: Family, start: Array) -> Projection:
+        """A flow of a family, moved from parameters (1, p) while it could be the answer."""
+        goal = self.hopeless(family)
+        return descended(family, self.lookout.thin, start, rough=True, goal=goal)
 
     def keep(self, family: Family, fit: Projection) -> Rung:
         """A rung, which stays where it is the best of its shape."""
@@ -108,20 +128,21 @@ class _Climb:
             self.rungs[key] = rung
         return rung
 
-    def bound(self, pattern: Pattern, start: Array) -> Rung:
+    def bound(self, pattern: Pattern, start: Array) -> None:
         """Cells of waves equally strong from a start (p,), by way of free ones."""
-        free = descended(Waves(pattern), self.lookout.thin, start[None], rough=True)
-        return self._bound(pattern, free)
+        free = self.descended(Waves(pattern), start[None])
+        if free.residual <= self.hopeless(EqualWaves(pattern)):
+            self._bound(pattern, free)
 
     def _bound(self, pattern: Pattern, free: Projection) -> Rung:
         family = EqualWaves(pattern)
         start = family.bound(free.parameters, free.weights)
-        return self.keep(family, descended(family, self.lookout.thin, start, rough=True))
+        return self.keep(family, self.descended(family, start))
 
     def pair(self, pattern: Pattern, start: Array) -> Rung:
         """Two waves, each as strong as it fits, from a start (p,)."""
         family = Waves(pattern)
-        return self.keep(family, descended(family, self.lookout.thin, start[None], rough=True))
+        return self.keep(family, self.descended(family, start[None]))
 
     def join(self, proposed: Array) -> None:
         """Waves that stand, which join one by one where BIC falls; all of them move together."""
@@ -157,12 +178,15 @@ class _Climb:
     def near(self) -> None:
         """Every shape of two waves from the best one, where one could have a lower BIC."""
         for _ in range(ROUNDS):
-            here = self.best
-            if here.shape == "several":
+            here, left, far = self.best, self.left, self.left > FAR and not self.quiet
+            if here.shape == "several" or far or here in self.surrounded:
                 return
+            self.surrounded.append(here)
             self._simpler(here)
             self._freer(self.best)
-            if self.best is here:
+            if here.bic - self.best.bic < SLIGHTLY:
+                return
+            if not self.quiet and self.left > SLOWLY * left:
                 return
 
     def _simpler(self, here: Rung) -> None:
@@ -200,23 +224,29 @@ class _Climb:
             return self.pair(pattern, start)
         return self._bound(pattern, project(Waves(pattern), self.lookout.thin, start[None]))
 
-    def standing(self) -> None:
-        """Squares, then rectangles that stand, from the peaks of a scan."""
-        look = self.lookout
-        for pattern, starts in ((SQUARE, look.squares), (RECTANGLE, look.rectangles)):
-            for start in look.ranked(Waves(pattern), starts()):
-                self.bound(pattern, start)
-                if self.quiet:
-                    break
-            self.near()
+    def squares(self) -> None:
+        """Squares that stand, from the peaks of a scan."""
+        self._standing(SQUARE, self.lookout.squares())
+
+    def rectangles(self) -> None:
+        """Rectangles that stand, from pairs of peaks."""
+        self._standing(RECTANGLE, self.lookout.rectangles())
+
+    def _standing(self, pattern: Pattern, starts: Array) -> None:
+        for start in self.lookout.ranked(Waves(pattern), starts):
+            self.bound(pattern, start)
             if self.quiet:
-                return
+                break
+        self.near()
 
     def moving(self) -> None:
         """Square cells that drift, from pieces of the flight."""
         pieces, starts = self.lookout.drifting_squares()
         for start in starts:
-            self._bound(SQUARE.moving, self.lookout.followed(pieces, start))
+            goal = self.hopeless(EqualWaves(SQUARE.moving))
+            free = self.lookout.followed(pieces, start, goal)
+            if free.residual <= goal:
+                self._bound(SQUARE.moving, free)
             if self.quiet:
                 break
         self.near()

@@ -20,10 +20,10 @@ from sparsefit.modes.plane import descended, residuals
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.space import FALSE_ALARM, SearchSpace, concentration
 
-SQUARES, DESCENDED = 40, 6  # peaks of the scan that are ranked by their fit, and descended into
+SQUARES, DESCENDED = 20, 4  # peaks of the scan that are ranked by their fit, and descended into
 STRONG = 24  # peaks of single waves, of which rectangles are made
 ALIKE = 0.15  # of |k|: waves that differ by less may be those of a rectangle
-MOVING = 12  # peaks of squares that drift
+MOVING = 8  # peaks of squares that drift
 OMEGAS = 100.0  # that are told apart, about
 FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 EXACT = 1e-6  # of |Phi|^2: squares below it are what smoothing takes, and tell no shape
@@ -84,6 +84,11 @@ class Lookout:
         parameters = (family.parameters + family.size) * len(fit.parameters)
         share = max(fit.residual / self._square(fit), EXACT)
         return self.worth * math.log(share) + parameters * math.log(self.worth)
+
+    def reaching(self, bic: float, parameters: int) -> float:
+        """The RSS of thin rows at which so many parameters have a BIC."""
+        share = math.exp((bic - parameters * math.log(self.worth)) / self.worth)
+        return share * float(np.sum(self.thin.target**2))
 
     def _square(self, fit: Projection) -> float:
         """|Phi|^2 of the rows that were fitted, [m^2/s^2]."""
@@ -148,19 +153,17 @@ class Lookout:
 
     def squares(self) -> Array:
         """Squares (j, 2), (k, heading), that explain much."""
-        k = self.scan.axis[peaks(crossed(self._gains), SQUARES)]
+        k = self.scan.axis[peaks(crossed(self._gains), SQUARES, square=True)]
         return np.column_stack([np.hypot(*k.T) / math.sqrt(2), _heading(k)])
 
     def rectangles(self) -> Array:
         """Rectangles (j, 3), (k_x, k_y, heading), of two strong waves that are equally long."""
         strong = self.scan.axis[peaks(self._gains, STRONG)]
         found = []
-        for (one, other), sign in (
-            (pair, sign) for pair in combinations(strong, 2) for sign in (1, -1)
-        ):
+        for one, other in combinations(strong, 2):
             lengths = np.hypot(*np.stack([one, other]).T)
             if abs(lengths[0] - lengths[1]) <= ALIKE * lengths.max():
-                total, difference = 0.5 * (one + sign * other), 0.5 * (one - sign * other)
+                total, difference = 0.5 * (one + other), 0.5 * (one - other)
                 sides = np.hypot(*total), np.hypot(*difference)
                 found.append((*sides, math.atan2(total[1], total[0])))
         return np.array(found).reshape(-1, 3)
@@ -187,20 +190,23 @@ class Lookout:
         scan = DriftScan.of(self.thin.position, self._radii, fastest)
         gains, (axis, omega) = scan.gains(self.target)
         highest, at = gains.max(axis=2), omega[gains.argmax(axis=2)]
-        i, j = peaks(crossed(highest), MOVING).T
+        i, j = peaks(crossed(highest), MOVING, square=True).T
         k = np.column_stack([axis[i], axis[j]])
         # The second wave of a square is the first one turned clockwise, (k_y, -k_x).
         omegas = [at[i, j], at[j, len(axis) - 1 - i]]
         starts = np.column_stack([np.hypot(*k.T) / math.sqrt(2), *omegas, _heading(k)])
         return scan.pieces, self.ranked(PiecedWaves(SQUARE.moving, scan.pieces), starts)
 
-    def followed(self, pieces: int, start: Array) -> Projection:
-        """A square that drifts, (4,), followed from pieces to the whole flight."""
+    def followed(self, pieces: int, start: Array, goal: float) -> Projection:
+        """A square that drifts, (4,), followed from pieces to the whole flight, while RSS < goal.
+
+        Joined pieces leave more than free ones.
+        """
         parameters = start[None]
         while True:
             family = PiecedWaves(SQUARE.moving, pieces)
-            fit = descended(family, self.thin, parameters, rough=True)
-            if pieces == 1:
+            fit = descended(family, self.thin, parameters, rough=True, goal=goal)
+            if pieces == 1 or fit.residual > goal:
                 return fit
             parameters, pieces = fit.parameters, (pieces + 1) // 2
 

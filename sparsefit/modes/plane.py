@@ -21,19 +21,32 @@ from sparsefit.modes.projection import Projection, project
 PlaneFamily: TypeAlias = Waves | EqualWaves | PiecedWaves
 
 ITERATIONS, HALVINGS = 25, 6  # of a descent, and of one of its moves
+SEEN = 3  # of the last falls of the residual, by which a descent is judged
 LONGEST = 0.5  # of a move, in pi over the extent and over the duration
 ROUGH, END = 1e-3, 1e-9  # of moves, in the same units: where a descent may stop, and where it ends
 SLIGHT = 1e-6  # of RSS: where a rough descent may stop
 
 
 def descended(
-    family: PlaneFamily, rows: Rows, parameters: Array, *, rough: bool = False
+    family: PlaneFamily,
+    rows: Rows,
+    parameters: Array,
+    *,
+    rough: bool = False,
+    goal: float = math.inf,
 ) -> Projection:
-    """The modes moved from parameters (s, p) to the least RSS in reach."""
+    """The modes moved from parameters (s, p) to the least RSS in reach.
+
+    A rough descent ends early. Any ends where it would not come below ``goal``, RSS, even if all
+    its moves gained as much as the last ones.
+    """
     here = project(family, rows, parameters)
     reach = reach_of(rows, family.pieces if isinstance(family, PiecedWaves) else 1)
     tolerance = ROUGH if rough else END
-    for _ in range(ITERATIONS):
+    falls = [math.inf] * SEEN
+    for left in range(ITERATIONS, 0, -1):
+        if here.residual - left * max(falls[-SEEN:]) > goal:
+            return here
         size = _length(family, here, reach)
         if size <= tolerance:
             return here
@@ -44,7 +57,8 @@ def descended(
                 break
         else:
             return here
-        slight = rough and here.residual - there.residual <= SLIGHT * here.residual
+        falls.append(here.residual - there.residual)
+        slight = rough and falls[-1] <= SLIGHT * here.residual
         here = there
         if slight:
             return here
