@@ -15,7 +15,7 @@ says whether to look further.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def climbed(
 
     proposed: wavevectors (p, 2) [1/m] of a back-end, strongest first, to start from as well.
     """
-    climb = _Climb(Lookout.of(space, time), {}, [], [])
+    climb = _Climb(Lookout.of(space, time))
     climb.bound(AXIS, cells.parameters[0])
     if climb.quiet or climb.left <= NEAR:
         climb.near()
@@ -64,7 +64,7 @@ def climbed(
 
 def lowest(space: SearchSpace, time: Array, cells: Projection) -> Ladder:
     """Square cells along the axes alone, of a stream function of 4 amplitudes, from fitted ones."""
-    climb = _Climb(Lookout.of(space, time), {}, [])
+    climb = _Climb(Lookout.of(space, time))
     climb.pair(AXIS, cells.parameters[0])
     return climb.ladder(free=True)
 
@@ -75,7 +75,7 @@ def joined(space: SearchSpace, time: Array, proposed: Array) -> Ladder:
     Where two are left, other places for either are tried too. There is one rung, of no wave, where
     the flight bears out none.
     """
-    climb = _Climb(Lookout.of(space, time), {}, [], [])
+    climb = _Climb(Lookout.of(space, time))
     climb.join(proposed)
     climb.instead()
     return climb.ladder(free=True)
@@ -86,9 +86,9 @@ class _Climb:
     """The rungs so far: the best of every shape, all that were tried, and those looked around."""
 
     lookout: Lookout
-    rungs: dict[tuple[str, bool], Rung]
-    tried: list[Rung]
-    surrounded: list[Rung]
+    rungs: dict[tuple[str, bool], Rung] = field(default_factory=dict)
+    tried: list[Rung] = field(default_factory=list)
+    surrounded: list[Rung] = field(default_factory=list)
 
     @property
     def best(self) -> Rung:
