@@ -15,7 +15,7 @@ from typing import Any, cast
 from sparsefit.errors import InputError, SparsefitError, unknown
 from sparsefit.regression.backend import Backend, Solution, settings_of
 
-__all__ = ["BACKENDS", "Backend", "Solution", "get", "known", "load", "settings_of"]
+__all__ = ["BACKENDS", "Backend", "Solution", "finds_its_own", "get", "known", "load", "settings_of"]
 
 BACKENDS: Mapping[str, str] = MappingProxyType(
     {
@@ -74,6 +74,12 @@ def load(name: str) -> type[Backend]:
             "a `solve` method"
         )
     return cast(type[Backend], loaded)
+
+
+@cache
+def finds_its_own(name: str) -> bool:
+    """Whether a back-end of sparsefit finds columns of its own instead of choosing from a grid."""
+    return name in BACKENDS and hasattr(load(name), "certify")
 
 
 def get(name: str, **settings: Any) -> Backend:

@@ -40,7 +40,8 @@ PATIENCE = 2  # windows of rising risk before the search ends
 # its window is shorter. 1 costs twice the mean error of tau_w at 0.5 m/s, 0.35 to 0.6 agree.
 RATE_SHARE = 0.6
 DIFFERENCES = (2, 4, 6, 8, 10, 12)
-ROUNDING = float(np.finfo(np.float64).eps)
+# Of the largest sample: with less, rounding would choose the window, on each machine another.
+ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 SMALLEST = 1e-60  # of a noise level: its square must divide
 LONG = 40  # samples of a window that a Fourier transform sums faster, where
 NOISY = 1e-10  # of the largest sample is noise: below it the transform's rounding would count
@@ -173,7 +174,7 @@ class Channels:
 
 
 def noise_level(values: Array, starts: IntArray = NO_STARTS) -> float:
-    """Standard deviation of white noise on smooth columns (m, c), at least their rounding.
+    """Standard deviation of white noise on smooth columns (m, c), at least that of rounding.
 
     In the unit of the values; one for all columns. starts: of the pieces after the first.
 

@@ -341,7 +341,7 @@ class TestReport:
         assert sorted(path.name for path in written) == sorted(p.name for p in folder.iterdir())
         text = (folder / "README.md").read_text("utf-8")
         assert text.startswith("# demo\n\n**Which &lt;back-end&gt; reads it best?**\n")
-        for name in ("errors.svg", "errors.csv", "errors.tex", "times.csv"):
+        for name in ("errors.svg", "errors.csv", "errors.tex", "times.md"):
             assert f"({name})" in text
             assert (folder / name).is_file()
         assert "- flights.response_time: `0.5`" in text

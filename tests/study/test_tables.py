@@ -139,6 +139,49 @@ class TestCells:
             replace(TABLE, rows=(("a",),))
 
 
+class TestLeast:
+    ERROR = Column("|error|", "%", SIGNIFICANT, least=1e-6)
+    SIGNED = Column("error", "%", "+.2f", least=1e-6)
+
+    def csv(self, column, *values):
+        table = Table("t", (column,), tuple((value,) for value in values))
+        return to_csv(table).split()[-len(values) :]
+
+    def test_an_error_of_rounding_is_printed_as_below(self):
+        texts = [cell_text(value, self.ERROR) for value in (3.9e-9, 0.0, -2e-15, 2.66e-6)]
+        assert texts == ["< 1e-6", "< 1e-6", "< 1e-6", "2.66e-06"]
+
+    def test_shares_and_counts_of_zero_stay(self):
+        assert cell_text(0.0, Column("hits", "%", ".0f")) == "0"
+        assert cell_text(0.0, Column("x", "m", SIGNIFICANT)) == "0"
+
+    def test_csv_is_no_finer(self):
+        texts = self.csv(self.ERROR, 3.9e-9, 2.66123e-6, 1.23456789, 1234567.8, math.inf)
+        assert texts == ["0", "3e-06", "1.23457", "1.23457e+06", "inf"]
+        assert self.csv(self.SIGNED, -3.9e-9, -0.1) == ["0", "-0.1"]
+
+    def test_no_cell_of_a_csv_file_is_a_formula(self):
+        names = ('=HYPERLINK("x")', "+1", "-1", "@x", "a=b")
+        written = to_csv(Table("t", (Column("name"),), tuple((name,) for name in names)))
+        read = [row[0] for row in csv.reader(io.StringIO(written))][1:]
+        assert read == [*(f"'{name}" for name in names[:4]), "a=b"]
+
+
+class TestHits:
+    def test_of_a_back_end_without_a_grid_they_are_a_dash(self):
+        cases = frame(
+            case(hit=True),
+            case(1, status="error"),
+            *(case(n, backend="parametric-nls", hit=False) for n in (0, 1)),
+            *(case(n, backend="gridless-group-lasso", hit=False) for n in (0, 1)),
+        )
+        hits = MEASURES["hits"]
+        values = [hits.summarise(group.cases) for group in by_setting(cases)]
+        assert values[0] == 50.0
+        assert [cell_text(value, Column("hits", "%", ".0f")) for value in values[1:]] == ["–"] * 2
+        assert math.isnan(hits.summarise(cases[2:], "number"))
+
+
 class TestRenderers:
     def test_markdown_is_aligned_in_its_source(self):
         lines = [line for line in to_markdown(TABLE).splitlines() if line.startswith("|")]
@@ -187,10 +230,10 @@ class TestRenderers:
         assert "$-4.50$" in rows[2]
         assert "--" in rows[1]
 
-    def test_csv_keeps_every_digit_and_row(self):
+    def test_csv_has_six_digits_and_every_row(self):
         rows = list(csv.reader(io.StringIO(to_csv(replace(TABLE, shown=1)))))
         assert rows[0] == ["name", "x [m]", "n"]
-        assert rows[1] == [NASTY, "1.23456789012345", "3"]
+        assert rows[1] == [NASTY, "1.23457", "3"]
         assert rows[2] == ['ü, "q"', "", ""]
         assert len(rows) == 4
 

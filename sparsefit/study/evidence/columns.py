@@ -44,6 +44,8 @@ def statistic(
         "d" if told == "number" else measure.format,
         group=("" if told in PLAIN else words) if group is None else group,
         tex=measure.tex,
+        least=measure.least,
+        varies=measure.varies,
     )
     return Statistic(column, lambda cases: measure.summarise(cases, told))
 

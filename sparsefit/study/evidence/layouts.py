@@ -88,7 +88,9 @@ def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
             kept = group[[plain(value) == level for value in group[along]]]
             return measure.summarise(kept) if len(kept) else None
 
-        column = Column(level_text(level), measure.unit, measure.format, group=name)
+        column = replace(
+            statistic(measure).column, name=level_text(level), unit=measure.unit, group=name, tex=""
+        )
         return Statistic(column, told)
 
     rows = [

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import pandas as pd
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.evidence.cases import SYMBOLS, TEX_SYMBOLS
 from sparsefit.study.evidence.sentence import gathered, listed, shown
 from sparsefit.study.evidence.table import SIGNIFICANT
@@ -53,6 +53,9 @@ class Measure:
     column: of its heading in a table, beside the symbol where it has one, `|error|`.
     more: whether more of it is better; target: the value that none can pass, if there is one.
     beside: the measure that a picture draws beside it, over the cases that every line has.
+    applies: (rows,) the cases that it is of, all where it is None: of others it says nothing,
+    not even that they failed.
+    least: a smaller size is rounding; varies: whether it is of one run on one machine.
     asked: for shares, the cases of which it is a share, in words.
     """
 
@@ -70,6 +73,9 @@ class Measure:
     target: float | None = None
     beside: str = ""
     asked: str = "flights"
+    applies: Callable[[pd.DataFrame], BoolArray] | None = None
+    least: float = 0.0
+    varies: bool = False
 
     @property
     def symbol(self) -> str:
@@ -97,18 +103,18 @@ class Measure:
         return FAILURE_WORDS[self.failure].format(miss=self.miss)
 
     def values(self, cases: pd.DataFrame) -> Array:
-        """The numbers of the cases: (rows,), or fewer where a failure is left out."""
-        read = self.read(cases)
+        """The numbers of the cases: (rows,), or fewer where one is left out or does not apply."""
+        read = self.read(cases[self.applies(cases)] if self.applies else cases)
         if self.failure is Failure.LEFT_OUT:
             return read[~np.isnan(read)]
         return np.where(np.isnan(read), math.inf if self.failure is Failure.INFINITE else self.miss,
                         read)  # fmt: skip
 
     def summarise(self, cases: pd.DataFrame, summary: str = "") -> float:
-        """The summary of a group of cases; NaN of none."""
+        """The summary of a group of cases; NaN of none, and where it applies to none."""
         values, summary = self.values(cases), summary or self.summary
         if not values.size:
-            return 0 if summary == "number" else math.nan
+            return 0 if summary == "number" and not self.applies else math.nan
         if summary not in QUANTILES:
             return SUMMARIES[summary](values)
         # Nothing lies halfway to infinity: there, a quantile is an observed value.

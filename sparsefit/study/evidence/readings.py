@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
+from sparsefit.backends import finds_its_own
 from sparsefit.study.evidence.cases import (
     called_empty,
     estimated,
@@ -104,6 +105,13 @@ def called_so(cases: pd.DataFrame) -> Array:
     """(rows,) whether a case without a flow is unidentifiable because none was detected."""
     said = has_status(cases, "unidentifiable") & called_empty(cases)
     return where(in_still_air(cases), said)
+
+
+def on_a_grid(cases: pd.DataFrame) -> BoolArray:
+    """(rows,) whether there was a flow and candidate scales to choose from."""
+    backends = cases["backend"].astype(str)
+    gridless = [name for name in backends.unique() if finds_its_own(name)]
+    return in_a_flow(cases) & ~backends.isin(gridless).to_numpy(dtype=bool)
 
 
 def nearest_hits(cases: pd.DataFrame) -> Array:

@@ -23,6 +23,8 @@ class Column:
 
     `format` is a Python format specification, or `SIGNIFICANT` for three significant digits
     without an exponent. `tex` is printed verbatim: nothing read from a file may stand there.
+    `least`: a smaller size is rounding, which no two machines share. `varies`: whether the column
+    is of one run on one machine: times, and certificates as small as rounding.
     """
 
     name: str
@@ -31,6 +33,8 @@ class Column:
     align: Literal["left", "right"] = "right"
     group: str = ""
     tex: str = ""
+    least: float = 0.0
+    varies: bool = False
 
     @property
     def heading(self) -> str:
@@ -57,6 +61,11 @@ class Table:
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise ValueError(f"{len(row)} cells in a row of {len(self.columns)} columns")
+
+    @property
+    def varies(self) -> bool:
+        """Whether another run of the same study prints other numbers."""
+        return any(column.varies for column in self.columns)
 
     @property
     def visible_rows(self) -> tuple[tuple[Value, ...], ...]:
@@ -88,15 +97,22 @@ def cell_text(cell: Value, column: Column) -> str:
         return "yes" if cell else "no"
     if isinstance(cell, str):
         return printable(cell)
-    return _number(cell, column.format)
+    return _number(cell, column)
 
 
-def _number(value: float, spec: str) -> str:
+def _number(value: float, column: Column) -> str:
     if math.isnan(value):
         return NOTHING
     if math.isinf(value):
         return "∞" if value > 0 else "-∞"
-    return significant(value) if spec == SIGNIFICANT else _signless_zero(format(value, spec))
+    if column.format != SIGNIFICANT:
+        return _signless_zero(format(value, column.format))
+    return below(column.least) if abs(value) < column.least else significant(value)
+
+
+def below(least: float) -> str:
+    """`< 1e-6`."""
+    return f"< {least:.0e}".replace("e-0", "e-")
 
 
 def _signless_zero(text: str) -> str:

@@ -40,7 +40,7 @@ from sparsefit.study.evidence.columns import (
     table_of,
     with_status,
 )
-from sparsefit.study.evidence.measure import Measure, Share
+from sparsefit.study.evidence.measure import TINY, Measure, Share
 from sparsefit.study.evidence.measures import MEASURES, names, three
 from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.reference import closest_readings, sensitivity
@@ -119,7 +119,7 @@ def coverage(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
         *name_columns("parameter"),
         *(Column(name, format="d") for name in ("n", "ok", "with interval")),
         *(Column(name, "%", ".1f") for name in ("coverage", "from", "to")),
-        Column("half-width", "%", SIGNIFICANT),
+        Column("half-width", "%", SIGNIFICANT, least=TINY),
     )
     title = f"{asked.title} ({study.name})"
     return Table(title, columns, tuple(rows), asked.notes, ROWS_SHOWN)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from sparsefit.arrays import Array
+from sparsefit.study.report.vector import settled
 
 WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
@@ -117,8 +118,8 @@ def shortened(text: str, length: int) -> str:
 
 
 def to_svg(figure: Figure) -> bytes:
-    """Return the figure as SVG: without date or version, ids from a fixed salt."""
-    return _saved(figure, "svg", {"Date": None, "Creator": None})
+    """Return the figure as SVG: without date or version, the same bytes on every machine."""
+    return settled(_saved(figure, "svg", {"Date": None, "Creator": None}).decode()).encode()
 
 
 def to_png(figure: Figure) -> bytes:

@@ -18,7 +18,8 @@ from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import FIGURES, caption, figures_for
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
-from sparsefit.study.run.folder import made_folder
+from sparsefit.study.run.folder import CASES, made_folder
+from sparsefit.study.run.manifest import MANIFEST
 from sparsefit.study.spec.outputs import Entry
 from sparsefit.whole_file import write_whole
 
@@ -35,7 +36,8 @@ def write_report(
     """Write `results_dir/<study>/`: every table as .md .tex .csv, every figure as .svg .png.
 
     The tables and figures are those of the study's [outputs], or else all that apply. The same
-    cases give the same bytes. Each file is replaced in one step.
+    cases give the same bytes. README.md holds what is the same on every machine, and links the
+    tables that are of this run alone. Each file is replaced in one step.
 
     Returns:
         The files written, README.md last.
@@ -96,10 +98,19 @@ def readme(
         f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
         "Written by `sparsefit study report`; do not edit.",
         *(f"![{name}]({name}.svg)\n\n*{words}*" for name, words in captions.items()),
-        *(_section(name, table) for name, table in tables.items()),
+        *(_section(name, table) for name, table in tables.items() if not table.varies),
+        *_of_this_run(tables),
         *_settings(study),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _of_this_run(tables: dict[str, Table]) -> list[str]:
+    """Where stands what another run of the study would print otherwise."""
+    named = {"cases": CASES, "versions, machine and time": MANIFEST}
+    named |= {table.title: f"{name}.md" for name, table in tables.items() if table.varies}
+    links = ", ".join(f"[{escape_markdown(words)}]({file})" for words, file in named.items())
+    return ["### This run", f"Of the run that made these files: {links}."]
 
 
 def _section(name: str, table: Table) -> str:

@@ -12,6 +12,8 @@ from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.latex import to_latex
 from sparsefit.study.report.terminal import to_text
 
+CSV_DIGITS = 6
+
 __all__ = ["to_csv", "to_latex", "to_markdown", "to_text"]
 
 
@@ -35,15 +37,30 @@ def _markdown_line(row: Sequence[str], widths: Sequence[int], columns: Sequence[
 
 
 def to_csv(table: Table) -> str:
-    """Every row in full precision; an absent or NaN cell is empty."""
+    """Every row, numbers to six digits; an absent or NaN cell is empty.
+
+    An error is no finer than its column's `least`: what is below that is 0, which holds on every
+    machine.
+    """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.full_heading for column in table.columns])
-    writer.writerows([_csv_cell(cell) for cell in row] for row in table.rows)
+    writer.writerows(
+        [_csv_cell(cell, column) for cell, column in zip(row, table.columns, strict=True)]
+        for row in table.rows
+    )
     return stream.getvalue()
 
 
-def _csv_cell(cell: Value) -> str:
+def _csv_cell(cell: Value, column: Column) -> str:
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return ""
-    return repr(cell) if isinstance(cell, float) else str(cell)
+    if not isinstance(cell, float):
+        return _no_formula(str(cell))
+    decimals = round(-math.log10(column.least)) if column.least else 0
+    return f"{round(cell, decimals) + 0.0 if decimals else cell:.{CSV_DIGITS}g}"
+
+
+def _no_formula(text: str) -> str:
+    """The text, behind an apostrophe where a spreadsheet would run it."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
