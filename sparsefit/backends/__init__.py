@@ -15,7 +15,16 @@ from typing import Any, cast
 from sparsefit.errors import InputError, SparsefitError, unknown
 from sparsefit.regression.backend import Backend, Solution, settings_of
 
-__all__ = ["BACKENDS", "Backend", "Solution", "finds_its_own", "get", "known", "load", "settings_of"]
+__all__ = [
+    "BACKENDS",
+    "Backend",
+    "Solution",
+    "finds_its_own",
+    "get",
+    "known",
+    "load",
+    "settings_of",
+]
 
 BACKENDS: Mapping[str, str] = MappingProxyType(
     {
