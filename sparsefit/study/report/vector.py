@@ -1,4 +1,4 @@
-"""SVG as every machine writes it: coordinates to a hundredth of a point, names of parts in order."""
+"""SVG as every machine writes it: hundredths of a point, names of parts in order."""
 
 from __future__ import annotations
 
