@@ -16,7 +16,6 @@ from sparsefit.errors import InputError, SparsefitError, unknown
 from sparsefit.regression.backend import Backend, Solution, settings_of
 
 __all__ = [
-]
     "BACKENDS",
     "Backend",
     "Solution",
