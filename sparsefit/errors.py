@@ -36,6 +36,12 @@ def told_with(place: object) -> Iterator[None]:
         raise InputError(f"{place}: {error}") from None
 
 
+def one_line(text: str) -> str:
+    """The text on one line that any terminal and file can hold; what cannot be shown as `\\x1b`."""
+    words = " ".join(text.split())
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
+
+
 def suggestion(name: str, valid: Iterable[str]) -> str:
     """Return ``: did you mean "x"?`` or, where no valid name is near, ``(known: x, y)``."""
     known = sorted(valid)

@@ -27,7 +27,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     from sparsefit.study.run.execution import run_flight
     from sparsefit.study.run.outcome import Outcome
 
-    def outcomes(study, jobs, processes):
+    def outcomes(study, jobs, processes, stop=None):
         for job in jobs:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # as in a worker

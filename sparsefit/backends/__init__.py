@@ -19,6 +19,7 @@ __all__ = [
     "BACKENDS",
     "Backend",
     "Solution",
+    "distribution",
     "finds_its_own",
     "get",
     "known",
@@ -61,6 +62,14 @@ def _plugins() -> Mapping[str, EntryPoint]:
 def known() -> tuple[str, ...]:
     """Names of all back-ends: sparsefit's own, then the plug-ins."""
     return (*BACKENDS, *sorted(_plugins()))
+
+
+def distribution(name: str) -> str:
+    """`NAME VERSION` of what a plug-in was installed with; nothing for our own and unknown ones."""
+    entry = None if name in BACKENDS else _plugins().get(name)
+    if entry is None or entry.dist is None:
+        return ""
+    return f"{entry.dist.name} {entry.dist.version}"
 
 
 def load(name: str) -> type[Backend]:

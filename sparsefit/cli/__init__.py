@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _refused(error: BaseException) -> int:
     """Exit code of what a user can mend, said on one line; a bug of ours is raised again."""
-    from sparsefit.errors import InputError, MissingExtra, SparsefitError
+    from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 
     if isinstance(error, SparsefitError):
         message, code = str(error), BAD_INPUT if isinstance(error, InputError | MissingExtra) else 1
@@ -76,8 +76,7 @@ def _refused(error: BaseException) -> int:
         message, code = f"{place}{error.strerror or error}; check the path", BAD_INPUT
     else:
         raise error
-    line = "".join(one if one.isprintable() else "?" for one in " ".join(message.split()))
-    print(f"sparsefit: error: {line}", file=sys.stderr)
+    print(f"sparsefit: error: {one_line(message)}", file=sys.stderr)
     return code
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.output import print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser, Run
-from sparsefit.cli.study_run import by_status, write_pages
+from sparsefit.cli.study_run import by_status, stale_note, write_pages
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,12 @@ def status(args: argparse.Namespace) -> int:
     found = runner.status(study, args.results)
     if args.json:
         record = {"folder": str(found.folder), "planned": found.planned, "done": found.done}
-        counted = {"finished": found.finished, "statuses": dict(found.statuses)}
+        counted = {
+            "finished": found.finished,
+            "statuses": dict(found.statuses),
+            "stale": found.stale,
+            "versions": dict(found.versions),
+        }
         print_json({"study": study.name, **record, **counted})
         return 0
     state = "finished" if found.finished else "not finished" if found.done else "not begun"
@@ -56,11 +61,15 @@ def status(args: argparse.Namespace) -> int:
         f"{study.name}: {state}, {found.done} of {found.planned} cases "
         f"({by_status(found.statuses)}) in {found.folder}"
     )
+    if found.stale:
+        print(stale_note(found.stale))
     return 0
 
 
 def errors(args: argparse.Namespace) -> int:
     """Cases that are not ok, by back-end, status and reason; numbers in a reason may differ."""
+    from sparsefit.errors import one_line
+
     stored = _stored(args)
     groups = _grouped(stored.cases[stored.cases["status"] != "ok"])
     if args.json:
@@ -70,8 +79,9 @@ def errors(args: argparse.Namespace) -> int:
     print(f"{stored.study.name}: {total} of {stored.status.done} cases are not ok" + _note(stored))
     for group in groups:
         print(
-            f"\n{group['cases']} x {group['status']}, {group['label']}\n"
-            f"  {group['reason'] or 'no reason given'}\n  first case: {group['first_case']}"
+            f"\n{group['cases']} x {one_line(group['status'])}, {group['label']}\n"
+            f"  {one_line(group['reason']) or 'no reason given'}\n"
+            f"  first case: {group['first_case']}"
         )
     return 0
 
@@ -133,18 +143,16 @@ RUNS: dict[str, Run] = {"status": status, "errors": errors, "show": show, "repor
 def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
     from sparsefit.errors import InputError
-    from sparsefit.study.run import partial, runner, store
+    from sparsefit.study.run import earlier, runner, store
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     found = runner.status(study, args.results)
     if found.finished:
         return Stored(study, found, store.read_cases(found.folder))
-    rows = partial.read_rows(found.folder)
-    if not rows:
+    if not found.done:
         raise InputError(_unfinished(args, found))
-    table = store.cases_table(study, [rows[key] for key in sorted(rows)])
-    return Stored(study, found, table.to_pandas())
+    return Stored(study, found, earlier.cases_so_far(study, found.folder))
 
 
 def _unfinished(args: argparse.Namespace, found: RunStatus) -> str:

@@ -11,8 +11,8 @@ from sparsefit.cli import main
 from sparsefit.cli.progress import Lines
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.study.run import partial, runner, store
-from sparsefit.study.run.folder import resume
 from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.spec.identity import identities
 from sparsefit.study.spec.study import Study
 
 STUDY = """
@@ -93,11 +93,12 @@ def half(finished):
     Path("results/small/cases.parquet").unlink()
     Path("results/small/manifest.json").unlink()
     folder = Path("results/small")
-    assert resume(study, folder) == {}
+    partial.begin(folder, {"study_hash": study.hash})
+    names = identities(study)
     with partial.appending(folder) as rows:
         for index in range(12):
             row = cases.iloc[index]
-            rows.append(Outcome(0, index, row["status"], row["reason"]))
+            rows.append(Outcome(0, index, row["status"], row["reason"]), names[index])
     return finished
 
 

@@ -17,8 +17,8 @@ from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.sentence import extremes, listed, some
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.run.execution import run_flight
+from sparsefit.study.run.jobs import solver_seconds
 from sparsefit.study.run.outcome import Outcome
-from sparsefit.study.run.runner import solver_seconds
 from sparsefit.study.run.store import cases_table
 from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.plan import fit_key

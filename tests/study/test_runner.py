@@ -19,9 +19,9 @@ import pytest
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.study import Study, read_cases, run, status
-from sparsefit.study.run import runner
-from sparsefit.study.run.folder import resume
+from sparsefit.study.run import partial, runner
 from sparsefit.study.run.lock import LOCK, locked
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.worker import Worker
 from tests.conftest import SECONDS
 
@@ -192,13 +192,13 @@ def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
         time.sleep(0.02)
 
 
-def group_is_gone(group: int) -> bool:
-    """Whether no live process of the group is left; zombies do not count."""
+def session_is_gone(session: int) -> bool:
+    """Whether no live process of the session is left; zombies do not count."""
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError, IndexError):
                 fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-                if fields[2] == str(group) and fields[0] != "Z":
+                if fields[3] == str(session) and fields[0] != "Z":
                     return False
     return True
 
@@ -219,7 +219,7 @@ def test_killed_and_resumed_is_as_if_never_killed(
     until(lambda: len(rows(folder)) >= 5)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    until(lambda: group_is_gone(process.pid), 10.0)  # the workers ended on their own
+    until(lambda: session_is_gone(process.pid), 10.0)  # the workers ended on their own
     before = rows(folder)
     assert not (folder / "cases.parquet").exists()
     with (folder / ".partial" / "rows.jsonl").open("ab") as file:
@@ -245,9 +245,9 @@ def test_interrupt_leaves_a_state_to_resume_and_no_process(
     until(lambda: len(rows(folder)) >= 3)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     assert process.wait(timeout=20) != 0
-    until(lambda: group_is_gone(process.pid), 10.0)
+    until(lambda: session_is_gone(process.pid), 10.0)
     assert not (folder / ".lock").exists()
-    assert len(resume(Study.load(whole.path), folder)) == len(rows(folder))
+    assert status(Study.load(whole.path), tmp_path / "out").done == len(rows(folder))
 
 
 def test_a_fit_that_hangs_is_killed_with_all_its_readouts_and_the_others_go_on(
@@ -334,21 +334,18 @@ def test_results_of_another_study_are_refused(tmp_path: Path, write: Write) -> N
     assert run(other, tmp_path, processes=1, fresh=True).statuses == {"error": 1}
 
 
-def test_unfinished_rows_of_another_study_or_version_are_refused(
-    tmp_path: Path, write: Write
+@pytest.mark.parametrize("header", ['{"study_hash": "0123"}', '{"study_ha'])
+def test_unfinished_rows_that_are_all_of_another_study_are_refused(
+    tmp_path: Path, write: Write, header: str
 ) -> None:
     study = Study.load(write(deeds("work"), count=2))
-    partial = tmp_path / "r" / ".partial"
-    partial.mkdir(parents=True)
-    (partial / "header.json").write_text('{"study_hash": "0123"}')
-    with pytest.raises(InputError, match="different study"):
-        run(study, tmp_path, processes=1)
-    (partial / "header.json").write_text(json.dumps({"study_hash": study.hash, "sparsefit": "0"}))
-    with pytest.raises(InputError, match="begun by sparsefit 0"):
-        run(study, tmp_path, processes=1)
-    (partial / "header.json").unlink()
-    (tmp_path / "r" / "cases.parquet").write_bytes(b"")
-    with pytest.raises(InputError, match="unknown study"):
+    folder = tmp_path / "r"
+    folder.mkdir(parents=True)
+    partial.begin(folder, {})
+    (folder / ".partial" / "header.json").write_text(header)
+    with partial.appending(folder) as rows:
+        rows.append(Outcome(0, 0, "ok"), "0123456789abcdef")
+    with pytest.raises(InputError, match=r"(different|unknown) study.*--fresh to start over"):
         run(study, tmp_path, processes=1)
 
 

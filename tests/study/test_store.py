@@ -18,10 +18,13 @@ from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.run import partial
 from sparsefit.study.run.columns import COLUMNS, KINDS
 from sparsefit.study.run.execution import run_flight
-from sparsefit.study.run.manifest import git_commit, read_manifest
+from sparsefit.study.run.ledger import Ledger
+from sparsefit.study.run.lines import packed, record_of
+from sparsefit.study.run.manifest import git_commit, read_manifest, write_manifest
 from sparsefit.study.run.outcome import Outcome, Stage
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.store import write_cases
+from sparsefit.study.spec.identity import identities
 
 TEXT = """
 name = "s"
@@ -112,24 +115,31 @@ def test_a_whole_run_with_weights_and_manifest(study: Study, tmp_path: Path) -> 
     assert {"python", "numpy", "scipy", "clarabel"} <= set(manifest["versions"])  # type: ignore[call-overload]
 
 
-def test_partial_rows_read_back_exactly(tmp_path: Path) -> None:
+def test_unfinished_rows_read_back_exactly(study: Study, tmp_path: Path) -> None:
     partial.begin(tmp_path, {"study_hash": "x"})
+    names = identities(study)
     rows = [
         Outcome(
             0,
             1,
             "ok",
             "",
-            {"est_length_scale": 0.1 + 0.2, "hit": True, "extent": math.nan},
+            {
+                "est_length_scale": 0.1 + 0.2,
+                "hit": True,
+                "extent": math.nan,
+                "se_timescale": math.inf,
+            },
         ),
+        Outcome(0, 2, "error", 'quote " and\nline', weights=((1.0, -2.0), (1.2, math.nan))),
         Outcome(0, 3, "ok", "", {"certificate_kind": "duality_gap", "certificate": 1e-300}, 1 / 3),
-        Outcome(0, 2, "error", 'quote " and\nline', weights=((1.0, -2.0), (1.2, 0.0))),
     ]
     with partial.appending(tmp_path) as writer:
-        for row in rows:
-            writer.append(row)
-    found = list(partial.read_rows(tmp_path).values())
-    assert [repr(row) for row in found] == [repr(row) for row in rows]
+        for row in reversed(rows):
+            writer.append(row, names[row.cell])
+    found = Ledger.read(study, tmp_path)
+    assert [repr(row) for row in found.rows(tmp_path)] == [repr(row) for row in rows]
+    assert found.statuses == {"ok": 2, "error": 1}
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
@@ -137,7 +147,7 @@ def test_a_full_disk_is_told_with_the_file_of_the_rows(study: Study) -> None:
     with Path("/dev/full").open("ab", buffering=0) as file:
         writer = partial.Writer(file)
         with pytest.raises(InputError, match=r"^cannot write /dev/full: No space .*; make room"):
-            writer.append(outcomes(study)[0])
+            writer.append(outcomes(study)[0], "0")
 
 
 def test_a_link_that_waits_for_the_cases_is_not_followed(study: Study, tmp_path: Path) -> None:
@@ -150,17 +160,46 @@ def test_a_link_that_waits_for_the_cases_is_not_followed(study: Study, tmp_path:
 
 
 @pytest.mark.parametrize("torn", [b'{"flight":', b"\x00\x00\n", b"{}\n", b'{"flight":1}\nmore'])
-def test_a_torn_end_is_cut_off(tmp_path: Path, torn: bytes) -> None:
+def test_what_is_not_whole_is_passed_over_and_counted(
+    study: Study, tmp_path: Path, torn: bytes
+) -> None:
+    partial.begin(tmp_path, {})
+    names = identities(study)
+    with partial.appending(tmp_path) as writer:
+        writer.append(Outcome(0, 0, "ok"), names[0])
+    path = tmp_path / ".partial" / "rows.jsonl"
+    path.write_bytes(path.read_bytes() + torn)
+    with partial.appending(tmp_path) as writer:
+        writer.append(Outcome(0, 1, "ok"), names[1])
+        writer.append(Outcome(0, 0, "error"), names[0])  # the later one counts
+    found = Ledger.read(study, tmp_path)
+    assert [(row.cell, row.status) for row in found.rows(tmp_path)] == [(0, "error"), (1, "ok")]
+    assert found.damaged == len(torn.splitlines())
+
+
+def test_a_flipped_bit_in_a_row_is_seen(study: Study, tmp_path: Path) -> None:
     partial.begin(tmp_path, {})
     with partial.appending(tmp_path) as writer:
-        writer.append(Outcome(0, 0, "ok"))
+        writer.append(Outcome(0, 0, "ok", "why", {"samples": 3}), identities(study)[0])
     path = tmp_path / ".partial" / "rows.jsonl"
     whole = path.read_bytes()
-    path.write_bytes(whole + torn)
-    with partial.appending(tmp_path) as writer:
-        writer.append(Outcome(0, 1, "ok"))
-    assert list(partial.read_rows(tmp_path)) == [(0, 0), (0, 1)]
-    assert path.read_bytes().startswith(whole)
+    for place in range(0, len(whole) - 1, 7):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        found = Ledger.read(study, tmp_path)
+        assert (found.done.sum(), found.damaged > 0) == (0, True)
+
+
+def test_a_flipped_bit_in_the_cases_is_seen(study: Study, tmp_path: Path) -> None:
+    write_cases(study, outcomes(study), tmp_path)
+    nothing = {"wall_seconds": 0.0, "solver_seconds": 0.0, "processes": 1, "resumed": 0}
+    write_manifest(study, tmp_path, statuses={}, **nothing)  # type: ignore[arg-type]
+    path = tmp_path / "cases.parquet"
+    whole = path.read_bytes()
+    assert len(read_cases(tmp_path)) == study.planned
+    for place in range(5, len(whole), len(whole) // 40):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 16]) + whole[place + 1 :])
+        with pytest.raises(InputError, match=r"not what was written.*--fresh"):
+            read_cases(tmp_path)
 
 
 def timeless(outcome: Outcome) -> Outcome:
@@ -210,16 +249,13 @@ def test_a_file_from_before_there_were_bounds_is_still_read(study: Study, tmp_pa
         assert len(TABLES.make(name, study, found).rows) > 0
 
 
-def test_rows_of_a_run_from_before_are_read_with_what_they_lack(
-    study: Study, tmp_path: Path
-) -> None:
+def test_rows_lack_what_is_new_and_lose_what_is_gone(study: Study, tmp_path: Path) -> None:
     partial.begin(tmp_path, {})
+    row = record_of(replace(outcomes(study)[0], values={"samples": 3}))
+    row["values"]["gone"] = 1.0
     with partial.appending(tmp_path) as rows:
-        rows.append(replace(outcomes(study)[0], values={"samples": 3, "extent": 1.0}))
-    file = tmp_path / partial.FOLDER / partial.ROWS
-    record = json.loads(file.read_text())
-    del record["values"]["extent"]
-    file.write_text(json.dumps(record) + "\n")
-    (found,) = partial.read_rows(tmp_path).values()
+        rows.file.write(packed({"identity": identities(study)[0], **row}))
+    (found,) = Ledger.read(study, tmp_path).rows(tmp_path)
     assert found["samples"] == 3
-    assert math.isnan(found["extent"])
+    assert math.isnan(float(found["extent"]))
+    assert dict(found.values) == {"samples": 3}

@@ -51,18 +51,22 @@ SINGLE = Kind("float32", float, math.nan, dense=True)  # of what seven digits ar
 
 @dataclass(frozen=True)
 class Planned:
-    """A case as it is planned; `flow` is the fastest of the true ones, None in still air."""
+    """A case as it is planned; `flow` is the fastest of the true ones, None in still air.
+
+    identity: what it is, whatever study asks for it (`study/spec/identity.py`).
+    """
 
     study: Study
     case: Case
     flow: Cells | None
+    identity: str = ""
 
 
 @dataclass(frozen=True)
 class Column:
     """One column: known as `planned`, or `read` from a case, None where there is nothing to read.
 
-    Neither: `status` and `reason`, which every case has however it ends.
+    Neither: `status`, `reason` and `version`, which every case has however it ends.
     """
 
     name: str
@@ -185,6 +189,8 @@ COLUMNS: tuple[Column, ...] = (
     _of_goodness("turbulence_share", "turbulence_share"),
     Column("cause", TEXT, read=_cause),
     Column("log", TEXT, planned=_log),
+    Column("identity", TEXT, planned=lambda row: row.identity),
+    Column("version", TEXT),
 )
 KINDS = {column.name: column.kind for column in COLUMNS}
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import TypeVar, cast
 
+from sparsefit.errors import one_line
+from sparsefit.estimator.estimator import Estimator
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
-from sparsefit.regression.backend import PathBackend
+from sparsefit.regression.backend import Backend, PathBackend
 from sparsefit.regression.fit import Fit, path
 from sparsefit.study.run.columns import values_of
-from sparsefit.study.run.outcome import Event, Outcome, Stage
+from sparsefit.study.run.outcome import READING, Event, Outcome, Stage
 from sparsefit.study.run.reading import Reading, Yardstick, yardstick
-from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.draw import SIMULATION, Draw, stream
@@ -27,6 +29,13 @@ MAX_REASON = 500
 ALPHA = "alpha_fraction"
 
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class _Failed:
+    """A step that raised: the reason alone, so that nothing of it stays in memory."""
+
+    reason: str
 
 
 def run_flight(
@@ -41,7 +50,7 @@ def run_flight(
         draw = study.draw(flight, cells[0])
         yield Stage("simulating the flight", _indices(cells))
         flown = _attempt(partial(_fly, study, flight, draw))
-        if isinstance(flown, Exception):
+        if isinstance(flown, _Failed):
             yield from _failed(flight, cells, flown)
             continue
         context = _Context(study, flight, draw, *flown)
@@ -68,77 +77,99 @@ class _Context:
     yardstick: Yardstick
 
 
+@dataclass(frozen=True)
+class _Task:
+    """One fit: the cells that read it, and the estimator that makes it."""
+
+    cells: tuple[Cell, ...]
+    estimator: Estimator
+
+    @property
+    def backend(self) -> Backend:
+        return cast(Backend, self.estimator.backend)
+
+
 def _run_problem(context: _Context, cells: tuple[Cell, ...], alone: bool) -> Iterator[Event]:
-    yield Stage("building the library", _indices(cells))
-    prepared = _attempt(partial(context.study.estimator(cells[0]).prepare, context.flown))
-    if isinstance(prepared, Exception):
-        yield from _failed(context.flight, cells, prepared)
+    tasks: list[_Task] = []
+    for cells_of_fit in sharing(cells, fit_key):
+        yield Stage("making the back-end", _indices(cells_of_fit))
+        estimator = _attempt(partial(context.study.estimator, cells_of_fit[0]))
+        if isinstance(estimator, _Failed):
+            yield from _failed(context.flight, cells_of_fit, estimator)
+        else:
+            tasks.append(_Task(cells_of_fit, estimator))
+    if not tasks:
         return
-    for batch in _batches(cells, alone):
-        fitted = tuple(index for cells_of_fit in batch.fits for index in _indices(cells_of_fit))
+    left = tuple(cell for task in tasks for cell in task.cells)
+    yield Stage("building the library", _indices(left))
+    prepared = _attempt(partial(tasks[0].estimator.prepare, context.flown))
+    if isinstance(prepared, _Failed):
+        yield from _failed(context.flight, left, prepared)
+        return
+    for batch in _batches(tasks, alone):
+        fitted = tuple(index for task in batch.tasks for index in _indices(task.cells))
         yield Stage("fitting", fitted, fits=max(len(batch.fractions), 1))
-        for cells_of_fit, fit in _fit(context.study, prepared, batch):
-            yield from _read(context, prepared, cells_of_fit, fit)
+        for task, fit in _fit(context.study, prepared, batch):
+            yield from _read(context, prepared, task, fit)
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """Fits made together, each the cells that read it; `fractions` are those of their path."""
+    """Fits made together; `fractions` are those of their path."""
 
-    fits: tuple[tuple[Cell, ...], ...]
+    tasks: tuple[_Task, ...]
     fractions: tuple[float, ...] = ()
 
 
-def _batches(cells: tuple[Cell, ...], alone: bool) -> list[_Batch]:
+def _batches(tasks: Sequence[_Task], alone: bool) -> list[_Batch]:
     """Fits of one [[backends]] entry that differ in `alpha_fraction` only share a path."""
-    batches: dict[tuple[object, str], list[tuple[Cell, ...]]] = {}
-    for cells_of_fit in sharing(cells, fit_key):
-        cell = cells_of_fit[0]
-        single = alone or not _path_fractions(cell)
+    batches: dict[tuple[object, str], list[_Task]] = {}
+    for task in tasks:
+        cell = task.cells[0]
+        single = alone or not _path_fractions(task)
         shared = {key: value for key, value in cell.settings.items() if single or key != ALPHA}
-        batches.setdefault((cell.choice, canonical_json(shared)), []).append(cells_of_fit)
+        batches.setdefault((cell.choice, canonical_json(shared)), []).append(task)
     return [
-        _Batch(tuple(fits), () if alone else _path_fractions(fits[0][0]))
-        for fits in batches.values()
+        _Batch(tuple(group), () if alone else _path_fractions(group[0]))
+        for group in batches.values()
     ]
 
 
-def _path_fractions(cell: Cell) -> tuple[float, ...]:
+def _path_fractions(task: _Task) -> tuple[float, ...]:
     """The whole grid of penalties, whatever is left to do of it: a resumed run repeats the path."""
+    cell = task.cells[0]
     if cell.settings.get(ALPHA) == "auto":  # it walks a path of its own
         return ()
     asked = cell.choice.grid.get(ALPHA, ())
     grid = [value for value in asked if value != "auto"]
-    paths = isinstance(make_backend(cell.backend, cell.settings), PathBackend)
+    paths = isinstance(task.backend, PathBackend)
     return tuple(float(value) for value in grid) if paths and len(grid) > 1 else ()
 
 
-def _fit(
-    study: Study, prepared: Prepared, batch: _Batch
-) -> Iterator[tuple[tuple[Cell, ...], Fit | Exception]]:
+def _fit(study: Study, prepared: Prepared, batch: _Batch) -> Iterator[tuple[_Task, Fit | _Failed]]:
     if batch.fractions:
-        backend = make_backend(batch.fits[0][0].backend, batch.fits[0][0].settings)
-        walk = partial(path, prepared.problem, backend, tolerance=study.tolerance)
+        walk = partial(path, prepared.problem, batch.tasks[0].backend, tolerance=study.tolerance)
         walked = _attempt(partial(walk, batch.fractions))
-        if not isinstance(walked, Exception):
+        if not isinstance(walked, _Failed):
             at = dict(zip(batch.fractions, walked.fits, strict=True))
-            yield from ((cells, at[float(cells[0].settings[ALPHA])]) for cells in batch.fits)
+            for task in batch.tasks:
+                yield task, at[float(task.cells[0].settings[ALPHA])]
             return
     # What fails together is tried one by one: the reason belongs to one of them.
-    for cells in batch.fits:
-        yield cells, _attempt(partial(study.estimator(cells[0]).fit, prepared))
+    for task in batch.tasks:
+        yield task, _attempt(partial(task.estimator.fit, prepared))
 
 
 def _read(
-    context: _Context, prepared: Prepared, cells: tuple[Cell, ...], fit: Fit | Exception
+    context: _Context, prepared: Prepared, task: _Task, fit: Fit | _Failed
 ) -> Iterator[Event]:
-    if isinstance(fit, Exception):
-        yield from _failed(context.flight, cells, fit)
+    if isinstance(fit, _Failed):
+        yield from _failed(context.flight, task.cells, fit)
         return
-    for cell in cells:
-        yield Stage("reading the weights", (cell.index,))
+    for cell in task.cells:
+        yield Stage(READING, (cell.index,))
         outcome = _attempt(partial(_outcome, context, prepared, cell, fit))
-        if isinstance(outcome, Exception):
+        if isinstance(outcome, _Failed):
             yield from _failed(context.flight, (cell,), outcome)
         else:
             yield outcome
@@ -160,22 +191,33 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
     )
 
 
-def _attempt(step: Callable[[], Result]) -> Result | Exception:
-    """What the step gives or raises: whatever happens in a case becomes its row."""
+def _attempt(step: Callable[[], Result]) -> Result | _Failed:
+    """What the step gives, or why not: whatever happens in a case becomes its row."""
     try:
         return step()
     except Exception as error:
-        return error
+        failed = _Failed(_one_line(f"{type(error).__name__}: {_told(error)}"))
+        memory = isinstance(error, MemoryError)
+    if memory:  # what the failed step held is not charged to the next
+        gc.collect()
+    return failed
 
 
-def _failed(flight: int, cells: Sequence[Cell], error: Exception) -> Iterator[Outcome]:
-    reason = _one_line(f"{type(error).__name__}: {error}")
+def _told(error: Exception) -> str:
+    """What it says; nothing where saying it fails too."""
+    try:
+        return str(error)
+    except Exception:
+        return "(its message cannot be told)"
+
+
+def _failed(flight: int, cells: Sequence[Cell], failed: _Failed) -> Iterator[Outcome]:
     for cell in cells:
-        yield Outcome(flight, cell.index, "error", reason)
+        yield Outcome(flight, cell.index, "error", failed.reason)
 
 
 def _one_line(reason: str) -> str:
-    words = " ".join(reason.split())
+    words = one_line(reason)
     return words if len(words) <= MAX_REASON else words[: MAX_REASON - 3] + "..."
 
 

@@ -1,19 +1,17 @@
-"""A results folder: whose rows it holds, whether they are all there, and where a run goes on."""
+"""A results folder: whose rows it holds, and which of them a study can use."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeAlias
 
 from sparsefit.errors import InputError
 from sparsefit.study.run import partial
-from sparsefit.study.run.manifest import MANIFEST, read_manifest, sparsefit_version
-from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.ledger import Ledger
+from sparsefit.study.run.manifest import MANIFEST, read_manifest
 from sparsefit.study.spec.study import Study
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
-Outcomes: TypeAlias = dict[tuple[int, int], Outcome]  # by flight and cell
 
 
 def made_folder(study: Study, results_dir: str | Path) -> Path:
@@ -35,42 +33,41 @@ def clear(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def refuse_foreign(study: Study, folder: Path) -> None:
-    """Rows of another study, or of another version, are never mixed with these."""
-    header = partial.read_header(folder)
-    for made in (header, read_manifest(folder)):
-        if made is not None and made.get("study_hash") != study.hash:
+def found(study: Study, folder: Path) -> Ledger:
+    """What the folder holds of the study: rows of an unfinished run, and those of a finished one.
+
+    Rows count by what determines their numbers, whatever study file they were made for.
+
+    Raises:
+        InputError: where there are rows, and all of them are of another study, or damaged.
+    """
+    from sparsefit.study.run.earlier import note_earlier  # Arrow: workers import this module
+
+    begun = partial.begun(folder)
+    ledger = Ledger.read(study, folder) if begun else Ledger.of(study)
+    ledger.unplanned += note_earlier(ledger, folder)
+    if not ledger.done.any():
+        _refuse_foreign(study, folder, ledger)
+    return ledger
+
+
+def _refuse_foreign(study: Study, folder: Path, ledger: Ledger) -> None:
+    """Rows of another study are not dropped for it, unless that is asked for."""
+    for made in (partial.read_header(folder), read_manifest(folder)):
+        if made is not None and ledger.unplanned and made.get("study_hash") != study.hash:
             short = str(made.get("study_hash"))[:12]
             raise InputError(
-                f"{folder} was made by a different study (hash {short}): "
-                "use --fresh to start over, or rename this study"
+                f"{folder} was made by a different study (hash {short}), and no case of it is of "
+                "this one: use --fresh to start over, or rename this study"
             )
-    if header is not None and header.get("sparsefit") != sparsefit_version():
-        raise InputError(
-            f"{folder} was begun by sparsefit {header.get('sparsefit')}, this is "
-            f"{sparsefit_version()}: use --fresh to start over, or go on with that version"
-        )
-    if header is None and (folder / CASES).exists() and read_manifest(folder) is None:
+    if ledger.unplanned:
         raise InputError(
             f"{folder} holds cases of an unknown study: use --fresh to start over, or rename"
         )
 
 
-def is_finished(folder: Path) -> bool:
-    """Whether all rows of the study are in the folder, and none are left to be put in order."""
-    done = partial.read_header(folder) is None and read_manifest(folder) is not None
-    return done and (folder / CASES).exists()
-
-
-def resume(study: Study, folder: Path) -> Outcomes:
-    """The rows that are there; without a header there is nothing to trust, and all begins anew."""
-    if partial.read_header(folder) is None:
-        versions = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
-        partial.begin(folder, {**versions, "study": study.name, "planned": study.planned})
-        return {}
-    rows = partial.read_rows(folder)
-    return {
-        key: row
-        for key, row in rows.items()
-        if row.flight < study.count and row.cell < len(study.cells)
-    }
+def is_finished(study: Study, folder: Path, ledger: Ledger) -> bool:
+    """Whether every planned case is a row of `cases.parquet`, and nothing else is to be done."""
+    made = read_manifest(folder)
+    same = made is not None and made.get("study_hash") == study.hash
+    return same and not partial.begun(folder) and bool(ledger.earlier.all())

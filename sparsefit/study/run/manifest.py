@@ -1,7 +1,12 @@
-"""`manifest.json`: what made these results, and what came out, in one small file."""
+"""`manifest.json`: what made these results, and what came out, in one small file.
+
+It holds the sha256 of what was written beside it: rows that a disk or a hand has changed since are
+not read as if they were the answer.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import subprocess
@@ -11,6 +16,7 @@ from importlib import metadata
 from pathlib import Path
 
 import sparsefit
+from sparsefit.errors import InputError
 from sparsefit.study.spec.study import Study
 from sparsefit.whole_file import write_whole
 
@@ -39,6 +45,7 @@ def write_manifest(
         "seed": study.seed,
         "cases": study.planned,
         "statuses": dict(sorted(statuses.items())),
+        "sha256": {path.name: _sha256(path) for path in sorted(folder.glob("*.parquet"))},
         "wall_seconds": round(wall_seconds, 3),
         "solver_seconds": round(solver_seconds, 3),
         "resumed_cases": resumed,
@@ -59,6 +66,26 @@ def read_manifest(folder: Path) -> dict[str, object] | None:
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None
+
+
+def check_whole(path: Path) -> None:
+    """Raise `InputError` unless a file is what the manifest beside it says that was written.
+
+    Results from before there were checksums are taken as they are.
+    """
+    written = (read_manifest(path.parent) or {}).get("sha256")
+    if not isinstance(written, dict) or path.name not in written:
+        return
+    if _sha256(path) != written[path.name]:
+        raise InputError(
+            f"{path}: not what was written (its sha256 is not that of {MANIFEST}): "
+            "take both files from where they came, or run the study with --fresh"
+        )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def versions() -> dict[str, str | None]:

@@ -8,6 +8,8 @@ from typing import TypeAlias
 
 from sparsefit.study.run.columns import KINDS, Value
 
+READING = "reading the weights"  # the stage that ends a fit; every other one begins something
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -26,7 +28,8 @@ class Outcome:
     """How the case of one flight and cell ended.
 
     `values` holds what was read for the columns of `cases.parquet`, by name; shared_seconds of its
-    `seconds` [s] were spent for other fits too; weights: (length scale [m], weight) pairs.
+    `seconds` [s] were spent for other fits too; weights: (length scale [m], weight) pairs;
+    version: of the code that made it, where that is known.
     """
 
     flight: int
@@ -36,10 +39,11 @@ class Outcome:
     values: Mapping[str, Value] = field(default_factory=dict)
     shared_seconds: float = 0.0
     weights: tuple[tuple[float, float], ...] = ()
+    version: str = ""
 
     def __getitem__(self, column: str) -> Value:
         """What stands in a column of `cases.parquet` that is not planned."""
-        if column in ("status", "reason"):
+        if column in ("status", "reason", "version"):
             return str(getattr(self, column))
         return self.values.get(column, KINDS[column].empty)
 

@@ -1,19 +1,24 @@
-"""The rows of a run that is not finished: `.partial/rows.jsonl`, appended as cases end."""
+"""The rows of a run that is not finished: `.partial/rows.jsonl`, appended as cases end.
+
+Every line stands for itself: it names its case by its identity, whatever study asked for it, and
+carries a checksum (`lines.py`). What is not whole is passed over and counted; of two lines for a
+case the later one counts.
+"""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
-from sparsefit.study.run.columns import KINDS
+from sparsefit.errors import InputError
+from sparsefit.study.run.lines import Record, outcome_of, packed, record_of, unpacked
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.whole_file import refusing, write_whole
 
@@ -22,34 +27,94 @@ HEADER = "header.json"
 ROWS = "rows.jsonl"
 SYNC_SECONDS = 0.5
 SYNC_ROWS = 512
+LONGEST = 64 << 20  # bytes of a line that is still read
+NEEDED = {"flight": int, "identity": str, "status": str, "version": str, "values": dict}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A whole line: which flight and case it is of, where it begins, and how the case ended."""
+
+    flight: int
+    identity: str
+    place: int
+    record: Record
+
+
+def begun(folder: Path) -> bool:
+    """Whether a run is under way here, or was left unfinished."""
+    path = folder / FOLDER
+    if path.is_symlink() or path.is_file():
+        raise InputError(f"{path}: no folder of rows: remove it, or use --fresh to start over")
+    return path.is_dir()
 
 
 def read_header(folder: Path) -> dict[str, object] | None:
-    """What run the unfinished rows belong to; None where there is none (or it is torn)."""
+    """What the unfinished rows were begun for; None where there is none (or it is torn)."""
     try:
         header = json.loads((folder / FOLDER / HEADER).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return header if isinstance(header, dict) else None
 
 
 def begin(folder: Path, header: dict[str, object]) -> None:
-    """Start anew: the header is in place before the first row is."""
-    discard(folder)
-    (folder / FOLDER).mkdir()
+    """Start, or go on with what is there; the header says for whom."""
+    with refusing(folder / FOLDER):
+        (folder / FOLDER).mkdir(exist_ok=True)
     write_whole(folder / FOLDER / HEADER, json.dumps(header, sort_keys=True) + "\n")
 
 
 def discard(folder: Path) -> None:
     """Remove the unfinished rows, if any."""
-    if (folder / FOLDER).exists():
-        shutil.rmtree(folder / FOLDER)
+    path = folder / FOLDER
+    with refusing(path):
+        if path.is_symlink() or path.is_file():
+            path.unlink()
+        elif path.exists():
+            shutil.rmtree(path)
 
 
-def read_rows(folder: Path) -> dict[tuple[int, int], Outcome]:
-    """The outcomes so far by (flight, cell); reading stops at a torn line."""
-    found, _ = _intact(folder / FOLDER / ROWS)
-    return found
+def lines(folder: Path) -> Iterator[Line | None]:
+    """Every line so far, in the order they were written; None for one that is damaged."""
+    path = folder / FOLDER / ROWS
+    if not path.exists():
+        return
+    place = 0
+    try:
+        with path.open("rb") as file:
+            while line := file.readline(LONGEST):
+                yield _line(line, place)
+                place += len(line)
+    except OSError as error:
+        remedy = "use --fresh to start over"
+        raise InputError(f"{path}: cannot be read: {error.strerror}: {remedy}") from None
+
+
+def _line(line: bytes, place: int) -> Line | None:
+    record = unpacked(line)
+    if record is None or not all(isinstance(record.get(k), t) for k, t in NEEDED.items()):
+        return None
+    return Line(record["flight"], record.pop("identity"), place, record)
+
+
+class Reader:
+    """Reads single rows back from the places where they begin; to be closed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = (folder / FOLDER / ROWS).open("rb")
+
+    def at(self, place: int, cell: int) -> Outcome:
+        """The row that begins there, of the case in this cell of the plan."""
+        self._file.seek(place)
+        record = unpacked(self._file.readline())
+        if record is None:
+            raise InputError(f"{self._file.name}: changed while it was read: run the study again")
+        return replace(outcome_of(record), cell=cell)
+
+    def close(self) -> None:
+        """Leave the file."""
+        self._file.close()
 
 
 @dataclass
@@ -57,16 +122,20 @@ class Writer:
     """Appends outcomes; what was appended is on the disk within half a second."""
 
     file: IO[bytes]
+    place: int = 0
     pending: int = 0
     synced: float = field(default_factory=time.monotonic)
 
-    def append(self, outcome: Outcome) -> None:
-        """One line; synced when enough have gathered."""
+    def append(self, outcome: Outcome, identity: str) -> int:
+        """One line; synced when enough have gathered. Returns where it begins."""
+        line, place = packed({"identity": identity, **record_of(outcome)}), self.place
         with refusing(self.file.name):
-            self.file.write(_line(outcome))
+            self.file.write(line)
+        self.place += len(line)
         self.pending += 1
         if self.pending >= SYNC_ROWS or time.monotonic() - self.synced > SYNC_SECONDS:
             self.sync()
+        return place
 
     def sync(self) -> None:
         """Flush to the disk what is pending."""
@@ -79,13 +148,14 @@ class Writer:
 
 @contextmanager
 def appending(folder: Path) -> Iterator[Writer]:
-    """A writer behind the last intact line; synced whatever ends the run."""
+    """A writer behind what is there, on a line of its own; synced whatever ends the run."""
     path = folder / FOLDER / ROWS
-    _, length = _intact(path)
     with refusing(path):
-        file = path.open("ab")
-        file.truncate(length)
-    writer = Writer(file)
+        file = os.fdopen(_here(path), "ab")
+        if not _ends_a_line(path):
+            file.write(b"\n")
+            file.flush()
+        writer = Writer(file, place=file.tell())
     try:
         yield writer
     finally:
@@ -96,40 +166,14 @@ def appending(folder: Path) -> Iterator[Writer]:
                 file.close()
 
 
-def _intact(path: Path) -> tuple[dict[tuple[int, int], Outcome], int]:
-    """Rows before the first line that is torn, and the length in bytes that they take."""
-    found: dict[tuple[int, int], Outcome] = {}
-    length = 0
-    if not path.exists():
-        return found, length
-    with path.open("rb") as file:
-        for line in file:
-            outcome = _outcome(line)
-            if outcome is None:
-                break
-            found.setdefault((outcome.flight, outcome.cell), outcome)
-            length += len(line)
-    return found, length
+def _here(path: Path) -> int:
+    """Open to append, but not by a link that somebody left: it may lead anywhere."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
-def _line(outcome: Outcome) -> bytes:
-    """Strict JSON: NaN is null, and a float is written so that it reads back the same."""
-    record = asdict(outcome)
-    record["values"] = {name: None if _is_nan(v) else v for name, v in outcome.values.items()}
-    return (json.dumps(record, separators=(",", ":")) + "\n").encode()
-
-
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
-def _outcome(line: bytes) -> Outcome | None:
-    if not line.endswith(b"\n"):
-        return None
-    try:
-        record = json.loads(line)
-        record["values"] = {name: KINDS[name].of(v) for name, v in record["values"].items()}
-        record["weights"] = tuple((scale, weight) for scale, weight in record["weights"])
-        return Outcome(**record)
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return None
+def _ends_a_line(path: Path) -> bool:
+    with path.open("rb") as file, suppress(OSError):
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+    return True  # it is empty

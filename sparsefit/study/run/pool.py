@@ -5,25 +5,36 @@ from __future__ import annotations
 import signal
 import time
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import wait
 
 from sparsefit.errors import SparsefitError
-from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.channel import Garbled, Ready
+from sparsefit.study.run.outcome import READING, Outcome, Stage
 from sparsefit.study.run.worker import Job, Worker
 from sparsefit.study.spec.study import Study
 
 START_SECONDS = 180.0
 MAX_DEATHS = 3
-MAX_MESSAGES = 256
+TICK = 0.5  # seconds between looks at the clock, at most
+ASLEEP = 3.0  # seconds between them after which this process itself must have been stopped
+GARBLED = "the message channel of the worker process was written into"
 
 Timed = tuple[Outcome, float]
 
 
-def outcomes(study: Study, jobs: Sequence[Job], processes: int) -> Generator[Timed, None, None]:
-    """Every cell of every job, as it ends, with the seconds it took; workers end with it."""
-    pool = _Pool(study, deque(jobs), processes)
+def outcomes(
+    study: Study,
+    jobs: Iterable[Job],
+    processes: int,
+    stop: Callable[[], bool] | None = None,
+) -> Generator[Timed, None, None]:
+    """Every cell of every job, as it ends, with the seconds it took; workers end with it.
+
+    Once ``stop`` says so, no fit is begun that is not under way.
+    """
+    pool = _Pool(study, iter(jobs), processes, stop or _never)
     try:
         while pool.busy:
             pool.hire()
@@ -33,65 +44,108 @@ def outcomes(study: Study, jobs: Sequence[Job], processes: int) -> Generator[Tim
             worker.kill()
 
 
+def _never() -> bool:
+    return False
+
+
 # Ours, as pebble times and blames whole tasks: cases that share a flight, a library and a path
 # would each need a task of their own (36480 libraries instead of 2280 in one shipped study), and
 # its busy workers outlive a parent that is killed.
 @dataclass
 class _Pool:
+    """jobs: those never begun; queue: those to do next, among them what lost workers left."""
+
     study: Study
-    queue: deque[Job]
+    jobs: Iterator[Job]
     processes: int
+    stop: Callable[[], bool]
+    queue: deque[Job] = field(default_factory=deque)
     crew: list[Worker] = field(default_factory=list)
+    looked: float = field(default_factory=time.monotonic)
 
     @property
     def busy(self) -> bool:
+        if self.stop():
+            return any(not worker.quiet for worker in self.crew)
+        self._fill()
         return bool(self.queue) or any(worker.job for worker in self.crew)
+
+    def _fill(self) -> None:
+        while len(self.queue) < self.processes:
+            job = next(self.jobs, None)
+            if job is None:
+                return
+            self.queue.append(job)
 
     def hire(self) -> None:
         """Give idle workers a job; start workers while there is more to do than hands."""
+        if self.stop():
+            return
         for worker in self.crew:
-            if worker.idle and self.queue:
-                worker.give(self.queue.popleft())
+            self._give(worker)
+        self._fill()
         starting = sum(not worker.ready for worker in self.crew)
         wanted = min(self.processes - len(self.crew), len(self.queue) - starting)
         for _ in range(wanted):
             self.crew.append(Worker.start(self.study, patience=START_SECONDS))
 
+    def _give(self, worker: Worker) -> None:
+        if worker.idle and self.queue and not self.stop():
+            worker.give(self.queue.popleft())
+            self._fill()
+
     def collect(self) -> Generator[Timed, None, None]:
         """Wait until something happens, and say what."""
         until = min(worker.deadline for worker in self.crew) - time.monotonic()
-        watched = [worker.pipe for worker in self.crew]
+        watched = [worker.messages for worker in self.crew]
         sentinels = [worker.process.sentinel for worker in self.crew]
-        wait([*watched, *sentinels], timeout=min(max(until, 0.0), 1.0))
+        wait([*watched, *sentinels], timeout=min(max(until, 0.0), TICK))
+        self._excuse_sleep()
         for worker in list(self.crew):
-            alive = yield from self._drain(worker)
+            try:
+                alive = yield from self._drain(worker)
+            except Garbled:
+                yield from self._lost(worker, "crashed", GARBLED)
+                continue
             if not alive:
+                worker.process.join(timeout=1.0)
                 yield from self._lost(worker, "crashed", _cause(worker))
             elif time.monotonic() > worker.deadline:
                 limit = f"took longer than {self.study.case_timeout:g} s"
                 yield from self._lost(worker, "timeout", limit)
+            elif worker.stage is None and worker.job and worker.deadline == float("inf"):
+                yield from self._lost(worker, "crashed", "the worker process left its job")
+            elif self.stop() and worker.quiet:
+                self.crew.remove(worker)
+                worker.kill()
+
+    def _excuse_sleep(self) -> None:
+        """What this process slept, suspended or stopped, its workers are not charged for."""
+        now = time.monotonic()
+        gap, self.looked = now - self.looked, now
+        if gap > ASLEEP:
+            for worker in self.crew:
+                worker.excuse(gap - TICK)
 
     def _drain(self, worker: Worker) -> Generator[Timed, None, bool]:
-        """Take messages that have come, of one worker not for ever; False when it is gone."""
+        """Take the messages that have come, of one worker not for ever; False when it is gone."""
         alive = worker.process.is_alive()
-        for _ in range(MAX_MESSAGES):
-            try:
-                if not worker.pipe.poll():
-                    return alive
-                message = worker.pipe.recv()
-            except (EOFError, OSError):
-                return False
-            timed = worker.take(message)
-            if timed:
-                yield timed
-            if worker.idle and self.queue:
-                worker.give(self.queue.popleft())
-        return True
+        try:
+            for message in worker.receiver.messages():
+                if isinstance(message, Stage) and message.name != READING and self.stop():
+                    worker.stage = None  # what it was told before is done, and this is not begun
+                    return True
+                timed = worker.take(message)
+                if timed:
+                    yield timed
+                if isinstance(message, Ready):
+                    self._give(worker)
+        except (EOFError, OSError):
+            return False
+        return alive or worker.receiver.more
 
     def _lost(self, worker: Worker, status: str, cause: str) -> Generator[Timed, None, None]:
         """End a worker; rows for the cells it takes along, and the others back to the queue."""
-        worker.process.join(timeout=1.0 if status == "crashed" else 0.0)
-        cause = _cause(worker) if status == "crashed" else cause
         self.crew.remove(worker)
         worker.kill()
         if not worker.ready:
@@ -120,8 +174,8 @@ def _sorted_out(worker: Worker, job: Job) -> tuple[list[int], Job]:
     deaths = job.deaths + (not victims)
     if deaths >= MAX_DEATHS:
         victims = left
-    rest = tuple(cell for cell in left if cell not in set(victims))
-    return victims, replace(job, cells=rest, deaths=deaths)
+    taken = set(victims)
+    return victims, replace(job, cells=tuple(c for c in left if c not in taken), deaths=deaths)
 
 
 def _cause(worker: Worker) -> str:

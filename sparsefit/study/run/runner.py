@@ -1,36 +1,30 @@
-"""Run a study: resume what is there, do what is missing, and leave finished results behind."""
+"""Run a study: compute what is not there, and leave finished results behind."""
 
 from __future__ import annotations
 
-import math
 import os
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from sparsefit.errors import InputError, is_integer
+from sparsefit.arrays import BoolArray
+from sparsefit.errors import InputError, SparsefitError, is_integer
 from sparsefit.study.run import partial
-from sparsefit.study.run.folder import (
-    Outcomes,
-    clear,
-    is_finished,
-    made_folder,
-    refuse_foreign,
-    resume,
-)
+from sparsefit.study.run.again import Again, stale
+from sparsefit.study.run.folder import clear, found, is_finished, made_folder
+from sparsefit.study.run.interrupts import counted_interrupts
+from sparsefit.study.run.jobs import SolverTime, count_jobs, jobs
+from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
-from sparsefit.study.run.manifest import write_manifest
-from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.manifest import sparsefit_version, write_manifest
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.pool import outcomes
-from sparsefit.study.run.worker import Job
-from sparsefit.study.spec.plan import fit_key, flight_key, sharing
+from sparsefit.study.run.version import version_of
 from sparsefit.study.spec.study import Study
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
@@ -43,7 +37,9 @@ PROGRESS_SECONDS = 0.2
 class RunSummary:
     """What a run did: `resumed` rows were there before; `statuses` counts all rows.
 
-    `solver_seconds` of `processes` times `seconds` were spent in the back-ends.
+    `solver_seconds` of `processes` times `seconds` were spent in the back-ends. `stale` rows are
+    of other code than this; `dropped` ones were of cases that the study no longer plans, and
+    `damaged` ones could not be read.
     """
 
     folder: Path
@@ -53,22 +49,41 @@ class RunSummary:
     seconds: float
     solver_seconds: float = 0.0
     processes: int = 1
+    computed: int = 0
+    stale: int = 0
+    dropped: int = 0
+    damaged: int = 0
+
+    @property
+    def done(self) -> int:
+        """How many rows there are."""
+        return sum(self.statuses.values())
+
+    @property
+    def finished(self) -> bool:
+        """Whether every planned case is a row."""
+        return self.done == self.planned
 
     @property
     def nothing_to_do(self) -> bool:
-        """Whether the study was finished before."""
-        return self.resumed == self.planned
+        """Whether all that was asked for was there before."""
+        return self.computed == 0
 
 
 @dataclass(frozen=True)
 class RunStatus:
-    """How far a study is, finished or not: counts of its rows by status."""
+    """How far a study is, finished or not: counts of its rows by status and by version.
+
+    `stale` rows are of other code than this.
+    """
 
     folder: Path
     planned: int
     done: int
     finished: bool
     statuses: Mapping[str, int]
+    stale: int = 0
+    versions: Mapping[str, int] = field(default_factory=dict)
 
 
 def run(
@@ -78,126 +93,180 @@ def run(
     processes: int | None = None,
     progress: Progress | None = None,
     fresh: bool = False,
+    retry_failed: bool = False,
+    renew_stale: bool = False,
+    only: Sequence[str] = (),
     publish: Publish | None = None,
+    stopping: Callable[[], None] | None = None,
 ) -> RunSummary:
-    """Run `study` into `results_dir/<name>`; interrupted, it goes on from there the next time.
+    """Run `study` into `results_dir/<name>`: cases that have a row there are not computed again.
+
+    A row counts for any study that plans its case: one that changed computes what is new, and
+    drops what it no longer plans. Interrupted, it goes on from there the next time.
 
     Args:
         processes: worker processes; as many as there are processors when None.
         progress: called with (cases done, cases planned, seconds left or None).
         fresh: start over, whatever the folder holds.
+        retry_failed: compute cases again that ended as error, timeout or crashed.
+        renew_stale: compute cases again that other code than this has computed.
+        only: names of back-ends, labels or protocols (`*` for any letters), or case ids; no other
+            case is computed, and the study may stay unfinished.
         publish: called with the study and its folder once all rows are there, be it from now or
             from before: what draws tables and figures from them.
+        stopping: called at the first interrupt, after which what is under way is finished.
 
     Raises:
         InputError: if the folder cannot be written, is in use, or is another study's.
+        KeyboardInterrupt: interrupted; the rows so far are on the disk.
     """
     workers = _checked_processes(processes)
+    again = Again(retry_failed, renew_stale, tuple(only))
     folder = made_folder(study, results_dir)
     with locked(folder):
         if fresh:
             clear(folder)
-        refuse_foreign(study, folder)
-        if is_finished(folder):
-            summary = RunSummary(folder, study.planned, study.planned, _statuses(folder), 0.0)
+        ledger = found(study, folder)
+        wanted = again.wanted(ledger)
+        if is_finished(study, folder, ledger) and not wanted.any():
+            summary = _summary(folder, ledger, resumed=study.planned)
         else:
-            summary = _finish(study, folder, workers, progress)
-        if publish:
+            summary = _Run(study, folder, ledger, workers, progress, stopping).finish(wanted)
+        if publish and summary.finished:
             publish(study, folder)
     return summary
 
 
-def _finish(study: Study, folder: Path, processes: int, progress: Progress | None) -> RunSummary:
-    """Do what is missing; only when all of it is written are the unfinished rows let go."""
-    begun = time.monotonic()
-    known = resume(study, folder)
-    done = _work(study, folder, dict(known), processes, progress)
-    seconds = time.monotonic() - begun
-    statuses = Counter(outcome.status for outcome in done.values())
-    fresh = [outcome for key, outcome in done.items() if key not in known]
-    solving = solver_seconds(study, fresh)
-    from sparsefit.study.run.store import write_cases  # data frames: workers import this module
+@dataclass(frozen=True)
+class _Run:
+    """One run of a study in its folder, and what the folder held."""
 
-    write_cases(study, done.values(), folder)
-    write_manifest(
-        study,
+    study: Study
+    folder: Path
+    ledger: Ledger
+    processes: int
+    progress: Progress | None
+    stopping: Callable[[], None] | None
+
+    def finish(self, wanted: BoolArray) -> RunSummary:
+        """Do what is wanted; only when all rows are written are the unfinished ones let go."""
+        begun = time.monotonic()
+        ledger, known = self.ledger, int((self.ledger.done & ~wanted).sum())
+        time_in_solvers = SolverTime(self.study)
+        self._begin()
+        missing = wanted & ~self._work(wanted, time_in_solvers)
+        if missing.any():
+            raise SparsefitError(
+                f"{int(missing.sum())} cases of {self.study.name} ended without a row: run the "
+                "study again; what was computed is there"
+            )
+        seconds, solving = time.monotonic() - begun, time_in_solvers.total
+        if ledger.done.all():
+            self._write(known, seconds, solving)
+        return _summary(
+            self.folder,
+            ledger,
+            resumed=known,
+            computed=int(wanted.sum()),
+            seconds=seconds,
+            solver_seconds=solving,
+            processes=self.processes,
+        )
+
+    def _begin(self) -> None:
+        """What an earlier run left goes where the rows of this one will be."""
+        from sparsefit.study.run.earlier import earlier_rows  # Arrow: workers import this module
+
+        told = {"study_hash": self.study.hash, "sparsefit": sparsefit_version()}
+        counted = {"study": self.study.name, "planned": self.study.planned}
+        partial.begin(self.folder, {**told, **counted})
+        ledger, names = self.ledger, list(self.ledger.cells)
+        with partial.appending(self.folder) as rows:
+            for outcome in earlier_rows(ledger, self.folder, ledger.earlier):
+                place = rows.append(outcome, names[outcome.cell])
+                ended = (outcome.status, outcome.version, place)
+                ledger.note(outcome.flight, outcome.cell, *ended)
+
+    def _work(self, wanted: BoolArray, solving: SolverTime) -> BoolArray:
+        """Each row is on the disk before the next is waited for; which of those wanted came."""
+        study, ledger, names = self.study, self.ledger, list(self.ledger.cells)
+        versions = {choice.name: version_of(choice.name) for choice in study.backends}
+        came = np.zeros_like(wanted)
+        pace = Pace.start(wanted.sum(axis=0), self.processes)
+        report = _Report(study.planned, self.progress, study.planned - int(wanted.sum()))
+        report.say(pace)
+        hands = min(self.processes, max(count_jobs(study, wanted), 1))
+        with (
+            counted_interrupts(self.stopping or _nothing) as stop,
+            partial.appending(self.folder) as rows,
+            closing(outcomes(study, jobs(study, wanted), hands, stop)) as arriving,
+        ):
+            for outcome, seconds in arriving:
+                flight, cell = outcome.flight, outcome.cell
+                version = versions[study.cells[cell].backend]
+                place = rows.append(replace(outcome, version=version), names[cell])
+                ledger.note(flight, cell, outcome.status, version, place)
+                came[flight, cell] = True
+                solving.note(outcome)
+                pace.note(cell, seconds)
+                report.done += 1
+                report.say(pace)
+            if stop() and not came[wanted].all():
+                raise KeyboardInterrupt
+        return came
+
+    def _write(self, known: int, seconds: float, solving: float) -> None:
+        from sparsefit.study.run.store import write_rows  # data frames, as above
+
+        write_rows(self.study, lambda: self.ledger.rows(self.folder), self.folder)
+        write_manifest(
+            self.study,
+            self.folder,
+            statuses=self.ledger.statuses,
+            wall_seconds=seconds,
+            solver_seconds=solving,
+            processes=self.processes,
+            resumed=known,
+        )
+        partial.discard(self.folder)
+
+
+def _nothing() -> None:
+    """Nobody is told."""
+
+
+def _summary(
+    folder: Path,
+    ledger: Ledger,
+    *,
+    resumed: int,
+    computed: int = 0,
+    seconds: float = 0.0,
+    solver_seconds: float = 0.0,
+    processes: int = 1,
+) -> RunSummary:
+    return RunSummary(
         folder,
-        statuses=statuses,
-        wall_seconds=seconds,
-        solver_seconds=solving,
-        processes=processes,
-        resumed=len(known),
+        ledger.study.planned,
+        resumed,
+        ledger.statuses,
+        seconds,
+        solver_seconds,
+        processes,
+        computed,
+        stale=int(stale(ledger).sum()),
+        dropped=ledger.unplanned,
+        damaged=ledger.damaged,
     )
-    partial.discard(folder)
-    counted = (study.planned, len(known), statuses, seconds)
-    return RunSummary(folder, *counted, solver_seconds=solving, processes=processes)
-
-
-def solver_seconds(study: Study, rows: Iterable[Outcome]) -> float:
-    """Seconds in back-ends: what several cases or fits share is counted once."""
-    fits: dict[tuple[int, object], float] = {}
-    for outcome in rows:
-        seconds = float(outcome["seconds"])
-        if not math.isnan(seconds):
-            fit = (outcome.flight, fit_key(study.cells[outcome.cell]))
-            fits[fit] = seconds - outcome.shared_seconds
-    return float(sum(fits.values()))
 
 
 def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
     """How far `study` is in `results_dir/<name>`; changes nothing, also while it runs."""
     folder = Path(results_dir) / study.name
-    refuse_foreign(study, folder)
-    if is_finished(folder):
-        return RunStatus(folder, study.planned, study.planned, True, _statuses(folder))
-    rows = partial.read_rows(folder)
-    statuses = Counter(outcome.status for outcome in rows.values())
-    return RunStatus(folder, study.planned, len(rows), False, statuses)
-
-
-def _statuses(folder: Path) -> Counter[str]:
-    """How many cases of a finished study ended in each status."""
-    from sparsefit.study.run.store import read_cases
-
-    return Counter(read_cases(folder)["status"])
-
-
-def _work(
-    study: Study,
-    folder: Path,
-    done: Outcomes,
-    processes: int,
-    progress: Progress | None,
-) -> Outcomes:
-    """Everything that is not in `done`; each row is on the disk before the next is waited for."""
-    left = np.full(len(study.cells), study.count, np.int64)
-    for _, cell in done:
-        left[cell] -= 1
-    pace = Pace.start(left, processes)
-    report = _Report(study.planned, progress)
-    report.say(len(done), pace)
-    todo = jobs(study, done)
-    with (
-        partial.appending(folder) as rows,
-        closing(outcomes(study, todo, min(processes, max(len(todo), 1)))) as arriving,
-    ):
-        for outcome, seconds in arriving:
-            rows.append(outcome)
-            done[outcome.flight, outcome.cell] = outcome
-            pace.note(outcome.cell, seconds)
-            report.say(len(done), pace)
-    return done
-
-
-def jobs(study: Study, done: Outcomes) -> list[Job]:
-    """What is missing, one job per flight and variant of it: nothing is simulated twice."""
-    variants = [[cell.index for cell in group] for group in sharing(study.cells, flight_key)]
-    missing = (
-        Job(flight, tuple(index for index in variant if (flight, index) not in done))
-        for flight in range(study.count)
-        for variant in variants
-    )
-    return [job for job in missing if job.cells]
+    ledger = found(study, folder)
+    finished = is_finished(study, folder, ledger)
+    counted = (ledger.statuses, int(stale(ledger).sum()), ledger.versions)
+    return RunStatus(folder, study.planned, int(ledger.done.sum()), finished, *counted)
 
 
 @dataclass
@@ -206,13 +275,14 @@ class _Report:
 
     planned: int
     progress: Progress | None
+    done: int
     last: float = float("-inf")
 
-    def say(self, done: int, pace: Pace) -> None:
+    def say(self, pace: Pace) -> None:
         now = time.monotonic()
-        if self.progress and (done == self.planned or now - self.last > PROGRESS_SECONDS):
+        if self.progress and (self.done == self.planned or now - self.last > PROGRESS_SECONDS):
             self.last = now
-            self.progress(done, self.planned, pace.eta)
+            self.progress(self.done, self.planned, pace.eta)
 
 
 def _checked_processes(processes: int | None) -> int:

@@ -1,8 +1,14 @@
-"""The answers of a study on disk: `cases.parquet`, `weights.parquet`, and where they stand."""
+"""The answers of a study on disk: `cases.parquet`, `weights.parquet`, and where they stand.
+
+Both are written a group of rows at a time, and read only if they are what the manifest beside
+them says that was written (`manifest.py`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
 import pandas as pd
@@ -14,52 +20,91 @@ from sparsefit.flight.flow import Cells
 from sparsefit.score import strongest
 from sparsefit.study.run.columns import COLUMNS, KINDS, LEVEL, TEXT, Column, Planned
 from sparsefit.study.run.folder import CASES, WEIGHTS
+from sparsefit.study.run.manifest import check_whole
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.design import Factor
 from sparsefit.study.spec.document import canonical_json
+from sparsefit.study.spec.identity import identities
 from sparsefit.study.spec.plan import Case, flight_key
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.study import MAX_CASES, Study
 from sparsefit.whole_file import whole_file
 
 WEIGHT_COLUMNS = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
+BATCH = 2048  # rows that are held as records at once
+GROUP = 65_536  # rows of a group in the file, and the most that are held as columns
 
 
 def read_cases(folder: str | Path) -> pd.DataFrame:
     """The rows of a finished study from its results folder, `results/<name>`.
 
     Raises:
-        InputError: if there are none yet, or the file is not readable.
+        InputError: if there are none yet, the file is not readable, or not as it was written.
     """
-    return _read(Path(folder) / CASES)
+    path = Path(folder) / CASES
+    with reading(path) as file:
+        rows = file.metadata.num_rows
+        if rows > MAX_CASES:
+            raise InputError(f"{path}: {rows} rows, more than a study has: it is another file")
+        frame: pd.DataFrame = file.read().to_pandas()
+    return frame
 
 
 def read_weights(folder: str | Path) -> pd.DataFrame:
     """`case_id, length_scale [m], weight` of a study whose figures include `weights`."""
-    return _read(Path(folder) / WEIGHTS)
+    with reading(Path(folder) / WEIGHTS) as file:
+        frame: pd.DataFrame = file.read().to_pandas()
+    return frame
 
 
-def _read(path: Path) -> pd.DataFrame:
+@contextmanager
+def reading(path: Path) -> Iterator[pq.ParquetFile]:
+    """A Parquet file of a results folder, if it is there, whole, and as it was written.
+
+    Raises:
+        InputError: with the cause and the remedy, also where it breaks while it is read.
+    """
     if not path.is_file():
         raise InputError(f"{path}: no such file: run the study first (sparsefit study run)")
+    check_whole(path)
     try:
-        frame: pd.DataFrame = pq.read_table(path).to_pandas()
-    except (OSError, pa.ArrowInvalid) as error:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            yield file
+    except (OSError, pa.ArrowException) as error:
         cause = " ".join(str(error).split())
         raise InputError(f"{path}: not readable ({cause}): run the study with --fresh") from None
-    return frame
 
 
 def write_cases(study: Study, outcomes: Iterable[Outcome], folder: Path) -> None:
     """All rows in plan order, in one atomic step; the weights too where the study keeps them."""
     ordered = sorted(outcomes, key=lambda outcome: (outcome.flight, outcome.cell))
+    write_rows(study, lambda: iter(ordered), folder)
+
+
+def write_rows(study: Study, rows: Callable[[], Iterator[Outcome]], folder: Path) -> None:
+    """What ``rows()`` gives, in plan order and a group at a time, each file in one atomic step."""
     if study.store_weights:
-        _replace(_weights_table(study, ordered), folder / WEIGHTS)
-    _replace(cases_table(study, ordered), folder / CASES)
+        _replace((_weights_table(study, part) for part in _parts(rows())), folder / WEIGHTS)
+    named = identities(study)
+    tables = (cases_table(study, part, named) for part in _parts(rows()))
+    _replace(tables, folder / CASES)
 
 
-def cases_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
-    """The rows of `cases.parquet`, one per outcome: `COLUMNS`, then one per swept factor."""
-    planned = list(_planned(study, ordered))
+def _parts(rows: Iterator[Outcome]) -> Iterator[list[Outcome]]:
+    """Lists of a few rows, at least one of them, so that no study is without columns."""
+    part = list(islice(rows, BATCH))
+    yield part
+    while part := list(islice(rows, BATCH)):
+        yield part
+
+
+def cases_table(
+    study: Study, ordered: Sequence[Outcome], named: Sequence[str] | None = None
+) -> pa.Table:
+    """The rows of `cases.parquet`, one per outcome: `COLUMNS`, then one per swept factor.
+
+    named: the identity of every cell, where it is known already.
+    """
+    planned = list(_planned(study, ordered, named or identities(study)))
     arrays = {column.name: _array(column, planned, ordered) for column in COLUMNS}
     for factor in study.sweep:
         levels = (row.case.cell.levels[factor.key] for row in planned)
@@ -67,7 +112,7 @@ def cases_table(study: Study, ordered: Sequence[Outcome]) -> pa.Table:
     return pa.table(arrays)
 
 
-def _planned(study: Study, ordered: Iterable[Outcome]) -> Iterator[Planned]:
+def _planned(study: Study, ordered: Iterable[Outcome], named: Sequence[str]) -> Iterator[Planned]:
     flows: dict[tuple[int, object], Cells | None] = {}
     for outcome in ordered:
         cell = study.cells[outcome.cell]
@@ -75,7 +120,8 @@ def _planned(study: Study, ordered: Iterable[Outcome]) -> Iterator[Planned]:
         if flown not in flows:
             flow = study.draw(outcome.flight, cell).flow
             flows[flown] = None if flow is None else strongest(flow)
-        yield Planned(study, Case(outcome.flight, cell), flows[flown])
+        case = Case(outcome.flight, cell)
+        yield Planned(study, case, flows[flown], named[outcome.cell])
 
 
 def _array(column: Column, planned: Sequence[Planned], ordered: Sequence[Outcome]) -> pa.Array:
@@ -108,14 +154,31 @@ def _weights_table(study: Study, ordered: Iterable[Outcome]) -> pa.Table:
     )
 
 
-def _replace(rows: pa.Table, path: Path) -> None:
-    dense = [name for name in rows.column_names if name in KINDS and KINDS[name].dense]
-    with whole_file(path) as file:
-        pq.write_table(
-            rows,
+def _replace(tables: Iterator[pa.Table], path: Path) -> None:
+    first = next(tables)
+    dense = [name for name in first.column_names if name in KINDS and KINDS[name].dense]
+    with (
+        whole_file(path) as file,
+        pq.ParquetWriter(
             file,
+            first.schema,
             compression="zstd",
             compression_level=9,
-            use_dictionary=[name for name in rows.column_names if name not in dense],
+            use_dictionary=[name for name in first.column_names if name not in dense],
             column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
-        )
+            write_page_checksum=True,
+        ) as writer,
+    ):
+        for group in _groups(first, tables):
+            writer.write_table(group, row_group_size=GROUP)
+
+
+def _groups(first: pa.Table, others: Iterator[pa.Table]) -> Iterator[pa.Table]:
+    """The tables joined until a group is full."""
+    group = [first]
+    for table in others:
+        if sum(part.num_rows for part in group) + table.num_rows > GROUP:
+            yield pa.concat_tables(group)
+            group = []
+        group.append(table)
+    yield pa.concat_tables(group)

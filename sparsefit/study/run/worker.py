@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -16,8 +18,9 @@ from multiprocessing.context import SpawnProcess
 
 from threadpoolctl import threadpool_limits
 
+from sparsefit.study.run.channel import Message, Ready, Receiver, Sender
 from sparsefit.study.run.execution import run_flight
-from sparsefit.study.run.outcome import Event, Outcome, Stage
+from sparsefit.study.run.outcome import Outcome, Stage
 from sparsefit.study.spec.study import Study
 
 # Processes share the work; threads inside each would only fight for the same cores.
@@ -31,6 +34,7 @@ ONE_THREAD = {
     "NUMBA_NUM_THREADS": "1",
     "RAYON_NUM_THREADS": "1",
 }
+PR_SET_PDEATHSIG = 1  # of Linux: a signal for when the parent dies
 
 
 @dataclass(frozen=True)
@@ -43,43 +47,54 @@ class Job:
     deaths: int = 0
 
 
-@dataclass(frozen=True)
-class Ready:
-    """The worker has started, or has ended its job."""
-
-
-Message = Event | Ready
-
-
-def work(study: Study, jobs: Connection, lifeline: Connection) -> None:
+def work(
+    study: Study, jobs: Connection, messages: Connection, lifeline: Connection, parent: int
+) -> None:
     """The worker's life: take a job, send what happens, until the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
+    _end_with(parent, lifeline)
+    # What a back-end prints is no answer of the parent's, and what it asks for nobody types.
+    os.dup2(2, 1)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     warnings.simplefilter("ignore")
+    sender = Sender(messages.fileno(), os.getpid())
     try:
         # For libraries that were loaded before the environment could tell them.
         with threadpool_limits(limits=1):
-            jobs.send(Ready())
+            sender.send(Ready())
             while True:
                 job: Job = jobs.recv()
-                _do(study, job, jobs)
-                jobs.send(Ready())
+                todo = [study.cells[index] for index in job.cells]
+                for event in run_flight(study, job.flight, todo, alone=job.alone):
+                    sender.send(event)
+                sender.send(Ready())
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
 
 
-def _do(study: Study, job: Job, jobs: Connection) -> None:
-    todo = [study.cells[index] for index in job.cells]
-    for event in run_flight(study, job.flight, todo, alone=job.alone):
-        jobs.send(event)
+def _end_with(parent: int, lifeline: Connection) -> None:
+    """End when the parent does, even by SIGKILL, and all that was started here with it.
 
-
-def _end_with_parent(lifeline: Connection) -> None:
-    """The parent never writes here; when it dies, even by SIGKILL, the read ends."""
-    try:
-        lifeline.recv_bytes()
-    except (EOFError, OSError):
+    The thread ends the whole group of processes; where a back-end holds the interpreter and no
+    thread of ours can run, the system still ends this one.
+    """
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
         os._exit(1)
+    threading.Thread(target=_watch, args=(lifeline,), daemon=True).start()
+
+
+def _watch(lifeline: Connection) -> None:
+    """The parent never writes here; when it dies, the read ends."""
+    with suppress(EOFError, OSError):
+        lifeline.recv_bytes()
+    if hasattr(os, "killpg"):
+        os.killpg(0, signal.SIGKILL)
+    os._exit(1)
 
 
 @dataclass
@@ -87,10 +102,12 @@ class Worker:
     """The parent's end: the process, its job, the stage in progress and its deadline."""
 
     process: SpawnProcess
-    pipe: Connection
+    jobs: Connection
+    messages: Connection
     lifeline: Connection
     timeout: float
     deadline: float
+    receiver: Receiver
     ready: bool = False
     warm: bool = False
     job: Job | None = None
@@ -102,19 +119,28 @@ class Worker:
     def start(cls, study: Study, *, patience: float) -> Worker:
         """A new process; it has `patience` seconds to report that it is ready."""
         context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        stays, lifeline = context.Pipe()
-        process = context.Process(target=work, args=(study, theirs, lifeline), daemon=True)
+        jobs, ours = context.Pipe(duplex=False)
+        messages, theirs = context.Pipe(duplex=False)
+        lifeline, stays = context.Pipe(duplex=False)
+        told = (study, jobs, theirs, lifeline, os.getpid())
+        process = context.Process(target=work, args=told, daemon=True)
         with _environment(ONE_THREAD), _interrupts_ignored():
             process.start()
-        theirs.close()
-        lifeline.close()
-        return cls(process, ours, stays, study.case_timeout, time.monotonic() + patience)
+        for end in (jobs, theirs, lifeline):
+            end.close()
+        limit = time.monotonic() + patience
+        receiver = Receiver(messages.fileno())
+        return cls(process, ours, messages, stays, study.case_timeout, limit, receiver)
 
     @property
     def idle(self) -> bool:
         """Whether it waits for a job."""
         return self.ready and self.job is None
+
+    @property
+    def quiet(self) -> bool:
+        """Whether no fit of it is lost if it ends now: it has none, or is about to begin one."""
+        return self.job is None or self.stage is None
 
     def give(self, job: Job) -> None:
         """Hand over a job."""
@@ -123,30 +149,39 @@ class Worker:
         self.deadline = self.since + self.timeout
         # If it has died meanwhile, the end of its pipe says so, and the job goes to another.
         with suppress(OSError):
-            self.pipe.send(job)
+            self.jobs.send(job)
 
     def take(self, message: Message) -> tuple[Outcome, float] | None:
         """Note what happened; an outcome comes back with the seconds it took, or NaN."""
         now = time.monotonic()
         self.deadline = now + self.timeout
         if isinstance(message, Ready):
-            self.ready, self.job, self.stage, self.deadline = True, None, None, float("inf")
+            self.ready, self.stage, self.deadline = True, None, float("inf")
+            self.job = None if not self.todo else self.job
         elif isinstance(message, Stage):
             self.stage, self.deadline = message, now + self.timeout * message.fits
-        else:
-            self.todo.pop(message.cell, None)
+        elif self.job and message.flight == self.job.flight and message.cell in self.todo:
+            del self.todo[message.cell]
             # The first case of a process pays for what is loaded on first use.
             seconds = now - self.since if self.warm else float("nan")
             self.warm, self.since = True, now
             return message, seconds
         return None
 
+    def excuse(self, seconds: float) -> None:
+        """Do not charge seconds in which nobody ran."""
+        self.deadline += seconds
+        self.since += seconds
+
     def kill(self) -> None:
-        """End the process for real, and wait until it is gone."""
+        """End the process for real, with all that it started, and wait until it is gone."""
+        if hasattr(os, "killpg") and self.process.pid is not None:
+            with suppress(ProcessLookupError, PermissionError):  # not yet a group of its own
+                os.killpg(self.process.pid, signal.SIGKILL)
         self.process.kill()
         self.process.join()
-        self.pipe.close()
-        self.lifeline.close()
+        for end in (self.jobs, self.messages, self.lifeline):
+            end.close()
 
 
 @contextmanager

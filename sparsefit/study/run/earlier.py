@@ -1,0 +1,144 @@
+"""Rows that an earlier run of a study left in `cases.parquet`, for one that plans them again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from sparsefit.arrays import BoolArray
+from sparsefit.study.run.columns import COLUMNS
+from sparsefit.study.run.folder import CASES, WEIGHTS, found
+from sparsefit.study.run.ledger import Ledger
+from sparsefit.study.run.manifest import read_manifest
+from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.store import BATCH, cases_table, reading
+from sparsefit.study.spec.study import Study
+
+READ = {column.name: column.kind for column in COLUMNS if column.read}
+
+
+@dataclass(frozen=True)
+class Known:
+    """How rows of the file name their cases: a column, and the cells of the plan by its values.
+
+    Rows carry their identity; those from before there was one are known by their case_id, which
+    says the same as long as the study is the same. version: of rows that do not carry it.
+    """
+
+    column: str
+    cells: Mapping[str, int]
+    version: str
+
+
+def note_earlier(ledger: Ledger, folder: Path) -> int:
+    """Enter into the ledger what `cases.parquet` holds of the plan and nothing else does.
+
+    Such a row stands at place -2 - its number in the file. Returns how many rows the file has
+    that are not of the plan; 0 where there is no file.
+    """
+    if not (folder / CASES).exists():
+        return 0
+    unplanned = 0
+    with reading(folder / CASES) as file:
+        names = set(file.schema_arrow.names)
+        known = _known(ledger, folder, names)
+        wanted = [name for name in (known.column, "flight", "status", "version") if name in names]
+        number = 0
+        for batch in file.iter_batches(columns=wanted):
+            columns = {name: batch.column(name).to_pylist() for name in wanted}
+            versions = columns.get("version", [known.version] * batch.num_rows)
+            told = zip(columns["flight"], columns[known.column], strict=True)
+            for row, (flight, name) in enumerate(told):
+                cell = _cell(known, ledger, flight, name)
+                if cell is None:
+                    unplanned += 1
+                elif not ledger.has(flight, cell):
+                    place = -2 - number - row
+                    ledger.note(flight, cell, columns["status"][row], versions[row], place)
+            number += batch.num_rows
+    return unplanned
+
+
+def earlier_rows(ledger: Ledger, folder: Path, keep: BoolArray) -> Iterator[Outcome]:
+    """The rows that stand in `cases.parquet`, of the cases to ``keep`` (flights, cells)."""
+    if not (keep & ledger.earlier).any():
+        return
+    weights = _Weights(ledger.study, folder)
+    with reading(folder / CASES) as file:
+        known = _known(ledger, folder, set(file.schema_arrow.names))
+        number = 0
+        for batch in file.iter_batches(batch_size=BATCH):
+            for row in batch.to_pylist():
+                pairs = weights.of(row["case_id"])
+                flight, cell = row["flight"], _cell(known, ledger, row["flight"], row[known.column])
+                here = cell is not None and ledger.place[flight, cell] == -2 - number
+                if cell is not None and here and keep[flight, cell]:
+                    row.setdefault("version", known.version)
+                    yield _outcome(row, cell, pairs)
+                number += 1
+
+
+def cases_so_far(study: Study, folder: Path) -> pd.DataFrame:
+    """The rows that a folder holds of a study, finished or not, in plan order."""
+    ledger = found(study, folder)
+    rows = [*earlier_rows(ledger, folder, ledger.earlier), *ledger.rows(folder)]
+    rows.sort(key=lambda row: (row.flight, row.cell))
+    frame: pd.DataFrame = cases_table(study, rows).to_pandas()
+    return frame
+
+
+def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:
+    manifest = read_manifest(folder) or {}
+    versions = manifest.get("versions")
+    made_by = str(versions.get("sparsefit")) if isinstance(versions, dict) else "unknown"
+    if "identity" in names:
+        return Known("identity", ledger.cells, made_by)
+    same = manifest.get("study_hash") == ledger.study.hash
+    keys = {cell.key: cell.index for cell in ledger.study.cells} if same else {}
+    return Known("case_id", keys, made_by)
+
+
+def _cell(known: Known, ledger: Ledger, flight: int, name: str) -> int | None:
+    if not 0 <= flight < len(ledger.place):
+        return None
+    return known.cells.get(name.partition("-")[2] if known.column == "case_id" else name)
+
+
+def _outcome(
+    row: Mapping[str, Any], cell: int, weights: tuple[tuple[float, float], ...]
+) -> Outcome:
+    values = {name: kind.of(row[name]) for name, kind in READ.items() if name in row}
+    ended = (str(row["status"]), str(row["reason"]), values)
+    return Outcome(row["flight"], cell, *ended, weights=weights, version=str(row["version"]))
+
+
+class _Weights:
+    """Weights by case, read along with the cases: both files are in the same order."""
+
+    def __init__(self, study: Study, folder: Path) -> None:
+        kept = study.store_weights and (folder / WEIGHTS).exists()
+        self._cases = _grouped(folder / WEIGHTS) if kept else iter(())
+        self._next = next(self._cases, None)
+
+    def of(self, case_id: str) -> tuple[tuple[float, float], ...]:
+        """(length scale [m], weight) pairs of a case; every case is asked for, in the order."""
+        if self._next is None or self._next[0] != case_id:
+            return ()
+        pairs, self._next = self._next[1], next(self._cases, None)
+        return pairs
+
+
+def _grouped(path: Path) -> Iterator[tuple[str, tuple[tuple[float, float], ...]]]:
+    for case_id, rows in groupby(_rows(path), key=lambda row: row["case_id"]):
+        yield case_id, tuple((row["length_scale"], row["weight"]) for row in rows)
+
+
+def _rows(path: Path) -> Iterator[dict[str, Any]]:
+    with reading(path) as file:
+        for batch in file.iter_batches(batch_size=BATCH):
+            yield from batch.to_pylist()

@@ -1,0 +1,139 @@
+"""Which cases of a plan have a row, how they ended, by which version, and where the row stands.
+
+A few bytes a case, whatever a row holds: the rows themselves stay on the disk.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sparsefit.arrays import BoolArray
+from sparsefit.study.run import partial
+from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.spec.identity import identities
+from sparsefit.study.spec.study import Study
+
+NOWHERE = -1
+
+
+@dataclass(eq=False)
+class Ledger:
+    """The plan of a study, flights by cells, against the rows of its unfinished run.
+
+    place: where each row begins, `NOWHERE` for a case without one, and below that for one that an
+    earlier run has left (`earlier.py`); status and version: how it ended and what made it, as
+    numbers into `words`; damaged: lines that could not be read; unplanned: rows of cases that the
+    study does not plan.
+    """
+
+    study: Study
+    cells: dict[str, int]
+    place: NDArray[np.int64]
+    status: NDArray[np.int16]
+    version: NDArray[np.int16]
+    words: list[str] = field(default_factory=list)
+    damaged: int = 0
+    unplanned: int = 0
+
+    @classmethod
+    def of(cls, study: Study) -> Ledger:
+        """Nothing done yet."""
+        shape = (study.count, len(study.cells))
+        return cls(
+            study,
+            {identity: index for index, identity in enumerate(identities(study))},
+            np.full(shape, NOWHERE, np.int64),
+            np.zeros(shape, np.int16),
+            np.zeros(shape, np.int16),
+        )
+
+    @classmethod
+    def read(cls, study: Study, folder: Path) -> Ledger:
+        """What the unfinished rows in the folder hold of the study."""
+        ledger = cls.of(study)
+        for line in partial.lines(folder):
+            if line is None:
+                ledger.damaged += 1
+                continue
+            cell = ledger.cell(line.flight, line.identity)
+            if cell is None:
+                ledger.unplanned += 1
+            else:
+                status, version = line.record["status"], line.record["version"]
+                ledger.note(line.flight, cell, status, version, line.place)
+        return ledger
+
+    def cell(self, flight: int, identity: str) -> int | None:
+        """The cell of a case; None where the study does not plan it."""
+        return self.cells.get(identity) if 0 <= flight < len(self.place) else None
+
+    def note(self, flight: int, cell: int, status: str, version: str, place: int) -> None:
+        """A row of this case begins at ``place``; it takes the place of an earlier one."""
+        self.place[flight, cell] = place
+        self.status[flight, cell] = self._number(status)
+        self.version[flight, cell] = self._number(version)
+
+    def _number(self, word: str) -> int:
+        if word not in self.words:
+            self.words.append(word)
+        return self.words.index(word)
+
+    def has(self, flight: int, cell: int) -> bool:
+        """Whether this case has a row."""
+        return bool(self.place[flight, cell] != NOWHERE)
+
+    @property
+    def earlier(self) -> BoolArray:
+        """Which rows an earlier run has left, and stand nowhere else (flights, cells)."""
+        earlier: BoolArray = self.place < NOWHERE
+        return earlier
+
+    @property
+    def done(self) -> BoolArray:
+        """Which cases have a row (flights, cells)."""
+        done: BoolArray = self.place != NOWHERE
+        return done
+
+    def ended(self, *statuses: str) -> BoolArray:
+        """Which cases have a row of one of these statuses."""
+        numbers = [self.words.index(word) for word in statuses if word in self.words]
+        return self.done & np.isin(self.status, numbers)
+
+    def made_by_others(self, current: Sequence[str]) -> BoolArray:
+        """Which rows were not made by the current version, told of every cell."""
+        numbers = [self.words.index(one) if one in self.words else NOWHERE for one in current]
+        others: BoolArray = (self.version != np.array(numbers)) & self.done
+        return others
+
+    @property
+    def statuses(self) -> Counter[str]:
+        """How many cases ended in each status."""
+        return self._counted(self.status)
+
+    @property
+    def versions(self) -> Counter[str]:
+        """How many rows each version made."""
+        return self._counted(self.version)
+
+    def _counted(self, numbers: NDArray[np.int16]) -> Counter[str]:
+        each, counts = np.unique(numbers[self.done], return_counts=True)
+        named = zip(each.tolist(), counts.tolist(), strict=True)
+        return Counter({self.words[number]: count for number, count in named})
+
+    def rows(self, folder: Path) -> Iterator[Outcome]:
+        """Every row of the unfinished run, in plan order, one at a time."""
+        flights, cells = np.nonzero(self.place >= 0)
+        if not len(flights):
+            return
+        reader = partial.Reader(folder)
+        try:
+            for flight, cell in zip(flights, cells, strict=True):
+                yield reader.at(int(self.place[flight, cell]), int(cell))
+        finally:
+            reader.close()

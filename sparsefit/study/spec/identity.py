@@ -1,0 +1,95 @@
+"""What a case is, whatever study asks for it: a hash of all that determines its numbers.
+
+That is the seed and the flight rules, what is derived, fitted and read, to which tolerance: not
+the names that a study gives to these, nor what else it plans, nor how long a case may take. A
+setting at its default counts as one that is not there, so that a new one leaves the rest as it is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from typing import Any
+
+from sparsefit.backends import load
+from sparsefit.study.spec.design import Cell
+from sparsefit.study.spec.document import canonical_json
+from sparsefit.study.spec.flights import FlightRules
+from sparsefit.study.spec.logs import Logs
+from sparsefit.study.spec.setup import Setup
+from sparsefit.study.spec.study import Study
+
+SPACED = "linspace"  # the rule by which a flight depends on how many there are
+
+
+def identities(study: Study) -> tuple[str, ...]:
+    """Of every cell of a study, in plan order, 16 hexadecimal digits; a flight's number is beside.
+
+    Cells that differ in their names alone have equal numbers; the second is told by `-2`.
+    """
+    seen: Counter[str] = Counter()
+    return tuple(_numbered(digest, seen) for digest in _digests(study))
+
+
+def _numbered(digest: str, seen: Counter[str]) -> str:
+    seen[digest] += 1
+    return digest if seen[digest] == 1 else f"{digest}-{seen[digest]}"
+
+
+def _digests(study: Study) -> Iterator[str]:
+    common = canonical_json([study.seed, study.tolerance, study.prediction_flights])
+    setups: dict[int, str] = {}
+    defaults = {name: _defaults(name) for name in {choice.name for choice in study.backends}}
+    for cell in study.cells:
+        setup = setups.get(id(cell.setup))
+        if setup is None:
+            setup = setups[id(cell.setup)] = canonical_json(_setup(cell.setup, study.count))
+        content = "\n".join((common, setup, cell.backend, _settings(cell, defaults[cell.backend])))
+        yield hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
+
+
+def _setup(setup: Setup, count: int) -> object:
+    parts = [setup.derivative, setup.library, setup.readout]
+    return [_flights(setup.flights, count), *(_content(part) for part in parts)]
+
+
+def _flights(flights: FlightRules | Logs, count: int) -> object:
+    if isinstance(flights, Logs):  # what was logged, wherever the file lies
+        pieces = [[piece.digest, piece.start, piece.end] for piece in flights.pieces]
+        return [pieces, _content(flights.vehicle)]
+    spaced = any(entry.rule == SPACED for _, entry in flights.entries)
+    return [count if spaced else 0, _content(flights)]
+
+
+def _settings(cell: Cell, defaults: Mapping[str, object]) -> str:
+    settings = json.loads(cell.canonical_settings)
+    told = {key: value for key, value in settings.items() if value != defaults.get(key, MISSING)}
+    return canonical_json(told)
+
+
+def _defaults(name: str) -> dict[str, object]:
+    known: tuple[Field[Any], ...] = fields(load(name))  # type: ignore[arg-type]
+    return {field.name: field.default for field in known}
+
+
+def _content(value: object) -> object:
+    """A record as its name and the fields that are not at their defaults."""
+    if is_dataclass(value):
+        told = {
+            field.name: _content(getattr(value, field.name))
+            for field in fields(value)
+            if getattr(value, field.name) != _default(field)
+        }
+        return [type(value).__name__, told]
+    if isinstance(value, list | tuple):
+        return [_content(item) for item in value]
+    return value
+
+
+def _default(field: Field[Any]) -> object:
+    if field.default_factory is not MISSING:
+        return field.default_factory()
+    return field.default
