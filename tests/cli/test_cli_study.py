@@ -98,7 +98,8 @@ def half(finished):
     with partial.appending(folder) as rows:
         for index in range(12):
             row = cases.iloc[index]
-            rows.append(Outcome(0, index, row["status"], row["reason"]), names[index])
+            ended = Outcome(0, index, row["status"], row["reason"], version=row["version"])
+            rows.append(ended, names[index])
     return finished
 
 
