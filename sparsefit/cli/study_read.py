@@ -143,7 +143,7 @@ RUNS: dict[str, Run] = {"status": status, "errors": errors, "show": show, "repor
 def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
     from sparsefit.errors import InputError
-    from sparsefit.study.run import earlier, runner, store
+    from sparsefit.study.run import held, runner, store
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
@@ -152,7 +152,7 @@ def _stored(args: argparse.Namespace) -> Stored:
         return Stored(study, found, store.read_cases(found.folder))
     if not found.done:
         raise InputError(_unfinished(args, found))
-    return Stored(study, found, earlier.cases_so_far(study, found.folder))
+    return Stored(study, found, held.cases_so_far(study, found.folder))
 
 
 def _unfinished(args: argparse.Namespace, found: RunStatus) -> str:

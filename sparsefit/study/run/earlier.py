@@ -8,15 +8,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from sparsefit.arrays import BoolArray
 from sparsefit.study.run.columns import COLUMNS
-from sparsefit.study.run.folder import CASES, WEIGHTS, found
+from sparsefit.study.run.folder import CASES, WEIGHTS
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.manifest import read_manifest
 from sparsefit.study.run.outcome import Outcome
-from sparsefit.study.run.store import BATCH, cases_table, reading
+from sparsefit.study.run.store import BATCH, reading
 from sparsefit.study.spec.study import Study
 
 READ = {column.name: column.kind for column in COLUMNS if column.read}
@@ -81,15 +79,6 @@ def earlier_rows(ledger: Ledger, folder: Path, keep: BoolArray) -> Iterator[Outc
                     row.setdefault("version", known.version)
                     yield _outcome(row, cell, pairs)
                 number += 1
-
-
-def cases_so_far(study: Study, folder: Path) -> pd.DataFrame:
-    """The rows that a folder holds of a study, finished or not, in plan order."""
-    ledger = found(study, folder)
-    rows = [*earlier_rows(ledger, folder, ledger.earlier), *ledger.rows(folder)]
-    rows.sort(key=lambda row: (row.flight, row.cell))
-    frame: pd.DataFrame = cases_table(study, rows).to_pandas()
-    return frame
 
 
 def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:

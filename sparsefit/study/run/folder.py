@@ -1,4 +1,4 @@
-"""A results folder: whose rows it holds, and which of them a study can use."""
+"""A results folder: where it is, and what stands in it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from pathlib import Path
 
 from sparsefit.errors import InputError
 from sparsefit.study.run import partial
-from sparsefit.study.run.ledger import Ledger
-from sparsefit.study.run.manifest import MANIFEST, read_manifest
+from sparsefit.study.run.manifest import MANIFEST
 from sparsefit.study.spec.study import Study
 
 CASES = "cases.parquet"
@@ -31,43 +30,3 @@ def clear(folder: Path) -> None:
     partial.discard(folder)
     for name in (CASES, WEIGHTS, MANIFEST):
         (folder / name).unlink(missing_ok=True)
-
-
-def found(study: Study, folder: Path) -> Ledger:
-    """What the folder holds of the study: rows of an unfinished run, and those of a finished one.
-
-    Rows count by what determines their numbers, whatever study file they were made for.
-
-    Raises:
-        InputError: where there are rows, and all of them are of another study, or damaged.
-    """
-    from sparsefit.study.run.earlier import note_earlier  # Arrow: workers import this module
-
-    begun = partial.begun(folder)
-    ledger = Ledger.read(study, folder) if begun else Ledger.of(study)
-    ledger.unplanned += note_earlier(ledger, folder)
-    if not ledger.done.any():
-        _refuse_foreign(study, folder, ledger)
-    return ledger
-
-
-def _refuse_foreign(study: Study, folder: Path, ledger: Ledger) -> None:
-    """Rows of another study are not dropped for it, unless that is asked for."""
-    for made in (partial.read_header(folder), read_manifest(folder)):
-        if made is not None and ledger.unplanned and made.get("study_hash") != study.hash:
-            short = str(made.get("study_hash"))[:12]
-            raise InputError(
-                f"{folder} was made by a different study (hash {short}), and no case of it is of "
-                "this one: use --fresh to start over, or rename this study"
-            )
-    if ledger.unplanned:
-        raise InputError(
-            f"{folder} holds cases of an unknown study: use --fresh to start over, or rename"
-        )
-
-
-def is_finished(study: Study, folder: Path, ledger: Ledger) -> bool:
-    """Whether every planned case is a row of `cases.parquet`, and nothing else is to be done."""
-    made = read_manifest(folder)
-    same = made is not None and made.get("study_hash") == study.hash
-    return same and not partial.begun(folder) and bool(ledger.earlier.all())

@@ -16,7 +16,8 @@ from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, SparsefitError, is_integer
 from sparsefit.study.run import partial
 from sparsefit.study.run.again import Again, stale
-from sparsefit.study.run.folder import clear, found, is_finished, made_folder
+from sparsefit.study.run.folder import clear, made_folder
+from sparsefit.study.run.held import found, is_finished
 from sparsefit.study.run.interrupts import counted_interrupts
 from sparsefit.study.run.jobs import SolverTime, count_jobs, jobs
 from sparsefit.study.run.ledger import Ledger
