@@ -239,5 +239,5 @@ def test_an_estimator_needs_none_of_the_rooms_below_it():
     below = ROOMS[ROOMS.index("estimator") + 1 :]
     assert not loaded & {f"sparsefit.{room}" for room in below}
     assert not {name.split(".")[0] for name in loaded} & (
-        {"cvxpy", "osqp", "matplotlib", "pandas"} | PEERS
+        {"cvxpy", "clarabel", "osqp", "matplotlib", "pandas", "scipy"} | PEERS
     )

@@ -23,7 +23,6 @@ operator.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.objective import Penalty
@@ -225,6 +224,8 @@ class _Descent:
 
     def _newton(self, values: Array, residual: Array, alpha: float) -> None:
         """A Newton step on the coefficients in use, as far as it descends; values change."""
+        from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
+
         column, target = np.nonzero(values)
         if not len(column):
             return

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.backend import Solution, SolutionStatus
@@ -127,6 +126,7 @@ class _Program:
     def _cone_program(self, on: IntArray) -> Any:
         """Clarabel's solution over the coefficients ``on``: x = (values, the bounds of blocks)."""
         import clarabel
+        from scipy import sparse
 
         k, size = len(self.gram), len(on)
         target = on // k

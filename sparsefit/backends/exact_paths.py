@@ -6,7 +6,6 @@ Z'Z/m, as k more rows of Z would (Zou and Hastie 2005), and then each penalty is
 """
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from sparsefit.arrays import Array
 from sparsefit.backends.block_newton import block_path
@@ -24,6 +23,8 @@ STOP = 1e-11  # the solvers' own stop, far below any tolerance the certificate i
 
 def ridge_weights(gram: Array, cross: Array, alpha: float) -> tuple[Array, bool]:
     """V = (G + alpha I)^-1 C (k, n), and whether G + alpha I has a Cholesky factor."""
+    from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
+
     shifted = gram.copy()
     shifted.flat[:: len(gram) + 1] += alpha
     _, values, failed = dposv(shifted.T, cross, lower=1, overwrite_a=1)

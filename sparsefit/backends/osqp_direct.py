@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from sparsefit.arrays import Array
 from sparsefit.backends.peer_forms import Part, solved
@@ -36,6 +35,7 @@ def solve_osqp(
 
 def _along(part: Part, fractions: Array, *, tolerance: float) -> Array:
     import osqp
+    from scipy import sparse
 
     gram, cross = part.gram, part.cross
     matrix = sparse.csc_matrix(gram)

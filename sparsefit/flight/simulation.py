@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from scipy.integrate import ode
 
 from sparsefit.arrays import Array
 from sparsefit.errors import (
@@ -23,6 +22,9 @@ from sparsefit.errors import (
 from sparsefit.flight.flow import Flow
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, check_models
 from sparsefit.flight.vehicle import PointMassVehicle
+
+if TYPE_CHECKING:
+    from scipy.integrate import ode
 
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
@@ -194,6 +196,8 @@ def _integrate(
     Strang splitting: half a kick, the exact motion over one substep, the other half. The drift
     stays exact however small the noise; the error of Euler-Maruyama would drown it.
     """
+    from scipy.integrate import ode  # half of what the package takes to import
+
     # The compiled DOP853 stops at each sample in 10-45 ms per 1000 samples. solve_ivp with
     # t_eval interpolates (defect 1e-9 m/s at rtol 1e-11); stepping it to each sample costs 5x.
     solver = ode(right_hand_side).set_integrator(

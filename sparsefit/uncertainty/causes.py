@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy.special import gammaincc
 
 from sparsefit.arrays import Array
 from sparsefit.uncertainty.filtered import Filtered
@@ -124,6 +123,8 @@ def relieved(left: Turbulence, freed: Array) -> Turbulence:
 
 def _tested(left: Turbulence) -> list[tuple[Suspect, Array]]:
     """Each cause that the fit has not freed, and what is left of its columns."""
+    from scipy.special import gammaincc
+
     observed, named = left.observed, columns(left.observed.fit)
     own = np.concatenate(list(named.values()))
     freed = observed.fit.plain.freed(own)

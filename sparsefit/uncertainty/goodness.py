@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import kolmogorov
 
 from sparsefit.uncertainty.causes import Suspect, suspected
 from sparsefit.uncertainty.model import Model
@@ -64,6 +63,8 @@ def goodness_of(model: Model, left: Turbulence | None, mean_velocity: float) -> 
 
 def whiteness(left: Turbulence) -> float:
     """The p-value of Bartlett's test of what is left, against noise of the sensors and kicks."""
+    from scipy.special import kolmogorov
+
     observed = left.observed
     spectrum = observed.amounts @ observed.remaining
     flat = (observed.seen / spectrum)[observed.passed]

@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.special import stdtrit
-
 NORMAL_95 = 1.959963984540054
 WIDE = 0.03  # of a value, the half-width of its interval: at it, 5 % off is 1 in 1000 likely
 NAMES = {
@@ -71,4 +69,8 @@ def interval(value: float, error: float, freedom: float = math.inf) -> tuple[flo
 
 def reach(freedom: float) -> float:
     """The standard errors in half a 95 % interval (Student's t), 1.96 where these are certain."""
-    return NORMAL_95 if math.isinf(freedom) else float(stdtrit(freedom, 0.975))
+    if math.isinf(freedom):
+        return NORMAL_95
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975))
