@@ -21,6 +21,7 @@ from sparsefit.modes.space import FALSE_ALARM, SearchSpace
 from sparsefit.uncertainty import LAGS, Goodness
 
 CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
+TRACE = 1e-3  # of |Phi|^2: what is left of a flow without noise is what differences do to it
 RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
 FAR_APART = 10.0  # motions: beyond it a share says no more
 
@@ -252,7 +253,7 @@ def _unresolved(ladder: Ladder, space: SearchSpace, samples: Samples) -> Verdict
 
 
 def _more(ladder: Ladder) -> Verdict | None:
-    if ladder.quiet:
+    if ladder.quiet or ladder.left <= TRACE:
         return None
     words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
     return Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")

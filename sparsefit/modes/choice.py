@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from sparsefit.library.waves import AXIS
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.lookout import Lookout
@@ -34,6 +36,11 @@ class Ladder:
     evidence: float
     chance: float
     rival: Rung | None = None
+
+    @property
+    def left(self) -> float:
+        """What the best leaves, of |Phi|^2."""
+        return self.best.fit.residual / (float(np.sum(self.rows.target**2)) or 1.0)
 
     @property
     def steady_cells(self) -> bool:

@@ -16,6 +16,9 @@ of turbulence has large scores as well. What tells a cause from it is the share 
 the cause takes away, or that nothing coloured is left without it. Turbulence moves the vehicle, so
 that the share of a response time says nothing of either.
 
+What a derivative's own rule does to a flow without noise is coloured too, and scores. A cause that
+explains less than a thousandth of the flow velocity is none, therefore: it moves no answer.
+
 Causes whose columns are alike share the score: of the best three the one that leaves least is told.
 """
 
@@ -35,6 +38,7 @@ from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
 CHANCE = 1e-4  # of a score as large, at most: six causes are tried
 TAKEN = 0.25  # of the squares that are left, under turbulence, that a cause takes away
 RELIEVED = 5.0  # the likelihood ratio of turbulence where a cause has taken it all away
+SLIGHT = 1e-3  # of the flow velocity, rms, that a cause explains: less moves no answer by 0.1 %
 FREED = 1e-6  # of a column, less of it is left: the fit has it already
 BEST = 3  # causes that are compared by what they leave
 SWELLINGS = 4  # cosines
@@ -94,14 +98,20 @@ def suspected(left: Turbulence, mean_velocity: float) -> Suspect | None:
 
     mean_velocity: U0 of the fastest cells that were fitted [m/s].
     """
-    if left.observed.unexplained <= TRUNCATION:
+    observed = left.observed
+    if observed.unexplained <= TRUNCATION:
         return None
-    tried = _tested(left)
+    slight, square = SLIGHT**2 * _square(observed.fit.plain.flow), _square(observed.errors)
+    tried = [(one, freed) for one, freed in _tested(left) if one.share * square > slight]
     guilty = [suspect for suspect, freed in tried if _guilty(left, suspect, freed)]
     nearest = sorted(guilty, key=lambda one: one.p_value)[: len(Cause) if left.found else BEST]
     if not nearest and left.speed > MOST * mean_velocity:
         return Suspect(Cause.TURBULENCE, (left.speed,), math.exp(-left.ratio / 2), 1.0)
     return max(nearest, key=lambda one: one.share, default=None)
+
+
+def _square(values: Array) -> float:
+    return float(np.sum(values**2))
 
 
 def _guilty(left: Turbulence, suspect: Suspect, freed: Array) -> bool:

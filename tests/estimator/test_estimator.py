@@ -42,9 +42,8 @@ def test_a_noise_free_flight_gives_its_grid_scale_and_its_flow(backend, length_s
 @pytest.mark.parametrize("target", ["flow-velocity", "acceleration", "state-derivative"])
 @pytest.mark.parametrize("derivative", ["forward", "central", "midpoint", "savgol"])
 def test_every_derivative_and_target_ends_in_an_estimate(derivative, target):
-    cells = sf.Readout(refine="variable-projection")
-    found = Estimator(derivative, Library(SMALL_GRID, target), readout=cells).estimate(flight())
-    assert found.status in ("ok", "inaccurate", "unidentifiable")
+    found = Estimator(derivative, Library(SMALL_GRID, target)).estimate(flight())
+    assert found.status == "ok"
     assert found.columns == 8 * SMALL_GRID.size
     assert found.samples > 900
 
