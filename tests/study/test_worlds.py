@@ -262,3 +262,15 @@ def test_headings_are_compared_up_to_a_quarter_turn() -> None:
         true_heading=np.radians([44.0, 10.0, 10.0]), est_heading=np.radians([-44.0, 11.0, 12.0])
     )
     assert MEASURES["heading-error"].values(turned) == pytest.approx([2.0, 1.0], abs=1e-9)
+
+
+def test_sides_are_compared_by_size_and_a_steady_answer_drifts_by_nothing() -> None:
+    cases = rows(("ok", 0.0, 0.0), ("ok", 0.0, 0.0), ("ok", 0.0, 0.0)).assign(
+        true_length_scale_x=4.0, true_length_scale_y=5.0,
+        est_length_scale_x=[5.0, 4.0, math.nan], est_length_scale_y=[4.04, 5.1, math.nan],
+        true_mean_velocity=10.0, true_drift_x=0.3, true_drift_y=0.4,
+        est_drift_x=[0.3, math.nan, math.nan], est_drift_y=[0.41, math.nan, math.nan],
+        est_shape=["rectangle", "rectangle", ""],
+    )  # fmt: skip
+    assert MEASURES["sides-error"].values(cases) == pytest.approx([1.0, 2.0], abs=1e-9)
+    assert MEASURES["drift-error"].values(cases) == pytest.approx([0.1, 5.0], abs=1e-9)

@@ -148,6 +148,28 @@ def _heading_errors(cases: pd.DataFrame) -> Array:
     return where(estimated(cases), np.degrees(nearest))
 
 
+def _side_errors(cases: pd.DataFrame) -> Array:
+    """(rows,) the larger |error| of the two sides of the cells [%], the shorter first."""
+    true, found = (
+        np.sort(np.column_stack([numbers(cases, f"{kind}_length_scale_{axis}") for axis in "xy"]))
+        for kind in ("true", "est")
+    )
+    return where(estimated(cases), np.max(100.0 * np.abs(found / true - 1.0), axis=1))
+
+
+def _drift_errors(cases: pd.DataFrame) -> Array:
+    """(rows,) the error of the drift [% of U0]; cells that were found steady drift by 0."""
+    true, found = (
+        np.column_stack([numbers(cases, f"{kind}_drift_{axis}") for axis in "xy"])
+        for kind in ("true", "est")
+    )
+    shape = cases.get("est_shape", pd.Series("", index=cases.index)).astype(str) != ""
+    steady = np.isnan(found).all(axis=1) & np.asarray(shape, dtype=bool)
+    found[steady] = 0.0
+    off = np.linalg.norm(found - true, axis=1) / numbers(cases, "true_mean_velocity")
+    return where(estimated(cases), 100.0 * off)
+
+
 def _predicted(cases: pd.DataFrame) -> Array:
     """(rows,) the error of the flow along other flights [%], whatever the status."""
     return 100.0 * numbers(cases, "prediction_error")
@@ -175,6 +197,10 @@ _EVERY = (
     Measure("r-squared", "R² of the fit", "", _column("r_squared"), more=True, column="R²",
             format=".4f"),
     Measure("heading-error", "|error| of the heading", "°", _heading_errors, column="heading",
+            least=TINY),
+    Measure("sides-error", "largest |error| of the cells' sides", "%", _side_errors,
+            column="sides", least=TINY),
+    Measure("drift-error", "error of the drift, of U0", "%", _drift_errors, column="drift",
             least=TINY),
     Measure("prediction-error", "error of the flow along other flights", "%", _predicted,
             Failure.MISS, summary="geometric mean", column="prediction", least=TINY),

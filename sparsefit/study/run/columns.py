@@ -120,6 +120,12 @@ def _of_score(name: str, read: Callable[[ScalesScore], Value]) -> Column:
     return _of_scales(f"scales_{name}", LEVEL, lambda sets: read(sets.score))
 
 
+def _side(case: Reading, axis: int) -> float | None:
+    """A side of the cells that were found, where they are cells."""
+    sides = case.estimate.length_scales
+    return sides[axis] if sides else None
+
+
 def _log(row: Planned) -> str | None:
     """Where a flight that was logged comes from."""
     flights = row.case.cell.setup.flights
@@ -189,6 +195,8 @@ COLUMNS: tuple[Column, ...] = (
     _of_goodness("turbulence_share", "turbulence_share"),
     Column("cause", TEXT, read=_cause),
     Column("log", TEXT, planned=_log),
+    Column("est_length_scale_x", SINGLE, read=lambda case: _side(case, 0)),
+    Column("est_length_scale_y", SINGLE, read=lambda case: _side(case, 1)),
     Column("identity", TEXT, planned=lambda row: row.identity),
     Column("version", TEXT),
 )
