@@ -1,31 +1,43 @@
-"""`sparsefit select`: from a finished study to one estimator."""
+"""`sparsefit select`: from a finished study to one estimator, or to why there is none."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import (
-    print_json,
-    refuse_existing,
-    table_record,
-    terminal_width,
-)
-from sparsefit.cli.parser import Verbs, add_results, number, verb
+from sparsefit.cli.output import print_json, refuse_existing, table_record, terminal_width
+from sparsefit.cli.parser import Parser, Verbs, add_results, number, verb, whole
 
 if TYPE_CHECKING:
-    from sparsefit.estimator.estimator import Estimator
-    from sparsefit.study.evidence.candidates import Candidate
+    import pandas as pd
+
     from sparsefit.study.evidence.selection import Selection
-    from sparsefit.study.spec.design import Cell
+    from sparsefit.study.run.latency import Latency
+    from sparsefit.study.spec.selection import SelectionRule
     from sparsefit.study.spec.study import Study
 
 EXAMPLE = """\
   sparsefit select studies/NAME.toml
-  sparsefit select studies/NAME.toml --max-failure-rate 0.02 --max-seconds 0.5
+  sparsefit select studies/NAME.toml --over worst --max-failure 0.02 --max-silent-misses 0
+  sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
   sparsefit estimate flight.csv --estimator estimator.json
 """
+RULE = (  # option, type, metavar, help; the key of [select] is the option's name
+    ("--criterion", str, "WORDS", "a summary and a measure; default: mean timescale-error"),
+    ("--over", str, "WHICH", "average of the regimes, the worst of them, or the name of one"),
+    ("--margin", number(), "SHARE", "how much worse than the best a simpler one may be"),
+    ("--simplest", str, "HOW", "what simple means: listed first in the study file, or fastest"),
+    ("--max-failure", number(), "SHARE", "most flights without an estimate, in every regime"),
+    ("--max-silent-misses", number(), "SHARE", "most flights called ok and off by over 5 %%"),
+    ("--max-error", number("%"), "PERCENT", "most of the 95th percentile of the largest error"),
+    ("--max-latency-p99", number("s"), "S", "most of the 99th percentile of the latency"),
+    ("--max-memory", number("MB"), "MB", "most peak memory of the process"),
+    ("--latency-flights", whole, "N", "flights that each candidate is timed on; 0: none"),
+    ("--seed", whole, "N", "of the bootstrap"),
+)
 
 
 def add(verbs: Verbs) -> None:
@@ -39,20 +51,9 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
     add_results(parser)
+    _add_rule(parser)
     parser.add_argument(
-        "--criterion",
-        metavar="NAME",
-        help="mean- or median-absolute-percentage-error- followed by timescale, length_scale or "
-        "mean_velocity; default: mean-absolute-percentage-error-timescale",
-    )
-    parser.add_argument(
-        "--max-failure-rate",
-        type=number(),
-        metavar="SHARE",
-        help="largest share of cases without an estimate, 0 to 1",
-    )
-    parser.add_argument(
-        "--max-seconds", type=number("s"), metavar="S", help="largest median time of a case"
+        "--measure-again", action="store_true", help="time the candidates anew, known or not"
     )
     parser.add_argument(
         "-o",
@@ -65,79 +66,142 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
+def _add_rule(parser: Parser) -> None:
+    rule = parser.add_argument_group("rule", "in place of what [select] of the study file says")
+    for option, read, metavar, words in RULE:
+        rule.add_argument(option, type=read, metavar=metavar, help=words)
+    rule.add_argument(
+        "--regime",
+        action="append",
+        dest="regimes",
+        metavar="FACTOR",
+        help="a factor whose levels are the regimes, world or flights.KEY; repeat it for more",
+    )
+
+
 def run(args: argparse.Namespace) -> int:
-    """Choose, write, and show the evidence."""
+    """Choose, write, and show the evidence; 1 where no candidate keeps the constraints."""
     refuse_existing(args.output, force=args.force)
-    from sparsefit.study.evidence.selection import CRITERIA, select
-    from sparsefit.study.report.pages import write_table
+    from sparsefit.codec import Place
+    from sparsefit.study.evidence.deploy import estimator_text
+    from sparsefit.study.evidence.selection import select
+    from sparsefit.study.report.evidence_page import write_evidence
     from sparsefit.study.run import runner
     from sparsefit.study.run.store import read_cases
+    from sparsefit.study.spec.selection import changed
     from sparsefit.study.spec.study import Study
     from sparsefit.whole_file import write_whole
 
     study = Study.load(args.study)
+    here = Place(args.study, "select")
+    rule = changed(study.selection, _options(args), study.protocols, study.sweep, here)
     folder = runner.status(study, args.results).folder  # refuses the results of another study
-    chosen = select(
-        study,
-        read_cases(folder),
-        criterion=args.criterion or CRITERIA[0],
-        max_failure_rate=args.max_failure_rate,
-        max_seconds=args.max_seconds,
-    )
-    write_whole(args.output, estimator_of(study, chosen).to_json())
-    write_table(study, folder, "selection", chosen.table)
+    cases = read_cases(folder)
+    times = _times(study, cases, folder, rule, again=args.measure_again)
+    selection = select(study, cases, rule=rule, latencies=times)
+    if selection.chosen is not None:
+        write_whole(args.output, estimator_text(study, selection))
+    page = write_evidence(study, folder, selection)[-1]
     if args.json:
-        print_json(_record(chosen, args.output))
+        print_json(_record(selection, args.output, page))
     else:
-        print("\n".join(_lines(chosen, args.output)))
-    return 0
+        print("\n".join(_lines(selection, args.output, page)))
+    return 0 if selection.chosen is not None else 1
 
 
-def estimator_of(study: Study, chosen: Selection) -> Estimator:
-    """The estimator that the chosen cases used."""
-    return study.estimator(next(cell for cell in study.cells if _is(cell, chosen.winner)))
+def _options(args: argparse.Namespace) -> dict[str, object]:
+    names = [option.strip("-").replace("-", "_") for option, *_ in RULE]
+    given = {name: getattr(args, name) for name in (*names, "regimes")}
+    return {name: value for name, value in given.items() if value is not None}
 
 
-def _is(cell: Cell, winner: Candidate) -> bool:
-    from sparsefit.study.spec.document import canonical_json
+def _times(
+    study: Study, cases: pd.DataFrame, folder: Path, rule: SelectionRule, *, again: bool
+) -> dict[int, Latency]:
+    """Time and memory of what keeps the other constraints; what is known is not measured again."""
+    from dataclasses import replace
 
-    fixed = (cell.protocol, cell.backend, cell.label, cell.canonical_settings)
-    if fixed != tuple(map(winner.of, ("protocol", "backend", "label", "settings"))):
-        return False
-    # A column of levels that are not all numbers holds them as text.
-    return all(
-        value in (cell.levels[key], canonical_json(cell.levels[key]))
-        for key, value in winner.factors.items()
+    from sparsefit.study.evidence.deploy import cells_of, latency_key, stored_latencies
+    from sparsefit.study.evidence.selection import select
+    from sparsefit.study.run.latency import measure, read_latency, write_latency
+
+    if not rule.latency_flights:
+        return {}
+    known = {} if again else stored_latencies(study, cases, folder)
+    untimed = replace(rule, simplest="listed", max_latency_p99=None, max_memory=None)
+    left = [
+        one.candidate
+        for one in select(study, cases, rule=untimed).passing
+        if one.candidate.place not in known
+    ]
+    trials = {latency_key(study, one): cells_of(study, one) for one in left}
+    measured = measure(study, trials, rule.latency_flights, progress=_say if trials else None)
+    if measured:
+        kept = {} if again else read_latency(study, folder)
+        write_latency(study, folder, {**kept, **measured})
+    return known | dict(zip((one.place for one in left), measured.values(), strict=True))
+
+
+def _say(done: int, planned: int) -> None:
+    print(f"timing candidate {done + 1} of {planned}", file=sys.stderr)
+
+
+def _record(selection: Selection, output: str, page: Path) -> dict[str, object]:
+    from dataclasses import asdict
+
+    from sparsefit.codec import finite_or_none
+    from sparsefit.study.evidence.verdicts import (
+        headline,
+        regime_table,
+        selection_table,
+        sentences,
     )
 
-
-def _record(chosen: Selection, output: str) -> dict[str, object]:
-    from sparsefit.codec import finite_or_none
-
-    winner = chosen.winner
-    scores = ("validate", "evaluate", "failure_rate", "seconds")
-    return {
-        "study": chosen.study,
-        "criterion": chosen.criterion,
-        "protocol": winner.of("protocol"),
-        "backend": winner.of("backend"),
-        "settings": json.loads(winner.of("settings")),
-        "factors": dict(winner.factors),
-        **{name: finite_or_none(getattr(winner, name)) for name in scores},
-        "candidates": chosen.candidates,
-        "eligible": chosen.eligible,
-        "output": output,
-        "table": table_record(chosen.table),
+    record: dict[str, object] = {
+        "study": selection.study,
+        "rule": asdict(selection.rule),
+        "criterion": selection.criterion.words,
+        "summary": headline(selection),
+        "said": sentences(selection),
+        "candidates": len(selection.ranked),
+        "eligible": len(selection.passing),
+        "tied": [one.candidate.title for one in selection.tied],
+        "evidence": str(page),
+        "table": table_record(selection_table(selection)),
+        "regimes": table_record(regime_table(selection)),
     }
+    if (chosen := selection.chosen) is not None:
+        record |= {
+            "protocol": chosen.candidate.of("protocol"),
+            "backend": chosen.candidate.of("backend"),
+            "settings": json.loads(chosen.candidate.of("settings")),
+            "factors": dict(chosen.candidate.factors),
+            "validate": chosen.validate,
+            "evaluate": chosen.evaluate,
+            "interval": chosen.between,
+            "probability_best": chosen.best,
+            "regret": None if selection.regret is None else selection.regret.effect,
+            "latency": None if chosen.latency is None else asdict(chosen.latency),
+            "output": output,
+        }
+    cleaned: dict[str, object] = finite_or_none(record)
+    return cleaned
 
 
-def _lines(chosen: Selection, output: str) -> list[str]:
+def _lines(selection: Selection, output: str, page: Path) -> list[str]:
+    from sparsefit.study.evidence.verdicts import (
+        headline,
+        latency_table,
+        regime_table,
+        selection_table,
+        sentences,
+    )
     from sparsefit.study.report.render import to_text
 
-    winner = chosen.winner
-    return [
-        to_text(chosen.table, width=terminal_width()),
-        f"{output}: {winner.of('backend')}, {chosen.criterion} {winner.evaluate:.3g} % on flights "
-        "that had no part in the choice",
-        f"use it: sparsefit estimate FLIGHT --estimator {output}",
-    ]
+    tables = (selection_table(selection), regime_table(selection), latency_table(selection))
+    shown = [to_text(table, width=terminal_width()) for table in tables if table]
+    lines = [*shown, headline(selection), *(f"- {one}" for one in sentences(selection))]
+    lines.append(f"evidence: {page}")
+    if selection.chosen is None:
+        return [*lines, f"nothing was chosen, and {output} is not written"]
+    return [*lines, f"use it: sparsefit estimate FLIGHT --estimator {output}"]

@@ -14,6 +14,7 @@ from sparsefit.regression.backend import Backend
 
 FORMAT = "sparsefit-estimator/1"
 RECORDS = {"derivative": Derivative, "library": Library, "readout": Readout}
+BESIDE = ("format", "provenance")  # what a file says of itself: no part of the estimator
 HERE = Place("estimator")
 
 
@@ -42,7 +43,7 @@ def record_of(text: str) -> dict[str, Any]:
     readout = record.get("readout", {})
     if isinstance(readout, dict):
         record["readout"] = {"refine": UNNAMED} | readout
-    return {key: value for key, value in record.items() if key != "format"}
+    return {key: value for key, value in record.items() if key not in BESIDE}
 
 
 def parts_of(record: Mapping[str, object], place: Place = HERE) -> dict[str, Any]:

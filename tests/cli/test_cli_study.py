@@ -10,7 +10,8 @@ import pytest
 from sparsefit.cli import main
 from sparsefit.cli.progress import Lines
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.study.run import partial, runner, store
+from sparsefit.study.run import latency, partial, runner, store
+from sparsefit.study.run.latency import Latency
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.identity import identities
 from sparsefit.study.spec.study import Study
@@ -55,6 +56,7 @@ tables = ["errors", "times"]
 figures = ["scatter"]
 answers = ["completeness"]
 """
+UNTIMED = ("--latency-flights", "0")
 PLANNED = 4 * 2 * 4 * 3
 ANSWER = (
     "Not wholly: 96 of 96 planned cases ended as rows, 64 of them with an estimate "
@@ -238,30 +240,60 @@ def test_report_writes_the_same_again(capsys, finished):
 
 
 def test_select_writes_the_estimator_of_the_winner(capsys, finished):
-    code, out, _ = run(capsys, "select", finished)
+    code, out, _ = run(capsys, "select", finished, *UNTIMED)
     assert code == 0
-    assert out.startswith("Selected estimator and its runners-up (small)")
+    assert out.startswith("Candidates of the selection (small)")
+    assert "evidence: results/small/evidence.md" in out
     assert "use it: sparsefit estimate FLIGHT --estimator estimator.json" in out
     text = Path("estimator.json").read_text()
-    _, out, _ = run(capsys, "select", finished, "--force", "--json")
+    _, out, _ = run(capsys, "select", finished, *UNTIMED, "--force", "--json")
     found, estimator = json.loads(out), Estimator.from_json(text)
     assert Path("estimator.json").read_text() == text
     assert estimator.backend.name == found["backend"] == "lasso"
     assert estimator.backend.alpha_fraction == found["settings"]["alpha_fraction"]
     assert estimator.library.target == found["factors"]["library.target"]
-    assert (
-        estimator.derivative.method == {"default": "savgol", "paper": "forward"}[found["protocol"]]
-    )
+    assert estimator.derivative.method == {"default": "auto", "paper": "forward"}[found["protocol"]]
     assert estimator.library.grid.step == 0.5
+    assert json.loads(text)["provenance"]["study_hash"] == Study.load(finished).hash
+
+
+def test_select_times_what_keeps_the_constraints_once(capsys, finished, monkeypatch):
+    asked = []
+
+    def measure(study, trials, flights, progress=None):
+        asked.append((len(trials), flights))
+        return dict.fromkeys(trials, Latency(0.25, 0.5, 90.0, flights))
+
+    monkeypatch.setattr(latency, "measure", measure)
+    options = ("--max-failure", "0", "--latency-flights", "7", "--json")
+    _, out, _ = run(capsys, "select", finished, *options)
+    assert asked == [(json.loads(out)["eligible"], 7)]
+    _, out, _ = run(capsys, "select", finished, *options, "--force")
+    assert asked[1:] == [(0, 7)]
+    assert json.loads(out)["latency"] == {
+        "median": 0.25, "p99": 0.5, "memory": 90.0, "flights": 7, "busy": 0.0
+    }  # fmt: skip
+    _, out, _ = run(capsys, "select", finished, *options, "--force", "--measure-again")
+    assert asked[2:] == [(json.loads(out)["eligible"], 7)]
+
+
+def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, finished):
+    code, out, _ = run(capsys, "select", finished, *UNTIMED, "--max-error", "1e-9")
+    assert code == 1
+    assert "max_error = 1e-09 refuses" in out
+    assert not Path("estimator.json").exists()
+    assert "None of the" in Path("results/small/evidence.md").read_text()
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--criterion", "mean"), "unknown criterion"),
-        (("--max-failure-rate", "2"), "max_failure_rate must be"),
-        (("--max-failure-rate", "2%"), '"2%" is not a number'),
-        (("--max-seconds", "1e-9"), "keeps the limits"),
+        (("--criterion", "mean"), "unknown measure in criterion ="),
+        (("--over", "best"), "unknown regime in over ="),
+        (("--max-failure", "2"), "max_failure must be"),
+        (("--max-failure", "2%"), '"2%" is not a number'),
+        (("--max-memory", "90"), "max_memory needs it"),
+        (("--regime", "world"), 'no "world" varies'),
         (("-o", "small.toml"), "small.toml exists; add --force"),
         (("-o", "nowhere/e.json"), "cannot write nowhere/e.json"),
         (("-o", "small.toml/e.json"), "cannot write small.toml/e.json"),
@@ -269,7 +301,7 @@ def test_select_writes_the_estimator_of_the_winner(capsys, finished):
     ],
 )
 def test_select_refuses(capsys, finished, options, words):
-    assert words in refused(capsys, "select", finished, *options)
+    assert words in refused(capsys, "select", finished, *UNTIMED, *options)
 
 
 def test_what_needs_a_finished_study_refuses_another(capsys, half):

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from sparsefit.study.evidence import candidates
 from sparsefit.study.evidence.asked import Asked, Kind
+from sparsefit.study.evidence.candidates import Criterion, Trial, candidates_of
 from sparsefit.study.evidence.cases import (
     STATUSES,
     Group,
@@ -30,6 +30,7 @@ from sparsefit.study.evidence.measure import Failure, Measure, Share, together
 from sparsefit.study.evidence.measures import MEASURES, at_least
 from sparsefit.study.evidence.reference import closest_readings, printed, sensitivity_rows
 from sparsefit.study.evidence.sentence import capital, gathered, listed, ranged, shown, some
+from sparsefit.study.evidence.worlds import in_regimes, regime_names
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -144,16 +145,23 @@ def pooled(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
 
 def splits(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     """Say who is best on the validate flights, and what that is on the evaluate flights."""
-    criterion = asked.first
-    scored = candidates.candidates_of(cases, criterion)
-    least = shown(min(one.validate for one in scored))
-    best = [one for one in scored if shown(one.validate) == least]
-    scores = sorted({shown(one.evaluate) for one in best})
+    names = regime_names(in_regimes(study, cases))
+    criterion = Criterion(asked.first, tuple(names), study.selection.over)
+    every = candidates_of(study, cases)
+    first = [_score(criterion, one.trials["validate"]) for one in every]
+    least = shown(max(first) if asked.first.more else min(first))
+    best = [one for one, score in zip(every, first, strict=True) if shown(score) == least]
+    scores = sorted({shown(_score(criterion, one.trials["evaluate"])) for one in best})
     return (
-        f"Least {criterion.phrase} on the validate flights, {criterion.convention}: {least} "
-        f"{criterion.unit}, by {some([one.title for one in best])}; on the evaluate flights "
-        f"{listed(scores)} {criterion.unit}. Of equals, sparsefit select takes the fastest."
+        f"{'Most' if asked.first.more else 'Least'} {criterion.words} on the validate flights, "
+        f"{asked.first.convention}: {least} {asked.first.unit}, by "
+        f"{some([one.title for one in best])}; on the evaluate flights {listed(scores)} "
+        f"{asked.first.unit}. Of those near the best, sparsefit select takes the simplest."
     )
+
+
+def _score(criterion: Criterion, trial: Trial) -> float:
+    return float(criterion.score(criterion.by_regime(criterion.grid(trial))))
 
 
 def reference(asked: Asked, study: Study, cases: pd.DataFrame) -> str:

@@ -1,104 +1,177 @@
-"""The candidates of a selection: what each one scores, and how two are compared."""
+"""The candidates of a selection, and what each scores on the flights of a split.
+
+A candidate is what an engineer could deploy: a reading (the half of a protocol that is not its
+world), a back-end, a setting, and a level of every swept factor that belongs to the estimator.
+All are tried on the same flights, so their numbers stand side by side as (flights, regimes, cases).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError
-from sparsefit.study.evidence.cases import (
-    Group,
-    by_setting,
-    estimated,
-    factors,
-    groups_by,
-    is_condition,
-    numbers,
-)
-from sparsefit.study.evidence.measure import Failure, Measure
+from sparsefit.errors import InputError, one_of, unknown
+from sparsefit.study.evidence.cases import DEFAULT, Group, by_setting, factors, in_a_flow
+from sparsefit.study.evidence.measure import SUMMARY_WORDS, Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.resampling import Draws, reduce
 from sparsefit.study.evidence.table import Value
+from sparsefit.study.evidence.worlds import REGIME, conditions_of, in_regimes, regime_names
+from sparsefit.study.spec.selection import AVERAGE, WORST, SelectionRule
 
-CRITERIA = tuple(
-    f"{statistic}-absolute-percentage-error-{parameter}"
-    for statistic in ("mean", "median")
-    for parameter in ("timescale", "length_scale", "mean_velocity")
-)
-RESAMPLES = 2000
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
 
-
-def measure_of(criterion: str) -> Measure:
-    """Return the measure that a criterion names: an error that counts a failure as a miss."""
-    summary, _, parameter = criterion.partition("-absolute-percentage-error-")
-    measure = MEASURES[f"{parameter.replace('_', '-')}-error"]
-    return replace(measure, failure=Failure.MISS, summary=summary)
+SPLITS = ("validate", "evaluate")
+CHUNK = 4_000_000  # numbers resampled at once
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a candidate must keep on the validate flights: failures as a share, median seconds."""
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The cases of one candidate on the flights of a split, in the order all candidates share.
 
-    max_failure_rate: float | None = None
-    max_seconds: float | None = None
+    at: (3, rows) the flight, regime and place within both of each row; shape: of their grid.
+    """
 
-    def __post_init__(self) -> None:
-        rate, seconds = self.max_failure_rate, self.max_seconds
-        if rate is not None and not 0.0 <= rate <= 1.0:
-            raise InputError(f"max_failure_rate must be a share from 0 to 1; got {rate!r}")
-        if seconds is not None and not seconds > 0.0:
-            raise InputError(f"max_seconds must be above 0 [s]; got {seconds!r}")
+    cases: pd.DataFrame
+    at: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+    shape: tuple[int, int, int]
+
+    def grid(self, values: Array) -> Array:
+        """(flights, regimes, cases) numbers of the rows, NaN where a regime has fewer cases."""
+        grid = np.full(self.shape, np.nan)
+        grid[tuple(self.at)] = values
+        return grid
+
+    @property
+    def flights(self) -> int:
+        """How many flights there are."""
+        return self.shape[0]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One protocol, back-end and setting (`group`) at one level of the estimator's factors.
+    """One reading, back-end and setting (`group`) at one level of the estimator's factors.
 
-    factors: those levels by dotted name, as they stand in its rows. validate, evaluate: the
-    criterion [%] on the flights of either split; failure_rate: the share of validate cases
-    without an estimate; seconds: their median time [s]; losses: (flights, cases) [%] of evaluate.
+    place: where the study lists it, from 0; factors: those levels by dotted name, as they stand
+    in its rows; trials: its cases by split.
     """
 
+    place: int
     group: Group
     factors: Mapping[str, Value]
-    validate: float
-    evaluate: float
-    failure_rate: float
-    seconds: float
-    losses: Array
+    trials: Mapping[str, Trial]
 
     @property
     def title(self) -> str:
         """One line that tells this candidate from the others."""
         chosen = [f"{name}={value}" for name, value in self.factors.items()]
-        return ", ".join([f"{self.group.protocol}: {self.group.title}", *chosen])
+        of = "" if self.group.protocol == DEFAULT else f"{self.group.protocol}: "
+        return ", ".join([f"{of}{self.group.title}", *chosen])
 
     def of(self, column: str) -> str:
         """What its rows have in a column that they share: protocol, backend, label, settings."""
         return str(self.group.key[column])
 
-    def excess(self, limits: Limits) -> float:
-        """How far beyond the limits, as a sum of shares: 0 within them."""
-        rate, seconds = limits.max_failure_rate, limits.max_seconds
-        too_many = 0.0 if rate is None else max(0.0, self.failure_rate - rate)
-        if seconds is None:
-            return too_many
-        late = self.seconds / seconds - 1.0
-        return too_many + (max(0.0, late) if np.isfinite(late) else np.inf)
+
+@dataclass(frozen=True)
+class Criterion:
+    """A measure summarised over the flights of each regime, and over the regimes."""
+
+    measure: Measure
+    regimes: tuple[str, ...]
+    over: str = AVERAGE
+
+    @classmethod
+    def of(cls, rule: SelectionRule, regimes: list[str]) -> Criterion:
+        """The criterion that a rule names.
+
+        Raises:
+            InputError: with the nearest, if there is no such measure, summary or regime.
+        """
+        if rule.over not in (AVERAGE, WORST, *regimes):
+            raise unknown("regime in over =", rule.over, (AVERAGE, WORST, *regimes))
+        return cls(measure_of(rule), tuple(regimes), rule.over)
+
+    @property
+    def words(self) -> str:
+        """`mean |error| of τ_w, averaged over the regimes`."""
+        where = {AVERAGE: "averaged over the regimes", WORST: "in the worst regime"}
+        if len(self.regimes) == 1:
+            return self.measure.phrase
+        return f"{self.measure.phrase}, {where.get(self.over, f'in {self.over}')}"
+
+    def grid(self, trial: Trial) -> Array:
+        """(flights, regimes, cases) the measure; a failure in a flow counts as the measure says."""
+        read = self.measure.read(trial.cases)
+        if self.measure.failure is Failure.MISS:
+            read = np.where(np.isnan(read) & in_a_flow(trial.cases), self.measure.miss, read)
+        return trial.grid(read)
+
+    def by_regime(self, grid: Array) -> Array:
+        """(..., regimes) the summary of (..., flights, regimes, cases) in each regime."""
+        swapped = np.moveaxis(grid, -3, -2)
+        return reduce(self.measure.summary, swapped.reshape(*swapped.shape[:-2], -1))
+
+    def score(self, by_regime: Array) -> Array:
+        """(...,) the one number of (..., regimes)."""
+        if self.over == AVERAGE:
+            return reduce("mean", by_regime)
+        if self.over == WORST:
+            return np.asarray(self._worst.reduce(by_regime, axis=-1))
+        return np.asarray(by_regime[..., self.regimes.index(self.over)])
+
+    def worst(self, by_regime: Array) -> str:
+        """The regime in which it is worst."""
+        sizes = -by_regime if self.measure.more else by_regime
+        return self.regimes[int(np.nanargmax(sizes))] if not np.isnan(sizes).all() else ""
+
+    @property
+    def _worst(self) -> np.ufunc:
+        return np.fmin if self.measure.more else np.fmax  # which pass over NaN
+
+    def loss(self, score: Array) -> Array:
+        """The score so that less is better."""
+        return -score if self.measure.more else score
+
+    def resampled(self, grid: Array, drawn: Draws) -> Array:
+        """(resamples,) the loss over the flights that were drawn each time."""
+        each = max(1, CHUNK // max(1, drawn.shape[1] * grid[0].size))
+        parts = [drawn[start : start + each] for start in range(0, len(drawn), each)]
+        scores = [self.score(self.by_regime(grid[part])) for part in parts]
+        return self.loss(np.concatenate(scores))
 
 
-def candidates_of(cases: pd.DataFrame, criterion: Measure) -> list[Candidate]:
-    """Return every candidate, scored, in the order in which the study lists them.
+def measure_of(rule: SelectionRule) -> Measure:
+    """The measure of a rule's criterion, a failure never better than any answer.
+
+    Raises:
+        InputError: with the nearest, if there is no such measure or summary.
+    """
+    summary, name = rule.measure
+    one_of("measure in criterion =", name, MEASURES)
+    if summary:
+        one_of("summary in criterion =", summary, SUMMARY_WORDS)
+    measure = MEASURES[name]
+    failure = Failure.MISS if measure.failure is Failure.INFINITE else measure.failure
+    return replace(measure, summary=summary or measure.summary, failure=failure)
+
+
+def candidates_of(study: Study, cases: pd.DataFrame) -> list[Candidate]:
+    """Return every candidate in the order in which the study lists them.
 
     Raises:
         InputError: if they were not all tried on the same flights and conditions.
     """
-    own = [name for name in factors(cases) if not is_condition(name)]
-    conditions = [name for name in factors(cases) if is_condition(name)]
-    groups = by_setting(cases, *own)
+    placed = in_regimes(study, cases)
+    conditions = conditions_of(study, placed)
+    own = [name for name in factors(cases) if name not in conditions]
+    groups = by_setting(placed, *own)
     expected = _evidence_of(groups[0], conditions)
     for group in groups:
         if _evidence_of(group, conditions) != expected:
@@ -106,7 +179,14 @@ def candidates_of(cases: pd.DataFrame, criterion: Measure) -> list[Candidate]:
                 f"{group.title} was not tried on the same flights as {groups[0].title}: "
                 "finish the study first (sparsefit study run)"
             )
-    return [_candidate(group, own, criterion) for group in groups]
+    regimes = regime_names(placed)
+    return [
+        Candidate(place, group, {name: group.key[name] for name in own}, {
+            split: _trial(group.cases[group.cases["split"] == split], regimes, conditions)
+            for split in SPLITS
+        })
+        for place, group in enumerate(groups)
+    ]  # fmt: skip
 
 
 def _evidence_of(group: Group, conditions: list[str]) -> list[tuple[str, ...]]:
@@ -114,31 +194,15 @@ def _evidence_of(group: Group, conditions: list[str]) -> list[tuple[str, ...]]:
     return sorted(tuple(map(str, row)) for row in group.cases[names].itertuples(index=False))
 
 
-def _candidate(group: Group, own: list[str], criterion: Measure) -> Candidate:
-    validate = group.cases[group.cases["split"] == "validate"]
-    evaluate = group.cases[group.cases["split"] == "evaluate"].sort_values("flight", kind="stable")
-    seconds = numbers(validate, "seconds")
-    timed = seconds[np.isfinite(seconds)]
-    per_flight = [criterion.values(flight.cases) for flight in groups_by(evaluate, ["flight"])]
-    return Candidate(
-        group=group,
-        factors={name: group.key[name] for name in own},
-        validate=criterion.summarise(validate),
-        evaluate=criterion.summarise(evaluate),
-        failure_rate=float(1.0 - np.mean(estimated(validate))),
-        seconds=float(np.median(timed)) if timed.size else np.nan,
-        losses=np.array(per_flight),
-    )
+def _trial(cases: pd.DataFrame, regimes: list[str], conditions: list[str]) -> Trial:
+    ordered = cases.sort_values(["flight", *conditions], kind="stable", key=_sortable)
+    flight, _ = pd.factorize(ordered["flight"])
+    regime = ordered[REGIME].map({name: place for place, name in enumerate(regimes)})
+    within = ordered.groupby(["flight", REGIME], sort=False).cumcount()
+    at = np.array([flight, regime, within], dtype=np.int64)
+    sizes = at.max(axis=1) + 1 if len(ordered) else np.zeros(3, np.int64)
+    return Trial(ordered, at, (int(sizes[0]), len(regimes), int(sizes[2])))
 
 
-def paired_interval(first: Array, second: Array, summary: str, seed: int) -> tuple[float, float]:
-    """95 % percentile interval of a summary, mean or median, of first minus that of second.
-
-    Both are (flights, cases). The same flights are drawn for both (paired), whole flights with
-    all their conditions.
-    """
-    draws = np.random.default_rng(seed).integers(len(first), size=(RESAMPLES, len(first)))
-    over = np.mean if summary == "mean" else np.median
-    one, other = (over(values[draws].reshape(RESAMPLES, -1), axis=1) for values in (first, second))
-    low, high = np.quantile(one - other, [0.025, 0.975])
-    return float(low), float(high)
+def _sortable(column: Any) -> Any:
+    return column if pd.api.types.is_numeric_dtype(column) else column.astype(str)

@@ -1,94 +1,239 @@
-"""From a finished study to one chosen estimator, with the evidence.
+"""From a finished study to one candidate that can be defended, or to the reason why there is none.
 
-Chosen on the flights of split `validate`, scored once on those of split `evaluate`. A case
-without an estimate counts as an error of 100 %: giving no answer is never better than an answer
-that is less than 100 % off.
+Chosen on the flights of split `validate`, scored once on those of split `evaluate`. Of all that
+keep every constraint in every regime, the simplest within the margin of the best is chosen. What
+the flights do not tell from it is named as a tie.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 
-from sparsefit.errors import InputError, one_of
-from sparsefit.study.evidence.candidates import (
-    CRITERIA,
-    RESAMPLES,
-    Candidate,
-    Limits,
-    candidates_of,
-    measure_of,
-    paired_interval,
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError
+from sparsefit.study.evidence.candidates import Candidate, Criterion, candidates_of
+from sparsefit.study.evidence.constraints import Breach, breaches
+from sparsefit.study.evidence.measure import TINY
+from sparsefit.study.evidence.resampling import (
+    SAME,
+    Difference,
+    best_probabilities,
+    draws,
+    interval,
 )
-from sparsefit.study.evidence.columns import setting_columns, setting_values
-from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
+from sparsefit.study.evidence.worlds import in_regimes, regime_names
+from sparsefit.study.spec.selection import SelectionRule
 
 if TYPE_CHECKING:
+    from sparsefit.study.run.latency import Latency
     from sparsefit.study.spec.study import Study
 
-__all__ = ["CRITERIA", "Limits", "Selection", "select"]
 
-RUNNERS_UP_SHOWN = 10
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A candidate with all that speaks for it and against it.
+
+    validate, evaluate: the criterion on either split, `between` its 95 % interval on evaluate;
+    by_regime: (regimes,) on evaluate;
+    breaches: what it does not keep on validate; broken: on evaluate; best: the probability, over
+    drawn flights of validate, that it is the best of those that keep everything, 0 for others;
+    apart: how much worse than the chosen on validate, confirmed: on evaluate; None of the chosen.
+    """
+
+    candidate: Candidate
+    validate: float
+    evaluate: float
+    between: tuple[float, float]
+    by_regime: Array
+    breaches: tuple[Breach, ...]
+    broken: tuple[Breach, ...]
+    best: float
+    apart: Difference | None
+    confirmed: Difference | None
+    latency: Latency | None
+
+    @property
+    def passes(self) -> bool:
+        """Whether it keeps every constraint on the flights that it is chosen on."""
+        return not self.breaches
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The winner of a study by a criterion, and the table that shows why.
+    """What was chosen by a rule, and every candidate with its evidence, the best first.
 
-    candidates: how many there are; eligible: how many of them keep the limits.
+    chosen: none where no candidate keeps the constraints; regret: how much worse the chosen is on
+    evaluate than `hindsight`, the best there of those that keep the constraints on validate.
     """
 
     study: str
-    criterion: str
-    winner: Candidate
-    candidates: int
-    eligible: int
-    table: Table
+    rule: SelectionRule
+    criterion: Criterion
+    ranked: tuple[Scored, ...]
+    chosen: Scored | None
+    regret: Difference | None
+    hindsight: Scored | None
+    flights: Mapping[str, int]
+
+    @property
+    def passing(self) -> list[Scored]:
+        """The candidates that keep every constraint, the best first."""
+        return [one for one in self.ranked if one.passes]
+
+    @property
+    def tied(self) -> list[Scored]:
+        """Those that keep everything and that the validate flights do not tell from the chosen."""
+        return [one for one in self.passing if one.apart is not None and one.apart.tie]
+
+    def within(self, one: Scored) -> bool:
+        """Whether a candidate is within the margin of the best that keeps everything."""
+        losses = [float(self.criterion.loss(np.asarray(each.validate))) for each in self.passing]
+        loss = float(self.criterion.loss(np.asarray(one.validate)))
+        return one.passes and _is_within(loss, losses, self.rule.margin, _floor(self.criterion))
 
 
 def select(
     study: Study,
     cases: pd.DataFrame,
     *,
-    criterion: str = CRITERIA[0],
-    max_failure_rate: float | None = None,
-    max_seconds: float | None = None,
-    seed: int = 0,
+    rule: SelectionRule | None = None,
+    latencies: Mapping[int, Latency] | None = None,
 ) -> Selection:
-    """Choose the candidate with the smallest criterion on `validate`, within the limits.
-
-    A candidate is a protocol, back-end, setting and level of every swept factor that belongs to
-    the estimator; factors of the flights are conditions, and all of them count. Of equals (to
-    six digits) the faster wins, then the first listed. The table gives, on `evaluate`, every
-    runner-up's criterion minus the winner's, with its paired bootstrap 95 % interval over
-    flights.
+    """Choose a candidate by a rule, that of the study unless another is given.
 
     Args:
-        criterion: one of `CRITERIA`.
-        max_failure_rate: largest share of `validate` cases without an estimate.
-        max_seconds: largest median time of a `validate` case [s].
-        seed: of the bootstrap.
+        latencies: time and memory of the candidates, by their place in the study; a candidate
+            without one keeps no limit of either.
 
     Raises:
-        InputError: if the criterion is unknown, the study has no split or is unfinished, or no
-            candidate keeps the limits (the closest is named).
+        InputError: if the rule names what does not exist, the study has no split or is
+            unfinished, or its candidates were not tried alike.
     """
-    one_of("criterion", criterion, CRITERIA)
-    limits = Limits(max_failure_rate, max_seconds)
-    _check_finished(study, cases)
-    candidates = candidates_of(cases, measure_of(criterion))
-    eligible = [one for one in candidates if one.excess(limits) == 0.0]
-    if not eligible:
-        raise _none_within(candidates, limits)
-    # Rounding must not decide between equals: to six digits the same, the faster wins.
-    ranked = sorted(eligible, key=lambda one: (float(f"{one.validate:.6g}"), one.seconds))
-    table = _evidence(study, ranked, len(candidates), criterion, seed)
-    return Selection(study.name, criterion, ranked[0], len(candidates), len(eligible), table)
+    rule = rule or study.selection
+    check_finished(study, cases)
+    criterion = Criterion.of(rule, regime_names(in_regimes(study, cases)))
+    candidates = candidates_of(study, cases)
+    known = latencies or {}
+    if rule.simplest == "fastest" and not known:
+        raise InputError('simplest = "fastest" needs measured latencies: allow them to be measured')
+    return _decide(study, rule, criterion, candidates, known)
 
 
-def _check_finished(study: Study, cases: pd.DataFrame) -> None:
+def _decide(
+    study: Study,
+    rule: SelectionRule,
+    criterion: Criterion,
+    candidates: list[Candidate],
+    latencies: Mapping[int, Latency],
+) -> Selection:
+    found = {
+        one.place: breaches(
+            rule, one.trials["validate"], criterion.regimes, latencies.get(one.place)
+        )
+        for one in candidates
+    }
+    grids = {
+        split: [criterion.grid(one.trials[split]) for one in candidates]
+        for split in ("validate", "evaluate")
+    }
+    losses = [_loss(criterion, grid) for grid in grids["validate"]]
+    order = sorted(range(len(candidates)), key=lambda at: (losses[at], at))
+    passing = [at for at in order if not found[at] and not math.isnan(losses[at])]
+    chosen = _simplest(rule, losses, passing, latencies, _floor(criterion))
+    resampled = {
+        split: [
+            criterion.resampled(grid, draws(len(grid), rule.seed + place)) for grid in grids[split]
+        ]
+        for place, split in enumerate(grids)
+    }
+    shares = dict.fromkeys(range(len(candidates)), 0.0)
+    if passing:
+        at_validate = np.array([resampled["validate"][at] for at in passing])
+        shares |= zip(passing, best_probabilities(at_validate).tolist(), strict=True)
+
+    def against(split: str, at: int, other: int | None) -> Difference | None:
+        if other is None or at == other:
+            return None
+        first, second = grids[split][at], grids[split][other]
+        drawn = resampled[split][at] - resampled[split][other]
+        effect = _loss(criterion, first) - _loss(criterion, second)
+        floor = _floor(criterion)
+        same = bool(np.allclose(first, second, rtol=SAME, atol=floor, equal_nan=True))
+        return Difference.of(effect, drawn, len(first), same=same)
+
+    scored = {
+        at: Scored(
+            candidate=candidates[at],
+            validate=float(criterion.score(criterion.by_regime(grids["validate"][at]))),
+            evaluate=float(criterion.score(criterion.by_regime(grids["evaluate"][at]))),
+            between=interval(criterion.loss(resampled["evaluate"][at])),
+            by_regime=criterion.by_regime(grids["evaluate"][at]),
+            breaches=found[at],
+            broken=breaches(
+                rule, candidates[at].trials["evaluate"], criterion.regimes, latencies.get(at)
+            ),
+            best=shares[at],
+            apart=against("validate", at, chosen),
+            confirmed=against("evaluate", at, chosen),
+            latency=latencies.get(at),
+        )
+        for at in order
+    }
+    later = [_loss(criterion, grid) for grid in grids["evaluate"]]
+    hindsight = min(passing, key=lambda at: (later[at], at != chosen), default=None)
+    regret = None
+    if chosen is not None and hindsight is not None:
+        regret = against("evaluate", chosen, hindsight) or Difference(
+            0.0, 0.0, 0.0, len(grids["evaluate"][chosen]), same=True
+        )
+    return Selection(
+        study=study.name,
+        rule=rule,
+        criterion=criterion,
+        ranked=tuple(scored[at] for at in (*passing, *(at for at in order if at not in passing))),
+        chosen=None if chosen is None else scored[chosen],
+        regret=regret,
+        hindsight=None if hindsight is None else scored[hindsight],
+        flights={split: len(each[0]) for split, each in grids.items()},
+    )
+
+
+def _loss(criterion: Criterion, grid: Array) -> float:
+    return float(criterion.loss(criterion.score(criterion.by_regime(grid))))
+
+
+def _simplest(
+    rule: SelectionRule,
+    losses: list[float],
+    passing: list[int],
+    latencies: Mapping[int, Latency],
+    floor: float,
+) -> int | None:
+    """The simplest of those within the margin of the best; none of none."""
+    least = [losses[at] for at in passing]
+    within = [at for at in passing if _is_within(losses[at], least, rule.margin, floor)]
+    if rule.simplest == "fastest":
+        return min(within, key=lambda at: (latencies[at].median, at), default=None)
+    return min(within, default=None)
+
+
+def _is_within(loss: float, losses: list[float], margin: float, floor: float) -> bool:
+    best = min(losses)
+    return loss <= best + (margin + SAME) * abs(best) + floor
+
+
+def _floor(criterion: Criterion) -> float:
+    """What is rounding in the unit of the criterion: no difference of errors says less."""
+    return TINY if criterion.measure.unit == "%" else 0.0
+
+
+def check_finished(study: Study, cases: pd.DataFrame) -> None:
     """Refuse what would compare candidates on unequal evidence."""
     if len(cases) < study.planned or cases.empty:
         raise InputError(
@@ -111,53 +256,3 @@ def _check_finished(study: Study, cases: pd.DataFrame) -> None:
             f"{study.name} has flight {both.idxmax()} in both splits: it cannot judge a choice "
             "that it helped to make"
         )
-
-
-def _none_within(candidates: list[Candidate], limits: Limits) -> InputError:
-    closest = min(candidates, key=lambda one: (one.excess(limits), one.validate))
-    return InputError(
-        f"none of the {len(candidates)} candidates keeps the limits; the closest is "
-        f"{closest.title}, with a failure rate of {closest.failure_rate:.3g} and a median of "
-        f"{closest.seconds:.3g} s: raise max_failure_rate or max_seconds"
-    )
-
-
-def _evidence(
-    study: Study, ranked: list[Candidate], candidates: int, criterion: str, seed: int
-) -> Table:
-    winner = ranked[0]
-    names = list(winner.factors)
-    rows = tuple(_row(place, one, winner, criterion, seed) for place, one in enumerate(ranked))
-    columns = (
-        Column("rank", format="d"),
-        *setting_columns(names),
-        Column("criterion", "%", SIGNIFICANT, group="validate"),
-        Column("failures", "%", ".1f", group="validate"),
-        Column("median", "s", SIGNIFICANT, group="validate"),
-        Column("criterion", "%", SIGNIFICANT, group="evaluate"),
-        Column("minus winner", "pp", SIGNIFICANT, group="evaluate"),
-        Column("95 % from", "pp", SIGNIFICANT, group="evaluate"),
-        Column("to", "pp", SIGNIFICANT, group="evaluate"),
-    )
-    notes = (
-        f"Criterion: {criterion}; {measure_of(criterion).convention}. "
-        f"Chosen on validate, scored once on evaluate ({len(winner.losses)} flights). Of equals, "
-        "to six digits, the faster ranks first.",
-        f"{len(ranked)} of {candidates} candidates keep the limits. Minus winner: positive is "
-        f"worse than the winner; 95 % interval by paired bootstrap over flights, {RESAMPLES} "
-        f"resamples, seed {seed}. An interval that holds 0 does not tell the two apart.",
-    )
-    title = f"Selected estimator and its runners-up ({study.name})"
-    return Table(title, columns, rows, notes, 1 + RUNNERS_UP_SHOWN)
-
-
-def _row(
-    place: int, one: Candidate, winner: Candidate, criterion: str, seed: int
-) -> tuple[Value, ...]:
-    against: tuple[Value, ...] = (None, None, None)
-    if one is not winner:
-        interval = paired_interval(one.losses, winner.losses, criterion.partition("-")[0], seed)
-        against = (one.evaluate - winner.evaluate, *interval)
-    named = (*setting_values(one.group), *one.factors.values())
-    scores = (one.validate, 100.0 * one.failure_rate, one.seconds, one.evaluate)
-    return (place + 1, *named, *scores, *against)

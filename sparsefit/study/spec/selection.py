@@ -85,14 +85,19 @@ def read_selection(
 ) -> SelectionRule:
     """Read [select]; InputError names the first key or factor that does not fit."""
     here = place.within("select")
-    section = read_section(value, place.at("select"))
-    rule = build(SelectionRule, section, here)
+    rule = build(SelectionRule, read_section(value, place.at("select")), here)
+    _check_regimes(rule, protocols, sweep, here)
+    return rule
+
+
+def _check_regimes(
+    rule: SelectionRule, protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...], place: Place
+) -> None:
     known = regime_factors(protocols, sweep)
     for name in rule.regimes:
         if name not in known:
-            words = f'no "{name}" varies between the flights; what does: {", ".join(known)}'
-            raise here.at("regimes").error(words if known else "no factor varies the flights")
-    return rule
+            others = f"; what does: {', '.join(known)}" if known else ", and nothing else does"
+            raise place.at("regimes").error(f'no "{name}" varies between the flights{others}')
 
 
 def regime_factors(protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...]) -> list[str]:
@@ -103,7 +108,15 @@ def regime_factors(protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...]) -
     return ([WORLD] if any(key in keys for key in varied) else []) + varied
 
 
-def changed(rule: SelectionRule, options: Mapping[str, object], place: Place) -> SelectionRule:
+def changed(
+    rule: SelectionRule,
+    options: Mapping[str, object],
+    protocols: tuple[Protocol, ...],
+    sweep: tuple[Factor, ...],
+    place: Place,
+) -> SelectionRule:
     """The rule with these options in place of its own, checked alike."""
     own = {field.name: getattr(rule, field.name) for field in fields(rule)}
-    return build(SelectionRule, own | dict(options), place)
+    asked = build(SelectionRule, own | dict(options), place)
+    _check_regimes(asked, protocols, sweep, place)
+    return asked

@@ -1,0 +1,291 @@
+"""A selection in words and tables: what was chosen, what ties with it, why each other lost."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+from sparsefit.study.evidence.candidates import Criterion
+from sparsefit.study.evidence.columns import setting_columns, setting_values
+from sparsefit.study.evidence.constraints import WORDS, told
+from sparsefit.study.evidence.resampling import RESAMPLES, Difference
+from sparsefit.study.evidence.selection import Scored, Selection
+from sparsefit.study.evidence.sentence import capital, listed, shown, some
+from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
+from sparsefit.study.spec.selection import AVERAGE, WORST
+
+SHOWN = 30  # rows that a page prints; CSV files have all of them
+CONSTRAINTS = tuple(WORDS)
+
+
+def headline(selection: Selection) -> str:
+    """The answer in a sentence: who was chosen, or that nobody keeps what was asked for."""
+    chosen, criterion = selection.chosen, selection.criterion
+    if chosen is None:
+        return f"None of the {len(selection.ranked)} candidates keeps every constraint."
+    others = len(selection.tied)
+    tie = f", in a tie with {others} other{'s' if others > 1 else ''}" if others else ""
+    return (
+        f"{chosen.candidate.title}{tie}: {say(criterion, chosen.evaluate)} "
+        f"{criterion.words} on {selection.flights['evaluate']} flights that had no part in the "
+        "choice."
+    )
+
+
+def sentences(selection: Selection) -> list[str]:
+    """What a review asks: how it was chosen, the tie, the chance to be best, regret, the worst."""
+    said = [_how(selection)]
+    if selection.chosen is None:
+        return [*said, *_binding(selection)]
+    said += [_tie(selection), _odds(selection), _regret(selection), _worst(selection)]
+    broken = selection.chosen.broken
+    if broken:
+        said.append(
+            f"On the evaluate flights it does not keep {listed([one.words for one in broken])}: "
+            "the constraint is not sure to be kept."
+        )
+    return [one for one in said if one]
+
+
+def say(criterion: Criterion, value: float) -> str:
+    """A value of the criterion with its unit."""
+    return criterion.measure.say(value)
+
+
+def _how(selection: Selection) -> str:
+    rule, passing = selection.rule, len(selection.passing)
+    limits = [
+        f"{WORDS[name]} at most {told(name, limit)}"
+        for name in CONSTRAINTS
+        if (limit := getattr(rule, name)) is not None
+    ]
+    kept = f"; {passing} keep {listed(limits)} in every regime" if limits else ""
+    first = "listed first" if rule.simplest == "listed" else "fastest"
+    criterion = selection.criterion
+    counted = f" ({criterion.measure.convention})" if criterion.measure.unit else ""
+    return (
+        f"{len(selection.ranked)} candidates in {len(criterion.regimes)} "
+        f"{'regimes' if len(criterion.regimes) > 1 else 'regime'}, chosen on "
+        f"{selection.flights['validate']} flights{kept}. Of those within {100 * rule.margin:g} % "
+        f"of the best by {criterion.words}{counted}, the one {first} is chosen."
+    )
+
+
+def _tie(selection: Selection) -> str:
+    tied = selection.tied
+    if not tied:
+        return "No other candidate that keeps the constraints ties with it."
+    same = [one for one in tied if one.apart and one.apart.same]
+    rest = [one for one in tied if one.apart and not one.apart.same]
+    said = f"The flights do not tell it from {some([one.candidate.title for one in tied])}."
+    if same:
+        said += f" {len(same)} of these gave the same numbers on every flight."
+    needed = [one for one in rest if one.apart and math.isfinite(one.apart.more_flights)]
+    if needed:
+        easiest = min(needed, key=_more)
+        hardest = max(needed, key=_more)
+        said += f" Some {_more(easiest):.0f} more flights would tell it from "
+        said += easiest.candidate.title
+        if hardest is not easiest:
+            said += f", {_more(hardest):.0f} from {hardest.candidate.title}"
+        said += ", if the differences are what they seem."
+    return said
+
+
+def _more(one: Scored) -> float:
+    return one.apart.more_flights if one.apart else math.nan
+
+
+def _odds(selection: Selection) -> str:
+    ranked = sorted(selection.passing, key=lambda one: -one.best)[:3]
+    told_ = [f"{100 * one.best:.0f} % {one.candidate.title}" for one in ranked if one.best > 0.005]
+    return (
+        f"Best of those that keep everything, over flights drawn again {RESAMPLES} times: "
+        f"{listed(told_)}."
+    )
+
+
+def _regret(selection: Selection) -> str:
+    best, regret, criterion = selection.hindsight, selection.regret, selection.criterion
+    if best is None or regret is None or best is selection.chosen:
+        return "With hindsight, on the evaluate flights, nothing that keeps everything is better."
+    return (
+        f"With hindsight {best.candidate.title} is best on the evaluate flights: the regret is "
+        f"{say(criterion, regret.effect)} (95 % interval {shown(regret.low)} to "
+        f"{shown(regret.high)})."
+    )
+
+
+def _worst(selection: Selection) -> str:
+    chosen, criterion = selection.chosen, selection.criterion
+    if chosen is None or len(criterion.regimes) < 2:
+        return ""
+    name = criterion.worst(chosen.by_regime)
+    value = chosen.by_regime[criterion.regimes.index(name)] if name else math.nan
+    return f"Its worst regime is {name}: {say(criterion, float(value))}."
+
+
+def _binding(selection: Selection) -> Iterator[str]:
+    """Which constraint binds: what each alone refuses, and who comes closest."""
+    counted = Counter(breach.constraint for one in selection.ranked for breach in one.breaches)
+    alone = Counter(
+        one.breaches[0].constraint for one in selection.ranked if len(one.breaches) == 1
+    )
+    if alone:
+        name, many = alone.most_common(1)[0]
+        yield f"{name} binds: {many} candidates keep everything but that."
+    for name, many in counted.most_common():
+        values = [
+            (breach.value, one.candidate.title, breach.regime)
+            for one in selection.ranked
+            for breach in one.breaches
+            if breach.constraint == name
+        ]
+        value, title, regime = min(values)
+        limit = getattr(selection.rule, name)
+        where = f" in {regime}" if regime else ""
+        yield (
+            f"{name} = {limit:g} refuses {many} of {len(selection.ranked)}; the closest is "
+            f"{title} with {told(name, value)}{where}."
+        )
+
+
+def verdict(selection: Selection, one: Scored) -> str:
+    """Why a candidate was chosen, or lost."""
+    if one is selection.chosen:
+        return "chosen"
+    if one.breaches:
+        return "; ".join(breach.words for breach in one.breaches)
+    apart = one.apart
+    if apart is None or math.isnan(one.validate):
+        return "nothing to judge it by"
+    if apart.same:
+        return "the same on every flight, less simple"
+    if selection.within(one):
+        words = "tied" if apart.tie else f"{_by(apart)}, within the margin"
+        return f"{words}, less simple"
+    return f"tied, but {_by(apart)}: beyond the margin" if apart.tie else _by(apart)
+
+
+def _by(apart: Difference) -> str:
+    worse = apart.effect > 0
+    ends = (apart.low, apart.high) if worse else (-apart.high, -apart.low)
+    return (
+        f"{'worse' if worse else 'better'} by {shown(abs(apart.effect))} "
+        f"({shown(ends[0])} to {shown(ends[1])})"
+    )
+
+
+def selection_table(selection: Selection) -> Table:
+    """Every candidate, the chosen first, with its scores and the reason why it lost."""
+    criterion = selection.criterion
+    unit = criterion.measure.unit
+    names = list(selection.ranked[0].candidate.factors)
+    columns = (
+        Column("rank", format="d"),
+        *setting_columns(names),
+        Column("criterion", unit, SIGNIFICANT, group="validate"),
+        Column("minus chosen", unit, SIGNIFICANT, group="validate"),
+        Column("95 % from", unit, SIGNIFICANT, group="validate"),
+        Column("to", unit, SIGNIFICANT, group="validate"),
+        Column("best", "%", ".0f", group="validate"),
+        Column("more flights", "", ".0f", group="validate"),
+        Column("criterion", unit, SIGNIFICANT, group="evaluate"),
+        Column("minus chosen", unit, SIGNIFICANT, group="evaluate"),
+        Column("95 % from", unit, SIGNIFICANT, group="evaluate"),
+        Column("to", unit, SIGNIFICANT, group="evaluate"),
+        Column("verdict", align="left"),
+    )
+    ordered = _ordered(selection)
+    rows = tuple(_row(selection, place, one) for place, one in enumerate(ordered, 1))
+    notes = (
+        f"Criterion: {criterion.words}; {criterion.measure.convention}. Minus chosen: positive is "
+        f"worse. Intervals and the probability to be the best are by bootstrap over flights "
+        f"({RESAMPLES} draws, the same flights for every candidate, seed {selection.rule.seed}). "
+        "An interval that holds 0 is a tie; more flights: how many would end it, if the "
+        "difference is what it seems (∞: there is none).",
+    )
+    title = f"Candidates of the selection ({selection.study})"
+    return Table(title, columns, rows, notes, SHOWN)
+
+
+def _ordered(selection: Selection) -> list[Scored]:
+    """The chosen one, then the others, the best first."""
+    others = [one for one in selection.ranked if one is not selection.chosen]
+    return [*([selection.chosen] if selection.chosen else []), *others]
+
+
+def _row(selection: Selection, place: int, one: Scored) -> tuple[Value, ...]:
+    named = (*setting_values(one.candidate.group), *one.candidate.factors.values())
+    best = 100.0 * one.best if one.passes else None
+    more = one.apart.more_flights if one.apart and one.apart.tie else None
+    at_validate = (one.validate, *_apart(one.apart), best, more)
+    at_evaluate = (one.evaluate, *_apart(one.confirmed))
+    return (place, *named, *at_validate, *at_evaluate, verdict(selection, one))
+
+
+def _apart(apart: Difference | None) -> tuple[Value, Value, Value]:
+    return (None, None, None) if apart is None else (apart.effect, apart.low, apart.high)
+
+
+def regime_table(selection: Selection) -> Table:
+    """The criterion on the evaluate flights, a row per candidate, a column per regime."""
+    criterion = selection.criterion
+    names = list(selection.ranked[0].candidate.factors)
+    whole = {AVERAGE: "average", WORST: "worst"}.get(criterion.over, "judged by")
+    unit, form = criterion.measure.unit, criterion.measure.format
+    columns = (
+        *setting_columns(names),
+        *(Column(name, unit, form) for name in criterion.regimes),
+        Column(whole, unit, form),
+        Column("constraints", align="left"),
+    )
+    rows = tuple(
+        (
+            *setting_values(one.candidate.group),
+            *one.candidate.factors.values(),
+            *map(float, one.by_regime),
+            one.evaluate,
+            "kept" if one.passes else ", ".join(breach.constraint for breach in one.breaches),
+        )
+        for one in _ordered(selection)
+    )
+    notes = (f"{capital(criterion.measure.phrase)} on the evaluate flights, the chosen first; "
+             f"{criterion.measure.convention}.",)  # fmt: skip
+    return Table(f"Regimes ({selection.study})", columns, rows, notes, SHOWN)
+
+
+def latency_table(selection: Selection) -> Table | None:
+    """Time and memory of one estimate, a row per candidate; None where none was measured."""
+    timed = [one for one in selection.ranked if one.latency is not None]
+    if not timed:
+        return None
+    names = list(timed[0].candidate.factors)
+    columns = (
+        *setting_columns(names),
+        Column("median", "ms", SIGNIFICANT, group="latency"),
+        Column("99th percentile", "ms", SIGNIFICANT, group="latency"),
+        Column("peak memory", "MB", ".0f"),
+        Column("flights", format="d"),
+        Column("disturbed", "%", ".0f"),
+    )
+    rows = tuple(
+        (
+            *setting_values(one.candidate.group),
+            *one.candidate.factors.values(),
+            1e3 * one.latency.median,
+            1e3 * one.latency.p99,
+            one.latency.memory,
+            one.latency.flights,
+            100.0 * one.latency.busy,
+        )
+        for one in timed
+        if one.latency
+    )
+    notes = (
+        "From the record of a flight to the answer, one flight at a time in a process of its own "
+        "on one core, after a warm-up; the peak memory is that of the whole process. Disturbed: "
+        "flights during which other programs had the core; their processor time is told.",
+    )
+    return Table(f"Latency and memory ({selection.study})", columns, rows, notes, SHOWN)

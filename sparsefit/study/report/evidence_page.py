@@ -1,0 +1,112 @@
+"""The evidence of a selection as a page: what was chosen, how sure that is, and why others lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+
+from sparsefit.study.evidence.selection import Selection
+from sparsefit.study.evidence.table import Table
+from sparsefit.study.evidence.verdicts import (
+    headline,
+    latency_table,
+    regime_table,
+    selection_table,
+    sentences,
+)
+from sparsefit.study.report.drawing import STYLE, to_png, to_svg
+from sparsefit.study.report.escape import escape_markdown
+from sparsefit.study.report.pareto import CAPTION, pareto
+from sparsefit.study.report.render import to_csv, to_latex, to_markdown
+from sparsefit.study.run.latency import processor_of
+from sparsefit.study.run.manifest import sparsefit_version
+from sparsefit.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+PAGE = "evidence.md"
+
+
+def write_evidence(study: Study, folder: Path, selection: Selection) -> list[Path]:
+    """Write the evidence page, its picture and its tables into the results folder of the study.
+
+    Returns:
+        The files written, the page last.
+    """
+    files = evidence_files(study, selection, processor_of(folder))
+    for name, content in files.items():
+        write_whole(folder / name, content)
+    return [folder / name for name in files]
+
+
+def evidence_files(study: Study, selection: Selection, processor: str = "") -> dict[str, bytes]:
+    """The files of the evidence by name, the page last; times in files of their own."""
+    tables = evidence_tables(selection)
+    files = dict(_table_files(study, tables))
+    if _timed(selection):
+        with mpl.rc_context():
+            mpl.rcdefaults()
+            mpl.rcParams.update(STYLE)
+            figure = pareto(selection)
+            files |= {"pareto.svg": to_svg(figure), "pareto.png": to_png(figure)}
+    files[PAGE] = evidence_markdown(study, selection, processor).encode()
+    return files
+
+
+def evidence_tables(selection: Selection) -> dict[str, Table]:
+    """The tables of the evidence by file name."""
+    timed = latency_table(selection)
+    return {
+        "selection": selection_table(selection),
+        "regimes": regime_table(selection),
+        **({"latency": timed} if timed else {}),
+    }
+
+
+def _table_files(study: Study, tables: Mapping[str, Table]) -> Iterator[tuple[str, bytes]]:
+    for name, table in tables.items():
+        yield f"{name}.md", to_markdown(table).encode()
+        yield f"{name}.tex", to_latex(table, label=f"tab:{study.name}-{name}").encode()
+        yield f"{name}.csv", to_csv(table).encode()
+
+
+def evidence_markdown(study: Study, selection: Selection, processor: str = "") -> str:
+    """The page; `processor` is what the latencies were measured on."""
+    said = "\n".join(f"- {escape_markdown(one)}" for one in sentences(selection))
+    picture = [f"![accuracy and latency](pareto.svg)\n\n*{CAPTION}*"] if _timed(selection) else []
+    parts = [
+        f"# {escape_markdown(study.name)}: the evidence of the selection",
+        f"**{escape_markdown(study.question)}**",
+        f"**{escape_markdown(headline(selection))}**",
+        said,
+        *picture,
+        *(to_markdown(table) for table in evidence_tables(selection).values()),
+        _provenance(study, selection, processor),
+    ]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _provenance(study: Study, selection: Selection, processor: str) -> str:
+    rule = selection.rule
+    lines = [
+        f"- {field.name}: `{json.dumps(getattr(rule, field.name))}`"
+        for field in fields(rule)
+        if getattr(rule, field.name) not in (None, ())
+    ]
+    where = f" Latency on {escape_markdown(processor)}." if processor else ""
+    said = (
+        f"Study hash `{study.hash[:12]}`, seed {study.seed}, sparsefit {sparsefit_version()}."
+        f"{where} Written by `sparsefit select`; do not edit."
+    )
+    return "\n\n".join(["### The rule", "\n".join(lines), said])
+
+
+def _timed(selection: Selection) -> bool:
+    return any(one.latency and np.isfinite(one.latency.median) for one in selection.ranked)

@@ -1,0 +1,70 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sparsefit.study.evidence.measure import QUANTILES, SUMMARIES
+from sparsefit.study.evidence.resampling import (
+    Difference,
+    best_probabilities,
+    draws,
+    holm,
+    interval,
+    quantile,
+    reduce,
+)
+
+RNG = np.random.default_rng(3)
+VALUES = RNG.exponential(2.0, (4, 9))
+
+
+@pytest.mark.parametrize("name", SUMMARIES)
+def test_summaries_are_those_of_the_measures(name):
+    values = np.floor(VALUES)
+    expected = [SUMMARIES[name](row) for row in values]
+    assert reduce(name, values) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("name", QUANTILES)
+def test_quantiles_are_those_of_numpy_over_what_is_known(name):
+    holes = VALUES.copy()
+    holes[0, 3] = holes[2, :4] = np.nan
+    expected = np.nanquantile(holes, QUANTILES[name], axis=1)
+    assert reduce(name, holes) == pytest.approx(expected)
+
+
+def test_of_nothing_nothing_is_known():
+    nothing = np.full((2, 3), np.nan)
+    assert np.isnan(reduce("mean", nothing)).all()
+    assert np.isnan(reduce("largest", nothing)).all()
+    assert np.isnan(quantile(nothing, 0.5)).all()
+
+
+def test_the_interval_is_that_of_scipy():
+    flights = RNG.normal(1.0, 2.0, 60)
+    ours = interval(flights[draws(60, 0, 4000)].mean(axis=1))
+    theirs = stats.bootstrap((flights,), np.mean, n_resamples=4000, method="percentile")
+    assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.06)
+
+
+def test_flights_to_tell_two_apart():
+    apart = Difference(1.0, -1.0, 3.0, 25)
+    assert apart.tie
+    assert apart.more_flights == 75  # half the interval is twice the effect: four times the flights
+    assert not Difference(2.0, 1.0, 3.0, 25).tie
+    assert Difference(2.0, 1.0, 3.0, 25).more_flights == 0
+    assert math.isinf(Difference(0.0, 0.0, 0.0, 25, same=True).more_flights)
+
+
+def test_probability_to_be_the_best_by_hand():
+    distributions = np.array([[1.0, 2.0, 3.0, 1.0], [2.0, 1.0, 3.0, 2.0], [9.0, 9.0, 3.0, 9.0]])
+    assert best_probabilities(distributions) == pytest.approx(
+        [(2 + 1 / 3) / 4, (1 + 1 / 3) / 4, 1 / 12]
+    )
+
+
+def test_holm_by_hand():
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    assert holm([]) == []
