@@ -108,9 +108,11 @@ class Criterion:
 
     def grid(self, trial: Trial) -> Array:
         """(flights, regimes, cases) the measure; a failure in a flow counts as the measure says."""
-        read = self.measure.read(trial.cases)
+        applies = self.measure.applies
+        of = applies(trial.cases) if applies else np.ones(len(trial.cases), dtype=bool)
+        read = np.where(of, self.measure.read(trial.cases), np.nan)
         if self.measure.failure is Failure.MISS:
-            read = np.where(np.isnan(read) & in_a_flow(trial.cases), self.measure.miss, read)
+            read = np.where(np.isnan(read) & of & in_a_flow(trial.cases), self.measure.miss, read)
         return trial.grid(read)
 
     def by_regime(self, grid: Array) -> Array:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.study.evidence.candidates import Trial
-from sparsefit.study.evidence.cases import estimated, has_status, in_a_flow
+from sparsefit.study.evidence.cases import estimated, has_status, in_a_flow, in_still_air
 from sparsefit.study.evidence.readings import is_off, sizes, where
 from sparsefit.study.evidence.resampling import reduce
 from sparsefit.study.evidence.sentence import shown
@@ -35,7 +35,8 @@ def _failures(cases: pd.DataFrame) -> Array:
 def _silent(cases: pd.DataFrame) -> Array:
     """Called ok and off, or called ok where there was nothing to find."""
     called_ok = has_status(cases, "ok")
-    return (called_ok & np.where(in_a_flow(cases), is_off(cases), True)).astype(float)
+    wrong = np.where(in_a_flow(cases), is_off(cases), in_still_air(cases))
+    return (called_ok & wrong).astype(float)
 
 
 def _largest(cases: pd.DataFrame) -> Array:

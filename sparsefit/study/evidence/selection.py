@@ -19,7 +19,6 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.candidates import Candidate, Criterion, candidates_of
 from sparsefit.study.evidence.constraints import Breach, breaches
-from sparsefit.study.evidence.measure import TINY
 from sparsefit.study.evidence.resampling import (
     SAME,
     Difference,
@@ -95,7 +94,9 @@ class Selection:
         """Whether a candidate is within the margin of the best that keeps everything."""
         losses = [float(self.criterion.loss(np.asarray(each.validate))) for each in self.passing]
         loss = float(self.criterion.loss(np.asarray(one.validate)))
-        return one.passes and _is_within(loss, losses, self.rule.margin, _floor(self.criterion))
+        return one.passes and _is_within(
+            loss, losses, self.rule.margin, self.criterion.measure.least
+        )
 
 
 def select(
@@ -145,7 +146,7 @@ def _decide(
     losses = [_loss(criterion, grid) for grid in grids["validate"]]
     order = sorted(range(len(candidates)), key=lambda at: (losses[at], at))
     passing = [at for at in order if not found[at] and not math.isnan(losses[at])]
-    chosen = _simplest(rule, losses, passing, latencies, _floor(criterion))
+    chosen = _simplest(rule, losses, passing, latencies, criterion.measure.least)
     resampled = {
         split: [
             criterion.resampled(grid, draws(len(grid), rule.seed + place)) for grid in grids[split]
@@ -163,7 +164,7 @@ def _decide(
         first, second = grids[split][at], grids[split][other]
         drawn = resampled[split][at] - resampled[split][other]
         effect = _loss(criterion, first) - _loss(criterion, second)
-        floor = _floor(criterion)
+        floor = criterion.measure.least
         same = bool(np.allclose(first, second, rtol=SAME, atol=floor, equal_nan=True))
         return Difference.of(effect, drawn, len(first), same=same)
 
@@ -226,11 +227,6 @@ def _simplest(
 def _is_within(loss: float, losses: list[float], margin: float, floor: float) -> bool:
     best = min(losses)
     return loss <= best + (margin + SAME) * abs(best) + floor
-
-
-def _floor(criterion: Criterion) -> float:
-    """What is rounding in the unit of the criterion: no difference of errors says less."""
-    return TINY if criterion.measure.unit == "%" else 0.0
 
 
 def check_finished(study: Study, cases: pd.DataFrame) -> None:

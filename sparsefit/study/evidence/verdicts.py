@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 
 from sparsefit.study.evidence.candidates import Criterion
 from sparsefit.study.evidence.columns import setting_columns, setting_values
@@ -180,21 +181,19 @@ def _by(apart: Difference) -> str:
 def selection_table(selection: Selection) -> Table:
     """Every candidate, the chosen first, with its scores and the reason why it lost."""
     criterion = selection.criterion
-    unit = criterion.measure.unit
     names = list(selection.ranked[0].candidate.factors)
+
+    def of(name: str, split: str) -> Column:
+        measure = criterion.measure
+        return Column(name, measure.unit, SIGNIFICANT, group=split, least=measure.least)
+
     columns = (
         Column("rank", format="d"),
         *setting_columns(names),
-        Column("criterion", unit, SIGNIFICANT, group="validate"),
-        Column("minus chosen", unit, SIGNIFICANT, group="validate"),
-        Column("95 % from", unit, SIGNIFICANT, group="validate"),
-        Column("to", unit, SIGNIFICANT, group="validate"),
+        *(of(name, "validate") for name in ("criterion", "minus chosen", "95 % from", "to")),
         Column("best", "%", ".0f", group="validate"),
         Column("more flights", "", ".0f", group="validate"),
-        Column("criterion", unit, SIGNIFICANT, group="evaluate"),
-        Column("minus chosen", unit, SIGNIFICANT, group="evaluate"),
-        Column("95 % from", unit, SIGNIFICANT, group="evaluate"),
-        Column("to", unit, SIGNIFICANT, group="evaluate"),
+        *(of(name, "evaluate") for name in ("criterion", "minus chosen", "95 % from", "to")),
         Column("verdict", align="left"),
     )
     ordered = _ordered(selection)
@@ -234,11 +233,12 @@ def regime_table(selection: Selection) -> Table:
     criterion = selection.criterion
     names = list(selection.ranked[0].candidate.factors)
     whole = {AVERAGE: "average", WORST: "worst"}.get(criterion.over, "judged by")
-    unit, form = criterion.measure.unit, criterion.measure.format
+    measure = criterion.measure
+    shown_as = partial(Column, unit=measure.unit, format=measure.format, least=measure.least)
     columns = (
         *setting_columns(names),
-        *(Column(name, unit, form) for name in criterion.regimes),
-        Column(whole, unit, form),
+        *map(shown_as, criterion.regimes),
+        shown_as(whole),
         Column("constraints", align="left"),
     )
     rows = tuple(
@@ -256,19 +256,22 @@ def regime_table(selection: Selection) -> Table:
     return Table(f"Regimes ({selection.study})", columns, rows, notes, SHOWN)
 
 
-def latency_table(selection: Selection) -> Table | None:
-    """Time and memory of one estimate, a row per candidate; None where none was measured."""
+def latency_table(selection: Selection, processor: str = "") -> Table | None:
+    """Time and memory of one estimate, a row per candidate; None where none was measured.
+
+    processor: what they were measured on.
+    """
     timed = [one for one in selection.ranked if one.latency is not None]
     if not timed:
         return None
     names = list(timed[0].candidate.factors)
     columns = (
         *setting_columns(names),
-        Column("median", "ms", SIGNIFICANT, group="latency"),
-        Column("99th percentile", "ms", SIGNIFICANT, group="latency"),
-        Column("peak memory", "MB", ".0f"),
-        Column("flights", format="d"),
-        Column("disturbed", "%", ".0f"),
+        Column("median", "ms", SIGNIFICANT, group="latency", varies=True),
+        Column("99th percentile", "ms", SIGNIFICANT, group="latency", varies=True),
+        Column("peak memory", "MB", ".0f", varies=True),
+        Column("flights", format="d", varies=True),
+        Column("disturbed", "%", ".0f", varies=True),
     )
     rows = tuple(
         (
@@ -286,6 +289,7 @@ def latency_table(selection: Selection) -> Table | None:
     notes = (
         "From the record of a flight to the answer, one flight at a time in a process of its own "
         "on one core, after a warm-up; the peak memory is that of the whole process. Disturbed: "
-        "flights during which other programs had the core; their processor time is told.",
+        "flights during which other programs had the core; their processor time is told."
+        + (f" Measured on {processor}." if processor else ""),
     )
     return Table(f"Latency and memory ({selection.study})", columns, rows, notes, SHOWN)

@@ -48,7 +48,7 @@ def write_evidence(study: Study, folder: Path, selection: Selection) -> list[Pat
 
 def evidence_files(study: Study, selection: Selection, processor: str = "") -> dict[str, bytes]:
     """The files of the evidence by name, the page last; times in files of their own."""
-    tables = evidence_tables(selection)
+    tables = evidence_tables(selection, processor)
     files = dict(_table_files(study, tables))
     if _timed(selection):
         with mpl.rc_context():
@@ -56,13 +56,13 @@ def evidence_files(study: Study, selection: Selection, processor: str = "") -> d
             mpl.rcParams.update(STYLE)
             figure = pareto(selection)
             files |= {"pareto.svg": to_svg(figure), "pareto.png": to_png(figure)}
-    files[PAGE] = evidence_markdown(study, selection, processor).encode()
+    files[PAGE] = evidence_markdown(study, selection).encode()
     return files
 
 
-def evidence_tables(selection: Selection) -> dict[str, Table]:
-    """The tables of the evidence by file name."""
-    timed = latency_table(selection)
+def evidence_tables(selection: Selection, processor: str = "") -> dict[str, Table]:
+    """The tables of the evidence by file name; `processor` is what was timed on."""
+    timed = latency_table(selection, processor)
     return {
         "selection": selection_table(selection),
         "regimes": regime_table(selection),
@@ -77,33 +77,34 @@ def _table_files(study: Study, tables: Mapping[str, Table]) -> Iterator[tuple[st
         yield f"{name}.csv", to_csv(table).encode()
 
 
-def evidence_markdown(study: Study, selection: Selection, processor: str = "") -> str:
-    """The page; `processor` is what the latencies were measured on."""
+def evidence_markdown(study: Study, selection: Selection) -> str:
+    """The page; its picture and times, which no other machine shares, are files beside it."""
     said = "\n".join(f"- {escape_markdown(one)}" for one in sentences(selection))
-    picture = [f"![accuracy and latency](pareto.svg)\n\n*{CAPTION}*"] if _timed(selection) else []
+    shown = f"![accuracy and latency](pareto.svg)\n\n*{CAPTION}* The times: [latency](latency.md)."
+    picture = [shown] if _timed(selection) else []
+    tables = evidence_tables(selection).values()
     parts = [
         f"# {escape_markdown(study.name)}: the evidence of the selection",
         f"**{escape_markdown(study.question)}**",
         f"**{escape_markdown(headline(selection))}**",
         said,
         *picture,
-        *(to_markdown(table) for table in evidence_tables(selection).values()),
-        _provenance(study, selection, processor),
+        *(to_markdown(table) for table in tables if not table.varies),
+        _provenance(study, selection),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def _provenance(study: Study, selection: Selection, processor: str) -> str:
+def _provenance(study: Study, selection: Selection) -> str:
     rule = selection.rule
     lines = [
         f"- {field.name}: `{json.dumps(getattr(rule, field.name))}`"
         for field in fields(rule)
         if getattr(rule, field.name) not in (None, ())
     ]
-    where = f" Latency on {escape_markdown(processor)}." if processor else ""
     said = (
-        f"Study hash `{study.hash[:12]}`, seed {study.seed}, sparsefit {sparsefit_version()}."
-        f"{where} Written by `sparsefit select`; do not edit."
+        f"Study hash `{study.hash[:12]}`, seed {study.seed}, sparsefit {sparsefit_version()}. "
+        "Written by `sparsefit select`; do not edit."
     )
     return "\n\n".join(["### The rule", "\n".join(lines), said])
 
