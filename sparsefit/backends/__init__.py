@@ -14,6 +14,7 @@ from typing import Any, cast
 
 from sparsefit.errors import InputError, SparsefitError, unknown
 from sparsefit.regression.backend import Backend, Solution, settings_of
+from sparsefit.regression.foreign import quiet
 
 __all__ = [
     "BACKENDS",
@@ -80,8 +81,9 @@ def load(name: str) -> type[Backend]:
     if name not in _plugins():
         raise unknown("back-end", name, known())
     try:
-        loaded = _plugins()[name].load()
-    except Exception as error:  # a plug-in may raise anything on import
+        with quiet():
+            loaded = _plugins()[name].load()
+    except (Exception, SystemExit) as error:  # a plug-in may raise anything on import
         raise InputError(
             f"back-end {name!r} (plug-in {_plugins()[name].value}) cannot be loaded: "
             f"{type(error).__name__}: {error}"
@@ -91,6 +93,12 @@ def load(name: str) -> type[Backend]:
             f"back-end {name!r} (plug-in {_plugins()[name].value}) is not a frozen dataclass with "
             "a `solve` method"
         )
+    for needed in ("name", "certificate_kind"):
+        if not isinstance(getattr(loaded, needed, None), str):
+            raise InputError(
+                f"back-end {name!r} (plug-in {_plugins()[name].value}) has no `{needed}`, a text "
+                "that its class holds"
+            )
     return cast(type[Backend], loaded)
 
 
@@ -122,7 +130,8 @@ def _plugin(name: str, backend: type[Backend], settings: Mapping[str, Any]) -> B
         if item.type in (int, float, "int", "float") and isinstance(value, str):
             raise InputError(f"{name}: {item.name} must be a number, not {value!r}")
     try:
-        return backend(**settings)
+        with quiet():
+            return backend(**settings)
     except SparsefitError:
         raise
     except (TypeError, ValueError) as error:

@@ -22,6 +22,16 @@ from sparsefit.regression.backend import (
     checked_alpha_fraction,
     numeric_fraction,
 )
+from sparsefit.regression.foreign import (
+    check_declared,
+    check_unharmed,
+    declared_penalty,
+    is_foreign,
+    lent,
+    quiet,
+    received,
+    received_all,
+)
 from sparsefit.regression.judgement import certificate_of, judged, path_certificates
 from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.penalty_choice import FRACTIONS, choose_penalty
@@ -40,6 +50,14 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
     InputError on what is not a problem, a back-end or a tolerance >= 0.
     """
     _check(problem, tolerance)
+    if is_foreign(backend):
+        _check_backend(backend)
+        with quiet():
+            return _fit(problem, backend, tolerance)
+    return _fit(problem, backend, tolerance)
+
+
+def _fit(problem: RegressionProblem, backend: Backend, tolerance: float) -> Fit:
     # To recognise a protocol takes longer than many a solve: the most common is asked for first.
     if isinstance(backend, PathBackend):
         if backend.alpha_fraction == "auto" and isinstance(backend, ChoosingBackend):
@@ -51,9 +69,12 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
     if convex and isinstance(backend, PenalisedBackend):
         fraction = numeric_fraction(backend.name, backend.alpha_fraction)
         return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
-    solution, seconds = _timed(problem, backend)
+    given = lent(problem) if is_foreign(backend) else problem
+    solution, seconds = _timed(given, backend)
     seconds += solution.shared_seconds
-    certificate = certificate_of(problem, backend, solution)
+    certificate = certificate_of(problem, backend, solution, given)
+    if given is not problem:
+        check_unharmed(backend, given, problem)
     return judged(problem, backend, solution, certificate, seconds, tolerance)
 
 
@@ -79,6 +100,10 @@ def path(
         raise InputError(f"path needs a list of at least one alpha_fraction, not {asked.tolist()}")
     for value in asked[~((asked > 0) & (asked <= 1))].tolist():
         checked_alpha_fraction(backend.name, value)
+    if is_foreign(backend):
+        _check_backend(backend)
+        with quiet():
+            return _along(problem, backend, asked, tolerance)
     return _along(problem, backend, asked, tolerance)
 
 
@@ -89,21 +114,28 @@ def _along(
     order = np.argsort(-asked, kind="stable")
     fractions = tuple(asked[order].tolist())
     points = _at(backend, fractions)
+    given = lent(problem) if is_foreign(backend) else problem
     start = perf_counter()
     if isinstance(backend, PathBackend):
-        solutions = backend.solve_path(problem, fractions)
+        solutions = backend.solve_path(given, fractions)
         seconds = [(perf_counter() - start) / len(fractions)] * len(fractions)
     else:
-        timed = [_timed(problem, point) for point in points]
+        timed = [_timed(given, point) for point in points]
         solutions, seconds = tuple(s for s, _ in timed), [t for _, t in timed]
-    penalty = backend.penalty(problem)
+    if given is problem:
+        penalty = backend.penalty(problem)
+    else:
+        solutions = received_all(solutions, backend, problem, len(fractions))
+        penalty = declared_penalty(backend, given)
     unit = alpha_max(problem.statistics.cross, penalty)
     alphas = unit * np.array(fractions)
     if backend.certificate_kind == "duality_gap":
         certificates = path_certificates(problem, solutions, alphas, penalty, tolerance)
     else:
         pairs = zip(points, solutions, strict=True)
-        certificates = [certificate_of(problem, *pair) for pair in pairs]
+        certificates = [certificate_of(problem, *pair, given) for pair in pairs]
+    if given is not problem:
+        check_unharmed(backend, given, problem)
     fits = [
         _repaired(judged(problem, *point, tolerance), tolerance)
         for point in zip(points, solutions, certificates, seconds, strict=True)
@@ -129,7 +161,8 @@ def _chosen(problem: RegressionProblem, backend: ChoosingBackend, tolerance: flo
 
 def _timed(problem: RegressionProblem, backend: Backend) -> tuple[Solution, float]:
     start = perf_counter()
-    return backend.solve(problem), perf_counter() - start
+    solution, seconds = backend.solve(problem), perf_counter() - start
+    return (received(solution, backend, problem) if is_foreign(backend) else solution), seconds
 
 
 def _repaired(fast: Fit, tolerance: float) -> Fit:
@@ -164,3 +197,5 @@ def _check(problem: Any, tolerance: Any) -> None:
 def _check_backend(backend: Any) -> None:
     if not isinstance(backend, Backend):
         raise InputError(f"fit needs a back-end, not {backend!r}; see backends.get(name)")
+    if is_foreign(backend):
+        check_declared(backend)

@@ -1,14 +1,16 @@
 """The caller's judgement of a back-end's solution: its certificate, and the status that follows."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.regression.answer import Fit
 from sparsefit.regression.backend import Backend, OffGridBackend, Solution
 from sparsefit.regression.certificate import Certificate, duality_gaps, gram_gaps
+from sparsefit.regression.foreign import asked_support, confirms_anything, is_foreign
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
 
@@ -57,18 +59,30 @@ def _smallest_effort(
 
 
 def certificate_of(
-    problem: RegressionProblem, backend: Any, solution: Solution
+    problem: RegressionProblem, backend: Any, solution: Solution, given: RegressionProblem
 ) -> Certificate | None:
-    """The certificate of a back-end without a penalty on columns; None without finite weights."""
+    """The certificate of a back-end without a penalty on columns; None without finite weights.
+
+    given: the problem as it was given to the back-end; a fixed point that says yes to every support
+    is certified by NaN.
+    """
     weights = _weights_of(solution)
     if weights is None or not np.isfinite(weights).all():
         return None
     if isinstance(backend, OffGridBackend):
-        return backend.certify(problem, solution)
+        return backend.certify(given, solution)
     if backend.certificate_kind == "normal_equations":
         return _normal_equations(problem, weights, backend.rcond)
     support = weights != 0
-    changed = int(np.sum(backend.next_support(problem, weights) != support))
+    if not is_foreign(backend):
+        return _fixed_point(support, backend.next_support(problem, weights))
+    if confirms_anything(backend, given, weights):
+        return Certificate("fixed_point", math.nan)
+    return _fixed_point(support, asked_support(backend, given, weights))
+
+
+def _fixed_point(support: BoolArray, after: BoolArray) -> Certificate:
+    changed = int(np.sum(after != support))
     return Certificate("fixed_point", changed / max(int(support.sum()), 1))
 
 
@@ -108,6 +122,8 @@ def judged(
         status = "ok" if certificate.value <= tolerance else "inaccurate"
         if status == "inaccurate":
             words = f"{certificate.kind} {certificate.value:.1e} above tolerance {tolerance:.1e}"
+            if math.isnan(certificate.value):
+                words = "nothing is verified: its next_support confirms any support"
             reason = f"{words}; {reason}" if reason else words
     return Fit(
         weights,

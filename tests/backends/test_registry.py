@@ -17,7 +17,7 @@ from tests.problems import regular
 
 @dataclass(frozen=True)
 class Ridge:
-    """A plug-in: ridge regression, refereed as a fixed point of its own support."""
+    """A plug-in: ridge regression, with the support of its own answer."""
 
     name: ClassVar[str] = "damped"
     certificate_kind: ClassVar[str] = "fixed_point"
@@ -28,7 +28,7 @@ class Ridge:
         return Solution(np.linalg.solve(gram, problem.theta.T @ problem.target))
 
     def next_support(self, problem, weights):
-        return weights != 0
+        return self.solve(problem).weights != 0
 
 
 class NotADataclass:
@@ -39,6 +39,14 @@ class NotADataclass:
 @dataclass(frozen=True)
 class WithoutSolve:
     amount: float = 1.0
+
+
+@dataclass(frozen=True)
+class WithoutName:
+    certificate_kind: ClassVar[str] = "fixed_point"
+
+    def solve(self, problem):
+        return Solution(None)
 
 
 @pytest.fixture
@@ -105,6 +113,8 @@ def test_a_plug_in_is_a_back_end_like_any_other(plug_in):
         (f"{__name__}:NoSuchName", "AttributeError"),
         (f"{__name__}:NotADataclass", "frozen dataclass"),
         (f"{__name__}:WithoutSolve", "solve"),
+        (f"{__name__}:WithoutName", "has no `name`"),
+        ("tests.backends.exits:Thing", "SystemExit: 0"),
     ],
 )
 def test_a_broken_plug_in_is_listed_and_says_why(plug_in, place, words):

@@ -28,7 +28,7 @@ from tests.conftest import SECONDS
 ROOT = Path(__file__).parents[2]
 PLUGIN = '''
 """A back-end that behaves as it is told."""
-import os, time
+import multiprocessing, os, subprocess, time
 from dataclasses import dataclass
 from typing import ClassVar
 import numpy as np
@@ -54,11 +54,37 @@ class Hostile:
             raise ZeroDivisionError("one\\ntwo")
         if self.deed == "nothing":
             return Solution(None, "error", "no answer")
-        weights = np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0]
-        return Solution(weights)
+        if self.deed == "fork" and os.fork() == 0:
+            time.sleep(0.2)
+        if self.deed == "scribble":
+            for descriptor in range(3, 60):
+                try:
+                    os.write(descriptor, b"\\xff\\xff\\xff\\x7f" * 9)
+                except OSError:
+                    pass
+        if self.deed == "print":
+            print("not JSON")
+            os.write(1, b"not JSON")
+        if self.deed == "name":
+            raise ValueError(os.fsdecode(b"\\xff\\x1b"))
+        if self.deed == "status":
+            return Solution(None, 7, "seven")
+        if self.deed == "child":
+            subprocess.Popen(["sleep", "600"])
+            time.sleep(600.0)
+        return Solution(np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0])
 
     def next_support(self, problem, weights):
-        return weights != 0
+        return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0] != 0
+
+
+@dataclass(frozen=True)
+class Late(Hostile):
+    name: ClassVar[str] = "late"
+
+    def __post_init__(self):
+        if multiprocessing.parent_process() is not None:
+            raise RuntimeError("not here")
 '''
 HEAD = """
 name = "r"
@@ -121,7 +147,9 @@ def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     info = folder / "hostile-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[sparsefit.backends]\nhostile = hostile:Hostile\n")
+    (info / "entry_points.txt").write_text(
+        "[sparsefit.backends]\nhostile = hostile:Hostile\nlate = hostile:Late\n"
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         backends._plugins.cache_clear()
@@ -288,6 +316,39 @@ def test_a_worker_that_dies_takes_one_case_along(tmp_path: Path, write: Write) -
     assert (by_deed["raise"]["reason"] == "ZeroDivisionError: one two").all()
     assert by_deed["work"]["est_length_scale"].notna().all()
     assert cases["true_length_scale"].between(3.0, 6.0).all()
+
+
+def test_what_a_back_end_breaks_is_its_own_row(
+    tmp_path: Path, write: Write, capfd: pytest.CaptureFixture[str]
+) -> None:
+    names = ("fork", "scribble", "print", "name", "status", "child", "work")
+    late = '[[backends]]\nname = "late"\n[[backends]]\nname = "lasso"\n'
+    study = Study.load(write(deeds(*names) + late, count=1, timeout=5.0))
+    summary = run(study, tmp_path, processes=1)
+    cases = read_cases(summary.folder)
+    assert len(cases) == study.planned == len(names) + 2
+    told = {
+        json.loads(row.settings)["deed"] if row.backend == "hostile" else row.backend: row
+        for row in cases.itertuples()
+    }
+    for good in ("fork", "print", "work", "lasso"):
+        assert told[good].status in ("ok", "unidentifiable"), told[good]
+    assert told["scribble"].status == "crashed"
+    assert "message channel" in told["scribble"].reason
+    assert (told["name"].status, told["status"].status) == ("error", "error")
+    assert "\\udcff\\x1b" in told["name"].reason
+    assert "status 7, which is none of ok" in told["status"].reason
+    assert told["child"].status == "timeout"
+    assert (told["late"].status, told["late"].reason) == ("error", "RuntimeError: not here")
+    assert capfd.readouterr().out == ""
+    listed = [entry for entry in Path("/proc").iterdir() if entry.name.isdigit()]
+    assert not any(b"sleep\0600" in command(entry) for entry in listed)
+
+
+def command(entry: Path) -> bytes:
+    with contextlib.suppress(OSError):
+        return (entry / "cmdline").read_bytes()
+    return b""
 
 
 @pytest.mark.usefixtures("in_process")
