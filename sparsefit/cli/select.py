@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from sparsefit.cli.parser import Parser, Verbs, add_results, number, verb, whole
 if TYPE_CHECKING:
     import pandas as pd
 
+    from sparsefit.study.evidence.fresh import Check
     from sparsefit.study.evidence.selection import Selection
     from sparsefit.study.run.latency import Latency
     from sparsefit.study.spec.selection import SelectionRule
@@ -36,6 +38,7 @@ RULE = (  # option, type, metavar, help; the key of [select] is the option's nam
     ("--max-latency-p99", number("s"), "S", "most of the 99th percentile of the latency"),
     ("--max-memory", number("MB"), "MB", "most peak memory of the process"),
     ("--latency-flights", whole, "N", "flights that each candidate is timed on; 0: none"),
+    ("--check", whole, "N", "flights of fresh seeds to check the choice on; 0: none"),
     ("--seed", whole, "N", "of the bootstrap"),
 )
 
@@ -52,6 +55,9 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
     add_results(parser)
     _add_rule(parser)
+    parser.add_argument(
+        "--processes", type=whole, metavar="N", help="of --check; default: one per processor"
+    )
     parser.add_argument(
         "--measure-again", action="store_true", help="time the candidates anew, known or not"
     )
@@ -99,13 +105,15 @@ def run(args: argparse.Namespace) -> int:
     cases = read_cases(folder)
     times = _times(study, cases, folder, rule, again=args.measure_again)
     selection = select(study, cases, rule=rule, latencies=times)
+    check = _check(study, selection, folder, args)
     if selection.chosen is not None:
         write_whole(args.output, estimator_text(study, selection))
-    page = write_evidence(study, folder, selection)[-1]
+    page = write_evidence(study, folder, selection, check)[-1]
+    told = _Told(selection, check, args.output, page)
     if args.json:
-        print_json(_record(selection, args.output, page))
+        print_json(_record(told))
     else:
-        print("\n".join(_lines(selection, args.output, page)))
+        print("\n".join(_lines(told)))
     return 0 if selection.chosen is not None else 1
 
 
@@ -142,11 +150,49 @@ def _times(
     return known | dict(zip((one.place for one in left), measured.values(), strict=True))
 
 
+def _check(
+    study: Study, selection: Selection, folder: Path, args: argparse.Namespace
+) -> Check | None:
+    """Run what keeps the constraints on flights of fresh seeds; what is there is not run again."""
+    from sparsefit.cli.progress import Bar, Lines
+    from sparsefit.study.evidence.fresh import check_of, fresh_study
+    from sparsefit.study.run import runner
+    from sparsefit.study.run.store import read_cases
+
+    if selection.chosen is None or not selection.rule.check:
+        return None
+    args.stopped = "stopped; run the same command again to continue"
+    fresh = fresh_study(study, selection, selection.rule.check)
+    progress = Bar() if sys.stderr.isatty() else Lines()
+    try:
+        summary = runner.run(fresh, folder, processes=args.processes, progress=progress)
+    finally:
+        progress.close()
+    return check_of(fresh, selection, read_cases(summary.folder))
+
+
 def _say(done: int, planned: int) -> None:
     print(f"timing candidate {done + 1} of {planned}", file=sys.stderr)
 
 
-def _record(selection: Selection, output: str, page: Path) -> dict[str, object]:
+@dataclass(frozen=True)
+class _Told:
+    """What is printed: the selection, what fresh flights say, and the files it is in."""
+
+    selection: Selection
+    check: Check | None
+    output: str
+    page: Path
+
+    @property
+    def sentences(self) -> list[str]:
+        from sparsefit.study.evidence.verdicts import checked, sentences
+
+        more = checked(self.selection, self.check) if self.check else []
+        return [*sentences(self.selection), *more]
+
+
+def _record(told: _Told) -> dict[str, object]:
     from dataclasses import asdict
 
     from sparsefit.codec import finite_or_none
@@ -154,19 +200,19 @@ def _record(selection: Selection, output: str, page: Path) -> dict[str, object]:
         headline,
         regime_table,
         selection_table,
-        sentences,
     )
 
+    selection = told.selection
     record: dict[str, object] = {
         "study": selection.study,
         "rule": asdict(selection.rule),
         "criterion": selection.criterion.words,
         "summary": headline(selection),
-        "said": sentences(selection),
+        "said": told.sentences,
         "candidates": len(selection.ranked),
         "eligible": len(selection.passing),
         "tied": [one.candidate.title for one in selection.tied],
-        "evidence": str(page),
+        "evidence": str(told.page),
         "table": table_record(selection_table(selection)),
         "regimes": table_record(regime_table(selection)),
     }
@@ -182,26 +228,27 @@ def _record(selection: Selection, output: str, page: Path) -> dict[str, object]:
             "probability_best": chosen.best,
             "regret": None if selection.regret is None else selection.regret.effect,
             "latency": None if chosen.latency is None else asdict(chosen.latency),
-            "output": output,
+            "check": None if told.check is None else asdict(told.check),
+            "output": told.output,
         }
     cleaned: dict[str, object] = finite_or_none(record)
     return cleaned
 
 
-def _lines(selection: Selection, output: str, page: Path) -> list[str]:
+def _lines(told: _Told) -> list[str]:
     from sparsefit.study.evidence.verdicts import (
         headline,
         latency_table,
         regime_table,
         selection_table,
-        sentences,
     )
     from sparsefit.study.report.render import to_text
 
+    selection = told.selection
     tables = (selection_table(selection), regime_table(selection), latency_table(selection))
     shown = [to_text(table, width=terminal_width()) for table in tables if table]
-    lines = [*shown, headline(selection), *(f"- {one}" for one in sentences(selection))]
-    lines.append(f"evidence: {page}")
+    lines = [*shown, headline(selection), *(f"- {one}" for one in told.sentences)]
+    lines.append(f"evidence: {told.page}")
     if selection.chosen is None:
-        return [*lines, f"nothing was chosen, and {output} is not written"]
-    return [*lines, f"use it: sparsefit estimate FLIGHT --estimator {output}"]
+        return [*lines, f"nothing was chosen, and {told.output} is not written"]
+    return [*lines, f"use it: sparsefit estimate FLIGHT --estimator {told.output}"]

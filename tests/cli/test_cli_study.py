@@ -277,6 +277,22 @@ def test_select_times_what_keeps_the_constraints_once(capsys, finished, monkeypa
     assert asked[2:] == [(json.loads(out)["eligible"], 7)]
 
 
+def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
+    options = (*UNTIMED, "--max-failure", "0.5", "--processes", "1", "--force", "--check")
+    code, out, err = run(capsys, "select", finished, *options, "3")
+    assert code == 0
+    assert "On 3 flights of fresh seeds: " in out
+    assert "On 3 flights of fresh seeds: " in Path("results/small/evidence.md").read_text()
+    cases = store.read_cases("results/small/fresh")
+    study = Study.load(finished)
+    trues = set(cases["true_length_scale"])
+    assert len(trues) == 3
+    assert trues.isdisjoint(store.read_cases("results/small")["true_length_scale"])
+    assert study.name == "small"
+    _, again, err = run(capsys, "select", finished, *options, "3")
+    assert (again, err) == (out, "")
+
+
 def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, finished):
     code, out, _ = run(capsys, "select", finished, *UNTIMED, "--max-error", "1e-9")
     assert code == 1

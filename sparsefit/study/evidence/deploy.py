@@ -13,7 +13,6 @@ import pandas as pd
 from sparsefit.codec import finite_or_none
 from sparsefit.study.evidence.candidates import Candidate, candidates_of
 from sparsefit.study.evidence.selection import Selection, select
-from sparsefit.study.evidence.verdicts import headline
 from sparsefit.study.evidence.worlds import readings_of
 from sparsefit.study.run.latency import Latency, read_latency
 from sparsefit.study.run.manifest import git_commit, versions
@@ -94,7 +93,6 @@ def provenance(study: Study, selection: Selection) -> Mapping[str, Any]:
         "versions": versions(),
         "git_commit": git_commit(),
         "rule": asdict(selection.rule),
-        "summary": headline(selection),
         "flights": dict(selection.flights),
         "criterion": {
             "words": selection.criterion.words,

@@ -143,7 +143,7 @@ def _decide(
         split: [criterion.grid(one.trials[split]) for one in candidates]
         for split in ("validate", "evaluate")
     }
-    losses = [_loss(criterion, grid) for grid in grids["validate"]]
+    losses = [loss_of(criterion, grid) for grid in grids["validate"]]
     order = sorted(range(len(candidates)), key=lambda at: (losses[at], at))
     passing = [at for at in order if not found[at] and not math.isnan(losses[at])]
     chosen = _simplest(rule, losses, passing, latencies, criterion.measure.least)
@@ -163,7 +163,7 @@ def _decide(
             return None
         first, second = grids[split][at], grids[split][other]
         drawn = resampled[split][at] - resampled[split][other]
-        effect = _loss(criterion, first) - _loss(criterion, second)
+        effect = loss_of(criterion, first) - loss_of(criterion, second)
         floor = criterion.measure.least
         same = bool(np.allclose(first, second, rtol=SAME, atol=floor, equal_nan=True))
         return Difference.of(effect, drawn, len(first), same=same)
@@ -186,7 +186,7 @@ def _decide(
         )
         for at in order
     }
-    later = [_loss(criterion, grid) for grid in grids["evaluate"]]
+    later = [loss_of(criterion, grid) for grid in grids["evaluate"]]
     hindsight = min(passing, key=lambda at: (later[at], at != chosen), default=None)
     regret = None
     if chosen is not None and hindsight is not None:
@@ -205,7 +205,8 @@ def _decide(
     )
 
 
-def _loss(criterion: Criterion, grid: Array) -> float:
+def loss_of(criterion: Criterion, grid: Array) -> float:
+    """The criterion of a candidate so that less is better."""
     return float(criterion.loss(criterion.score(criterion.by_regime(grid))))
 
 

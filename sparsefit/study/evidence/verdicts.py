@@ -10,6 +10,7 @@ from functools import partial
 from sparsefit.study.evidence.candidates import Criterion
 from sparsefit.study.evidence.columns import setting_columns, setting_values
 from sparsefit.study.evidence.constraints import WORDS, told
+from sparsefit.study.evidence.fresh import Check
 from sparsefit.study.evidence.resampling import RESAMPLES, Difference
 from sparsefit.study.evidence.selection import Scored, Selection
 from sparsefit.study.evidence.sentence import capital, listed, shown, some
@@ -47,6 +48,25 @@ def sentences(selection: Selection) -> list[str]:
             "the constraint is not sure to be kept."
         )
     return [one for one in said if one]
+
+
+def checked(selection: Selection, check: Check) -> list[str]:
+    """What fresh flights say of the choice."""
+    criterion, low, high = selection.criterion, *check.between
+    said = (
+        f"On {check.flights} flights of fresh seeds: {say(criterion, check.score)} "
+        f"(95 % interval {shown(low)} to {shown(high)})"
+    )
+    if check.regret.same:
+        said += f"; of the {check.candidates} that keep everything none is better there."
+    else:
+        ends = f"{shown(check.regret.low)} to {shown(check.regret.high)}"
+        said += (
+            f"; the best of the {check.candidates} that keep everything is then "
+            f"{check.hindsight}, the regret {say(criterion, check.regret.effect)} ({ends})."
+        )
+    broken = [breach.words for breach in check.broken]
+    return [said, *([f"There it does not keep {listed(broken)}."] if broken else [])]
 
 
 def say(criterion: Criterion, value: float) -> str:

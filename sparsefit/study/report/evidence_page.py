@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 
+from sparsefit.study.evidence.fresh import Check
 from sparsefit.study.evidence.selection import Selection
 from sparsefit.study.evidence.table import Table
 from sparsefit.study.evidence.verdicts import (
+    checked,
     headline,
     latency_table,
     regime_table,
@@ -34,19 +36,26 @@ if TYPE_CHECKING:
 PAGE = "evidence.md"
 
 
-def write_evidence(study: Study, folder: Path, selection: Selection) -> list[Path]:
+def write_evidence(
+    study: Study, folder: Path, selection: Selection, check: Check | None = None
+) -> list[Path]:
     """Write the evidence page, its picture and its tables into the results folder of the study.
+
+    Args:
+        check: what fresh flights say, where there are any.
 
     Returns:
         The files written, the page last.
     """
-    files = evidence_files(study, selection, processor_of(folder))
+    files = evidence_files(study, selection, processor_of(folder), check)
     for name, content in files.items():
         write_whole(folder / name, content)
     return [folder / name for name in files]
 
 
-def evidence_files(study: Study, selection: Selection, processor: str = "") -> dict[str, bytes]:
+def evidence_files(
+    study: Study, selection: Selection, processor: str = "", check: Check | None = None
+) -> dict[str, bytes]:
     """The files of the evidence by name, the page last; times in files of their own."""
     tables = evidence_tables(selection, processor)
     files = dict(_table_files(study, tables))
@@ -56,7 +65,7 @@ def evidence_files(study: Study, selection: Selection, processor: str = "") -> d
             mpl.rcParams.update(STYLE)
             figure = pareto(selection)
             files |= {"pareto.svg": to_svg(figure), "pareto.png": to_png(figure)}
-    files[PAGE] = evidence_markdown(study, selection).encode()
+    files[PAGE] = evidence_markdown(study, selection, check).encode()
     return files
 
 
@@ -77,9 +86,10 @@ def _table_files(study: Study, tables: Mapping[str, Table]) -> Iterator[tuple[st
         yield f"{name}.csv", to_csv(table).encode()
 
 
-def evidence_markdown(study: Study, selection: Selection) -> str:
+def evidence_markdown(study: Study, selection: Selection, check: Check | None = None) -> str:
     """The page; its picture and times, which no other machine shares, are files beside it."""
-    said = "\n".join(f"- {escape_markdown(one)}" for one in sentences(selection))
+    every = [*sentences(selection), *(checked(selection, check) if check else ())]
+    said = "\n".join(f"- {escape_markdown(one)}" for one in every)
     shown = f"![accuracy and latency](pareto.svg)\n\n*{CAPTION}* The times: [latency](latency.md)."
     picture = [shown] if _timed(selection) else []
     tables = evidence_tables(selection).values()

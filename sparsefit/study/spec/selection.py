@@ -30,7 +30,8 @@ class SelectionRule:
     max_silent_misses: share called ok and off by more than 5 %, or ok without a flow;
     max_error: 95th percentile, over the estimates, of the largest error of U0, L_w and tau_w [%].
     Measured for it: max_latency_p99 [s] and max_memory [MB] of one estimate on one core, over
-    `latency_flights` of them. seed: of what is resampled.
+    `latency_flights` of them. check: how many flights of fresh seeds, in every world, the choice
+    is checked on. seed: of what is resampled.
     """
 
     criterion: str = "mean timescale-error"
@@ -44,6 +45,7 @@ class SelectionRule:
     max_latency_p99: float | None = None
     max_memory: float | None = None
     latency_flights: int = 100
+    check: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -1,0 +1,98 @@
+"""A choice checked where nothing was tuned: the same worlds, flights of fresh seeds.
+
+What kept the constraints on the validate flights is run on them, and the chosen one is held against
+the best with hindsight. The flights had no part in the study, nor in the choice.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from sparsefit.study.evidence.candidates import Candidate, candidates_of
+from sparsefit.study.evidence.constraints import Breach, breaches
+from sparsefit.study.evidence.deploy import cells_of
+from sparsefit.study.evidence.resampling import Difference, draws, interval
+from sparsefit.study.evidence.selection import Selection, loss_of
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+FRESH = "fresh"  # the results folder of the fresh flights, within that of the study
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """The chosen candidate on fresh flights, and its regret against the best of them there.
+
+    score, between: the criterion and its 95 % interval; broken: what it does not keep there;
+    hindsight: the best in words; candidates: how many were run.
+    """
+
+    flights: int
+    score: float
+    between: tuple[float, float]
+    regret: Difference
+    hindsight: str
+    broken: tuple[Breach, ...]
+    candidates: int
+
+
+def fresh_study(study: Study, selection: Selection, count: int) -> Study:
+    """The study of what keeps the constraints, on `count` flights of other seeds."""
+    cells = [cell for one in selection.passing for cell in cells_of(study, one.candidate)]
+    kept = tuple(
+        replace(cell, index=index)
+        for index, cell in enumerate(sorted(cells, key=lambda cell: cell.index))
+    )
+    told = f"{study.hash} {FRESH} {count} {' '.join(cell.key for cell in kept)}"
+    return replace(
+        study,
+        name=FRESH,
+        seed=fresh_seed(study),
+        count=count,
+        cells=kept,
+        validate_count=None,
+        tables=(),
+        figures=(),
+        answers=(),
+        hash=hashlib.sha256(told.encode()).hexdigest(),
+    )
+
+
+def fresh_seed(study: Study) -> int:
+    """A seed of which the study's own says nothing."""
+    return int(hashlib.sha256(f"{FRESH} {study.seed}".encode()).hexdigest()[:8], 16)
+
+
+def check_of(study: Study, selection: Selection, cases: pd.DataFrame) -> Check:
+    """What the cases of the fresh study say of the chosen candidate."""
+    if selection.chosen is None:
+        raise ValueError("nothing was chosen")
+    tried = candidates_of(study, cases.assign(split="evaluate"))
+    criterion, chosen = selection.criterion, _title(selection.chosen.candidate)
+    own = next(place for place, one in enumerate(tried) if _title(one) == chosen)
+    grids = [criterion.grid(one.trials["evaluate"]) for one in tried]
+    losses = [loss_of(criterion, grid) for grid in grids]
+    best = min(range(len(tried)), key=lambda at: (losses[at], at != own))
+    drawn = draws(len(grids[own]), selection.rule.seed)
+    resampled = {at: criterion.resampled(grids[at], drawn) for at in (own, best)}
+    apart = resampled[own] - resampled[best]
+    trial = tried[own].trials["evaluate"]
+    return Check(
+        flights=len(grids[own]),
+        score=float(criterion.score(criterion.by_regime(grids[own]))),
+        between=interval(criterion.loss(resampled[own])),
+        regret=Difference.of(losses[own] - losses[best], apart, len(grids[own]), same=own == best),
+        hindsight=tried[best].title,
+        broken=breaches(selection.rule, trial, criterion.regimes, selection.chosen.latency),
+        candidates=len(tried),
+    )
+
+
+def _title(candidate: Candidate) -> tuple[object, ...]:
+    fixed = map(candidate.of, ("protocol", "backend", "label", "settings"))
+    return (*fixed, tuple(candidate.factors.items()))
