@@ -35,6 +35,14 @@ def study(**changes):
             "answers": (),
             "reference": None,
             "path": "demo.toml",
+            "count": 24,
+            "validate_count": None,
+            "protocols": (),
+            "sweep": (),
+            "backends": (),
+            "cells": (),
+            "tolerance": 1e-8,
+            "case_timeout": 60.0,
         }
         | changes
     )
@@ -344,6 +352,10 @@ class TestReport:
         for name in ("errors.svg", "errors.csv", "errors.tex", "times.md"):
             assert f"({name})" in text
             assert (folder / name).is_file()
+        page = (folder / "report.html").read_text("utf-8")
+        assert "<h1>Which &lt;back-end&gt; reads it best?</h1>" in page
+        assert "24 flights were simulated from seed 7, with response time 0.5 s and" in page
+        assert "sparsefit study show demo.toml --case" in page
         assert "- flights.response_time: `0.5`" in text
         assert '- flights.length_scale: `{"uniform":[2,10]}`' in text
         assert "72 of 72 planned cases: 66 ok, 6 error." in text

@@ -231,6 +231,11 @@ ANSWERS: Kind[str] = Kind(
 )
 
 
-def sentences(study: Study, cases: pd.DataFrame) -> list[str]:
-    """Return what the study's [outputs] asks to be said, computed from its cases."""
-    return [ANSWERS.make(entry, study, cases) for entry in study.answers]
+def sentences(study: Study, cases: pd.DataFrame, *, varies: bool | None = None) -> list[str]:
+    """Return what the study's [outputs] asks to be said, computed from its cases.
+
+    varies: only what depends on the machine, or only what does not.
+    """
+    every = [ANSWERS.read(entry) for entry in study.answers]
+    asked = [one for one in every if varies is None or one.varies == varies]
+    return [ANSWERS.make(one, study, cases) for one in asked]

@@ -87,6 +87,11 @@ class Asked:
         return self.measures[0]
 
     @property
+    def varies(self) -> bool:
+        """Whether a measure is of one run on one machine."""
+        return any(measure.varies for measure in self.measures)
+
+    @property
     def file_name(self) -> str:
         """Its name, or one from what it measures and compares."""
         return self.name or "-".join([*self.measure, self.compare]).replace(" ", "-")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import math
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from sparsefit.arrays import Array
-from sparsefit.study.report.vector import settled
+from sparsefit.study.report.vector import inlined, settled
 
 WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
@@ -122,14 +123,22 @@ def to_svg(figure: Figure) -> bytes:
     return settled(_saved(figure, "svg", {"Date": None, "Creator": None}).decode()).encode()
 
 
+def to_inline(figure: Figure, name: str, title: str) -> str:
+    """Return the figure as an element of a page (`vector.inlined`), its labels as text."""
+    svg = _saved(figure, "svg", {"Date": None, "Creator": None}, {"svg.fonttype": "none"})
+    return inlined(svg.decode(), name, html.escape(title))
+
+
 def to_png(figure: Figure) -> bytes:
     """Return the figure as PNG of 150 dots per inch, without metadata."""
     return _saved(figure, "png", {"Software": None})
 
 
-def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
+def _saved(
+    figure: Figure, kind: str, metadata: dict[str, None], more: dict[Any, Any] | None = None
+) -> bytes:
     stream = io.BytesIO()
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(STYLE | (more or {})):
         figure.savefig(stream, format=kind, dpi=DPI, metadata=metadata, facecolor="white")
     return stream.getvalue()
 

@@ -12,12 +12,15 @@ import pandas as pd
 from sparsefit.errors import InputError, told_with
 from sparsefit.study.evidence.answers import ANSWERS, sentences
 from sparsefit.study.evidence.cases import STATUSES
+from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.table import Table
 from sparsefit.study.evidence.tables import TABLES, tables_of
-from sparsefit.study.report.drawing import to_png, to_svg
+from sparsefit.study.report.drawing import to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import FIGURES, caption, figures_for
+from sparsefit.study.report.html_page import Picture, Section, to_html
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.report.study_page import study_page
 from sparsefit.study.run.folder import CASES, made_folder
 from sparsefit.study.run.manifest import MANIFEST
 from sparsefit.study.spec.outputs import Entry
@@ -26,14 +29,19 @@ from sparsefit.whole_file import write_whole
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
+PAGE = "report.html"
+
 
 def write_report(
     study: Study,
     results_dir: str | Path,
     cases: pd.DataFrame,
     weights: pd.DataFrame | None = None,
+    more: Sequence[Section] = (),
 ) -> list[Path]:
     """Write `results_dir/<study>/`: every table as .md .tex .csv, every figure as .svg .png.
+
+    All of it, and `more` sections, stand in report.html, one file that works offline.
 
     The tables and figures are those of the study's [outputs], or else all that apply. The same
     cases give the same bytes. README.md holds what is the same on every machine, and links the
@@ -50,12 +58,17 @@ def write_report(
     folder = made_folder(study, results_dir)
     tables = tables_of(study, cases)
     entries: Sequence[Entry] = study.figures or figures_for(cases, weights)
-    files = dict(_table_files(study, tables))
-    captions = {}
+    files, captions = dict(_table_files(study, tables)), {}
+    pictures: list[Picture] = []
     for asked in map(FIGURES.read, entries):
         name, figure = asked.file_name, FIGURES.make(asked, study, cases, weights)
+        title = asked.title or capital(name.replace("-", " "))
         files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
         captions[name] = caption(asked)
+        inline = to_inline(figure, f"p{len(pictures) + 1}", title)
+        pictures.append(Picture(inline, title, captions[name]))
+    page = study_page(study, cases, folder, tables, pictures, _progress(study, cases), more)
+    files[PAGE] = to_html(page).encode()
     files["README.md"] = readme(study, cases, tables, captions).encode()
     return _write(folder, files)
 
@@ -94,7 +107,7 @@ def readme(
     parts = [
         f"# {escape_markdown(study.name)}",
         f"**{escape_markdown(study.question)}**",
-        *(escape_markdown(sentence) for sentence in sentences(study, cases)),
+        *(escape_markdown(sentence) for sentence in sentences(study, cases, varies=False)),
         f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
         "Written by `sparsefit study report`; do not edit.",
         *(f"![{name}]({name}.svg)\n\n*{words}*" for name, words in captions.items()),
@@ -110,7 +123,8 @@ def _of_this_run(tables: dict[str, Table]) -> list[str]:
     named = {"cases": CASES, "versions, machine and time": MANIFEST}
     named |= {table.title: f"{name}.md" for name, table in tables.items() if table.varies}
     links = ", ".join(f"[{escape_markdown(words)}]({file})" for words, file in named.items())
-    return ["### This run", f"Of the run that made these files: {links}."]
+    page = f"`{PAGE}`, which a run leaves here, has all of it on one page that sorts and filters."
+    return ["### This run", f"Of the run that made these files: {links}. {page}"]
 
 
 def _section(name: str, table: Table) -> str:

@@ -31,6 +31,7 @@ from sparsefit.study.report.drawing import (
     panels,
     shortened,
 )
+from sparsefit.study.report.vector import linked
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -128,18 +129,20 @@ class Placed:
 def _points(axes: Axes, name: str, group: Group, frame: Frame, colour: str, marker: str) -> None:
     true, estimate = (numbers(group.cases, f"{one}_{name}") for one in ("true", "est"))
     at = Placed.of(group.cases, name, frame)
-    axes.scatter(
+    points = axes.scatter(
         true[at.inside], estimate[at.inside], s=12, marker=marker, facecolor=colour,
         edgecolor="white", linewidth=0.3, alpha=0.85, label=group.protocol, zorder=3,
     )  # fmt: skip
+    linked(points, group.cases[at.inside])
     # On the edge itself, whatever the scale of the axis: y in fractions of the frame.
     edge = axes.get_xaxis_transform()
     for chosen, height, sign in ((at.above, 0.975, "^"), (at.below, 0.025, "v"),
                                  (at.failed, 0.09, "x")):  # fmt: skip
-        axes.scatter(
+        points = axes.scatter(
             true[chosen], np.full(chosen.sum(), height), s=16, marker=sign, color=colour,
             linewidth=0.8, transform=edge, zorder=4, clip_on=False,
         )  # fmt: skip
+        linked(points, group.cases[chosen])
 
 
 def _counts(axes: Axes, at: Placed) -> None:

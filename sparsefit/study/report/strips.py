@@ -21,11 +21,13 @@ from sparsefit.study.report.drawing import (
     panels,
     shortened,
 )
+from sparsefit.study.report.vector import linked
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 ROWS = 30
+WORST = 5  # of a row are told by name where a reader can point at them
 LOWEST = 80.0  # percent, of an axis of shares, unless something lies below
 
 
@@ -68,18 +70,25 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
         names = [shortened(group.title, 34) for group in groups]
     row[0].set_yticks(range(len(groups)), names)
     if len(every) > ROWS:
-        figure.suptitle(f"the first {ROWS} of {len(every)} settings", fontsize=7)
+        row[0].set_title(f"the first {ROWS} of {len(every)} settings", loc="left", fontsize=7)
     return figure
 
 
 def _strip(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int, colour: str) -> None:
-    values = np.sort(np.maximum(measure.read(cases), TINY))
-    sizes = values[np.isfinite(values)]
+    values = np.maximum(measure.read(cases), TINY)
+    order = np.argsort(values, kind="stable")[: np.isfinite(values).sum()]
+    sizes = values[order]
     if not sizes.size:
         return
     # A fixed pattern instead of random jitter: the same cases give the same picture.
     height = place + 0.28 * np.resize([-1.0, 0.2, 0.8, -0.4, 0.5, -0.7, 1.0, 0.0], sizes.size)
-    axes.scatter(sizes, height, s=3, color=colour, alpha=0.45, linewidth=0, rasterized=True)
+    for part, raster in ((slice(None, -WORST), True), (slice(-WORST, None), False)):
+        points = axes.scatter(
+            sizes[part], height[part], s=3, color=colour, alpha=0.45, linewidth=0,
+            rasterized=raster,
+        )  # fmt: skip
+        if not raster:
+            linked(points, cases.iloc[order[part]])
     low, first, median, third, high = np.quantile(sizes, [0.05, 0.25, 0.5, 0.75, 0.95])
     axes.plot([low, high], [place, place], color="black", lw=0.6, zorder=3)
     axes.barh(

@@ -1,0 +1,75 @@
+"""The page of a study: its question and answers, pictures, tables, methods, and the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from sparsefit.study.evidence.answers import sentences
+from sparsefit.study.evidence.table import Column, Table
+from sparsefit.study.report.html_page import Code, Page, Part, Picture, Section
+from sparsefit.study.report.methods import methods, protocols
+from sparsefit.study.report.points import points_of
+from sparsefit.study.report.vector import linked_names
+from sparsefit.study.run.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from sparsefit.study.spec.study import Study
+
+RUN = "This run"  # the last section: all before it is the same on every machine
+
+
+def study_page(
+    study: Study,
+    cases: pd.DataFrame,
+    folder: Path,
+    tables: Mapping[str, Table],
+    pictures: Sequence[Picture],
+    progress: str,
+    more: Sequence[Section] = (),
+) -> Page:
+    """Return the page of a study, `more` sections between its tables and its methods.
+
+    What depends on the machine stands in the last section, with the manifest in `folder`.
+    """
+    named = [name for picture in pictures for name in linked_names(picture.svg)]
+    shown = [table for table in tables.values() if not table.varies]
+    sections = [
+        *([Section("Pictures", pictures)] if pictures else []),
+        *([Section("Tables", shown)] if shown else []),
+        *more,
+        Section("Methods", [*methods(study), *protocols(study), *_settings(study)]),
+        Section(RUN, list(_run(study, cases, folder, tables))),
+    ]
+    answers = sentences(study, cases, varies=False)
+    points = points_of(study, cases, named)
+    return Page(study.name, study.question, answers, sections, progress, points)
+
+
+def _settings(study: Study) -> Iterator[Part]:
+    if study.given:
+        heads = tuple(Column(name, align="left") for name in ("key", "value"))
+        yield Table("What the study file sets", heads, tuple(study.given.items()))
+
+
+def _run(
+    study: Study, cases: pd.DataFrame, folder: Path, tables: Mapping[str, Table]
+) -> Iterator[Part]:
+    yield from sentences(study, cases, varies=True)
+    yield Code(study.hash, "Study hash (SHA-256 of what its cases depend on):")
+    heads = tuple(Column(name, align="left") for name in ("what", "value"))
+    if manifest := read_manifest(folder):
+        yield Table("Versions, machine and time", heads, tuple(_flat(manifest)))
+    yield from (table for table in tables.values() if table.varies)
+
+
+def _flat(record: Mapping[str, object], before: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in record.items():
+        words = f"{before}{key.replace('_', ' ')}"
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{words}: ")
+        else:
+            yield words, "–" if value is None else str(value)
