@@ -7,12 +7,16 @@ import sys
 from typing import Any
 
 from sparsefit.cli.output import duration, print_json, proof
-from sparsefit.cli.parser import Verbs, add_setting, collected, shown, verb
+from sparsefit.cli.parser import Verbs, add_setting, collected, number, shown, verb
 
 EXAMPLE = """\
   sparsefit backends
   sparsefit backends check group-lasso --setting solver=clarabel
 """
+
+
+LIST_SECONDS = 20.0  # for a plug-in to be imported
+CHECK_SECONDS = 60.0
 
 
 def add(verbs: Verbs) -> None:
@@ -42,6 +46,13 @@ def add(verbs: Verbs) -> None:
     )
     check.add_argument("name", metavar="NAME", help="a back-end, see sparsefit backends list")
     add_setting(check)
+    check.add_argument(
+        "--timeout",
+        type=number("s"),
+        default=CHECK_SECONDS,
+        metavar="SECONDS",
+        help=f"how long a plug-in may take; default: {CHECK_SECONDS:g}",
+    )
     for action in (listing, check):
         # Not to undo a --json that stands before the action.
         action.add_argument(
@@ -54,7 +65,10 @@ def run_list(args: argparse.Namespace) -> int:
     from sparsefit import backends
     from sparsefit.backends.conic import installed_solvers
 
-    records = [_record(name) for name in backends.known()]
+    records = [
+        _record(name) if name in backends.BACKENDS else _record_apart(name)
+        for name in backends.known()
+    ]
     solvers = installed_solvers()
     if args.json:
         print_json({"backends": records, "cvxpy_solvers": solvers})
@@ -62,6 +76,18 @@ def run_list(args: argparse.Namespace) -> int:
     print("\n\n".join(_entry(record) for record in records))
     print(f"\nsolvers that cvxpy finds here: {', '.join(solvers)}")
     return 0
+
+
+def _record_apart(name: str) -> dict[str, Any]:
+    """The record of a plug-in, which is imported in a process of its own."""
+    from sparsefit.cli.child import in_child
+    from sparsefit.errors import InputError
+
+    try:
+        record: dict[str, Any] = in_child(_record, name, seconds=LIST_SECONDS)
+    except InputError as error:
+        return {"name": name, "error": str(error)}
+    return record
 
 
 def _record(name: str) -> dict[str, Any]:
@@ -95,9 +121,33 @@ def _entry(record: dict[str, Any]) -> str:
 
 
 def run_check(args: argparse.Namespace) -> int:
-    """Exit 0 only if the back-end's answer is certified."""
+    """Exit 0 only if the back-end's answer is certified, and a plug-in keeps the contract."""
+    from sparsefit import backends
+    from sparsefit.cli.child import in_child
+    from sparsefit.errors import InputError, one_of, positive
+
+    one_of("back-end", args.name, backends.known())
+    settings, seconds = collected(args.setting), positive("--timeout", args.timeout, "s")
+    if args.name in backends.BACKENDS:
+        record = _tried(args.name, settings)
+    else:
+        try:
+            record = in_child(_tried, args.name, settings, seconds=seconds)
+        except InputError as error:
+            named = "" if args.name in str(error) else f"back-end {args.name!r} "
+            raise InputError(f"{named}{error}") from None
+    if args.json:
+        print_json({key: value for key, value in record.items() if key != "lines"})
+    else:
+        print("\n".join(record["lines"]))
+    return 0 if record["status"] == "ok" and not record["faults"] else 1
+
+
+def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """What the back-end answers on a small flight, as JSON and in lines."""
     from sparsefit import backends
     from sparsefit.backends.conic import installed_solvers
+    from sparsefit.backends.contract import faults
     from sparsefit.backends.loops import loop_of
     from sparsefit.derivative import Derivative
     from sparsefit.estimator.estimator import Estimator
@@ -108,29 +158,29 @@ def run_check(args: argparse.Namespace) -> int:
     from sparsefit.library.grid import LengthScaleGrid
     from sparsefit.regression.statistics import product_loop
 
-    backend = backends.get(args.name, **collected(args.setting))
+    backend = backends.get(name, **settings)
     truth = CellularFlow(mean_velocity=15.0, length_scale=4.0)
     flight = simulate_flight(
         truth, PointMassVehicle(0.5, (5.0, 3.0)), duration=10.0, sample_rate=50.0, seed=7
     )
-    library = Library(LengthScaleGrid(3.0, 5.0, 1.0))
-    estimate = Estimator(Derivative(), library, backend).estimate(flight)
-    if args.json:
-        machinery = {
-            "loop": loop_of(args.name),
-            "gram": product_loop(),
-            "cvxpy_solvers": installed_solvers(),
-        }
-        print_json({**estimate.to_dict(), **machinery})
-    else:
-        reason = f" ({estimate.reason})" if estimate.reason else ""
-        print(
-            f"{args.name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
-            f"{duration(estimate.seconds)}\n"
-            f"  settings: {shown(estimate.settings) or 'none'}\n"
-            f"  loop: {loop_of(args.name) or 'no compiled one'}, Gram matrix: {product_loop()}\n"
-            f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
-            f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)\n"
-            f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}"
-        )
-    return 0 if estimate.status == "ok" else 1
+    estimator = Estimator(Derivative(), Library(LengthScaleGrid(3.0, 5.0, 1.0)), backend)
+    prepared = estimator.prepare(flight)
+    wrong = [] if name in backends.BACKENDS else faults(backend, prepared.problem)
+    estimate = estimator.read(prepared, estimator.fit(prepared))
+    reason = f" ({estimate.reason})" if estimate.reason else ""
+    lines = [
+        f"{name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
+        f"{duration(estimate.seconds)}",
+        f"  settings: {shown(estimate.settings) or 'none'}",
+        f"  loop: {loop_of(name) or 'no compiled one'}, Gram matrix: {product_loop()}",
+        f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
+        f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)",
+        f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}",
+        *(f"  fault: {sentence}" for sentence in wrong),
+    ]
+    machinery = {
+        "loop": loop_of(name),
+        "gram": product_loop(),
+        "cvxpy_solvers": installed_solvers(),
+    }
+    return {**estimate.to_dict(), **machinery, "faults": wrong, "lines": lines}

@@ -1,0 +1,56 @@
+"""What a back-end of another package does wrong, found on one problem before a study is.
+
+The contract: a frozen dataclass whose ``solve`` is pure, returns what fits better than nothing, and
+has a certificate that can fail. The front door (`sparsefit.fit`) looks after the rest.
+"""
+
+import dataclasses
+import io
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from typing import Any
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import one_line
+from sparsefit.regression.backend import Backend
+from sparsefit.regression.foreign import check_unharmed, lent, received
+from sparsefit.regression.problem import RegressionProblem
+
+REPEATED = 1e-6  # relative difference of weights that two solves of one problem may have
+
+
+def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
+    """A sentence for everything that is found; none where the back-end keeps the contract."""
+    try:
+        return list(_faults(backend, problem))
+    except Exception as error:  # whatever it raises is the last fault
+        return [one_line(f"raises {type(error).__name__}: {error}")]
+
+
+def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
+    if not type(backend).__dataclass_params__.frozen:
+        yield "its class is not frozen: write @dataclass(frozen=True)"
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        first, second = _solved(backend, problem), _solved(backend, problem)
+    if printed.getvalue():
+        yield f"it prints: {one_line(printed.getvalue())[:60]!r}"
+    if first is None or second is None:
+        yield "it has no weights for a problem that every least-squares solver solves"
+        return
+    if np.linalg.norm(first - second) > REPEATED * np.linalg.norm(first):
+        yield "it answers the same problem differently the second time: solve must be pure"
+    residual = np.linalg.norm(problem.target - problem.theta @ first)
+    if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
+        yield "its weights fit the target worse than zeros do"
+    if dataclasses.replace(backend) != backend:
+        yield "two of it with the same settings are not equal: it is no plain dataclass"
+
+
+def _solved(backend: Backend, problem: RegressionProblem) -> Array | None:
+    borrowed = lent(problem)
+    solution = received(backend.solve(borrowed), backend, problem)
+    check_unharmed(backend, borrowed, problem)
+    return solution.weights
