@@ -1,16 +1,17 @@
-"""The dual certificate over a continuum of wavenumbers, as a pure function of the residual.
+"""The dual certificate over a continuum of columns, as a pure function of the residual.
 
-The group-LASSO over every k of an interval, Z(k) (m, c) the columns at k in unit rms, V_j (c, n)
-the weights at k_j:
+The group-LASSO over every q of a continuum, Z(q) (m, c) the columns at q in unit rms, V_j (c, n)
+the weights at q_j:
 
-    P = 1/(2m) |Y - sum_j Z(k_j) V_j|^2 + alpha sum_j |V_j|,    eta(k) = |Z(k)'R| / (m alpha)
+    P = 1/(2m) |Y - sum_j Z(q_j) V_j|^2 + alpha sum_j |V_j|,    eta(q) = |Z(q)'R| / (m alpha)
 
-R is optimal exactly where eta <= 1 on the whole interval and V_j = |V_j| Z(k_j)'R / (m alpha).
+R is optimal exactly where eta <= 1 on the whole continuum and V_j = |V_j| Z(q_j)'R / (m alpha).
 s R / m with s <= 1 / max eta is feasible for the dual, and gives the gap.
 
-The supremum is found and not sampled: entries of Z(k)'R are sums of exp(i k s) with |s| at most the
-rows' extent D about their centre, so (Bernstein) a scan of step h misses no peak by more than
-(h D)^2 / 8; every grid peak that close to the highest is refined on all rows.
+The supremum is found and not sampled: entries of Z'R are sums of exp(i k.x) with |x| at most the
+rows' extent D about their centre, so (Bernstein) a scan no k of which is farther than d from its
+grid misses no peak by more than (d D)^2 / 2, d = h/2 along a line of step h; every grid peak that
+close to the highest is refined on all rows.
 Sources: Bredies and Pikkarainen, "Inverse problems in spaces of measures" (2013); Duval and Peyre,
 "Exact support recovery for sparse spikes deconvolution" (2015).
 """
@@ -21,27 +22,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array, local_maxima
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.regression.certificate import Certificate
 from sparsefit.regression.continuum import Bounds, Continuum, Jet, Scan
 from sparsefit.regression.problem import RegressionProblem
 
-SLACK = 0.02  # grid peaks this close to the highest may hold the supremum: three times that
 POINTS = 4_000_000  # of a scan: beyond it, memory
 NEWTON = 30
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Peak:
-    """A local maximum of eta: where, k, and |Z(k)'R|_F / m there."""
+    """A local maximum of eta: where, q (p,), and |Z(q)'R|_F / m there."""
 
-    wavenumber: float
+    place: Array
     height: float
 
 
 @dataclass(frozen=True, eq=False)
 class Scanner:
-    """An interval of a continuum with its scan, made once for every residual."""
+    """A continuum between bounds of its wavenumber with its scan, made once for every residual."""
 
     continuum: Continuum
     bounds: Bounds
@@ -49,80 +49,85 @@ class Scanner:
 
     @classmethod
     def of(cls, continuum: Continuum, bounds: Bounds) -> "Scanner":
-        """The scanner of an interval of k."""
+        """The scanner between bounds of the wavenumber."""
         return cls(continuum, bounds, continuum.scan(bounds))
 
-    def peaks(
-        self, residual: Array, *, slack: float = SLACK, most: int | None = None
-    ) -> list[Peak]:
-        """Local maxima within ``slack`` of the highest, refined on all rows, highest first.
+    def peaks(self, residual: Array) -> list[Peak]:
+        """Local maxima within the scan's slack of the highest, refined on all rows, highest first.
 
-        residual (m, n); most: refine no more than so many of the highest.
+        residual (m, n).
         """
-        heights = self.scan.heights(residual)
-        highest = heights.max()
-        tops = [i for i in local_maxima(heights) if heights[i] >= (1 - slack) * highest][:most]
         peaks = []
-        for start in self.scan.wavenumbers[tops].tolist():
-            k, square = climb(
-                lambda k: _height_square(self.continuum, residual, k),
-                start,
-                self.scan.step,
-                self.bounds,
+        for start, reach in zip(*self.scan.tops(residual, self.scan.slack), strict=True):
+            place, square = climb(
+                lambda q: _height_square(self.continuum, residual, q), start, reach, self.bounds
             )
-            peaks.append(Peak(k, math.sqrt(square)))
+            peaks.append(Peak(place, math.sqrt(square)))
         return sorted(peaks, key=lambda peak: -peak.height)
 
 
 def climb(
-    curve: Callable[[float], tuple[float, float, float]],
-    start: float,
-    step: float,
+    curve: Callable[[Array], tuple[float, Array, Array]],
+    start: Array,
+    reach: Array,
     bounds: Bounds,
-) -> tuple[float, float]:
-    """(k, height) of the peak of a curve within one step of start, by Newton's method.
+) -> tuple[Array, float]:
+    """(q, height) of the peak of a curve within reach (p,) of start (p,), by Newton's method.
 
-    curve(k) gives height, slope and curvature; k stays in bounds.
+    curve(q) gives height, gradient (p,) and Hessian (p, p); the first of q stays in bounds.
     """
-    low, high = max(start - step, bounds[0]), min(start + step, bounds[1])
-    best = k = min(max(start, low), high)
+    low, high = start - reach, start + reach
+    low[0], high[0] = max(low[0], bounds[0]), min(high[0], bounds[1])
+    best = np.clip(start, low, high)
     height, rate, turn = curve(best)
     last = math.inf
     for _ in range(NEWTON):
-        move = -rate / turn if turn < 0 else math.copysign(0.25 * step, rate)
-        k = min(max(best + move, low), high)
-        if abs(k - best) <= 1e-15 * best or abs(k - best) >= last:
+        free = ((best > low) | (rate > 0)) & ((best < high) | (rate < 0))
+        q = np.clip(best + _uphill(rate, turn, reach, free), low, high)
+        size = float(np.max(np.abs(q - best) / reach))
+        if np.all(np.abs(q - best) <= 1e-15 * np.abs(best)) or size >= last:
             break
-        found = curve(k)
-        while found[0] < height * (1 - 1e-13) and abs(k - best) > 1e-12 * best:
-            k = 0.5 * (k + best)
-            found = curve(k)
-        if abs(k - best) < 1e-6 * step:  # heights differ by rounding: moves that grow are noise
-            last = abs(k - best)
-        best, (height, rate, turn) = k, found
+        found = curve(q)
+        while found[0] < height * (1 - 1e-13) and np.any(np.abs(q - best) > 1e-12 * np.abs(best)):
+            q, size = 0.5 * (q + best), 0.5 * size
+            found = curve(q)
+        if size < 1e-6:  # heights differ by rounding: moves that grow are noise
+            last = size
+        best, (height, rate, turn) = q, found
     return best, height
 
 
-def _height_square(continuum: Continuum, residual: Array, k: float) -> tuple[float, float, float]:
-    """|Z'R|^2 / m^2 and its first two derivatives by k."""
-    jet = Jet.of(*continuum.columns(np.array([k])))
+def _uphill(rate: Array, turn: Array, reach: Array, free: BoolArray) -> Array:
+    """Newton's move (p,) of what is free; a quarter of the reach where a curve is not concave."""
+    move = np.zeros_like(rate)
+    roots, axes = np.linalg.eigh((turn * np.outer(reach, reach))[np.ix_(free, free)])
+    slopes = axes.T @ (rate * reach)[free]
+    concave = roots < 0
+    moves = np.where(concave, -slopes / np.where(concave, roots, 1.0), np.copysign(0.25, slopes))
+    move[free] = reach[free] * (axes @ moves)
+    return move
+
+
+def _height_square(continuum: Continuum, residual: Array, q: Array) -> tuple[float, Array, Array]:
+    """|Z'R|^2 / m^2 and its gradient and Hessian by q."""
+    jet = Jet.of(*continuum.columns(q[None]))
     c0, c1, c2 = (z[0] @ residual / len(residual) for z in (jet.value, jet.slope, jet.bend))
-    turn = 2 * float(np.sum(c1 * c1) + np.sum(c0 * c2))
-    return float(np.sum(c0 * c0)), 2 * float(np.sum(c0 * c1)), turn
+    turn = np.einsum("pcn,qcn->pq", c1, c1) + np.einsum("cn,pqcn->pq", c0, c2)
+    return float(np.sum(c0 * c0)), 2 * np.einsum("cn,pcn->p", c0, c1), 2 * turn
 
 
 def continuous_alpha_max(continuum: Continuum, target: Array, bounds: Bounds) -> float:
-    """max over k of |Z(k)'Y|_F / m: the smallest alpha whose solution is zero."""
+    """max over q of |Z(q)'Y|_F / m: the smallest alpha whose solution is zero."""
     return Scanner.of(continuum, bounds).peaks(target)[0].height
 
 
 def continuous_gap(
     problem: RegressionProblem, weights: Array, alpha: float, bounds: Bounds
 ) -> Certificate:
-    """The duality gap over every k of the interval, relative to |Y|^2 / 2m.
+    """The duality gap over every q of the continuum, relative to |Y|^2 / 2m.
 
-    problem: columns of the k that were found, with their continuum; weights (c s, n) in original
-    units. The formula is that of a grid's certificate, the dual norm taken over the interval.
+    problem: columns of the q that were found, with their continuum; weights (c s, n) in original
+    units. The formula is that of a grid's certificate, the dual norm taken over the continuum.
     """
     assert problem.continuum is not None
     theta, target, m = problem.theta, problem.target, len(problem.theta)
@@ -137,7 +142,7 @@ def continuous_gap(
 def gap_of(
     residual: Array, target: Array, alpha: float, norm: float, top: float, m: int
 ) -> Certificate:
-    """Certificate from R, sum |V_j| = norm and sup |Z(k)'R| / m = top."""
+    """Certificate from R, sum |V_j| = norm and sup |Z(q)'R| / m = top."""
     square, product = float(np.sum(residual**2)), float(np.sum(residual * target))
     limit = alpha / top if top > 0 else math.inf
     s = min(max(product / square if square > 0 else 0.0, -limit), limit)

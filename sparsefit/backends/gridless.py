@@ -1,9 +1,10 @@
-"""Gridless group-LASSO: finitely many continuous length scales, by sliding Frank-Wolfe.
+"""Gridless group-LASSO: finitely many groups of a continuum, by sliding Frank-Wolfe.
 
-The limit of ever finer grids (see `continuous_dual` for the problem and its certificate). Each
-round: the wavenumber of largest eta(k) joins; a group-LASSO on the scales at hand sets the weights
-and drops what is not needed; scales and weights slide downhill together. It ends when the duality
-gap over the whole interval does.
+The limit of ever finer grids (see `continuous_dual` for the problem and its certificate), of the
+paper's cells over the length scale and of waves over the plane of wavevectors. Each round: the
+place q of largest eta(q) joins; a group-LASSO on the groups at hand sets the weights and drops what
+is not needed; places and weights slide downhill together. It ends when the duality gap over the
+whole continuum does.
 
 Source: Denoyelle, Duval, Peyre and Soubies, "The sliding Frank-Wolfe algorithm and its application
 to super-resolution microscopy" (2019).
@@ -35,15 +36,16 @@ STOP = 1e-10  # relative duality gap, below any tolerance the certificate is ask
 CORRECTION = 1e-3  # of the gap: weights before the slide, which makes them exact
 PATIENCE = 12  # rounds without a smaller gap
 EAGER = 0.7  # peaks of eta - 1 this close to the highest join in the same round
-APART = 0.3  # in 1/extent: nearer scales than this are one lobe, and are tried as one
+APART = 0.3  # in 1/extent: nearer groups than this are one lobe, and are tried as one
 
 
 @dataclass(frozen=True)
 class GridlessGroupLasso:
-    """min 1/(2m) |Y - sum_j Z(k_j) V_j|^2 + alpha sum_j |V_j| over any k_j in [pi/upper, pi/lower].
+    """min 1/(2m) |Y - sum_j Z(q_j) V_j|^2 + alpha sum_j |V_j| over any q_j of the continuum.
 
-    alpha = alpha_fraction * alpha_max, alpha_max = max over k of |Z(k)'Y|/m. lower, upper: bounds
-    of the length scale [m]; None takes those of the problem's grid, of which nothing else is used.
+    q is the length scale of cells, or the wavevector of waves in groups by wave. alpha =
+    alpha_fraction * alpha_max, alpha_max = max over q of |Z(q)'Y|/m. lower, upper: bounds of the
+    length scale [m]; None takes those of the problem's grid, of which nothing else is used.
     """
 
     name: ClassVar[str] = "gridless-group-lasso"
@@ -57,15 +59,15 @@ class GridlessGroupLasso:
         checked_bounds(self.name, self.lower, self.upper)
 
     def solve(self, problem: RegressionProblem) -> Solution:
-        """Weights over the scales found, which the solution's own problem holds."""
+        """Weights over the groups found, which the solution's own problem holds."""
         refused = refusal(self.name, problem, self.lower, self.upper)
         if refused is not None:
             return refused
         assert problem.continuum is not None
         bounds = problem.continuum.interval(self.lower, self.upper)
         atoms, rounds, done = _sliding_frank_wolfe(problem, self.alpha_fraction, bounds)
-        order = np.argsort(-atoms.wavenumbers)
-        found = problem.at(atoms.wavenumbers[order])
+        order = np.argsort(-atoms.places[:, 0])
+        found = problem.at(atoms.places[order])
         scaled = atoms.weights[order] / atoms.jet.rms[order][:, :, None]
         return Solution(
             scaled.reshape(-1, problem.targets),
@@ -77,12 +79,12 @@ class GridlessGroupLasso:
         )
 
     def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
-        """The duality gap of a solution over the whole interval, from rows and scales alone."""
-        wavenumbers, weights = found_by(solution)
+        """The duality gap of a solution over the whole continuum, from rows and places alone."""
+        places, weights = found_by(solution)
         assert problem.continuum is not None
         bounds = problem.continuum.interval(self.lower, self.upper)
         top = continuous_alpha_max(problem.continuum, problem.target, bounds)
-        own = problem.at(wavenumbers)
+        own = problem.at(places)
         return continuous_gap(own, weights, self.alpha_fraction * top, bounds)
 
 
@@ -96,7 +98,7 @@ def _sliding_frank_wolfe(
     start = scanner.peaks(target)[0]
     alpha = alpha_fraction * start.height
     nothing = np.zeros((1, continuum.size, target.shape[1]))
-    atoms = Atoms.at(continuum, target, np.array([start.wavenumber]), nothing, alpha)
+    atoms = Atoms.at(continuum, target, start.place[None], nothing, alpha)
     best, least, since = atoms, math.inf, 0
     for rounds in range(ROUNDS):
         peaks = scanner.peaks(atoms.residual)
@@ -107,7 +109,7 @@ def _sliding_frank_wolfe(
         if least <= STOP or rounds - since >= PATIENCE:
             return best, rounds, least <= STOP
         wanted = 1 + EAGER * (peaks[0].height / alpha - 1)
-        new = [p.wavenumber for p in peaks if p.height >= wanted * alpha]
+        new = [p.place for p in peaks if p.height >= wanted * alpha]
         atoms = _joined(continuum, target, atoms, new, alpha, bounds, gap)
     return best, rounds + 1, False
 
@@ -116,15 +118,15 @@ def _joined(
     continuum: Continuum,
     target: Array,
     atoms: Atoms,
-    new: list[float],
+    new: list[Array],
     alpha: float,
     bounds: Bounds,
     gap: float,
 ) -> Atoms:
-    """Fully corrective weights on the old scales and the new, pruned, slid and merged."""
-    k = np.unique(np.concatenate([atoms.wavenumbers, new]))
-    k, weights = _corrected(continuum, target, k, alpha, CORRECTION * gap)
-    here = slide(continuum, target, k, weights, alpha, bounds)
+    """Fully corrective weights on the old groups and the new, pruned, slid and merged."""
+    q = np.unique(np.concatenate([atoms.places, np.array(new)]), axis=0)
+    q, weights = _corrected(continuum, target, q, alpha, CORRECTION * gap)
+    here = slide(continuum, target, q, weights, alpha, bounds)
     while True:
         merged = _merged(continuum, target, here, alpha, bounds)
         if merged is None:
@@ -133,39 +135,46 @@ def _joined(
 
 
 def _corrected(
-    continuum: Continuum, target: Array, k: Array, alpha: float, tolerance: float
+    continuum: Continuum, target: Array, q: Array, alpha: float, tolerance: float
 ) -> tuple[Array, Array]:
-    """The group-LASSO on scales k: those it keeps, and their weights (s, c, n)."""
+    """The group-LASSO on groups at q (s, p): those it keeps, and their weights (s, c, n)."""
     (m, n), size = target.shape, continuum.size
-    z = Jet.of(*continuum.columns(k)).value.reshape(-1, m)
+    z = Jet.of(*continuum.columns(q)).value.reshape(-1, m)
     path = group_path(
         z @ z.T / m,
         z @ target / m,
-        np.repeat(np.arange(len(k)), size),
-        np.ones(len(k)),
+        np.repeat(np.arange(len(q)), size),
+        np.ones(len(q)),
         [alpha],
         np.sum(target**2, axis=0) / m,
         tolerance=tolerance,
     )
     weights = path.weights[0].reshape(-1, size, n)
     kept = np.any(weights != 0, axis=(1, 2))
-    kept = kept if kept.any() else np.arange(len(k)) == 0
-    return k[kept], weights[kept]
+    kept = kept if kept.any() else np.arange(len(q)) == 0
+    return q[kept], weights[kept]
 
 
 def _merged(
     continuum: Continuum, target: Array, atoms: Atoms, alpha: float, bounds: Bounds
 ) -> Atoms | None:
-    """The two nearest scales as one, where that is no worse; None where they stay two."""
-    order = np.argsort(atoms.wavenumbers)
-    k, v = atoms.wavenumbers[order], atoms.weights[order]
-    if len(k) < 2 or np.diff(k).min() * continuum.extent > APART:
+    """The two nearest groups as one, where that is no worse; None where they stay two."""
+    order = np.argsort(atoms.places[:, 0])
+    q, v = atoms.places[order], atoms.weights[order]
+    if len(q) < 2:
         return None
-    i = int(np.argmin(np.diff(k)))
-    share = np.sqrt(np.sum(v[i : i + 2] ** 2, axis=(1, 2)))
+    images, signs = continuum.images(q)
+    spans = continuum.spans(q)
+    apart = np.linalg.norm((images[:, None] - q[:, None]) * spans[:, None], axis=3)
+    apart[:, np.tri(len(q), dtype=bool)] = math.inf  # image, the one group, the other above it
+    image, i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    if apart[image, i, j] > APART:
+        return None
+    other, weights = images[image, j], v[j] * signs[image][:, None]
+    share = np.array([np.linalg.norm(v[i]), np.linalg.norm(weights)])
     total = float(share.sum())
-    k[i] = float(k[i : i + 2] @ share) / total if total > 0 else k[i]
-    v[i] += v[i + 1]
-    kept = np.arange(len(k)) != i + 1
-    one = slide(continuum, target, k[kept], v[kept], alpha, bounds)
+    q[i] = share @ np.stack([q[i], other]) / total if total > 0 else q[i]
+    v[i] += weights
+    kept = np.arange(len(q)) != j
+    one = slide(continuum, target, q[kept], v[kept], alpha, bounds)
     return one if one.value <= atoms.value * (1 + 1e-12) else None

@@ -8,13 +8,12 @@ from sparsefit.regression.problem import RegressionProblem
 
 
 def found_by(solution: Solution) -> tuple[Array, Array]:
-    """The k (s,) and weights (c s, n) of a solution with a problem of its own."""
+    """The places q (s, p) and weights (c s, n) of a solution with a problem of its own."""
     assert solution.problem is not None
     assert solution.problem.continuum is not None
-    assert solution.problem.group_scales is not None
+    assert solution.problem.parameters is not None
     assert solution.weights is not None
-    scales = solution.problem.group_scales
-    return solution.problem.continuum.wavenumbers(scales), solution.weights
+    return solution.problem.continuum.places(solution.problem.parameters), solution.weights
 
 
 def refusal(
@@ -30,8 +29,9 @@ def refusal(
             None,
             "error",
             f"{name} makes its own columns and needs the position of every row; build the problem "
-            "with Library of family 'cells' from a flight whose columns fit in memory (a coarser "
-            "grid or fewer samples where they do not), or use group-lasso",
+            "with Library of family 'cells', or 'waves' in groups by wave, from a flight whose "
+            "vehicle is known and whose columns fit in memory (a coarser grid or fewer samples "
+            "where they do not), not in the weak form; or use group-lasso",
         )
     if not continuum.extent > 0:
         return Solution(None, "unidentifiable", f"{name}: the flight stands still: no extent")

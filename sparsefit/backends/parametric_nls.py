@@ -20,7 +20,7 @@ from sparsefit.backends.off_grid import checked_bounds, found_by, refusal
 from sparsefit.errors import integer_setting
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import Certificate, CertificateKind
-from sparsefit.regression.continuum import Bounds, Continuum
+from sparsefit.regression.continuum import Bounds, KnownContinuum
 from sparsefit.regression.problem import RegressionProblem
 
 LEAST = 1e-6  # of a row, the mean square of f: below it the sums of a scan err
@@ -49,13 +49,13 @@ class ParametricNLS:
         if refused is not None:
             return refused
         continuum, phi = problem.continuum, problem.target
-        assert continuum is not None
-        if continuum.pattern is None:
+        if not isinstance(continuum, KnownContinuum) or continuum.pattern is None:
             return Solution(
                 None,
                 "error",
-                f"{self.name} knows the flow velocity (w_x, w_y), not "
-                f"({', '.join(problem.target_names)}); use Library(target='flow-velocity')",
+                f"{self.name} knows the flow velocity (w_x, w_y) of cells, not "
+                f"({', '.join(problem.target_names)}); use Library(target='flow-velocity') of "
+                "family 'cells'",
             )
         known = _Known(continuum, continuum.pattern)
         bounds = continuum.interval(self.lower, self.upper)
@@ -63,7 +63,7 @@ class ParametricNLS:
         if not len(starts):
             return Solution(None, "unidentifiable", "no cellular flow of Eq. 1 fits with U0 > 0")
         peaks = [climb(lambda k: _height(known, phi, k), k, step, bounds) for k in starts]
-        k = max(peaks, key=lambda peak: peak[1])[0]
+        k = float(max(peaks, key=lambda peak: peak[1])[0][0])
         f = known.jet(k)[0]
         edge = k in bounds
         return Solution(
@@ -79,10 +79,10 @@ class ParametricNLS:
     def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
         """Stationarity in (U0, k): max of |<J, R>| / (|J| |Phi|), J = f and U0 df/dk."""
         wavenumbers, weights = found_by(solution)
-        assert problem.continuum is not None
+        assert isinstance(problem.continuum, KnownContinuum)
         assert problem.continuum.pattern is not None
         known = _Known(problem.continuum, problem.continuum.pattern)
-        f, slope, _ = known.jet(float(wavenumbers[0]))
+        f, slope, _ = known.jet(float(wavenumbers[0, 0]))
         pattern = known.pattern
         speed = float(np.sum(weights * pattern) / np.sum(pattern * pattern))
         residual = problem.target - speed * f
@@ -95,20 +95,19 @@ class ParametricNLS:
 class _Known:
     """The flow f(k) = theta(k) S (m, n) that is known up to its speed."""
 
-    continuum: Continuum
+    continuum: KnownContinuum
     pattern: Array
 
     def jet(self, k: float) -> tuple[Array, Array, Array]:
         """f (m, n) and its first and second derivatives by k."""
-        value, slope, bend = (
-            part[0].T @ self.pattern for part in self.continuum.columns(np.array([k]))
-        )
-        return value, slope, bend
+        columns = self.continuum.columns(np.array([[k]]))
+        value, slope, bend = (part.reshape(len(self.pattern), -1) for part in columns)
+        return value.T @ self.pattern, slope.T @ self.pattern, bend.T @ self.pattern
 
 
-def _height(known: _Known, phi: Array, k: float) -> tuple[float, float, float]:
-    """h = a^2/b and its derivatives by k, a = <f, Phi>, b = <f, f>; 0 where U0 would be < 0."""
-    f, slope, bend = known.jet(k)
+def _height(known: _Known, phi: Array, k: Array) -> tuple[float, Array, Array]:
+    """h = a^2/b and its derivatives by k (1,), a = <f, Phi>, b = <f, f>; 0 where U0 < 0 fits."""
+    f, slope, bend = known.jet(float(k[0]))
     a, da, dda = (float(np.sum(part * phi)) for part in (f, slope, bend))
     b, db = float(np.sum(f * f)), 2 * float(np.sum(f * slope))
     ddb = 2 * float(np.sum(slope * slope) + np.sum(f * bend))
@@ -116,14 +115,14 @@ def _height(known: _Known, phi: Array, k: float) -> tuple[float, float, float]:
     rate = 2 * u * da - u * u * db
     du = (da - u * db) / b
     turn = 2 * u * dda + 2 * du * da - 2 * u * du * db - u * u * ddb
-    return (a * u, rate, turn) if a > 0 else (0.0, rate, turn)
+    return a * u if a > 0 else 0.0, np.array([rate]), np.array([[turn]])
 
 
-def _starts(known: _Known, phi: Array, bounds: Bounds, most: int) -> tuple[Array, float]:
-    """The highest peaks of h on a scan of the interval, and the scan's step."""
+def _starts(known: _Known, phi: Array, bounds: Bounds, most: int) -> tuple[Array, Array]:
+    """The highest peaks (j, 1) of h on a scan of the interval, and the scan's step (1,)."""
     scan = known.continuum.scan(bounds)
     a, b = scan.matched(known.pattern, phi)
     height = np.where(a > 0, a * a / np.maximum(b, LEAST * len(phi)), 0.0)
     tops = local_maxima(height)
     tops = tops[height[tops] > 0]
-    return scan.wavenumbers[tops[:most]], scan.step
+    return scan.wavenumbers[tops[:most]][:, None], np.array([scan.step])

@@ -29,6 +29,7 @@ class CellContinuum:
     """
 
     size: ClassVar[int] = Cells.size
+    parameters: ClassVar[int] = Cells.parameters
     position: Array
     bounds: Bounds
     pattern: Array | None = None
@@ -46,11 +47,6 @@ class CellContinuum:
         )
         return min(ends), max(ends)
 
-    def wavenumbers(self, scales: Array) -> Array:
-        """K = pi/L [1/m] of length scales L (s,) [m]."""
-        wavenumbers: Array = math.pi / np.asarray(scales, dtype=float)
-        return wavenumbers
-
     def scan_points(self, bounds: Bounds) -> int:
         """How many wavenumbers a scan takes: they grow with the extent and the interval."""
         return scan_steps(self.position, bounds) + 1
@@ -59,19 +55,30 @@ class CellContinuum:
         """The scan of an interval of k [1/m]."""
         return CellScan.of(self.position, bounds)
 
-    def columns(self, wavenumbers: Array) -> tuple[Array, Array, Array]:
-        """The candidates and their derivatives by k, (s, 8, m) each, at k (s,) [1/m]."""
-        cells, parameters = Cells(), np.asarray(wavenumbers, dtype=float).reshape(-1, 1)
+    def columns(self, places: Array) -> tuple[Array, Array, Array]:
+        """The candidates (s, 8, m) and their derivatives by k, at k (s, 1) [1/m]."""
+        cells, parameters = Cells(), np.reshape(places, (-1, 1))
         values = cells.values(self.position, parameters)
-        slopes = cells.slopes(self.position, parameters, values)[:, 0]
-        bends = cells.bends(self.position, parameters, values)[:, 0, 0]
-        return values, slopes, bends
+        slopes = cells.slopes(self.position, parameters, values)
+        return values, slopes, cells.bends(self.position, parameters, values)
 
-    def design(self, wavenumbers: Array) -> tuple[Array, Array, tuple[str, ...]]:
-        """Theta (m, 8 s) at k (s,) [1/m], the length scales (s,) [m] and the columns' names."""
-        scales = math.pi / np.asarray(wavenumbers, dtype=float)
+    def spans(self, places: Array) -> Array:
+        """The extent [m], for every k (s, 1)."""
+        return np.full(places.shape, self.extent)
+
+    def images(self, places: Array) -> tuple[Array, Array]:
+        """Every k (s, 1) means cells of its own."""
+        return places[None], np.ones((1, self.size))
+
+    def design(self, places: Array) -> tuple[Array, Array, Array, tuple[str, ...]]:
+        """Theta (m, 8 s) at k (s, 1) [1/m], k, the length scales (s,) [m] and the names."""
+        scales = math.pi / places[:, 0]
         names = tuple(f"{name} (L = {scale:.6g} m)" for scale in scales for name in CANDIDATES)
-        return candidate_columns(self.position, scales), scales, names
+        return candidate_columns(self.position, scales), places, scales, names
+
+    def places(self, parameters: Array) -> Array:
+        """k (s, 1) [1/m], the parameter of cells."""
+        return parameters
 
     def at(self, rows: IntArray) -> CellContinuum:
         """The continuum of some rows (r,) of the flight."""

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from sparsefit.arrays import Array, ComplexArray
+from sparsefit.arrays import Array, ComplexArray, local_maxima
 from sparsefit.cached import cached_property
 from sparsefit.library.cells import WAVES
 from sparsefit.library.phase import sines_and_cosines
 
 STEP = 0.15  # of a scan, in 1/extent: 0.6 steps over lobes of the residual
 FEWEST = 8  # steps of a scan, however narrow the interval
+SLACK = 0.02  # grid peaks this close to the highest may hold the supremum: three times that
 ACCURACY = 1e-9  # of the Fourier sums, relative to the number of rows
 RIDGE = 1e-6  # of the Gram matrix: above the error of its sums, and 2e-6 of |w|^2 at most
 UNKNOWN_RMS = 1e-6  # the square below which a column's mean square is lost in the sums' error
@@ -49,6 +50,7 @@ class CellScan:
         step: between them [1/m].
     """
 
+    slack: ClassVar[float] = SLACK
     position: Array
     centre: Array
     wavenumbers: Array
@@ -175,6 +177,14 @@ class CellScan:
         scaled = np.tensordot(CANDIDATES_OF_WAVES, cross, axes=1) / self.rms.T[:, None]
         heights: Array = np.sqrt(np.sum(scaled**2, axis=(0, 1)))
         return heights
+
+    def tops(self, residual: Array, slack: float) -> tuple[Array, Array]:
+        """k (j, 1) of local maxima of `heights` within slack of the highest, and the step."""
+        heights = self.heights(residual)
+        highest = heights.max()
+        tops = [i for i in local_maxima(heights) if heights[i] >= (1 - slack) * highest]
+        places = self.wavenumbers[tops][:, None]
+        return places, np.full(places.shape, self.step)
 
     def matched(self, pattern: Array, target: Array) -> tuple[Array, Array]:
         """<f, Y> and <f, f> (q,) of f = C(k) S, for weights S (8, n) and a target Y (m, n)."""

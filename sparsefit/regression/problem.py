@@ -138,11 +138,12 @@ class RegressionProblem:
         plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
         return replace(plain, sample_count=count)
 
-    def at(self, wavenumbers: Array) -> "RegressionProblem":
-        """The same rows and target, with the continuum's columns at each k (s,) as groups."""
+    def at(self, places: Array) -> "RegressionProblem":
+        """The same rows and target, with the continuum's columns at each q (s, p) as groups."""
         if self.continuum is None:
             raise InputError("this problem has the columns of its groups and no others")
-        theta, scales, names = self.continuum.design(wavenumbers)
+        places = np.reshape(places, (-1, self.continuum.parameters))
+        theta, parameters, scales, names = self.continuum.design(places)
         groups = np.repeat(np.arange(len(scales)), self.continuum.size)
         return replace(
             self,
@@ -152,6 +153,7 @@ class RegressionProblem:
             group_scales=scales,
             sample_count=None,
             subgroups=None,
+            parameters=parameters,
         )
 
     @property

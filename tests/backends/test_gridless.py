@@ -62,17 +62,17 @@ def test_no_wavenumber_exceeds_the_supremum_found():
 def test_derivatives_of_the_slide(alpha):
     problem = flight_problem()
     rng = np.random.default_rng(0)
-    start = np.concatenate([[20.0, 36.0], rng.normal(size=32)])
+    start, spans = np.concatenate([[20.0, 36.0], rng.normal(size=32)]), np.full((2, 1), 40.0)
 
     def at(point):
-        k, weights = point[:2] / 40.0, point[2:].reshape(2, 8, 2)
+        k, weights = point[:2, None] / 40.0, point[2:].reshape(2, 8, 2)
         return Atoms.at(problem.continuum, problem.target, k, weights, alpha)
 
-    gradient, hessian = derivatives(at(start), alpha, 40.0)
+    gradient, hessian = derivatives(at(start), alpha, spans)
     steps = 1e-5 * np.eye(len(start))
     slope = [(at(start + e).value - at(start - e).value) / 2e-5 for e in steps]
     bend = [
-        (derivatives(at(start + e), alpha, 40.0)[0] - derivatives(at(start - e), alpha, 40.0)[0])
+        (derivatives(at(start + e), alpha, spans)[0] - derivatives(at(start - e), alpha, spans)[0])
         / 2e-5
         for e in steps
     ]

@@ -15,6 +15,7 @@ from sparsefit.backends.continuous_dual import Scanner
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
+from sparsefit.library.scan import CellScan
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels
 from sparsefit.study.spec.design import Cell
@@ -95,6 +96,7 @@ def _curve(study: Study, cell: Cell) -> Curve:
     backend = found.backend
     assert isinstance(backend, GridlessGroupLasso)
     scanner = Scanner.of(continuum, continuum.interval(backend.lower, backend.upper))
+    assert isinstance(scanner.scan, CellScan)
     residual = target - found.problem.theta @ found.weights
     alpha = backend.alpha_fraction * scanner.peaks(target)[0].height
     largest = max(part.length_scale for part in draw.flow.cells)
