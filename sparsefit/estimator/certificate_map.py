@@ -1,24 +1,28 @@
 """The dual certificate of a group-LASSO of waves, over the whole plane of wavevectors.
 
 A fit on a grid is optimal where eta <= 1 at the waves of the grid; between them eta may be higher,
-and says where a finer grid would put a wave (`sparsefit.library.plane`).
+and says where a finer grid would put a wave (`sparsefit.library.plane`). Of the gridless
+group-LASSO eta is at most 1 on the whole plane, and 1 at its waves.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.backends.continuous_dual import continuous_alpha_max
+from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.backends.group_lasso import GroupLasso
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import Flight
 from sparsefit.library.plane import PlaneGrid
 from sparsefit.modes.wave_peaks import strengths
+from sparsefit.regression.continuum import Bounds, Continuum
 from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.problem import RegressionProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,7 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
 
     Raises:
         InputError: if the library is not of waves in groups by wave on plain samples, the back-end
-            is not group-lasso, or it has no solution.
+            is neither group-lasso nor gridless-group-lasso, or it has no solution.
     """
     library = estimator.library
     if library.family != "waves" or library.groups != "wave" or library.unknown:
@@ -62,15 +66,17 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
         raise InputError("a certificate over the plane needs samples, not the weak form")
     fit = estimator.fit(prepared)
     backend = fit.backend
-    if not isinstance(backend, GroupLasso) or isinstance(backend.alpha_fraction, str):
-        raise InputError(f"a certificate over the plane is that of group-lasso, not {backend.name}")
+    if not isinstance(backend, GroupLasso | GridlessGroupLasso):
+        raise InputError(
+            "a certificate over the plane is that of group-lasso or gridless-group-lasso, not "
+            f"{backend.name}"
+        )
     if not np.isfinite(fit.weights).all():
         raise InputError(f"no certificate over the plane: {fit.status}: {fit.reason}")
-    penalty = backend.penalty(fit.problem)
-    alpha = backend.alpha_fraction * alpha_max(fit.problem.statistics.cross, penalty)
+    if prepared.problem.continuum is None:
+        raise InputError("a certificate over the plane needs columns that fit in memory")
+    alpha, (low, high) = _penalty(prepared.problem, prepared.problem.continuum, backend)
     residual = (fit.problem.target - fit.problem.theta @ fit.weights).reshape(-1, 2)
-    low, high = (math.sqrt(2.0) * math.pi / scale for scale in
-                 (library.grid.upper, library.grid.lower))  # fmt: skip
     grid = PlaneGrid.of(prepared.samples.position[:: library.every], (low, high))
     inside = (grid.radius >= low) & (grid.radius <= high)
     assert fit.problem.parameters is not None
@@ -79,3 +85,17 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
     k = fit.problem.parameters[used]
     eta = np.where(inside, grid.heights(residual) / alpha, np.nan)
     return CertificateMap(grid.axis, eta, k, strengths(k, weights[used]))
+
+
+def _penalty(
+    problem: RegressionProblem, continuum: Continuum, backend: GroupLasso | GridlessGroupLasso
+) -> tuple[float, Bounds]:
+    """alpha, and the bounds of |k| [1/m] over which the back-end looked for waves."""
+    if isinstance(backend, GridlessGroupLasso):
+        bounds = continuum.interval(backend.lower, backend.upper)
+        top = continuous_alpha_max(continuum, problem.target, bounds)
+    else:
+        bounds = continuum.interval(None, None)
+        top = alpha_max(problem.statistics.cross, backend.penalty(problem))
+    assert not isinstance(backend.alpha_fraction, str)
+    return backend.alpha_fraction * top, bounds

@@ -20,6 +20,7 @@ from sparsefit.library.continuum import EQUATION_1, CellContinuum
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.nuisance import Nuisance, checked_unknowns, project_out, refuse_spanned
 from sparsefit.library.scan import extent_of
+from sparsefit.library.wave_continuum import WaveContinuum
 from sparsefit.library.wave_grid import WaveGrid
 from sparsefit.regression.problem import RegressionProblem, compressed
 
@@ -112,12 +113,9 @@ class Library:
             theta, target = triangle[:, : columns.size], triangle[:, columns.size :]
             return self._problem(theta.copy(), target.copy(), columns, count, None)
         theta = columns.at(samples.position)
-        if self.family != "cells":
-            return self._problem(theta, target, columns, None, None)
-        pattern = EQUATION_1 if self.target == "flow-velocity" else None
-        bounds = float(np.pi / columns.scales.max()), float(np.pi / columns.scales.min())
-        continuum = CellContinuum(samples.position, bounds, pattern)
-        return self._problem(theta, target, columns, len(target), continuum)
+        continuum = self._continuum(samples.position, columns)
+        own = len(target) if self.family == "cells" else None
+        return self._problem(theta, target, columns, own, continuum)
 
     def columns(self, samples: Samples) -> LibraryColumns:
         """The columns that the grid gives a flight with these samples.
@@ -130,6 +128,18 @@ class Library:
             return wave_columns(rings, self.groups)
         scales = self.grid.resolving(extent).scales
         return cell_columns(scales) if self.family == "cells" else stream_columns(scales)
+
+    def _continuum(
+        self, position: Array, columns: LibraryColumns
+    ) -> CellContinuum | WaveContinuum | None:
+        """The columns between those of the grid, at positions (m, 2) [m], where they are known."""
+        low, high = (float(np.pi / scale) for scale in (columns.scales.max(), columns.scales.min()))
+        if self.family == "cells":
+            pattern = EQUATION_1 if self.target == "flow-velocity" else None
+            return CellContinuum(position, (low, high), pattern)
+        if self.family == "waves" and self.groups == "wave":
+            return WaveContinuum(position, (low, high))
+        return None
 
     def _thinned(self, samples: Samples) -> Samples:
         if self.every == 1:
@@ -187,7 +197,7 @@ class Library:
         target: Array,
         columns: LibraryColumns,
         count: int | None,
-        continuum: CellContinuum | None,
+        continuum: CellContinuum | WaveContinuum | None,
     ) -> RegressionProblem:
         names = TARGET_NAMES[self.target]
         return RegressionProblem(

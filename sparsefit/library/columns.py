@@ -121,12 +121,17 @@ def stream_columns(scales: Array) -> LibraryColumns:
 
 def wave_columns(rings: Rings, groups: str) -> LibraryColumns:
     """Waves of psi in rings, grouped by ``wave``, by ``ring``, or ``nested``: waves in rings."""
-    k = rings.wavevectors
-    names = tuple(
-        f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in k for part in ("cos", "sin")
-    )
     if groups == "wave":
-        own = np.arange(len(k))
-        return LibraryColumns(Waves(WAVE), k, own, rings.scales[rings.ring], names)
-    nested = groups == "nested"
-    return LibraryColumns(Waves(WAVE), k, rings.ring, rings.scales, names, nested)
+        return single_waves(rings.wavevectors, rings.scales[rings.ring])
+    k, nested = rings.wavevectors, groups == "nested"
+    return LibraryColumns(Waves(WAVE), k, rings.ring, rings.scales, _wave_names(k), nested)
+
+
+def single_waves(k: Array, scales: Array) -> LibraryColumns:
+    """Waves of psi with wavevectors k (w, 2) [1/m] and length scales (w,) [m], a group each."""
+    return LibraryColumns(Waves(WAVE), k, np.arange(len(k)), scales, _wave_names(k))
+
+
+def _wave_names(k: Array) -> tuple[str, ...]:
+    parts = ("cos", "sin")
+    return tuple(f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in k for part in parts)

@@ -117,6 +117,8 @@ def _quarter(phases: Array) -> Array:
 
 WAVE = Pattern("wave", (((1, 0), (0, 1)),))
 """One wave: q = (k_x, k_y)."""
+POLAR = Pattern("wave", (((1,), (0,)),), turned=True)
+"""One wave: q = (|k|, heading of k)."""
 PAIR = Pattern("pair", (((1, 0, 0, 0), (0, 1, 0, 0)), ((0, 0, 1, 0), (0, 0, 0, 1))))
 """Any two waves: q = (k_x, k_y) of the one and of the other."""
 AXIS = Pattern("axis", (((1,), (1,)), ((1,), (-1,))))

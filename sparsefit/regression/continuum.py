@@ -44,14 +44,15 @@ class Jet:
         rate, other = rates[:, :, None, :, None], rates[:, None, :, :, None]
         turn = _mean(first, second) + _mean(value[:, None, None], bend)
         turn -= rates[:, :, None] * rates[:, None]
-        slope = slope - value[:, None] * rates[..., None]
-        bend = bend - slope[:, :, None] * other - slope[:, None] * rate
-        bend = bend - value[:, None, None] * turn[..., None]
+        slope -= value[:, None] * rates[..., None]
+        bend -= slope[:, :, None] * other
+        bend -= slope[:, None] * rate
+        bend -= value[:, None, None] * turn[..., None]
         return cls(value, slope, bend, rms)
 
 
 def _mean(first: Array, second: Array) -> Array:
-    mean: Array = np.einsum("...m,...m->...", first, second) / first.shape[-1]
+    mean: Array = np.vecdot(first, second) / first.shape[-1]
     return mean
 
 

@@ -37,7 +37,7 @@ def test_heights_are_those_of_the_columns_in_unit_rms():
     heights = grid.heights(residual)
     places = rng.integers(0, len(grid.axis), (200, 2))
     places = places[grid.radius[tuple(places.T)] > 0.1]
-    expected = heights_by_columns(grid.position, residual, grid.axis[places])
+    expected = heights_by_columns(position, residual, grid.axis[places])
     np.testing.assert_allclose(heights[tuple(places.T)], expected, rtol=1e-6)
 
 
@@ -47,7 +47,7 @@ def test_nothing_is_missed_between_the_wavevectors_of_the_map():
     grid = PlaneGrid.of(position, (0.5, 1.5))
     angle, size = rng.uniform(0.0, math.pi, 4000), rng.uniform(0.5, 1.5, 4000)
     k = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    highest = heights_by_columns(grid.position, residual, k).max()
+    highest = heights_by_columns(position, residual, k).max()
     assert highest <= grid.heights(residual).max() * 1.02
 
 
@@ -79,6 +79,20 @@ def test_between_its_waves_the_map_is_above_one_around_the_true_ones():
     np.testing.assert_allclose(shown.eta, shown.eta[::-1, ::-1], rtol=1e-6)  # k and -k
 
 
+def test_of_the_gridless_group_lasso_eta_is_at_most_one_on_the_whole_plane():
+    flight = sf.simulate_flight(
+        FLOW, VEHICLE, duration=8.0, sample_rate=100.0, seed=7, velocity_noise=0.2,
+        position_noise=0.05,
+    )  # fmt: skip
+    backend = backends.get("gridless-group-lasso", alpha_fraction=0.3)
+    shown = certificate_map(replace(ESTIMATOR, backend=backend), flight)
+    assert 0.97 < shown.highest <= 1.0 + 1e-8
+    for wave in shown.wavevectors:  # the map is 1 near each, to what its step can show
+        near = np.linalg.norm(np.stack(np.meshgrid(shown.axis, shown.axis, indexing="ij"), axis=-1)
+                              - wave, axis=-1)  # fmt: skip
+        assert np.nanmax(np.where(near < 0.5 / flight.extent, shown.eta, np.nan)) > 0.97
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -86,7 +100,7 @@ def test_between_its_waves_the_map_is_above_one_around_the_true_ones():
         ({"library": replace(WAVES, groups="ring")}, "not 'waves' by 'ring'"),
         ({"library": replace(WAVES, unknown=("wind",))}, "a known vehicle"),
         ({"library": replace(WAVES, every=1), "derivative": "weak"}, "not the weak form"),
-        ({"backend": "lasso"}, "is that of group-lasso, not lasso"),
+        ({"backend": "lasso"}, "is that of group-lasso or gridless-group-lasso, not lasso"),
     ],
 )
 def test_other_fits_have_no_such_certificate(changed, words):
