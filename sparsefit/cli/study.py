@@ -7,6 +7,7 @@ import dataclasses
 
 import sparsefit.cli.study_read as study_read
 import sparsefit.cli.study_run as study_run
+import sparsefit.cli.study_solvers as study_solvers
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Parser, Run, Verbs, add_results, verb
 
@@ -41,10 +42,23 @@ def add(verbs: Verbs) -> None:
     for name, (summary, reads) in SUMMARIES.items():
         example = f"  sparsefit study {name} studies/NAME.toml\n"
         _add_common(
-            verb(actions, name, runs[name], summary=summary, example=example), name, reads=reads
+            verb(actions, name, by_kind(name, runs[name]), summary=summary, example=example),
+            name,
+            reads=reads,
         )
     study_run.add_options(actions.choices["run"])
     study_read.add_options(actions.choices["show"])
+
+
+def by_kind(name: str, run: Run) -> Run:
+    """The action on a study of flights, or on one of solvers where the file says so."""
+
+    def chosen(args: argparse.Namespace) -> int:
+        from sparsefit.study.spec.solver_study import is_solver_study
+
+        return study_solvers.action(name)(args) if is_solver_study(args.study) else run(args)
+
+    return chosen
 
 
 def _add_common(parser: Parser, name: str, *, reads: bool) -> None:

@@ -33,6 +33,7 @@ MAX_CASES = 2_000_000
 NAME = re.compile(r"[a-z0-9_-]{1,64}")
 KEYS = (
     "name",
+    "kind",
     "question",
     "seed",
     *SECTION_KEYS,
@@ -45,7 +46,7 @@ KEYS = (
     "outputs",
 )
 # What a case does not depend on: changing it never makes finished rows those of another study.
-PRESENTATION = ("question", "select", "outputs")
+PRESENTATION = ("kind", "question", "select", "outputs")
 SPLITS = ("validate", "evaluate")
 
 
@@ -108,6 +109,8 @@ class Study:
         """
         document = read_toml(path)
         place = Place(str(path))
+        if document.get("kind", "flights") != "flights":
+            raise place.at("kind").error("is not flights: only sparsefit study reads such a file")
         only(document, KEYS, place)
         return _read(document, place)
 

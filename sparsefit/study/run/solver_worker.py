@@ -1,0 +1,271 @@
+"""The one process in which solvers are run: it times them one after the other, and can be killed.
+
+BLAS has one thread, what solvers print goes nowhere, and a contender is imported and compiled on a
+small problem before it is timed for the first time; that first call is told apart.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from sparsefit.arrays import Array
+from sparsefit.errors import SparsefitError
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.study.run.solver_solve import (
+    PeakMemory,
+    Task,
+    Timing,
+    Verdict,
+    fresh,
+    judged,
+    keep_what_is_loaded,
+    reference_bounds,
+    solve,
+    timed,
+)
+from sparsefit.study.run.worker import ONE_THREAD
+from sparsefit.study.spec.choices import make_backend
+from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
+
+START_SECONDS = 120.0
+LOAD_SECONDS = 300.0  # of a problem and its reference
+FIRST_SECONDS = 180.0  # of the first call: it may compile
+JUDGE_SECONDS = 120.0
+
+
+@dataclass(frozen=True)
+class Ask:
+    """What the worker is to do with a case: ``first`` (compile), ``judge`` or ``time`` it."""
+
+    what: str
+    case: SolverCase
+
+
+@dataclass(frozen=True)
+class Begun:
+    """The work begins now and may take this long [s]."""
+
+    seconds: float
+    what: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of an `Ask`: a time, a verdict where it was judged, megabytes, or an error."""
+
+    timing: Timing | None = None
+    verdict: Verdict | None = None
+    memory: float = math.nan
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """The process was killed at its limit (``timeout``) or died (``crashed``), with the reason."""
+
+    status: str
+    reason: str
+
+
+def work(study: SolverStudy, pipe: Connection, lifeline: Connection) -> None:
+    """The worker's life: answer what is asked, until the parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
+    warnings.simplefilter("ignore")
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    desk = _Desk(study, pipe)
+    try:
+        with threadpool_limits(limits=1):
+            pipe.send(Answer())
+            while True:
+                ask: Ask = pipe.recv()
+                try:
+                    answer = desk.answer(ask)
+                except Exception as error:  # a solver may raise anything
+                    words = " ".join(f"{type(error).__name__}: {error}".split())
+                    answer = Answer(error=words[:300])
+                pipe.send(answer)
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+
+
+def _end_with_parent(lifeline: Connection) -> None:
+    """The parent never writes here; when it dies, even by SIGKILL, the read ends."""
+    try:
+        lifeline.recv_bytes()
+    except (EOFError, OSError):
+        os._exit(1)
+
+
+@dataclass
+class _Desk:
+    """The problem in hand with its reference bounds, by what is minimised."""
+
+    study: SolverStudy
+    pipe: Connection
+    number: int = -1
+    problem: RegressionProblem | None = None
+    bounds: dict[str, Array] = field(default_factory=dict)
+
+    def answer(self, ask: Ask) -> Answer:
+        task = self._task(ask.case)
+        if ask.what == "first":
+            self._begin(max(self.study.clock.limit, FIRST_SECONDS), "its first call")
+            _, timing = timed(lambda: solve(task, small_problem()))
+            keep_what_is_loaded()
+            return Answer(timing)
+        problem = self._problem(ask.case.problem)
+        clone = fresh(problem)
+        memory = PeakMemory() if ask.what == "judge" else None
+        self._begin(self.study.clock.limit, "the solve")
+        solutions, timing = timed(lambda: solve(task, clone))
+        megabytes = memory.megabytes() if memory else math.nan
+        if ask.what != "judge":
+            return Answer(timing)
+        self._begin(JUDGE_SECONDS, "the certificate")
+        bounds = self._bounds(self.study.contenders[ask.case.contender].problem_of, task)
+        return Answer(timing, judged(problem, task, solutions, bounds), megabytes)
+
+    def _begin(self, seconds: float, what: str) -> None:
+        self.pipe.send(Begun(seconds, what))
+
+    def _task(self, case: SolverCase) -> Task:
+        contender = self.study.contenders[case.contender]
+        backend = make_backend(contender.backend, contender.settings)
+        return Task(backend, self.study.fractions, case.tolerance)
+
+    def _problem(self, number: int) -> RegressionProblem:
+        if self.problem is None or self.number != number:
+            self._begin(LOAD_SECONDS, "building the problem")
+            self.number, self.problem, self.bounds = number, self.study.problems[number].build(), {}
+            keep_what_is_loaded()
+        return self.problem
+
+    def _bounds(self, solved: str, task: Task) -> Array:
+        if solved not in self.bounds and self.problem is not None:
+            self.bounds[solved] = reference_bounds(self.problem, task)
+        return self.bounds[solved]
+
+
+def small_problem() -> RegressionProblem:
+    """Twelve columns in groups of three, two targets: what a contender is first called on."""
+    draw = np.random.default_rng(0)
+    theta = draw.standard_normal((40, 12))
+    target = theta[:, :2] @ draw.standard_normal((2, 2)) + 0.1 * draw.standard_normal((40, 2))
+    return RegressionProblem.from_arrays(theta, target, np.arange(12) // 3)
+
+
+class Worker:
+    """The parent's end of the one process; started when first asked, and again after a loss."""
+
+    def __init__(self, study: SolverStudy) -> None:
+        self._study = study
+        self._process: SpawnProcess | None = None
+        self._pipe: Connection | None = None
+        self._lifeline: Connection | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """The process, where there is one now."""
+        return None if self._process is None else self._process.pid
+
+    def ask(self, ask: Ask) -> Answer | Lost:
+        """The answer, or how the process was lost over it."""
+        if self._process is None:
+            self._start()
+        assert self._pipe is not None
+        try:
+            self._pipe.send(ask)
+        except OSError:
+            return self._lost(Lost("crashed", "the process died before the solve"))
+        return self._receive(LOAD_SECONDS)
+
+    def close(self) -> None:
+        """End the process for real, and wait until it is gone."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+        for pipe in (self._pipe, self._lifeline):
+            if pipe is not None:
+                pipe.close()
+        self._process = self._pipe = self._lifeline = None
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._lifeline, lifeline = context.Pipe()
+        self._process = context.Process(
+            target=work, args=(self._study, theirs, lifeline), daemon=True
+        )
+        with one_thread():
+            self._process.start()
+        theirs.close()
+        lifeline.close()
+        started = self._receive(START_SECONDS)
+        if isinstance(started, Lost):
+            raise SparsefitError(
+                f"the worker process could not start ({started.reason}): in a script, call run() "
+                'under if __name__ == "__main__"'
+            )
+
+    def _receive(self, seconds: float) -> Answer | Lost:
+        """Wait for the answer; every `Begun` sets a new limit."""
+        assert self._pipe is not None
+        what = "the process"
+        deadline = time.monotonic() + seconds
+        while True:
+            try:
+                if not self._pipe.poll(max(deadline - time.monotonic(), 0.0)):
+                    return self._lost(Lost("timeout", f"{what} took longer than {seconds:g} s"))
+                message = self._pipe.recv()
+            except (EOFError, OSError):
+                return self._lost(Lost("crashed", f"{what}: the process died{self._signal()}"))
+            if isinstance(message, Answer):
+                return message
+            what, seconds = message.what, message.seconds
+            deadline = time.monotonic() + seconds
+
+    def _signal(self) -> str:
+        assert self._process is not None
+        self._process.join(timeout=2.0)
+        code = self._process.exitcode
+        if code is None or code >= 0:
+            return f" with exit code {code}"
+        try:
+            return f" of {signal.Signals(-code).name}"
+        except ValueError:
+            return f" of signal {-code}"
+
+    def _lost(self, lost: Lost) -> Lost:
+        self.close()
+        return lost
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """An environment in which a new process starts its libraries with one thread each."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value

@@ -1,0 +1,208 @@
+"""Studies of solvers run for real, small: rows, limits, resuming, pages, and the command line."""
+
+import json
+import math
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from sparsefit.cli import main
+from sparsefit.errors import InputError
+from sparsefit.study.run import solver_rows, solver_run
+from sparsefit.study.run.solver_clock import Repeats, median_interval
+from sparsefit.study.run.solver_solve import (
+    Task,
+    Timing,
+    Verdict,
+    fresh,
+    judged,
+    reference_bounds,
+    solve,
+)
+from sparsefit.study.run.solver_worker import Answer, Ask, Lost, Worker, small_problem
+from sparsefit.study.spec.choices import make_backend
+from sparsefit.study.spec.solver_study import Clock, SolverCase, SolverStudy
+from tests.study.solver_files import HEAD, LASSO, write_data, write_study
+
+TEXT = (
+    HEAD
+    + 'question = "Which?"\ntolerances = [1e-3, 1e-8]\n'
+    + '[[problems]]\nfile = "one.npz"\n[[problems]]\nfile = "two.npz"\n'
+    + LASSO
+    + "[path]\npoints = 4\n[clock]\nrepeats = 3\nseconds = 0.2\n"
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("solvers")
+    write_data(folder)
+    write_data(folder, "two", seed=1, targets=2)
+    path = write_study(folder, TEXT)
+    assert main(["study", "run", str(path), "--results", str(folder / "results")]) == 0
+    return SolverStudy.load(path), path, folder / "results"
+
+
+def test_every_planned_case_is_a_row_and_what_is_missing_too(finished):
+    study, _, results = finished
+    cases = solver_rows.read_cases(results / study.name)
+    assert list(cases["case_id"]) == [study.case_id(case) for case in study.cases()]
+    done = solver_run.status(study, results)
+    assert (done.planned, done.done, done.finished) == (len(cases), len(cases), True)
+    assert set(cases[cases["solver"] == "adelie"]["status"]) == {"skipped"}
+    ran = cases[cases["solver"] != "adelie"]
+    assert set(ran["status"]) == {"ok"}
+    assert (ran["excess"] <= ran["tolerance"].fillna(1e-8)).all()
+    assert (ran["excess"] <= ran["certificate"] + 1e-12).all()
+    assert (ran["cpu"] > 0).all()
+    assert (ran["repeats"] == 3).all()
+    assert not (results / study.name / ".partial").exists()
+
+
+def test_a_finished_study_is_not_run_again_and_a_changed_one_is_refused(finished, tmp_path):
+    study, path, results = finished
+    again = solver_run.run(study, results)
+    assert again.resumed == again.planned
+    other = write_study(path.parent, TEXT.replace("points = 4", "points = 5"))
+    with pytest.raises(InputError, match="different study"):
+        solver_run.run(SolverStudy.load(other), results)
+    write_study(path.parent, TEXT)
+
+
+def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
+    study, *_ = finished
+    asked = []
+
+    def answers(_, ask):
+        asked.append(ask)
+        if len(asked) == 14:
+            raise KeyboardInterrupt
+        verdict = Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4)
+        return Answer(Timing(0.01, 0.01), verdict, 1.0)
+
+    monkeypatch.setattr(solver_run._Crew, "ask", answers)
+    with pytest.raises(KeyboardInterrupt):
+        solver_run.run(study, tmp_path)
+    half = solver_run.status(study, tmp_path)
+    assert 0 < half.done < half.planned
+    torn = tmp_path / study.name / ".partial" / "rows.jsonl"
+    torn.write_bytes(torn.read_bytes() + b'{"case_id": "torn')
+    told = []
+    done = solver_run.run(study, tmp_path, progress=lambda *more: told.append(more))
+    assert (done.resumed, done.finished, told[-1][0]) == (half.done, True, study.planned)
+    assert len(solver_rows.read_cases(tmp_path / study.name)) == study.planned
+    turns = [ask.case for ask in asked if ask.what == "time"]
+    assert turns[:3] == turns[5:2:-1]  # by turns, in alternating order
+
+
+def test_what_took_too_long_is_not_tried_at_a_tighter_tolerance(finished, tmp_path, monkeypatch):
+    study, *_ = finished
+    lost = Lost("timeout", "the solve took longer than 1 s")
+    monkeypatch.setattr(solver_run._Crew, "ask", lambda *_: lost)
+    solver_run.run(study, tmp_path)
+    cases = solver_rows.read_cases(tmp_path / study.name)
+    told = cases[cases["solver"] == "clarabel-direct"]["reason"].tolist()
+    assert told[0] == lost.reason
+    assert told[1] == f"not tried: at tolerance 0.001 {lost.reason}"
+
+
+def test_pages_name_every_contender_and_say_what_they_cannot_tell(finished):
+    study, _, results = finished
+    folder = results / study.name
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    for contender in study.contenders:
+        assert contender.solver in text
+    assert "numpy" in text
+    assert "cannot tell" in text
+    names = {path.name for path in folder.iterdir()}
+    assert {"summary.csv", "times.md", "clock.tex", "profiles.svg", "accuracy.png"} <= names
+    assert {"cases.parquet", "manifest.json", "data-profiles.svg"} <= names
+
+
+def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
+    study, path, results = finished
+    where = [str(path), "--results", str(results)]
+    assert main(["study", "check", str(path)]) == 0
+    assert "missing: adelie" in capsys.readouterr().out
+    assert main(["study", "plan", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cases"] == study.planned
+    assert main(["study", "status", *where]) == 0
+    assert "finished" in capsys.readouterr().out
+    assert main(["study", "show", *where, "--table", "times"]) == 0
+    assert "homotopy" in capsys.readouterr().out
+    assert main(["study", "errors", *where]) == 0
+    assert main(["study", "run", *where, "--processes", "2"]) == 2
+    assert "one process" in capsys.readouterr().err
+    assert main(["study", "show", *where, "--table", "tims"]) == 2
+    assert 'did you mean "times"' in capsys.readouterr().err
+
+
+def test_a_solve_beyond_the_limit_is_killed_and_one_that_dies_is_told(finished, tmp_path):
+    study = finished[0]
+    hasty = SolverStudy(**{**vars(study), "clock": Clock(limit=1e-7)})
+    worker = Worker(hasty)
+    case = SolverCase(0, 1, 1e-8)
+    try:
+        lost = worker.ask(Ask("judge", case))
+        assert lost == Lost("timeout", "the solve took longer than 1e-07 s")
+        assert worker.pid is None
+        worker.ask(Ask("first", case))
+        os.kill(worker.pid, signal.SIGKILL)
+        lost = worker.ask(Ask("judge", case))
+        assert lost.status == "crashed"
+    finally:
+        worker.close()
+
+
+def task_of(solver, tolerance=math.nan, fractions=(0.5, 0.1)):
+    return Task(make_backend("lasso", {"solver": solver}), fractions, tolerance)
+
+
+def test_the_referee_and_not_the_solver_judges():
+    problem, task = small_problem(), task_of("clarabel-direct", 1e-2)
+    bounds = reference_bounds(problem, task)
+    loose = judged(problem, task, solve(task, fresh(problem)), bounds)
+    exact_task = task_of("homotopy")
+    exact = judged(problem, exact_task, solve(exact_task, fresh(problem)), bounds)
+    assert exact.excess <= 1e-12
+    assert exact.excess < loose.excess <= loose.gap
+    boasting = [type(s)(2.0 * np.asarray(s.weights), "ok") for s in solve(task, problem)]
+    assert judged(problem, task, boasting, bounds).excess > 0.01
+    nothing = [type(s)(None, "error", "fell over") for s in boasting]
+    verdict = judged(problem, task, nothing, bounds)
+    assert (verdict.answered, verdict.asked, verdict.excess) == (0, 2, math.inf)
+
+
+def test_work_is_charged_anew_to_every_solve():
+    problem = small_problem()
+    assert problem.statistics.gram is not None
+    clone = fresh(problem)
+    assert "statistics" not in vars(clone)
+    assert clone.theta is problem.theta
+
+
+def test_a_median_is_known_by_order_statistics():
+    middle, low, high = median_interval([5.0, 1.0, 3.0, 2.0, 4.0, 6.0])
+    assert (middle, low, high) == (3.5, 1.0, 6.0)  # 1 - 2/64 of the probability
+    assert all(math.isnan(end) for end in median_interval([1.0] * 5)[1:])
+    draw = np.random.default_rng(3).exponential(size=(2000, 11))
+    inside = [low <= math.log(2) <= high for _, low, high in map(median_interval, draw)]
+    assert np.mean(inside) == pytest.approx(1 - 24 / 2048, abs=0.01)  # P(B < 2) = 12/2048
+
+
+def test_repeats_end_when_known_or_at_their_limits():
+    case, clock = SolverCase(0, 0, math.nan), Clock(repeats=8, seconds=1.0, precision=0.05)
+    steady, noisy, slow = Repeats(case), Repeats(case), Repeats(case)
+    for place in range(6):
+        assert not steady.done(clock)
+        steady.note(Timing(0.01, 0.01))
+        noisy.note(Timing(0.01 * (1 + place), 0.02 * (1 + place)))
+    assert steady.done(clock)
+    assert not noisy.done(clock)
+    assert noisy.disturbed
+    assert not steady.disturbed
+    slow.note(Timing(1.5, 1.5))
+    assert slow.done(clock)
+    assert not slow.known(clock)
