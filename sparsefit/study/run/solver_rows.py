@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 
 from sparsefit.codec import finite_or_none
 from sparsefit.errors import InputError
+from sparsefit.study.run.manifest import check_whole
 from sparsefit.study.run.partial import FOLDER, ROWS
 from sparsefit.study.spec.solver_study import SolverStudy
 from sparsefit.whole_file import refusing, whole_file
@@ -127,6 +128,7 @@ def read_cases(folder: Path) -> pd.DataFrame:
     path = folder / CASES
     if not path.is_file():
         raise InputError(f"{path}: no such file: run the study first (sparsefit study run)")
+    check_whole(path)
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowInvalid) as error:

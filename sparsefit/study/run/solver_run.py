@@ -7,6 +7,7 @@ A solver that took longer than the limit at one tolerance is not tried at a tigh
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -317,6 +318,7 @@ def _write_manifest(
         "seed": study.seed,
         "cases": study.planned,
         "statuses": dict(sorted(statuses.items())),
+        "sha256": {CASES: hashlib.sha256((folder / CASES).read_bytes()).hexdigest()},
         "wall_seconds": round(seconds, 3),
         "resumed_cases": resumed,
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -177,8 +177,9 @@ def judged(
     if len(answered) < asked:
         return Verdict(kind, math.inf, math.inf, *counted)
     if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):
-        values = [certificate_of(problem, backend, each) for each in solutions]
-        value = max(math.inf if each is None else each.value for each in values)
+        found = [certificate_of(problem, backend, each, problem) for each in solutions]
+        values = [math.nan if each is None else each.value for each in found]
+        value = max(math.inf if math.isnan(each) else each for each in values)
         return Verdict(kind, value, value, *counted)
     weights = np.stack([np.asarray(each.weights) for each in solutions])
     gap, excess = _gaps(problem, backend.penalty(problem), weights, task, bounds)
