@@ -142,7 +142,7 @@ def _part(part: Part, name: str, title: str) -> str:
     if isinstance(part, Picture):
         head = "" if part.title == title else f"<h3>{escaped(part.title)}</h3>\n"
         text = f"<figcaption>{escaped(part.caption)}</figcaption>"
-        return f"{head}<figure>\n{part.svg}\n{text}\n</figure>"
+        return f'{head}<figure>\n<div class="wide">{part.svg}</div>\n{text}\n</figure>'
     return _table(part, name, title)
 
 

@@ -84,7 +84,7 @@ def said(value: object, unit: str = "") -> str:
         return f"one of {listed(list(map(level_text, numbers)))}{after}"
     if isinstance(value, list):
         return f"({', '.join(map(said, value))}){after}"
-    return f"{level_text(value) if isinstance(value, str | float | int) else value}{after}"
+    return value if isinstance(value, str) else f"{level_text(_level(value))}{after}"
 
 
 def _read(study: Study) -> Iterator[str]:

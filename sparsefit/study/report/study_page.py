@@ -41,18 +41,12 @@ def study_page(
         *([Section("Pictures", pictures)] if pictures else []),
         *([Section("Tables", shown)] if shown else []),
         *more,
-        Section("Methods", [*methods(study), *protocols(study), *_settings(study)]),
+        Section("Methods", [*methods(study), *protocols(study)]),
         Section(RUN, list(_run(study, cases, folder, tables))),
     ]
     answers = sentences(study, cases, varies=False)
     points = points_of(study, cases, named)
     return Page(study.name, study.question, answers, sections, progress, points)
-
-
-def _settings(study: Study) -> Iterator[Part]:
-    if study.given:
-        heads = tuple(Column(name, align="left") for name in ("key", "value"))
-        yield Table("What the study file sets", heads, tuple(study.given.items()))
 
 
 def _run(
