@@ -22,7 +22,7 @@ SUMMARIES: dict[str, tuple[str, bool]] = {  # action -> what it does, whether it
     "run": ("run a study, or go on with one that was stopped", True),
     "status": ("tell how far a study is, also while it runs", True),
     "errors": ("list the cases that are not ok, grouped by reason", True),
-    "show": ("print the tables of a study, also of one that is not finished", True),
+    "show": ("print the tables of a study, also unfinished; or run one case again", True),
     "report": ("write tables, figures and report again from the stored cases", True),
 }
 HAVE_JSON = ("check", "plan", "run", "status", "errors", "show")

@@ -7,8 +7,10 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from sparsefit.cli import study_case
 from sparsefit.cli.output import print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser, Run
+from sparsefit.cli.study_case import show_case
 from sparsefit.cli.study_run import by_status, stale_note, write_pages
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ def add_options(show: Parser) -> None:
         metavar="NAME",
         help="one table, or more if repeated; default: those of the study",
     )
+    study_case.add_options(show)
 
 
 def status(args: argparse.Namespace) -> int:
@@ -97,7 +100,9 @@ def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def show(args: argparse.Namespace) -> int:
-    """The tables of the study, or those asked for."""
+    """The tables of the study, or those asked for; or one case, run again and drawn."""
+    if args.case is not None:
+        return show_case(args)
     from sparsefit.errors import one_of
     from sparsefit.study.evidence.tables import TABLES, tables_of
     from sparsefit.study.report.pages import render_show

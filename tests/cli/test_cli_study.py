@@ -229,6 +229,25 @@ def test_show_prints_the_tables(capsys, finished):
     assert 'did you mean "errors"?' in refused(capsys, "study", "show", finished, "--table", "eror")
 
 
+def test_show_runs_one_case_again_and_draws_it(capsys, finished):
+    rows = store.read_cases("results/small")
+    case = str(rows["case_id"].iloc[0])
+    code, out, _ = run(capsys, "study", "show", finished, "--case", case)
+    assert code == 0
+    assert "As stored, to 6 digits." in out
+    drawn = Path(f"results/small/case-{case}.html")
+    assert f"written to {drawn}" in out
+    assert f"<h1>Case {case}</h1>" in drawn.read_text("utf-8")
+    options = ("--case", case, "--output", "one.svg", "--json")
+    record = json.loads(run(capsys, "study", "show", finished, *options)[1])
+    assert (record["case"], record["picture"]) == (case, "one.svg")
+    assert "exists; add --force" in refused(capsys, "study", "show", finished, *options)
+    assert "must end in .html" in refused(
+        capsys, "study", "show", finished, "--case", case, "--output", "one.pdf"
+    )
+    assert f"{case} say" in refused(capsys, "study", "show", finished, "--case", case[:-1])
+
+
 def test_report_writes_the_same_again(capsys, finished):
     before = Path("results/small/errors.md").read_text()
     os.remove("results/small/errors.md")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -51,6 +51,19 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "sparsefit",
     "path.simplify": False,
 }
+
+
+def laid_out(make: Callable[[], Figure]) -> Figure:
+    """Return the figure made in this package's style, whatever the user's own settings are."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)
+        figure = make()
+        # Laid out once: saving twice must not move anything, nor draw a second time for it.
+        if layout := figure.get_layout_engine():
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+        return figure
 
 
 def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:

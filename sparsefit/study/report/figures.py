@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeAlias
 
-import matplotlib as mpl
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -20,7 +19,7 @@ from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.tables import has_any, many_levels
 from sparsefit.study.report.certificate import certificate_figure
-from sparsefit.study.report.drawing import STYLE
+from sparsefit.study.report.drawing import laid_out
 from sparsefit.study.report.lines import OTHERS, SETTING, lines, pooling_note
 from sparsefit.study.report.plane import plane_figure
 from sparsefit.study.report.scatter import scatter
@@ -59,15 +58,7 @@ def _styled(draw: Draw) -> Draw:
     def styled(
         asked: Asked, study: Study, cases: pd.DataFrame, weights: pd.DataFrame | None
     ) -> Figure:
-        with mpl.rc_context():
-            mpl.rcdefaults()
-            mpl.rcParams.update(STYLE)
-            figure = draw(asked, study, cases, weights)
-            # Laid out once: saving twice must not move anything, nor draw a second time for it.
-            if layout := figure.get_layout_engine():
-                layout.execute(figure)
-            figure.set_layout_engine(None)
-            return figure
+        return laid_out(lambda: draw(asked, study, cases, weights))
 
     return styled
 

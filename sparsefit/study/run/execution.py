@@ -49,7 +49,7 @@ def run_flight(
     for cells in sharing(todo, flight_key):
         draw = study.draw(flight, cells[0])
         yield Stage("simulating the flight", _indices(cells))
-        flown = _attempt(partial(_fly, study, flight, draw))
+        flown = _attempt(partial(fly, study, flight, draw))
         if isinstance(flown, _Failed):
             yield from _failed(flight, cells, flown)
             continue
@@ -58,7 +58,7 @@ def run_flight(
             yield from _run_problem(context, same_problem, alone)
 
 
-def _fly(study: Study, flight: int, draw: Draw | Logged) -> tuple[Flight, Yardstick]:
+def fly(study: Study, flight: int, draw: Draw | Logged) -> tuple[Flight, Yardstick]:
     """The flight without its flow: the truth enters at the score and nowhere before."""
     seed = stream(study.seed, flight, SIMULATION)
     flown = draw.fly(seed)

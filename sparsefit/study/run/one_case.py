@@ -1,0 +1,80 @@
+"""One case of a study, run once more in this process with everything it was read from kept."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+
+from sparsefit.codec import shown
+from sparsefit.errors import InputError, SparsefitError, one_line
+from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.prepare import Prepared
+from sparsefit.flight import Flight
+from sparsefit.flight.flow import Flow
+from sparsefit.regression.fit import Fit
+from sparsefit.study.run.columns import Value, values_of
+from sparsefit.study.run.execution import fly
+from sparsefit.study.run.reading import Reading
+from sparsefit.study.spec.plan import Case
+from sparsefit.study.spec.study import Study
+
+
+@dataclass(frozen=True, eq=False)
+class OneCase:
+    """A case that was run again: what was flown, fitted and read.
+
+    flow: the true one, None where there is none or nobody knows it; values: what the columns of
+    `cases.parquet` read from the case, by name.
+    """
+
+    case: Case
+    flown: Flight
+    flow: Flow | None
+    prepared: Prepared
+    fit: Fit
+    estimate: Estimate
+    values: dict[str, Value]
+
+
+def find_case(study: Study, case_id: str) -> Case:
+    """Return the planned case of this id, `0007-3f9c0d6a41b2e857`.
+
+    Raises:
+        InputError: if the study plans none of this id, with the nearest that it does.
+    """
+    number, _, key = case_id.partition("-")
+    flight = int(number) if number.isdecimal() and len(number) < 10 else -1
+    for cell in study.cells if 0 <= flight < study.count else ():
+        if cell.key == key:
+            return Case(flight, cell)
+    at = min(max(flight, 0), study.count - 1)
+    ids = [Case(at, cell).case_id for cell in study.cells]
+    near = (difflib.get_close_matches(case_id, ids, 1) or ids)[0]
+    raise InputError(
+        f"{study.name} plans no case {shown(case_id)}: ids stand in its cases.parquet and "
+        f"report.html, {near} say"
+    )
+
+
+def run_again(study: Study, case: Case) -> OneCase:
+    """Fly, fit and read one case, alone, as `study run` does.
+
+    Raises:
+        InputError: if what it asks for cannot be.
+        SparsefitError: if the case fails, as it then did in the run, with what it raised.
+    """
+    draw = study.draw(case.flight, case.cell)
+    try:
+        flown, yardstick = fly(study, case.flight, draw)
+        estimator = study.estimator(case.cell)
+        prepared = estimator.prepare(flown)
+        fit = estimator.fit(prepared)
+        estimate = estimator.read(prepared, fit)
+        reading = Reading(estimate, fit, prepared.problem, draw.flow, yardstick)
+        values = values_of(reading)
+    except InputError:
+        raise
+    except Exception as error:
+        words = one_line(f"{type(error).__name__}: {error}")
+        raise SparsefitError(f"{case.case_id} ends in an error: {words}") from error
+    return OneCase(case, flown, draw.flow, prepared, fit, estimate, values)
