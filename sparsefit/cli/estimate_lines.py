@@ -75,7 +75,8 @@ def _shape(estimate: Estimate) -> list[tuple[str, str]]:
     moves = estimate.drift is not None and any(estimate.drift)
     if not shape or (shape == "axis" and not moves):
         return []
-    rows = [("shape", SHAPES[shape] + (", drifting" if moves else ""))]
+    name = SHAPES[shape] if len(estimate.scales) < 2 else "flows of cells, superposed"
+    rows = [("shape", name + (", drifting" if moves else ""))]
     if known is None or estimate.length_scales is None:
         return rows
     if shape != "axis":
@@ -160,6 +161,8 @@ def _scales(estimate: Estimate) -> list[tuple[str, str]]:
     head = f"{'U0 [m/s]':>9} {'L_w [m]':>9} {'tau_w [s]':>9}"
     if all(scale.uncertainty is not None for scale in estimate.scales):
         head = f"{'U0 [m/s]':>9} {'±':<8} {'L_w [m]':>9} {'±':<8} {'tau_w [s]':>9} ±"
+    if any(math.isfinite(scale.heading) for scale in estimate.scales):
+        head = f"{head:<56} {'heading':>9}"
     rows = [(f"  {i}", _flow(scale)) for i, scale in enumerate(estimate.scales, start=1)]
     return [(f"cellular flows  {len(rows)}", head), *rows, ("", "")]
 
@@ -171,6 +174,8 @@ def _flow(scale: ScaleEstimate) -> str:
         cells.append(f"{getattr(scale, name):>9.4f}")
         if scale.uncertainty is not None:
             cells.append(f"{_short(getattr(scale.uncertainty, name)):<8}")
+    if math.isfinite(scale.heading):
+        cells.append(f"{math.degrees(scale.heading):>9.3f}")
     return " ".join(cells).rstrip()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -109,12 +110,16 @@ def _of_ladder(
     if known is None:
         plainly = _plain(prepared, place, flow, drifting=best.drifting)
         return replace(plainly, shaped=_shaped(plainly, ladder), assessed=True)
-    (mode,) = known.modes
     all_of_it = with_wind(flow, nuisance.read(best.fit.coefficients))
-    shaped = Shaped(best.shape, known.shape, best.drifting, rungs_of(ladder), all_of_it)
-    scale = ScaleEstimate(*mode.values, place.candidates[0], mode.uncertainty)
+    first = known.shapes[0] if known.shapes else None
+    shaped = Shaped(best.shape, first, best.drifting, rungs_of(ladder), all_of_it)
+    own = place.candidates[0]
+    scales = tuple(
+        ScaleEstimate(*mode.values, own, mode.uncertainty, cells.heading if cells else math.nan)
+        for mode, cells in zip_longest(known.modes, known.shapes)
+    )
     beside = known.vehicle, known.vehicle_uncertainty
-    return Reading((scale,), *beside, True, known.goodness, shaped)
+    return Reading(scales, *beside, True, known.goodness, shaped)
 
 
 def _shaped(plainly: Reading, ladder: Ladder) -> Shaped | None:

@@ -33,6 +33,8 @@ class Doubt(StrEnum):
     """A parameter is known too poorly, or not at all."""
     VEHICLE = "vehicle"
     """The vehicle that fits best cannot be."""
+    NO_CELLS = "no-cells"
+    """Waves were found that make no cells of one flow or two."""
     MEAN_VELOCITY = "mean-velocity"
     """The readout gives no mean velocity above zero."""
     SHORT_TRACK = "short-track"

@@ -22,6 +22,7 @@ class ScaleEstimate:
         timescale: L/U0 [s], NaN where U0 is 0.
         grid_length_scale: the candidate behind it [m].
         uncertainty: of a refined scale with the ``rms`` mean velocity, all scales fitted together.
+        heading: by which the cells are turned counter-clockwise [rad]; NaN where it is not told.
     """
 
     mean_velocity: float
@@ -29,6 +30,7 @@ class ScaleEstimate:
     timescale: float
     grid_length_scale: float
     uncertainty: Uncertainty | None = None
+    heading: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class Estimate:
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
     refinement found the best other lobe of the residual [m]; response_time [s],
     thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown;
-    scales: all cellular flows found, fastest first, where the readout asks for several: the
-    parameters are those of the first. uncertainty: of a refined scale with the ``rms`` mean
+    scales: all cellular flows found, fastest first, where the readout asks for several, or the
+    ladder finds two: the parameters are those of the first. uncertainty: of a refined scale with the ``rms`` mean
     velocity, `unidentifiable` or not: it holds within the lobe that was chosen, and says nothing
     of its rival; None with other readouts and below 21 samples; of several scales each has its
     own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow. doubt:

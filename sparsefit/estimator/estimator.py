@@ -94,7 +94,7 @@ class Estimator:
                 words = "no length scale: all weights are zero"
                 verdict = Verdict.against(Doubt.NO_WEIGHTS, words)
         first, vehicle, shaped = reading.scales[0], reading.vehicle, reading.shaped
-        other = place.other if place else math.nan
+        other, several = place.other if place else math.nan, self.readout.scales == "several"
         found = place if place and len(place.wavenumbers) else None
         unknown = {name: getattr(vehicle, name) for name in vehicle.unknown} if vehicle else {}
         return Estimate(
@@ -113,7 +113,7 @@ class Estimator:
             problem.columns,
             math.pi / other,
             first.uncertainty,
-            scales=reading.scales if place and self.readout.scales == "several" else (),
+            scales=reading.scales if place and (several or len(reading.scales) > 1) else (),
             vehicle_uncertainty=reading.vehicle_uncertainty,
             doubt=verdict.doubt,
             flow=shaped.flow if shaped else flow_of(prepared, fit, found) if found else None,

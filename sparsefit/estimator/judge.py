@@ -221,6 +221,7 @@ def judge_shape(
         or (misfit(reading.goodness, unknown) if short is None else None)
         or _more(ladder)
         or rivalled(ladder)
+        or _uneven(ladder, reading)
         or _unsure(reading.scales)
         or short
     )
@@ -257,6 +258,14 @@ def _more(ladder: Ladder) -> Verdict | None:
         return None
     words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
     return Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")
+
+
+def _uneven(ladder: Ladder, reading: Reading) -> Verdict | None:
+    """Whether several waves are no two flows of cells, each with a U0 and an L of its own."""
+    if ladder.best.shape != "several" or len(reading.scales) > 1:
+        return None
+    words = f"{len(ladder.best.phases)} waves make no cells of one flow or two, equally strong"
+    return Verdict.against(Doubt.NO_CELLS, f"{words}: only the flow itself is told; fly longer")
 
 
 def rivalled(ladder: Ladder | None) -> Verdict | None:

@@ -22,7 +22,7 @@ from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import MODE, Reader, Reading, cellular, joined
 from sparsefit.uncertainty.reading import vehicle as of_vehicle
 from sparsefit.uncertainty.record import Uncertainty
-from sparsefit.uncertainty.shape import CELL, Shape, names_of, waves
+from sparsefit.uncertainty.shape import CELL, Shape, flows_of, names_of, phases_of, waves
 from sparsefit.uncertainty.vehicle import VehicleUncertainty
 
 
@@ -55,14 +55,14 @@ class Assessment:
         vehicle: the vehicle and the wind that fit best, None where all of it was known.
         vehicle_uncertainty: how sure what was unknown of them is.
         goodness: how well the modes fit.
-        shape: the cells that two waves make.
+        shapes: the cells that two waves make, of each mode of waves.
     """
 
     modes: tuple[ModeAssessment, ...]
     vehicle: VehicleEstimate | None = None
     vehicle_uncertainty: VehicleUncertainty | None = None
     goodness: Goodness | None = None
-    shape: Shape | None = None
+    shapes: tuple[Shape, ...] = ()
 
     @property
     def white(self) -> bool:
@@ -99,12 +99,13 @@ def assess(
         return None
     if nuisance.unknown:
         model, nuisance = _as_found(samples, model, nuisance, vehicle)
-    known = corrected(samples, model, nuisance, reader(nuisance), correct=correct)
+    flows = flows_of(*phases_of(model)) if isinstance(model.family, Waves) else []
+    known = corrected(samples, model, nuisance, reader(nuisance, flows), correct=correct)
     if known is None:
         return None
     if isinstance(model.family, Waves):
         names = names_of(model.family, len(model.parameters))
-        return _of_waves(known, names, model, vehicle)
+        return _of_waves(known, names, len(flows), model, vehicle)
     count = len(MODE) * len(fit.parameters)
     every = known.values, known.errors, known.freedom
     by_mode = [array[:count].reshape(-1, 3) for array in every]
@@ -116,30 +117,36 @@ def assess(
     return Assessment(modes, *_vehicle(vehicle, beside), goodness=goodness)
 
 
-def reader(nuisance: Nuisance) -> Reader:
-    """What a model is read for: its modes by their family, and what is unknown beside them."""
+def reader(nuisance: Nuisance, flows: list[Array] | None = None) -> Reader:
+    """What a model is read for: its modes by their family, and what is unknown beside them.
+
+    flows: the places of the waves of every flow, of a model of `Waves`; None: all are one flow's.
+    """
 
     def read(model: Model) -> Reading:
-        modes = (waves if isinstance(model.family, Waves) else cellular)(model, nuisance)
+        waved = isinstance(model.family, Waves)
+        modes = waves(model, nuisance, flows) if waved else cellular(model, nuisance)
         return joined(modes, of_vehicle(model, nuisance)) if nuisance.unknown else modes
 
     return read
 
 
 def _of_waves(
-    known: Known, names: tuple[str, ...], model: Model, vehicle: VehicleEstimate
+    known: Known, names: tuple[str, ...], count: int, model: Model, vehicle: VehicleEstimate
 ) -> Assessment:
-    """What is known of all waves together."""
+    """What is known of all flows that waves make, fastest first."""
     every = known.values, known.errors, known.freedom
-    modes = (_mode(*(array[: len(MODE)] for array in every)),)
-    goodness, shape = goodness_of(model, known.left, modes[0].mean_velocity), None
-    if CELL[0] in names:
-        shape = Shape.around(*(array[len(MODE) : len(names)] for array in every))
+    own = len(names)
+    flows = np.arange(count * own).reshape(count, own)
+    flows = flows[np.argsort(-known.values[flows[:, 0]], kind="stable")]
+    modes = tuple(_mode(*(array[flow[: len(MODE)]] for array in every)) for flow in flows)
+    goodness = goodness_of(model, known.left, modes[0].mean_velocity)
+    cells = flows[:, len(MODE) :] if CELL[0] in names else []
+    shapes = tuple(Shape.around(*(array[cell] for array in every)) for cell in cells)
     if not vehicle.unknown:
-        return Assessment(modes, goodness=goodness, shape=shape)
-    values, errors, freedom = (array[len(names) :] for array in every)
-    beside = Known(values, errors, freedom)
-    return Assessment(modes, *_vehicle(vehicle, beside), goodness, shape)
+        return Assessment(modes, goodness=goodness, shapes=shapes)
+    beside = Known(*(array[count * own :] for array in every))
+    return Assessment(modes, *_vehicle(vehicle, beside), goodness, shapes)
 
 
 def _as_found(

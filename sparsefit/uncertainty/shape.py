@@ -1,11 +1,13 @@
 """What is read from waves: U0, L and tau_w, and of two waves the cells' sides, heading and drift.
 
+Four waves are two flows of cells where two and two of them are equally strong, each read alone.
+
     U0^2 = sum_j |k_j|^2 (a_j^2 + b_j^2),    L = sqrt(2) pi / sqrt(mean |k_j|^2),    tau_w = L/U0
 
-U0 is of all waves, everything else of the two strongest. Two waves make cells between the lines
-on which (k_1 + k_2).x/2 and (k_1 - k_2).x/2 step by pi: L_x and L_y are their distances, the
-heading that of k_1 + k_2, brought to (-pi/4, pi/4] by quarter turns, and the drift c solves
-k_j . c = omega_j. Gradients are differences of these, in parameters scaled to their size.
+U0 is of all waves of a flow, everything else of the two strongest. Two waves make cells between the
+lines on which (k_1 + k_2).x/2 and (k_1 - k_2).x/2 step by pi: L_x and L_y are their distances. The
+heading halves the angle of the waves and is brought to (-pi/4, pi/4] by quarter turns; the drift c
+solves k_j . c = omega_j. Gradients are differences of these, in parameters scaled to their size.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from sparsefit.uncertainty.record import interval
 CELL = ("length_scale_x", "length_scale_y", "heading")
 DRIFT = ("drift_x", "drift_y")
 STEP = 1e-6  # of differences, relative to a parameter's size
+ALIKE = 0.2  # of ln(amplitude): waves that differ by more make no cells
+ANGLE = 0.1  # of |cos| of the angle of two waves, beside ln: of waves all alike, squares are told
 TURN = 0.05  # [rad] that a correction of first order may turn cells by
 
 Interval = tuple[float, float]
@@ -80,14 +84,14 @@ class Shape:
 
 
 def names_of(family: Waves, modes: int) -> tuple[str, ...]:
-    """What is read of a model of so many modes of waves."""
+    """What is read of each flow of a model of so many modes of waves."""
     if family.pattern.size * modes < 2:
         return MODE
     return (*MODE, *CELL, *(DRIFT if family.pattern.drifting else ()))
 
 
-def waves(model: Model, nuisance: Nuisance) -> Reading:
-    """The values of `names_of` of a model of `Waves`, all of its waves together."""
+def waves(model: Model, nuisance: Nuisance, flows: list[Array] | None = None) -> Reading:
+    """The values of `names_of` of a model of `Waves`, of every flow of its waves; None: of all."""
     family = model.family
     assert isinstance(family, Waves)
     theta = model.joined(model.parameters, model.weights, model.coefficients)
@@ -96,9 +100,13 @@ def waves(model: Model, nuisance: Nuisance) -> Reading:
         parameters, weights, coefficients = model.split(other)
         phases = family.pattern.phases(parameters).reshape(-1, 3)
         amplitudes = weights.reshape(-1, 2) / nuisance.ratio(coefficients)
-        return values_of(phases, amplitudes, drifting=family.pattern.drifting)
+        drifting = family.pattern.drifting
+        every = [_of_flow(phases[i], amplitudes[i], drifting=drifting) for i in parts]
+        return np.concatenate(every)
 
+    parts = flows or [np.arange(len(phases_of(model)[0]))]
     values, names = read(theta), names_of(family, len(model.parameters))
+    names = names * len(parts)
     gradients = np.zeros((len(values), len(theta)))
     for i, step in enumerate(STEP * _sizes(model)):
         ends = [read(theta + sign * step * np.eye(len(theta))[i]) for sign in (1, -1)]
@@ -110,6 +118,13 @@ def waves(model: Model, nuisance: Nuisance) -> Reading:
     return Reading(names, values, gradients, limits, norms)
 
 
+def phases_of(model: Model) -> tuple[Array, Array]:
+    """(k_x, k_y, omega) of a model's waves (J, 3), and their amplitudes (J, 2)."""
+    assert isinstance(model.family, Waves)
+    phases = model.family.pattern.phases(model.parameters).reshape(-1, 3)
+    return phases, model.weights.reshape(-1, 2)
+
+
 def _sizes(model: Model) -> Array:
     """The size of every entry of theta: parts are alike."""
     sizes = [np.full_like(model.parameters, float(np.abs(model.parameters).max()))]
@@ -118,6 +133,39 @@ def _sizes(model: Model) -> Array:
 
 
 def values_of(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
+    """The values of `names_of` of the fastest flow of waves (J, 3), amplitudes (J, 2)."""
+    flows = flows_of(phases, amplitudes)
+    every = [_of_flow(phases[i], amplitudes[i], drifting=drifting) for i in flows]
+    return max(every, key=lambda values: float(values[0]))
+
+
+def flows_of(phases: Array, amplitudes: Array) -> list[Array]:
+    """The places of the waves of every flow: of four waves that are two flows of cells, or of all.
+
+    Args:
+        phases: (k_x, k_y, omega) of waves (J, 3).
+        amplitudes: a and b of each, (J, 2).
+    """
+    if len(phases) != 4:
+        return [np.arange(len(phases))]
+    pairings = [np.array([[0, j], sorted({1, 2, 3} - {j})]) for j in (1, 2, 3)]
+    size = np.log(np.maximum(np.hypot(*amplitudes.T), np.finfo(float).tiny))
+    length = np.log(np.hypot(*phases[:, :2].T))
+    along = phases[:, :2] / np.exp(length)[:, None]
+
+    def unlike(pairing: Array) -> float:
+        first, second = pairing.T
+        apart = np.abs(size[first] - size[second]) + np.abs(length[first] - length[second])
+        turned = np.abs(np.sum(along[first] * along[second], axis=1))
+        return float(np.sum(apart + ANGLE * turned))
+
+    best = min(pairings, key=unlike)
+    if np.abs(np.diff(size[best], axis=1)).max() > ALIKE:
+        return [np.arange(4)]
+    return list(best)
+
+
+def _of_flow(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
     """U0, L, tau_w of waves (J, 3), amplitudes (J, 2); of two or more L_x, L_y, heading, drift."""
     squares = np.sum(phases[:, :2] ** 2, axis=1)
     powers = squares * np.sum(amplitudes**2, axis=1)
@@ -128,10 +176,10 @@ def values_of(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
     if len(phases) > 1:
         pair = phases[strongest]
         first, second = pair[:, :2]
-        total, difference = first + second, first - second
-        heading = math.atan2(total[1], total[0])
+        both = first / math.hypot(*first) + second / math.hypot(*second)
+        heading = math.atan2(both[1], both[0])
         quarter = round(heading / (0.5 * math.pi))
-        sides = [2 * math.pi / math.hypot(*one) for one in (total, difference)]
+        sides = [2 * math.pi / math.hypot(*one) for one in (first + second, first - second)]
         values += sides[::-1] if quarter % 2 else sides
         values.append(heading - 0.5 * math.pi * quarter)
         if drifting:

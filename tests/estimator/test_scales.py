@@ -163,7 +163,7 @@ def test_json_has_every_scale_and_the_estimator_comes_back():
     (scale,) = record["scales"]
     assert scale["length_scale"] == record["length_scale"]
     values = {"mean_velocity", "length_scale", "timescale"}
-    assert set(scale) == values | {"grid_length_scale", "uncertainty"}
+    assert set(scale) == values | {"grid_length_scale", "uncertainty", "heading"}
     intervals = {f"{name}_interval" for name in values}
     assert set(scale["uncertainty"]) == values | intervals | {"freedom"}
     assert scale["uncertainty"] == record["uncertainty"]

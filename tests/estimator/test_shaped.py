@@ -62,3 +62,29 @@ def test_the_command_line_tells_the_shape(turned):
     assert "shape                 square cells\n" in words
     assert f"heading               {math.degrees(estimate.heading):.4f} degrees" in words
     assert "drift" not in words
+
+
+def test_two_flows_are_read_each_by_itself():
+    parts = sf.ShapedCells(9.0, 4.0, heading=0.3), sf.ShapedCells(6.0, 5.5, heading=-0.5)
+    flight = sf.simulate_flight(
+        sf.SuperposedFlow(parts), VEHICLE, duration=12.0, sample_rate=100.0, seed=8,
+        position_noise=0.02, velocity_noise=0.1,
+    )  # fmt: skip
+    found = LADDER.estimate(flight)
+    assert (found.status, found.shape, len(found.scales)) == ("ok", "several", 2)
+    assert found.mean_velocity == found.scales[0].mean_velocity
+    for read, true in zip(found.scales, parts, strict=True):
+        assert abs(read.mean_velocity - true.mean_velocity) < 4 * read.uncertainty.mean_velocity
+        assert abs(read.length_scale - true.length_scale) < 4 * read.uncertainty.length_scale
+        assert read.uncertainty.mean_velocity < 0.02 * true.mean_velocity
+        assert read.heading == pytest.approx(true.heading, abs=0.01)
+    assert any(line.split()[-1:] == ["heading"] for line in lines("f", flight, found, ()))
+
+
+def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():
+    cells = sf.ShapedCells(9.0, 4.0, heading=0.4, angle=1.1)
+    flight = sf.simulate_flight(cells, VEHICLE, duration=8.0, sample_rate=100.0, seed=2)
+    found = LADDER.estimate(flight)
+    assert found.shape == "pair"
+    assert found.heading == pytest.approx(0.4, abs=1e-3)
+    assert found.length_scales == pytest.approx((4.0, 4.0), rel=1e-3)

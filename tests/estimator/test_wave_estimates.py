@@ -133,8 +133,11 @@ def test_two_flows_of_different_headings_are_found_together():
     near = [min(np.linalg.norm(found.flow.wavevectors - s * one, axis=1).min() for s in (-1, 1))
             for one in k]  # fmt: skip
     assert max(near) < 0.01
-    assert found.mean_velocity == pytest.approx(math.hypot(9.0, 7.0), rel=0.05)
-    assert found.length_scale == pytest.approx(4.0, rel=0.01)  # of the stronger
+    assert found.scales[0].length_scale == found.length_scale  # of the faster
+    for read, true in zip(found.scales, (first, second), strict=True):
+        assert read.mean_velocity == pytest.approx(true.mean_velocity, rel=0.01)
+        assert read.length_scale == pytest.approx(true.length_scale, rel=0.01)
+        assert read.heading == pytest.approx(true.heading, abs=0.005)
 
 
 def test_it_goes_with_the_weak_form_and_an_unknown_vehicle():
