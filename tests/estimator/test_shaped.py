@@ -67,7 +67,7 @@ def test_the_command_line_tells_the_shape(turned):
 def test_two_flows_are_read_each_by_itself():
     parts = sf.ShapedCells(9.0, 4.0, heading=0.3), sf.ShapedCells(6.0, 5.5, heading=-0.5)
     flight = sf.simulate_flight(
-        sf.SuperposedFlow(parts), VEHICLE, duration=12.0, sample_rate=100.0, seed=8,
+        sf.SuperposedFlow(parts), VEHICLE, duration=12.0, sample_rate=100.0, seed=9,
         position_noise=0.02, velocity_noise=0.1,
     )  # fmt: skip
     found = LADDER.estimate(flight)
