@@ -34,11 +34,14 @@ def test_every_flow_has_its_line(tmp_path, capsys):
     assert [round(float(one), 1) for one in second] == [5.0, 4.4, 0.9]
 
 
-def test_json_lists_them_and_one_is_the_default(tmp_path, capsys):
+def test_json_lists_them_and_so_does_the_ladder(tmp_path, capsys):
     path = written(tmp_path, (10.0, 3.1), (5.0, 4.4))
     main(["estimate", path, "--scales", "several", "--json"])
     assert len(json.loads(capsys.readouterr().out)["scales"]) == 2
     main(["estimate", path, "--json"])
+    scales = json.loads(capsys.readouterr().out)["scales"]
+    assert [round(scale["length_scale"], 1) for scale in scales] == [3.1, 4.4]
+    main(["estimate", path, "--refine", "variable-projection", "--json"])
     assert json.loads(capsys.readouterr().out)["scales"] == []
 
 
