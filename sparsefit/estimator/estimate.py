@@ -61,14 +61,14 @@ class Estimate:
     refinement found the best other lobe of the residual [m]; response_time [s],
     thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown;
     scales: all cellular flows found, fastest first, where the readout asks for several, or the
-    ladder finds two: the parameters are those of the first.
-    uncertainty: of a refined scale with the ``rms`` mean velocity, `unidentifiable` or not: it holds within the lobe that was chosen, and says nothing
-    of its rival; None with other readouts and below 21 samples; of several scales each has its
-    own, and this is the first's. vehicle_uncertainty: of what was unknown beside the flow. doubt:
-    what kind of doubt the reason of a `misfit` or an `unidentifiable` flow puts in words. heading
-    [rad]: by which the cells are turned counter-clockwise. flow: what was found, to be evaluated
-    anywhere, in the coordinates and the time of the flight. goodness: how well refined modes fit,
-    with the ``rms`` mean velocity.
+    ladder finds two: the parameters are those of the first. uncertainty: of a refined scale with
+    the ``rms`` mean velocity, `unidentifiable` or not: it holds within the lobe that was chosen,
+    and says nothing of its rival; None with other readouts and below 21 samples; of several scales
+    each has its own, and this is the first's. vehicle_uncertainty: of what was unknown beside the
+    flow. doubt: what kind of doubt the reason of a `misfit` or an `unidentifiable` flow puts in
+    words. heading [rad]: by which the cells are turned counter-clockwise. flow: what was found, to
+    be evaluated anywhere, in the coordinates and the time of the flight. goodness: how well refined
+    modes fit, with the ``rms`` mean velocity.
     repairs: what was mended in the flight before. agreement: of logged position and velocity; the
     intervals hold what a position wanders.
     shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,

@@ -36,7 +36,7 @@ ROUNDS = 8  # of the search around the best shape, at most
 NEAR = 0.3  # of |Phi|^2: cells that leave less are looked around before the plane is scanned
 FAR = 0.75  # of |Phi|^2: what leaves more has no shape around it that is the flow
 SLIGHTLY, SLOWLY = 0.1, 0.95  # of BIC, and of RSS: a round that gains less is the last
-SETTLED = 0.05  # of |Phi|^2: where less is left the flow is found, and more waves are not sought
+SETTLED = 0.05  # of |Phi|^2: what is less is turbulence, or a vehicle that is another
 INSTEAD = 4  # places that are tried for either wave of a pair
 
 
@@ -55,7 +55,7 @@ def climbed(
         climb.join(proposed)
         climb.bind()
     for look in (climb.squares, climb.rectangles, climb.moving, climb.pairs, climb.several):
-        if climb.quiet or climb.settled:
+        if climb.quiet or climb.left <= SETTLED:
             break
         look()
     climb.instead()
@@ -97,11 +97,6 @@ class _Climb:
     @property
     def quiet(self) -> bool:
         return self.lookout.quiet(self.best.fit.rest)
-
-    @property
-    def settled(self) -> bool:
-        """Whether little is left of the flow, as of turbulence or a vehicle that is another."""
-        return self.left <= SETTLED
 
     @property
     def left(self) -> float:
@@ -151,7 +146,8 @@ class _Climb:
             there = self._lower(best, np.vstack([best.parameters, wave]))
             while there is not None:  # the weakest leave where what is left does without
                 best = there
-                there = self._lower(best, np.delete(best.parameters, _weakest(best), axis=0))
+                weakest = int(np.argmin(strengths(best.parameters, best.weights[..., 0])))
+                there = self._lower(best, np.delete(best.parameters, weakest, axis=0))
         if not self.rungs:
             self.keep(Waves(WAVE), none)
 
@@ -300,8 +296,3 @@ class _Climb:
         rungs, tried = ([rung for rung in some if rung.of_cells] for some in every)
         rest = min(rungs, key=lambda rung: rung.bic).fit.rest
         return chosen(self.lookout.coloured(rest), rungs, tried, quiet=False)
-
-
-def _weakest(fit: Projection) -> int:
-    """The place of the weakest of single waves."""
-    return int(np.argmin(strengths(fit.parameters, fit.weights[..., 0])))
