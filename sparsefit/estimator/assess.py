@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 
@@ -114,9 +113,10 @@ def _of_ladder(
     first = known.shapes[0] if known.shapes else None
     shaped = Shaped(best.shape, first, best.drifting, rungs_of(ladder), all_of_it)
     own = place.candidates[0]
+    headings = [cells.heading for cells in known.shapes] or [math.nan]
     scales = tuple(
-        ScaleEstimate(*mode.values, own, mode.uncertainty, cells.heading if cells else math.nan)
-        for mode, cells in zip_longest(known.modes, known.shapes)
+        ScaleEstimate(*mode.values, own, mode.uncertainty, heading)
+        for mode, heading in zip(known.modes, headings, strict=True)
     )
     beside = known.vehicle, known.vehicle_uncertainty
     return Reading(scales, *beside, True, known.goodness, shaped)

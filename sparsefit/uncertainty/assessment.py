@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.derivative import Samples
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.equal_waves import EqualWaves
@@ -117,7 +117,7 @@ def assess(
     return Assessment(modes, *_vehicle(vehicle, beside), goodness=goodness)
 
 
-def reader(nuisance: Nuisance, flows: list[Array] | None = None) -> Reader:
+def reader(nuisance: Nuisance, flows: list[IntArray] | None = None) -> Reader:
     """What a model is read for: its modes by their family, and what is unknown beside them.
 
     flows: the places of the waves of every flow, of a model of `Waves`; None: all are one flow's.
@@ -141,11 +141,14 @@ def _of_waves(
     flows = flows[np.argsort(-known.values[flows[:, 0]], kind="stable")]
     modes = tuple(_mode(*(array[flow[: len(MODE)]] for array in every)) for flow in flows)
     goodness = goodness_of(model, known.left, modes[0].mean_velocity)
-    cells = flows[:, len(MODE) :] if CELL[0] in names else []
-    shapes = tuple(Shape.around(*(array[cell] for array in every)) for cell in cells)
+    shapes: tuple[Shape, ...] = ()
+    if CELL[0] in names:
+        cells = flows[:, len(MODE) :]
+        shapes = tuple(Shape.around(*(array[cell] for array in every)) for cell in cells)
     if not vehicle.unknown:
         return Assessment(modes, goodness=goodness, shapes=shapes)
-    beside = Known(*(array[count * own :] for array in every))
+    values, errors, freedom = (array[count * own :] for array in every)
+    beside = Known(values, errors, freedom)
     return Assessment(modes, *_vehicle(vehicle, beside), goodness, shapes)
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.library.waves import Waves
 from sparsefit.uncertainty.model import Model
@@ -90,7 +90,7 @@ def names_of(family: Waves, modes: int) -> tuple[str, ...]:
     return (*MODE, *CELL, *(DRIFT if family.pattern.drifting else ()))
 
 
-def waves(model: Model, nuisance: Nuisance, flows: list[Array] | None = None) -> Reading:
+def waves(model: Model, nuisance: Nuisance, flows: list[IntArray] | None = None) -> Reading:
     """The values of `names_of` of a model of `Waves`, of every flow of its waves; None: of all."""
     family = model.family
     assert isinstance(family, Waves)
@@ -139,7 +139,7 @@ def values_of(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
     return max(every, key=lambda values: float(values[0]))
 
 
-def flows_of(phases: Array, amplitudes: Array) -> list[Array]:
+def flows_of(phases: Array, amplitudes: Array) -> list[IntArray]:
     """The places of the waves of every flow: of four waves that are two flows of cells, or of all.
 
     Args:
@@ -153,7 +153,7 @@ def flows_of(phases: Array, amplitudes: Array) -> list[Array]:
     length = np.log(np.hypot(*phases[:, :2].T))
     along = phases[:, :2] / np.exp(length)[:, None]
 
-    def unlike(pairing: Array) -> float:
+    def unlike(pairing: IntArray) -> float:
         first, second = pairing.T
         apart = np.abs(size[first] - size[second]) + np.abs(length[first] - length[second])
         turned = np.abs(np.sum(along[first] * along[second], axis=1))
