@@ -1,8 +1,12 @@
-"""Files that appear whole or not at all: written beside the target, then renamed over it."""
+"""Files that appear whole or not at all: written beside the target, then renamed over it.
+
+And files that are read whole: regular ones, of a size that is meant.
+"""
 
 import errno
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,6 +25,31 @@ def write_whole(path: str | os.PathLike[str], content: bytes | str) -> None:
     """
     with whole_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
+
+
+def read_whole(path: str | os.PathLike[str], *, most: int) -> bytes:
+    """The content of a regular file of at most ``most`` bytes.
+
+    Raises:
+        InputError: naming the file, where there is none, it cannot be read or is too long; also of
+            a device or a pipe, which may have no end.
+    """
+    name = os.fspath(path)
+    try:
+        told = os.stat(path)
+        if not stat.S_ISREG(told.st_mode):
+            kind = "a folder" if stat.S_ISDIR(told.st_mode) else "no regular file"
+            raise InputError(f"cannot read {name}: it is {kind}; check the path")
+        if told.st_size > most:
+            size = f"{told.st_size / 1e6:.0f} MB, more than {most / 1e6:.0f} MB"
+            raise InputError(f"cannot read {name}: it has {size}; is it the right file?")
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {error.strerror}; check the path") from None
+    except ValueError as error:  # a zero byte in the name
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"cannot read {name!r}: {error}; check the path") from None
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import pytest
 
 from sparsefit import whole_file as module
 from sparsefit.errors import InputError
-from sparsefit.whole_file import refusing, whole_file, write_whole
+from sparsefit.whole_file import read_whole, refusing, whole_file, write_whole
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
@@ -88,3 +88,21 @@ def test_an_error_without_a_number_is_told_too():
         refusing("a"),
     ):
         raise OSError("torn")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+def test_what_may_have_no_end_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "long").write_bytes(b"12345")
+    assert read_whole(tmp_path / "long", most=5) == b"12345"
+    for name, words in (
+        ("pipe", "no regular file"),
+        ("zero", "no regular file"),
+        ("", "a folder"),
+        ("long", "is it the right file"),
+        ("absent", "No such file"),
+        ("a\0b", "null byte"),
+    ):
+        with pytest.raises(InputError, match=words):
+            read_whole(tmp_path / name, most=4)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -44,16 +46,18 @@ def parser() -> Parser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return its exit code; bad input is one line on stderr, no traceback."""
     _print_what_can_be_printed()
+    args = argparse.Namespace(stopped="stopped")
     try:
         args, extra = parser().parse_known_args(argv)
         if extra:
             args.parser.error(f"unrecognized arguments: {' '.join(extra)}")
-        try:
-            code: int = args.run(args)
-        except KeyboardInterrupt:
-            print(f"\n{args.stopped}", file=sys.stderr)
-            return INTERRUPTED
+        code: int = args.run(args)
         sys.stdout.flush()
+    except KeyboardInterrupt:
+        if argv is None:  # the process ends here: a second Ctrl-C has nothing to stop
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print(f"\n{args.stopped}", file=sys.stderr)
+        return INTERRUPTED
     except BrokenPipeError:
         return _reader_left()
     except (Exception, MemoryError) as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimate_lines import lines
@@ -190,16 +189,18 @@ def _typed(option: str) -> str:
     return "--" + option.replace("_", "-")
 
 
+LONGEST = 16_000_000  # bytes of an estimator file
+
+
 def _read_estimator(path: str) -> Estimator:
     from sparsefit.errors import InputError, told_with
     from sparsefit.estimator.estimator import Estimator
+    from sparsefit.whole_file import read_whole
 
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_whole(path, most=LONGEST).decode()
     except UnicodeDecodeError:
         raise InputError(f"{path}: not UTF-8 text; give a file of sparsefit select") from None
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}; check the path") from None
     with told_with(path):
         return Estimator.from_json(text)
 

@@ -113,6 +113,8 @@ def scalar(text: str) -> Value:
         parsed = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    except ValueError:  # Python reads no decimal integer of more than 4300 digits
+        raise argparse.ArgumentTypeError("more than 4300 digits are no number") from None
     value = parsed["value"]
     return value if len(parsed) == 1 and isinstance(value, bool | int | float | str) else text
 

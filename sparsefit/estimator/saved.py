@@ -38,6 +38,8 @@ def record_of(text: str) -> dict[str, Any]:
         raise InputError(f"not an estimator: line {error.lineno}: {error.msg}") from None
     except RecursionError:
         raise InputError("not an estimator: too deep; write one with to_json") from None
+    except ValueError:  # Python reads no decimal integer of more than 4300 digits
+        raise InputError("not an estimator: a number of more than 4300 digits") from None
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise InputError(f'not an estimator: no "format": "{FORMAT}"; write one with to_json')
     readout = record.get("readout", {})

@@ -11,8 +11,9 @@ from sparsefit.flight import csv_file, parquet_file
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.whole_file import write_whole
+from sparsefit.whole_file import read_whole, write_whole
 
+LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
 FORMATS: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
 
 
@@ -78,7 +79,4 @@ def _format(file: Path) -> ModuleType:
 
 
 def _content(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {file}: {error.strerror}; check the path") from None
+    return read_whole(file, most=LARGEST)

@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight.record import MOST_SAMPLES
 from sparsefit.flight.table import FlightTable, columns_of, is_key, number
 
 
@@ -35,6 +36,9 @@ def decode(content: bytes) -> FlightTable:
     arrow, parquet = _arrow()
     try:
         file = parquet.ParquetFile(io.BytesIO(content))
+        if file.metadata.num_rows > MOST_SAMPLES:
+            words = f"{file.metadata.num_rows} samples are more than {MOST_SAMPLES}"
+            raise InputError(f"{words}: cut the flight into pieces")
         wanted = columns_of(file.schema_arrow.names)
         read = file.read(columns=list(wanted))
     except (arrow.ArrowException, OSError):

@@ -12,6 +12,8 @@ from sparsefit.flight.flow import FLOWS, Flow
 from sparsefit.flight.vehicle import PointMassVehicle
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
+MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
+SMALLEST_STEP = 1e-9  # [s] between samples, in the mean
 LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
 
 
@@ -145,6 +147,9 @@ def _check_increasing(time: Array) -> None:
             f"time must increase strictly: row {row} (t={time[row]}) follows "
             f"t={time[row - 1]}; sort or drop repeated samples"
         )
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if step < SMALLEST_STEP:
+        raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")
 
 
 def check_models(vehicle: object, flow: object) -> None:

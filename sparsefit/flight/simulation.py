@@ -20,7 +20,7 @@ from sparsefit.errors import (
     positive,
 )
 from sparsefit.flight.flow import Flow
-from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, check_models
+from sparsefit.flight.record import MINIMUM_SAMPLES, MOST_SAMPLES, Flight, check_models
 from sparsefit.flight.vehicle import PointMassVehicle
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
 INTEGRATION = 1e-13  # relative and absolute tolerance; leaves a defect below 1e-12 m/s per sample
-MOST_SAMPLES = 1e9
 EVEN = 1e-6  # of a sample interval: steps that differ by less do so by rounding
 STEPS_PER_INTERVAL = 10_000  # beyond this the equation is stiff and deserves a refusal
 
@@ -119,7 +118,9 @@ def _sample_times(duration: float, sample_rate: float) -> Array:
     span = positive("duration", duration, "s")
     rate = positive("sample_rate", sample_rate, "Hz")
     if span * rate > MOST_SAMPLES:
-        raise InputError(f"duration * sample_rate is {span * rate:.3g} samples; keep it below 1e9")
+        raise InputError(
+            f"duration * sample_rate is {span * rate:.3g} samples; keep it below {MOST_SAMPLES}"
+        )
     intervals = round(span * rate)
     if intervals + 1 < MINIMUM_SAMPLES:
         raise InputError(

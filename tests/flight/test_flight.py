@@ -105,3 +105,9 @@ def test_too_short(rows):
 def test_what_would_overflow_is_refused(changes, message):
     with pytest.raises(InputError, match=message):
         flight_with(**changes)
+
+
+def test_samples_closer_than_any_clock_are_refused():
+    time = np.arange(10) * 5e-324
+    with pytest.raises(InputError, match=r"samples .* s apart are no flight; give time in seconds"):
+        Flight(time=time, position=np.zeros((10, 2)), velocity=np.ones((10, 2)), vehicle=VEHICLE)

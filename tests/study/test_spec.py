@@ -197,7 +197,7 @@ def test_not_text_not_there_not_a_file(tmp_path: Path) -> None:
         Study.load(tmp_path / "x.toml")
     with pytest.raises(InputError, match="no such file"):
         Study.load(tmp_path / "y.toml")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"cannot read .*: it is a folder"):
         Study.load(tmp_path)
 
 
@@ -270,3 +270,16 @@ def test_control_characters_in_names_are_refused(tmp_path: Path, bad: str) -> No
     path.write_text(GOOD.replace('"literal"', f'"a{bad}b"'), encoding="utf-8")
     with pytest.raises(InputError, match="control characters"):
         Study.load(path)
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "f" * 5000])
+def test_integers_without_end_are_refused(tmp_path: Path, number: str) -> None:
+    assert "more than 300 digits" in refusal(
+        tmp_path, changed("seed = 20201120", f"seed = {number}")
+    )
+
+
+def test_flights_too_long_to_simulate_are_refused(tmp_path: Path) -> None:
+    assert "samples: keep it below 5000000" in refusal(
+        tmp_path, changed("sample_rate = 100.0", "sample_rate = 1e9")
+    )

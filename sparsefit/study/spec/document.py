@@ -5,32 +5,47 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
 
 from sparsefit.codec import Place, number, shown
 from sparsefit.errors import InputError
+from sparsefit.whole_file import read_whole
 
 Section: TypeAlias = Mapping[str, object]
+LARGEST = 32_000_000  # bytes of a study file
+MOST = 10**300  # an integer beyond it is no number that anything is computed with
+TOO_LONG = "holds an integer of more than 300 digits: write a smaller one"
 
 
 def read_toml(path: str | Path) -> dict[str, object]:
     """The parsed file; `InputError` names the file, and the line where it is not TOML."""
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file: check the name")
     try:
-        text = Path(path).read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file: check the name") from None
+        text = read_whole(path, most=LARGEST).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not UTF-8 text: save the study file as UTF-8") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     try:
-        return tomllib.loads(text)
+        parsed = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}:{_line(str(error), text)}: not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: nested too deeply for a study file") from None
+    except ValueError:  # Python reads no decimal integer of more than 4300 digits
+        raise InputError(f"{path}: {TOO_LONG}") from None
+    if any(abs(number) > MOST for number in _integers(parsed)):
+        raise InputError(f"{path}: {TOO_LONG}")
+    return parsed
+
+
+def _integers(value: object) -> Iterator[int]:
+    if isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _integers(item)
+    elif isinstance(value, int):
+        yield value
 
 
 def _line(message: str, text: str) -> int:

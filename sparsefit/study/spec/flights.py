@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from sparsefit.codec import Place, only, text
 from sparsefit.errors import suggestion
+from sparsefit.flight.record import MOST_SAMPLES
 from sparsefit.flight.turbulence import SPECTRA
 from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.draw import Draw, stream
@@ -88,6 +89,7 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
     }
     _check_superposed(entries, place)
     _check_needs(entries, place)
+    _check_samples(entries, place)
     # A protocol without a flow cannot remove the keys of the others': they are left out here.
     left_out = OF_FLOW if calm else ()
     if not calm:
@@ -142,6 +144,14 @@ def _pair(value: object, place: Place) -> list[object]:
     if not isinstance(value, list) or len(value) != 2:
         raise place.error("must be a pair [x, y]")
     return value
+
+
+def _check_samples(entries: Mapping[str, Entry], place: Place) -> None:
+    """Refuse flights that cannot be simulated, before the first of them."""
+    samples = max(entries["duration"].values) * max(entries["sample_rate"].values)
+    if samples > MOST_SAMPLES:
+        words = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
+        raise place.at("duration").error(words)
 
 
 def _check_third(entries: Mapping[str, Entry], place: Place) -> None:

@@ -21,9 +21,11 @@ import numpy as np
 from sparsefit.codec import Place, number, only, text
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight, read_flight
+from sparsefit.flight.files import LARGEST
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.study.spec.document import Section, items, positive
+from sparsefit.whole_file import read_whole
 
 FILES, WINDOWS = "files", "windows"
 KEYS = (FILES, WINDOWS, "response_time", "thrust_acceleration")
@@ -91,10 +93,7 @@ def _cut(piece: Piece, vehicle: PointMassVehicle | None) -> Flight:
 
 def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:
     """The flight of a file and the sha256 of what the file holds now."""
-    try:
-        content = Path(file).read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {file}: {error.strerror}; check the path") from None
+    content = read_whole(file, most=LARGEST)
     digest = hashlib.sha256(content).hexdigest()
     return _parsed(file, digest, vehicle), digest
 
