@@ -206,6 +206,7 @@ GIVEN = {
     "efficiency": lambda: bounded(synthetic(4, PROCESS_NOISES)),
     "windows": lambda: synthetic(4, DURATIONS),
     "grids": lambda: synthetic(4, REFINES),
+    "profiles": lambda: synthetic(4),
 }
 
 

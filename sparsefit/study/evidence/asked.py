@@ -40,6 +40,9 @@ class Asked:
     limits: values that a measure is held against; at_least: least values of measures that the
     cases are divided by; rows, columns: what divides a picture into panels, of the swept factors,
     "protocol" and "setting"; band: whether a line shows its quartiles.
+    contrasts: pairs of protocols, back-ends, settings or levels that are declared to be compared;
+    interval: whether a table has a 95 % interval over flights beside each summary; without a
+    word, where it has few measures.
 
     Raises:
         InputError: for a measure or a summary that is not known, with the nearest that is.
@@ -62,6 +65,8 @@ class Asked:
     rows: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     band: bool = False
+    contrasts: tuple[tuple[str, str], ...] = ()
+    interval: bool | None = None
 
     def __post_init__(self) -> None:
         for name in (*(name.rpartition(" ")[2] for name in self.measure), *self.at_least):

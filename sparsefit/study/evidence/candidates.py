@@ -16,9 +16,10 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, unknown
-from sparsefit.study.evidence.cases import DEFAULT, Group, by_setting, factors, in_a_flow
+from sparsefit.study.evidence.cases import DEFAULT, Group, by_setting, factors
 from sparsefit.study.evidence.measure import SUMMARY_WORDS, Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.per_flight import CHUNK, per_case
 from sparsefit.study.evidence.resampling import Draws, reduce
 from sparsefit.study.evidence.table import Value
 from sparsefit.study.evidence.worlds import REGIME, conditions_of, in_regimes, regime_names
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 SPLITS = ("validate", "evaluate")
-CHUNK = 4_000_000  # numbers resampled at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +108,7 @@ class Criterion:
 
     def grid(self, trial: Trial) -> Array:
         """(flights, regimes, cases) the measure; a failure in a flow counts as the measure says."""
-        applies = self.measure.applies
-        of = applies(trial.cases) if applies else np.ones(len(trial.cases), dtype=bool)
-        read = np.where(of, self.measure.read(trial.cases), np.nan)
-        if self.measure.failure is Failure.MISS:
-            read = np.where(np.isnan(read) & of & in_a_flow(trial.cases), self.measure.miss, read)
-        return trial.grid(read)
+        return trial.grid(per_case(self.measure, trial.cases))
 
     def by_regime(self, grid: Array) -> Array:
         """(..., regimes) the summary of (..., flights, regimes, cases) in each regime."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
@@ -11,13 +12,20 @@ import pandas as pd
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import Group, by_setting, failures, has_status
 from sparsefit.study.evidence.measure import Measure
-from sparsefit.study.evidence.table import Column, Table, Value
+from sparsefit.study.evidence.per_flight import SEED, interval_of
+from sparsefit.study.evidence.resampling import RESAMPLES
+from sparsefit.study.evidence.table import Column, Table, Value, cell_text
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 Rows: TypeAlias = Iterable[tuple[tuple[Value, ...], pd.DataFrame]]  # the key of each, its cases
 ROWS_SHOWN = 60
+FEW = 4  # measures of a table: with more, intervals would hide them
+INTERVALS = (
+    f"95 %: the interval of the summary by bootstrap over flights ({RESAMPLES} draws of whole "
+    f"flights, seed {SEED})."
+)
 PLAIN = ("share", "number")  # summaries that need no word over their column
 
 
@@ -48,6 +56,38 @@ def statistic(
         varies=measure.varies,
     )
     return Statistic(column, lambda cases: measure.summarise(cases, told))
+
+
+def statistics(asked: Asked) -> Iterator[Statistic]:
+    """Give the columns of the measures of an entry, with intervals where it has them."""
+    for measure in asked.measures:
+        yield statistic(measure)
+        if has_intervals(asked) and measure.summary != "number":
+            yield between(measure)
+
+
+def has_intervals(asked: Asked) -> bool:
+    """Whether the summaries of an entry have intervals beside them: asked for, or few enough."""
+    return len(asked.measures) <= FEW if asked.interval is None else asked.interval
+
+
+def between(measure: Measure) -> Statistic:
+    """Return the column of the 95 % interval of a measure's summary, by bootstrap over flights."""
+    value = statistic(measure).column
+    column = Column("95 %", measure.unit, group=value.group or value.name, varies=measure.varies)
+
+    def told(cases: pd.DataFrame) -> Value:
+        low, high = interval_of(measure, cases)
+        if math.isnan(low) or math.isnan(high):
+            return None
+        return f"{cell_text(low, value)} to {cell_text(high, value)}"
+
+    return Statistic(column, told)
+
+
+def interval_notes(asked: Asked) -> tuple[str, ...]:
+    """Return what stands under a table with intervals."""
+    return (INTERVALS,) if has_intervals(asked) else ()
 
 
 def counted(name: str, count: Callable[[pd.DataFrame], int], group: str = "") -> Statistic:

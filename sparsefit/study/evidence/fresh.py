@@ -1,7 +1,7 @@
 """A choice checked where nothing was tuned: the same worlds, flights of fresh seeds.
 
-What kept the constraints on the validate flights is run on them, and the chosen one is held against
-the best with hindsight. The flights had no part in the study, nor in the choice.
+What the validate flights do not rule out is run on them, and the chosen one is held against the
+best with hindsight. The flights had no part in the study, nor in the choice.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Check:
 
 
 def fresh_study(study: Study, selection: Selection, count: int) -> Study:
-    """The study of what keeps the constraints, on `count` flights of other seeds."""
-    cells = [cell for one in selection.passing for cell in cells_of(study, one.candidate)]
+    """The study of what was not ruled out, on `count` flights of other seeds."""
+    cells = [cell for one in selection.contenders for cell in cells_of(study, one.candidate)]
     kept = tuple(
         replace(cell, index=index)
         for index, cell in enumerate(sorted(cells, key=lambda cell: cell.index))

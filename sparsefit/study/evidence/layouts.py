@@ -25,10 +25,12 @@ from sparsefit.study.evidence.columns import (
     Statistic,
     by_levels,
     counted,
+    interval_notes,
     name_columns,
     setting_columns,
     setting_values,
     statistic,
+    statistics,
     table_of,
 )
 from sparsefit.study.evidence.reference import printed
@@ -48,9 +50,9 @@ def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
         study,
         setting_columns(swept),
         by_levels(cases, swept),
-        (*COUNTS, *map(statistic, asked.measures)),
+        (*COUNTS, *statistics(asked)),
         title=asked.name.replace("-", " ") or "Measures",
-        notes=tuple(f"{capital(text)}." for text in conventions),
+        notes=(*(f"{capital(text)}." for text in conventions), *interval_notes(asked)),
     )
     known = [printed(study.reference, measure) for measure in asked.measures]
     if study.reference is None or all(value is None for value in known):
@@ -64,7 +66,7 @@ def levels(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     """Return the measures per setting, and per level of each factor with the others pooled."""
     asked.needs(study.name, "measure")
     keys = (*setting_columns(), *name_columns("factor", "level"))
-    shown = (PLANNED, *map(statistic, asked.measures))
+    shown = (PLANNED, *statistics(asked))
     return table_of(asked, study, keys, _pooled(cases), shown, title="Levels", limit=80)
 
 

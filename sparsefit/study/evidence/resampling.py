@@ -57,8 +57,11 @@ def quantile(values: Array, share: float) -> Array:
     first, second = (
         np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (low, high)
     )
-    between: Array = first + (place - low) * (second - first)
-    return np.where(count > 0, between, np.nan)
+    # Between two infinities, or at an observation, there is nothing to interpolate.
+    exact = (first == second) | (place == low)
+    start, end = np.where(exact, 0.0, first), np.where(exact, 0.0, second)
+    between: Array = start + (place - low) * (end - start)
+    return np.where(count > 0, np.where(exact, first, between), np.nan)
 
 
 def draws(flights: int, seed: int, resamples: int = RESAMPLES) -> Draws:

@@ -90,6 +90,13 @@ class Selection:
         """Those that keep everything and that the validate flights do not tell from the chosen."""
         return [one for one in self.passing if one.apart is not None and one.apart.tie]
 
+    @property
+    def contenders(self) -> list[Scored]:
+        """The chosen one and what the validate flights do not rule out: tied, or in the margin."""
+        return [
+            one for one in self.passing if one.apart is None or one.apart.tie or self.within(one)
+        ]
+
     def within(self, one: Scored) -> bool:
         """Whether a candidate is within the margin of the best that keeps everything."""
         losses = [float(self.criterion.loss(np.asarray(each.validate))) for each in self.passing]

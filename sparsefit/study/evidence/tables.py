@@ -40,8 +40,10 @@ from sparsefit.study.evidence.columns import (
     table_of,
     with_status,
 )
+from sparsefit.study.evidence.contrasts import contrasts
 from sparsefit.study.evidence.measure import TINY, Measure, Share
 from sparsefit.study.evidence.measures import MEASURES, names, three
+from sparsefit.study.evidence.profiles import profiles
 from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.reference import closest_readings, sensitivity
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
@@ -175,6 +177,8 @@ TABLES: Kind[Table] = Kind(
         "times": times,
         "coverage": coverage,
         "identifiability": identifiability,
+        "contrasts": contrasts,
+        "profiles": profiles,
     },
     {  # in the order of the pages
         "parameters": {"compare": "parameters"},
@@ -224,6 +228,9 @@ TABLES: Kind[Table] = Kind(
             "compare": "identifiability",
             "notes": notes.IDENTIFIABILITY,
         },
+        "contrasts": {"compare": "contrasts", "measure": "mean timescale-error",
+                      "failures": "miss"},
+        "profiles": {"compare": "profiles", "measure": "timescale-error"},
         "windows": {
             "compare": "until", "measure": "largest-error", "along": DURATION, "limits": (5.0, 1.0),
         },
@@ -255,7 +262,7 @@ def tables_for(cases: pd.DataFrame, reference: bool = False) -> list[str]:
         "identifiability": bool(in_still_air(cases).any()),
         "windows": several and many_levels(cases, DURATION),
     }
-    return [name for name in TABLES.named if said[name]]
+    return [name for name in TABLES.named if said.get(name)]
 
 
 def has_any(cases: pd.DataFrame, measure: str) -> bool:

@@ -58,11 +58,11 @@ def checked(selection: Selection, check: Check) -> list[str]:
         f"(95 % interval {shown(low)} to {shown(high)})"
     )
     if check.regret.same:
-        said += f"; of the {check.candidates} that keep everything none is better there."
+        said += f"; of the {check.candidates} that were not ruled out none is better there."
     else:
         ends = f"{shown(check.regret.low)} to {shown(check.regret.high)}"
         said += (
-            f"; the best of the {check.candidates} that keep everything is then "
+            f"; the best of the {check.candidates} that were not ruled out is then "
             f"{check.hindsight}, the regret {say(criterion, check.regret.effect)} ({ends})."
         )
     broken = [breach.words for breach in check.broken]
@@ -106,8 +106,8 @@ def _tie(selection: Selection) -> str:
     if needed:
         easiest = min(needed, key=_more)
         hardest = max(needed, key=_more)
-        said += f" Some {_more(easiest):.0f} more flights would tell it from "
-        said += easiest.candidate.title
+        many = f"{_more(easiest):.0f} more flight{'s' if _more(easiest) > 1 else ''}"
+        said += f" Some {many} would tell it from {easiest.candidate.title}"
         if hardest is not easiest:
             said += f", {_more(hardest):.0f} from {hardest.candidate.title}"
         said += ", if the differences are what they seem."

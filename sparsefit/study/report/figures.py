@@ -22,6 +22,7 @@ from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.drawing import laid_out
 from sparsefit.study.report.lines import OTHERS, SETTING, lines, pooling_note
 from sparsefit.study.report.plane import plane_figure
+from sparsefit.study.report.profiles import profiles
 from sparsefit.study.report.scatter import scatter
 from sparsefit.study.report.strips import strips
 from sparsefit.study.report.weights import weights_figure
@@ -46,6 +47,7 @@ CAPTIONS = {  # of comparisons that draw no measure
     "lines, above 1, a finer grid would put a wave. First flight, computed again from the study "
     "file.",
 }
+PROFILES = "The higher the better; swept levels of the flights are pooled."
 STRIPS = (
     "every case a point, box the quartiles, line the 5th to 95th percentile, thick line the "
     "median; all levels of swept factors together"
@@ -73,10 +75,12 @@ FIGURES: Kind[Figure] = Kind(
         "scatter": _styled(scatter),
         "dual-certificate": _styled(certificate_figure),
         "plane-certificate": _styled(plane_figure),
+        "profiles": _styled(profiles),
     },
     {
         **{name: {"compare": name} for name in CAPTIONS},
         "errors": {"measure": ERRORS},
+        "profiles": {"compare": "profiles", "measure": "timescale-error"},
         "coverage": {
             "limits": (93.0, 97.0),
             "measure": ("length-scale-coverage", "mean-velocity-coverage", "timescale-coverage"),
@@ -113,6 +117,9 @@ def caption(asked: Asked) -> str:
         shares = asked.first.summary == "share"
         band = f" Band: {min(asked.limits):g} to {max(asked.limits):g} %." if asked.limits else ""
         return f"{words}, with its 95 % Wilson interval.{band}" if shares else f"{words}: {STRIPS}."
+    if asked.compare == "profiles":
+        named = "; ".join(dict.fromkeys(one.words for one in asked.measures))
+        return f"Share of flights with at most so much: {named}. A failure is a miss. {PROFILES}"
     along = words_of(asked.along) if asked.along else "each swept number"
     quartiles = ", with quartiles" if asked.band or asked.along == "protocol" else ""
     first = "" if asked.settings == "every" else " First listed setting of each back-end."
