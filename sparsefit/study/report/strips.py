@@ -26,7 +26,7 @@ from sparsefit.study.report.vector import linked
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
-ROWS = 30
+ROWS = 45
 WORST = 5  # of a row are told by name where a reader can point at them
 LOWEST = 80.0  # percent, of an axis of shares, unless something lies below
 
