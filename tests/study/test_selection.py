@@ -384,4 +384,7 @@ def test_the_page_draws_time_against_accuracy():
     assert "![accuracy and latency](pareto.svg)" in page
     assert "Measured on a processor" in files["latency.md"].decode()
     assert "Measured on" not in page  # which is the same on every machine
+    html = files["evidence.html"].decode()
+    assert html.index("Times on one machine") < html.index("Measured on a processor")
+    assert html.count("<table") >= 3
     assert b"latency" not in files["selection.csv"]  # times stand in a file of their own

@@ -116,6 +116,9 @@ def test_pages_name_every_contender_and_say_what_they_cannot_tell(finished):
         assert contender.solver in text
     assert "numpy" in text
     assert "cannot tell" in text
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("<figure>") >= 3
+    assert page.index("What this comparison cannot tell") < page.index("Versions, machine")
     names = {path.name for path in folder.iterdir()}
     assert {"summary.csv", "times.md", "clock.tex", "profiles.svg", "accuracy.png"} <= names
     assert {"cases.parquet", "manifest.json", "data-profiles.svg"} <= names

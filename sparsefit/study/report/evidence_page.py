@@ -22,8 +22,9 @@ from sparsefit.study.evidence.verdicts import (
     selection_table,
     sentences,
 )
-from sparsefit.study.report.drawing import STYLE, to_png, to_svg
+from sparsefit.study.report.drawing import STYLE, to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
+from sparsefit.study.report.html_page import Code, Page, Part, Picture, Section, to_html
 from sparsefit.study.report.pareto import CAPTION, pareto
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown
 from sparsefit.study.run.latency import processor_of
@@ -59,12 +60,17 @@ def evidence_files(
     """The files of the evidence by name, the page last; times in files of their own."""
     tables = evidence_tables(selection, processor)
     files = dict(_table_files(study, tables))
+    pictures: list[Picture] = []
     if _timed(selection):
         with mpl.rc_context():
             mpl.rcdefaults()
             mpl.rcParams.update(STYLE)
             figure = pareto(selection)
             files |= {"pareto.svg": to_svg(figure), "pareto.png": to_png(figure)}
+            inline = to_inline(figure, "p1", "Accuracy and latency")
+            pictures.append(Picture(inline, "Accuracy and latency", CAPTION))
+    page = _page(study, selection, check, list(tables.values()), pictures)
+    files["evidence.html"] = to_html(page).encode()
     files[PAGE] = evidence_markdown(study, selection, check).encode()
     return files
 
@@ -86,6 +92,29 @@ def _table_files(study: Study, tables: Mapping[str, Table]) -> Iterator[tuple[st
         yield f"{name}.csv", to_csv(table).encode()
 
 
+def _page(
+    study: Study,
+    selection: Selection,
+    check: Check | None,
+    tables: list[Table],
+    pictures: list[Picture],
+) -> Page:
+    """The evidence as a page that sorts and filters, times in its last section."""
+    said = [*sentences(selection), *(checked(selection, check) if check else ())]
+    lasting = [table for table in tables if not table.varies]
+    timed: list[Part] = [*pictures, *(table for table in tables if table.varies)]
+    sections = (
+        Section("What the choice rests on", said),
+        Section("Tables", lasting),
+        Section("The rule", [Code(value, name) for name, value in _rule(selection)]),
+        Section("Times on one machine", timed),
+    )
+    kept = [section for section in sections if section.parts]
+    made = f"Study hash {study.hash[:12]}, seed {study.seed}, sparsefit {sparsefit_version()}."
+    question = f"{study.name}: the evidence of the selection"
+    return Page(question, study.question, (headline(selection),), kept, made)
+
+
 def evidence_markdown(study: Study, selection: Selection, check: Check | None = None) -> str:
     """The page; its picture and times, which no other machine shares, are files beside it."""
     every = [*sentences(selection), *(checked(selection, check) if check else ())]
@@ -105,13 +134,16 @@ def evidence_markdown(study: Study, selection: Selection, check: Check | None = 
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
+def _rule(selection: Selection) -> Iterator[tuple[str, str]]:
+    """What was asked of the choice, names and values as JSON."""
+    for field in fields(selection.rule):
+        value = getattr(selection.rule, field.name)
+        if value not in (None, ()):
+            yield field.name, json.dumps(value)
+
+
 def _provenance(study: Study, selection: Selection) -> str:
-    rule = selection.rule
-    lines = [
-        f"- {field.name}: `{json.dumps(getattr(rule, field.name))}`"
-        for field in fields(rule)
-        if getattr(rule, field.name) not in (None, ())
-    ]
+    lines = [f"- {name}: `{value}`" for name, value in _rule(selection)]
     said = (
         f"Study hash `{study.hash[:12]}`, seed {study.seed}, sparsefit {sparsefit_version()}. "
         "Written by `sparsefit select`; do not edit."

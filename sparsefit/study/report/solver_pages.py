@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import matplotlib as mpl
 import pandas as pd
+from matplotlib.figure import Figure
 
 from sparsefit.errors import one_of
+from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.solver_answers import limits, sentences
 from sparsefit.study.evidence.solver_tables import NAMES, tables_of
 from sparsefit.study.evidence.table import Table
-from sparsefit.study.report.drawing import STYLE, to_png, to_svg
+from sparsefit.study.report.drawing import STYLE, to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
+from sparsefit.study.report.html_page import Page, Picture, Section, to_html
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
 from sparsefit.study.report.solver_figures import CAPTIONS, figures_of
+from sparsefit.study.report.study_page import manifest_table
 from sparsefit.study.spec.solver_study import SolverStudy
 from sparsefit.whole_file import write_whole
 
 
 def write_report(study: SolverStudy, folder: Path, cases: pd.DataFrame) -> list[Path]:
-    """Write every table as .md .tex .csv, every picture as .svg .png, and README.md.
+    """Write every table as .md .tex .csv, every picture as .svg .png, report.html and README.md.
 
     Returns:
         The files written, README.md last.
@@ -42,8 +46,31 @@ def write_report(study: SolverStudy, folder: Path, cases: pd.DataFrame) -> list[
     for name, figure in figures.items():
         write(f"{name}.svg", to_svg(figure))
         write(f"{name}.png", to_png(figure))
+    write("report.html", to_html(_page(study, folder, cases, figures)))
     write("README.md", "\n".join(_readme(study, cases, list(figures))) + "\n")
     return written
+
+
+def _page(
+    study: SolverStudy, folder: Path, cases: pd.DataFrame, figures: Mapping[str, Figure]
+) -> Page:
+    tables = tables_of(study, cases)
+    first = [tables.pop(name) for name in list(tables) if name.startswith("summary")]
+    titles = {name: capital(name.replace("-", " ")) for name in figures}
+    pictures = [
+        Picture(to_inline(figure, f"p{place}", titles[name]), titles[name], CAPTIONS[name])
+        for place, (name, figure) in enumerate(figures.items(), 1)
+    ]
+    sections = (
+        Section("Summary", first),
+        Section("Pictures", pictures),
+        Section("Tables", list(tables.values())),
+        Section("Methods", [methods(study, cases)]),
+        Section("What this comparison cannot tell", [limits(study, cases)]),
+        Section("This run", list(manifest_table(folder))),
+    )
+    kept = [section for section in sections if section.parts]
+    return Page(study.name, study.question, sentences(study, cases), kept)
 
 
 def _readme(study: SolverStudy, cases: pd.DataFrame, figures: list[str]) -> Iterator[str]:

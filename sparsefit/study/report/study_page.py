@@ -54,10 +54,15 @@ def _run(
 ) -> Iterator[Part]:
     yield from sentences(study, cases, varies=True)
     yield Code(study.hash, "Study hash (SHA-256 of what its cases depend on):")
+    yield from manifest_table(folder)
+    yield from (table for table in tables.values() if table.varies)
+
+
+def manifest_table(folder: Path) -> Iterator[Table]:
+    """Give what the manifest of a results folder holds, where there is one."""
     heads = tuple(Column(name, align="left") for name in ("what", "value"))
     if manifest := read_manifest(folder):
         yield Table("Versions, machine and time", heads, tuple(_flat(manifest)))
-    yield from (table for table in tables.values() if table.varies)
 
 
 def _flat(record: Mapping[str, object], before: str = "") -> Iterator[tuple[str, str]]:
