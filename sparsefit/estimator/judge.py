@@ -272,16 +272,23 @@ def rivalled(ladder: Ladder | None) -> Verdict | None:
     """Whether another shape, or the same one elsewhere, explains the flight nearly as well."""
     if ladder is None or ladder.rival is None:
         return None
-    best, other = (
-        f"{_named(rung)} with {rung.mean_velocity:.3g} m/s and {rung.length_scale:.3g} m"
-        for rung in (ladder.best, ladder.rival)
-    )
-    words = f"cannot tell {best} from {other}; fly longer, across more cells"
-    return Verdict.against(Doubt.RIVAL, words)
+    if ladder.best.drifting != ladder.rival.drifting:
+        return _too_short(ladder, ladder.rival)
+    moving = "drifting" if ladder.best.drifting else "steady"
+    words = f"cannot tell a {moving} flow of {_told(ladder.best)} from {_told(ladder.rival)}"
+    return Verdict.against(Doubt.RIVAL, f"{words}; fly longer, across more cells")
 
 
-def _named(rung: Rung) -> str:
-    return f"a {'drifting' if rung.drifting else 'steady'} flow of shape {rung.shape!r}"
+def _too_short(ladder: Ladder, rival: Rung) -> Verdict:
+    """A flight that does not tell a drift from other cells that stand."""
+    steady, moving = map(_told, sorted((ladder.best, rival), key=lambda rung: rung.drifting))
+    words = f"a flight of {np.ptp(ladder.rows.position[:, 2]):.3g} s is too short to tell whether "
+    words += f"the flow drifts: {moving} if it does, {steady} if it stands"
+    return Verdict.against(Doubt.RIVAL, f"{words}; fly longer, across more cells")
+
+
+def _told(rung: Rung) -> str:
+    return f"{rung.mean_velocity:.3g} m/s and {rung.length_scale:.3g} m (shape {rung.shape!r})"
 
 
 def _unsure(scales: Sequence[ScaleEstimate]) -> Verdict | None:

@@ -207,6 +207,8 @@ class _Climb:
                     self._from(moving, self.best)
         if gained[PAIR.moving] > 4 * price:
             self._from(PAIR, here)
+        if not here.drifting and 2 * price < CLOSE:  # so short a flight that a drift stays a rival
+            self._from(here.family.pattern.moving, here)
 
     def _gain(self, here: Rung, there: Rung, price: float) -> float:
         """2 ln(likelihood ratio) of one rung to another, less no price."""

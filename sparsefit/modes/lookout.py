@@ -140,6 +140,8 @@ class Lookout:
 
     def ranked(self, family: Waves | PiecedWaves, starts: Array) -> Array:
         """The starts (j, p) of most promise, by what they leave as they are, the best first."""
+        if not len(starts):
+            return starts
         order = np.argsort(residuals(family, self.thin, starts), kind="stable")
         ranked: Array = starts[order[:DESCENDED]]
         return ranked

@@ -134,3 +134,18 @@ def test_concentration_of_white_and_of_smoothed_errors():
     smoothed = np.column_stack([np.convolve(column, kernel, "valid") for column in noise.T])
     assert 15 < concentration(smoothed) < 40  # |sum|^2 / sum of squares is 25
     assert concentration(np.zeros((50, 2))) == 1.0
+
+
+def test_a_flight_too_short_for_a_drift_says_so():
+    flow = sf.ShapedCells(10.0, 4.0, drift=(0.3, 0.2))
+    noise = {"position_noise": 0.05, "velocity_noise": 0.2}
+    short, longer = (
+        sf.simulate_flight(flow, VEHICLE, duration=time, sample_rate=100.0, seed=3, **noise)
+        for time in (3.0, 10.0)
+    )
+    found = sf.Estimator().estimate(short)
+    assert (found.status, found.doubt) == ("unidentifiable", sf.estimator.Doubt.RIVAL)
+    assert "too short to tell whether the flow drifts" in found.reason
+    told = sf.Estimator().estimate(longer)
+    assert told.status == "ok"
+    assert told.drift == pytest.approx((0.3, 0.2), abs=0.02)
