@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 
 import pandas as pd
@@ -13,6 +14,7 @@ from sparsefit.errors import InputError
 from sparsefit.study import Study, read_cases, read_weights, run, status
 from sparsefit.study.run import again, runner
 from sparsefit.study.run.manifest import read_manifest
+from sparsefit.study.spec.flights import FlightRules
 from sparsefit.study.spec.identity import identities
 
 BODY = """
@@ -201,3 +203,8 @@ def test_equal_cells_have_identities_of_their_own(load: Load) -> None:
     named = identities(study)
     assert len(set(named)) == len(study.cells) == 6
     assert [one + "-2" for one in named[:3]] == list(named[3:])
+
+
+def test_an_identity_tells_every_field_of_the_flight_rules() -> None:
+    """They are told by hand, for speed: whoever adds a field adds it to `spec/identity.py`."""
+    assert {field.name for field in fields(FlightRules)} == {"entries", "cells", "spectrum"}

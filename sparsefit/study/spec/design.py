@@ -19,7 +19,7 @@ from sparsefit.study.spec.document import (
     read_sections,
     required,
 )
-from sparsefit.study.spec.setup import SECTION_KEYS, Setup, check_dotted, override, read_setup
+from sparsefit.study.spec.setup import SECTION_KEYS, Setup, SetupReader, check_dotted, override
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +84,11 @@ def cross(
         for choice in choices
         for settings in choice.settings()
     ]
+    setups = SetupReader(sections)
     index = itertools.count()
     for protocol, levels in itertools.product(protocols, _levels(sweep)):
         within = Place(place.file, via=_via(protocol, levels))
-        setup = read_setup(override(sections, {**protocol.overrides, **levels}), within)
+        setup = setups.read(override(sections, {**protocol.overrides, **levels}), within)
         for choice, settings, canonical in fitted:
             identity = canonical_json([protocol.name, levels, choice.name, settings])
             key = hashlib.sha256(identity.encode()).hexdigest()[:16]

@@ -42,26 +42,32 @@ def _numbered(digest: str, seen: Counter[str]) -> str:
 def _digests(study: Study) -> Iterator[str]:
     common = canonical_json([study.seed, study.tolerance, study.prediction_flights])
     setups: dict[int, str] = {}
+    parts: dict[int, str] = {}  # of setups that share them
     defaults = {name: _defaults(name) for name in {choice.name for choice in study.backends}}
     for cell in study.cells:
         setup = setups.get(id(cell.setup))
         if setup is None:
-            setup = setups[id(cell.setup)] = canonical_json(_setup(cell.setup, study.count))
+            setup = setups[id(cell.setup)] = _setup(cell.setup, study.count, parts)
         content = "\n".join((common, setup, cell.backend, _settings(cell, defaults[cell.backend])))
         yield hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
 
 
-def _setup(setup: Setup, count: int) -> object:
-    parts = [setup.derivative, setup.library, setup.readout]
-    return [_flights(setup.flights, count), *(_content(part) for part in parts)]
+def _setup(setup: Setup, count: int, parts: dict[int, str]) -> str:
+    told = [_flights(setup.flights, count)]
+    for part in (setup.derivative, setup.library, setup.readout):
+        if id(part) not in parts:
+            parts[id(part)] = canonical_json(_content(part))
+        told.append(parts[id(part)])
+    return ",".join(told)
 
 
-def _flights(flights: FlightRules | Logs, count: int) -> object:
+def _flights(flights: FlightRules | Logs, count: int) -> str:
     if isinstance(flights, Logs):  # what was logged, wherever the file lies
         pieces = [[piece.digest, piece.start, piece.end] for piece in flights.pieces]
-        return [pieces, _content(flights.vehicle)]
+        return canonical_json([pieces, _content(flights.vehicle)])
     spaced = any(entry.rule == SPACED for _, entry in flights.entries)
-    return [count if spaced else 0, _content(flights)]
+    rules = (f"{name} {entry.rule} {entry.values!r}" for name, entry in flights.entries)
+    return f"{count if spaced else 0} {flights.cells} {flights.spectrum} {'; '.join(rules)}"
 
 
 def _settings(cell: Cell, defaults: Mapping[str, object]) -> str:

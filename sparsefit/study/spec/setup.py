@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -47,25 +47,42 @@ class Setup:
 
 def read_setup(sections: Sections, place: Place) -> Setup:
     """The setup of the four sections; `InputError` names the section and the key."""
-    setup = Setup(
-        read_flights(sections["flights"], place.within("flights")),
-        build(Derivative, sections["derivative"], place.within("derivative")),
-        _read_library(sections["library"], place.within("library")),
-        build(Readout, {"refine": UNNAMED, **sections["readout"]}, place.within("readout")),
-    )
-    # What no estimator can combine is refused here, not in the first case.
-    parts = {"derivative": setup.derivative, "library": setup.library, "readout": setup.readout}
-    made(Estimator, parts, place)
-    return setup
+    return SetupReader(sections).read(sections, place)
+
+
+class SetupReader:
+    """Reads setups that differ from ``sections`` in some: what they share is read once."""
+
+    def __init__(self, sections: Sections) -> None:
+        self._shared = sections
+        self._read: dict[str, Any] = {}
+        self._combined = False
+
+    def read(self, sections: Sections, place: Place) -> Setup:
+        """The setup of these sections; `InputError` names the section and the key."""
+        setup = Setup(*(self._part(name, sections[name], place) for name in READERS))
+        shared = all(sections[name] is self._shared[name] for name in COMBINED)
+        if not (shared and self._combined):
+            # What no estimator can combine is refused here, not in the first case.
+            made(Estimator, {name: getattr(setup, name) for name in COMBINED}, place)
+            self._combined = self._combined or shared
+        return setup
+
+    def _part(self, name: str, section: Section, place: Place) -> Any:
+        if section is not self._shared[name]:
+            return READERS[name](section, place.within(name))
+        if name not in self._read:
+            self._read[name] = READERS[name](section, place.within(name))
+        return self._read[name]
 
 
 def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:
-    """The sections with dotted keys (`library.target`) replaced."""
-    changed = {name: dict(table) for name, table in sections.items()}
+    """The sections with dotted keys (`library.target`) replaced; the others are the same ones."""
+    changed: dict[str, dict[str, object]] = {}
     for dotted, value in overrides.items():
         section, key = dotted.split(".", 1)
-        changed[section][key] = value
-    return changed
+        changed.setdefault(section, dict(sections[section]))[key] = value
+    return {**sections, **changed}
 
 
 def check_dotted(dotted: str, place: Place) -> None:
@@ -87,3 +104,20 @@ def _read_library(section: Section, place: Place) -> Library:
     # Without a word about the grid, the library keeps the default that is its own.
     parts = {"grid": build(LengthScaleGrid, grid, place)} if grid else {}
     return build(Library, parts | library, place)
+
+
+def _read_derivative(section: Section, place: Place) -> Derivative:
+    return build(Derivative, section, place)
+
+
+def _read_readout(section: Section, place: Place) -> Readout:
+    return build(Readout, {"refine": UNNAMED, **section}, place)
+
+
+READERS: dict[str, Callable[[Section, Place], Any]] = {  # in the order of the fields of `Setup`
+    "flights": read_flights,
+    "derivative": _read_derivative,
+    "library": _read_library,
+    "readout": _read_readout,
+}
+COMBINED = ("derivative", "library", "readout")
