@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
+import sparsefit.cli.study_compare as study_compare
 import sparsefit.cli.study_read as study_read
 import sparsefit.cli.study_run as study_run
 import sparsefit.cli.study_solvers as study_solvers
@@ -48,6 +49,7 @@ def add(verbs: Verbs) -> None:
         )
     study_run.add_options(actions.choices["run"])
     study_read.add_options(actions.choices["show"])
+    study_compare.add(actions)
 
 
 def by_kind(name: str, run: Run) -> Run:

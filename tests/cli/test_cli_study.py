@@ -380,3 +380,62 @@ def test_a_results_folder_that_cannot_be_written_is_refused(capsys, fresh):
     err = refused(capsys, "study", "run", fresh, "--results", "file")
     assert "choose another results folder" in err
     assert "at least 1" in refused(capsys, "study", "run", fresh, "--processes", "0")
+
+
+class TestCompare:
+    def test_a_run_with_itself(self, capsys, finished):
+        shutil.copytree("results/small", "old")
+        code, out, _ = run(capsys, "study", "compare", "old", finished)
+        assert code == 0
+        assert out.splitlines()[-1].startswith("0 of 96 cases changed")
+
+    def test_what_changed_fails(self, capsys, finished):
+        cases = store.read_cases("results/small")
+        cases.loc[cases["case_id"] == cases["case_id"][0], "est_length_scale"] *= 1.001
+        os.mkdir("other")
+        cases[1:].to_parquet("other/cases.parquet")
+        both = ("study", "compare", "results/small", "other")
+        code, out, _ = run(capsys, *both, "-o", "told", "--json")
+        found = json.loads(out)
+        assert (code, found["changed"], found["only_first"]) == (1, 0, 1)
+        assert Path("told/comparison.md").exists()
+        cases.to_parquet("other/cases.parquet")
+        assert run(capsys, *both, "--fail-on", "worse")[0] == 0
+        code, out, _ = run(capsys, *both)
+        assert code == 1
+        assert out.splitlines()[-1].startswith("1 of 96 cases changed, 0 of them in status")
+
+    def test_refusals(self, capsys, finished):
+        assert "no such file" in refused(capsys, "study", "compare", "nowhere", finished)
+        assert "--tolerance must be" in refused(
+            capsys, "study", "compare", finished, finished, "--tolerance", "-1"
+        )
+
+
+class TestMerge:
+    def test_parts_make_the_whole(self, capsys, finished):
+        whole = store.read_cases("results/small")
+        for name in ("lasso", "stlsq"):
+            options = ("--only", name, "--results", name, "--processes", "1")
+            run(capsys, "study", "run", finished, *options)
+        os.rename("results", "before")
+        code, out, _ = run(capsys, "study", "merge", finished, "lasso")
+        assert code == 0
+        assert "64 of 96 cases, 32 left to run" in out
+        code, out, _ = run(capsys, "study", "merge", finished, "lasso", "stlsq/small")
+        assert "lasso/small: 0 of its 64 rows were new" in out
+        assert "stlsq/small: 32 of its 32 rows were new" in out
+        assert "96 of 96 cases, finished" in out
+        assert Path("results/small/README.md").exists()
+        merged = store.read_cases("results/small")
+        same = [name for name in whole if name not in ("seconds", "version")]
+        assert merged[same].equals(whole[same])
+
+    def test_refusals(self, capsys, finished):
+        os.mkdir("empty")
+        assert "holds no rows of small" in refused(capsys, "study", "merge", finished, "empty")
+        assert "merges into itself" in refused(capsys, "study", "merge", finished, "results")
+        shutil.copytree("results", "other")
+        Path("small.toml").write_text(STUDY.replace("seed = 1", "seed = 2"))
+        os.rename("results", "before")
+        assert "made by a different study" in refused(capsys, "study", "merge", finished, "other")

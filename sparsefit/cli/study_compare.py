@@ -1,0 +1,143 @@
+"""`sparsefit study compare` and `sparsefit study merge`: several runs of one study."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sparsefit.cli.output import print_json, table_record, terminal_width
+from sparsefit.cli.parser import Verbs, add_results, number, verb
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from sparsefit.study.evidence.compared import Compared
+
+COMPARE = """\
+  sparsefit study compare results-0.2/table2 results/table2
+  sparsefit study compare old/table2 studies/table2.toml --fail-on worse -o changes
+"""
+MERGE = """\
+  sparsefit study run studies/table2.toml --only lasso          # on one machine
+  sparsefit study run studies/table2.toml --only stlsq          # on another
+  sparsefit study merge studies/table2.toml copied/table2
+"""
+FAIL_ON = ("changed", "worse", "never")
+
+
+def add(actions: Verbs) -> None:
+    """Declare both actions of `sparsefit study`."""
+    compare_ = verb(
+        actions, "compare", compare, example=COMPARE,
+        summary="hold two runs of a study against each other, case by case",
+    )  # fmt: skip
+    for name in ("first", "second"):
+        words = f"the {name} run: a results folder, or a study file whose results are there"
+        compare_.add_argument(name, metavar=name.upper(), help=words)
+    add_results(compare_)
+    compare_.add_argument(
+        "--tolerance", type=number(), default=1e-6, metavar="SHARE",
+        help="a number that changed by less is the same; default: 1e-6 of itself",
+    )  # fmt: skip
+    compare_.add_argument(
+        "--fail-on", choices=FAIL_ON, default="changed",
+        help="exit code 1 when anything changed (default), when it became worse, or never",
+    )  # fmt: skip
+    compare_.add_argument(
+        "-o", "--output", metavar="FOLDER", help="write tables and a picture there"
+    )
+    compare_.add_argument("--json", action="store_true", help="print JSON")
+    merge_ = verb(
+        actions, "merge", merge, example=MERGE,
+        summary="bring parts of a study together that were run in several places",
+    )  # fmt: skip
+    merge_.add_argument("study", metavar="STUDY", help="study file, .toml")
+    merge_.add_argument("parts", metavar="FOLDER", nargs="+", help="results folder of a part")
+    add_results(merge_)
+    merge_.add_argument("--json", action="store_true", help="print JSON")
+
+
+def compare(args: argparse.Namespace) -> int:
+    """Show what changed; 1 where that is more than was asked for."""
+    from sparsefit.errors import non_negative
+    from sparsefit.study.evidence.compared import changes_table, compared, effects_table, worse
+    from sparsefit.study.report.comparison import write_comparison
+    from sparsefit.study.report.render import to_text
+
+    tolerance = non_negative("--tolerance", args.tolerance)
+    names = (args.first, args.second)
+    first, second = (_cases(name, args.results) for name in names)
+    both = compared(first, second, names, tolerance)
+    tables = (effects_table(both), changes_table(both))
+    written = write_comparison(both, Path(args.output)) if args.output else []
+    if args.json:
+        print_json(_record(both, [str(path) for path in written]))
+    else:
+        shown = [table for table in tables if table.visible_rows]
+        print("\n".join(to_text(table, width=terminal_width()) for table in shown))
+        print("\n".join([both.sentence, *(f"written: {path}" for path in written[-1:])]))
+    differs = bool(both.changed.any()) or any(both.only)
+    return int({"changed": differs, "worse": worse(both), "never": False}[args.fail_on])
+
+
+def _cases(name: str, results: str) -> pd.DataFrame:
+    """The rows of a results folder, or of a study file by its results."""
+    from sparsefit.study.run.store import read_cases
+    from sparsefit.study.spec.study import Study
+
+    if Path(name).is_dir():
+        return read_cases(name)
+    return read_cases(Path(results) / Study.load(name).name)
+
+
+def _record(both: Compared, written: list[str]) -> dict[str, object]:
+    from sparsefit.codec import finite_or_none
+    from sparsefit.study.evidence.compared import changes_table, effects_table
+
+    record: dict[str, object] = {
+        "first": both.names[0],
+        "second": both.names[1],
+        "cases": len(both.change),
+        "changed": int(both.changed.sum()),
+        "changed_status": int(both.restated.sum()),
+        "only_first": both.only[0],
+        "only_second": both.only[1],
+        "largest_change": float(both.change.max(initial=0.0)),
+        "effects": table_record(effects_table(both)),
+        "changes": table_record(changes_table(both)),
+        "written": written,
+    }
+    cleaned: dict[str, object] = finite_or_none(record)
+    return cleaned
+
+
+def merge(args: argparse.Namespace) -> int:
+    """Take what the parts hold; 0 also where cases are still missing, which is said."""
+    from sparsefit.cli.study_run import write_pages
+    from sparsefit.study.report.pages import check_outputs
+    from sparsefit.study.run.merge import merge as merged_of
+    from sparsefit.study.run.store import read_cases
+    from sparsefit.study.spec.study import Study
+
+    study = Study.load(args.study)
+    check_outputs(study)
+    merged = merged_of(study, args.results, args.parts)
+    if merged.finished:
+        write_pages(study, args.results, read_cases(merged.folder))
+    if args.json:
+        told = [
+            {"folder": str(part.folder), "rows": part.rows, "taken": part.taken}
+            for part in merged.parts
+        ]
+        counted = {"planned": merged.planned, "done": merged.done, "parts": told}
+        print_json({"study": study.name, "folder": str(merged.folder), **counted})
+        return 0
+    for part in merged.parts:
+        print(f"{part.folder}: {part.taken} of its {part.rows} rows were new")
+    left = merged.planned - merged.done
+    state = (
+        "finished" if merged.finished else f"{left} left to run: sparsefit study run {args.study}"
+    )
+    print(f"{merged.folder}: {merged.done} of {merged.planned} cases, {state}")
+    return 0
