@@ -15,14 +15,13 @@ from sparsefit.backends import BACKENDS
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
     *("errors", "arrays", "cached", "codec", "whole_file", "flight", "regression", "backends"),
-    *("derivative", "library", "modes", "uncertainty", "estimator", "score", "study", "bench"),
+    *("derivative", "library", "modes", "uncertainty", "estimator", "score", "study"),
     "cli",
 )
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy", "group_lasso", "spams"}
 STUDY_ROOMS = ("spec", "run", "evidence", "report")
-SOLVER_ROOMS = {"backends", "bench"}  # bench runs the peers that the back-ends are compared with
 NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -139,12 +138,10 @@ def test_back_ends_never_import_each_other():
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_solvers_are_imported_by_back_ends_only_and_peers_by_none(path):
-    if room_of(name_of(path)) == "bench":
-        return
     for module, line in imports_of(path):
         top = module.split(".")[0]
         if top in SOLVERS:
-            assert room_of(name_of(path)) in SOLVER_ROOMS, f"line {line} imports {module}"
+            assert room_of(name_of(path)) == "backends", f"line {line} imports {module}"
         assert top not in PEERS, f"line {line} imports {module}"
 
 
@@ -168,8 +165,6 @@ def test_nothing_runs_text_or_pickles_or_opens_a_shell(path):
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_files_are_written_whole_or_not_at_all(path):
-    if room_of(name_of(path)) == "bench":
-        return
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             assert node.func.attr not in {"write_text", "write_bytes"}, f"line {node.lineno}"

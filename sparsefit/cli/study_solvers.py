@@ -36,15 +36,19 @@ def check(args: argparse.Namespace) -> int:
     """Exit 0 if the file is valid and every problem is one; missing contenders are named."""
     study = _load(args)
     study.build()
-    absent = [one for one in study.contenders if one.missing]
     if args.json:
         record = {"study": study.name, "cases": study.planned, "hash": study.hash}
-        print_json({**record, "missing": {one.solver: one.missing for one in absent}})
+        print_json({**record, "missing": _missing(study)})
         return 0
     print(f"{args.study}: ok, study {study.name} of solvers plans {study.planned} cases")
-    for solver, reason in {one.solver: one.missing for one in absent}.items():
+    for solver, reason in _missing(study).items():
         print(f"  missing: {solver}: {reason}")
     return 0
+
+
+def _missing(study: SolverStudy) -> dict[str, str]:
+    """Why each solver that cannot run here is missing."""
+    return {one.solver: one.missing for one in study.contenders if one.missing}
 
 
 def plan(args: argparse.Namespace) -> int:
@@ -65,7 +69,7 @@ def plan(args: argparse.Namespace) -> int:
           for name, (m, k, n) in sizes.items()),
         *(("objective", f"{name}: {', '.join(_solvers(study, name))}")
           for name in study.objectives),
-        *(("missing", f"{one.solver}: {one.missing}") for one in study.contenders if one.missing),
+        *(("missing", f"{solver}: {why}") for solver, why in _missing(study).items()),
         ("work", f"paths of {len(study.fractions)} points" if study.fractions else "single fits"),
         ("accuracies", ", ".join(f"{level:g}" for level in study.accuracies)),
         ("cases", str(study.planned)),
@@ -83,7 +87,7 @@ def _plan_record(study: SolverStudy, sizes: dict[str, tuple[int, int, int]]) -> 
             name: {"samples": m, "columns": k, "targets": n} for name, (m, k, n) in sizes.items()
         },
         "objectives": {name: _solvers(study, name) for name in study.objectives},
-        "missing": {one.solver: one.missing for one in study.contenders if one.missing},
+        "missing": _missing(study),
         "points": max(len(study.fractions), 1),
         "cases": study.planned,
     }

@@ -17,7 +17,7 @@ from sparsefit.backends import loops
 from sparsefit.backends.loops import Loop, loaded, loop_of
 from sparsefit.backends.variational import GroupPath, group_path
 from sparsefit.backends.variational_point import FINE, Point, Problem, evaluate
-from sparsefit.bench.robustness import draw_problem
+from tests.odd_flights import odd_problem
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -363,7 +363,7 @@ def test_without_the_compiled_loop_the_one_in_python_runs_and_says_so(
 @pytest.mark.parametrize("loop", LOOPS)
 def test_a_curvature_lost_to_rounding_does_not_stall_the_path(loop: Loop) -> None:
     """A flight with groups that have no power in the direction of their correlation."""
-    problem = draw_problem(60241)[1]
+    problem = odd_problem(60241)[1]
     known = problem.statistics
     groups, omega = problem.groups, np.ones(int(problem.groups.max()) + 1)
     alphas = float(np.max(norms(known.cross, groups))) * np.geomspace(1.0, 1e-4, 30)

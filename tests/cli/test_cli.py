@@ -449,15 +449,6 @@ def test_ctrl_c_is_130_without_traceback(capsys, flight, monkeypatch):
     assert run(capsys, "estimate", flight) == (130, "", "\nstopped\n")
 
 
-def test_bench_refuses_bad_input_and_what_it_would_overwrite(capsys, tmp_path):
-    where = ("--results", str(tmp_path))
-    assert "unknown" in refused(capsys, "bench", "--quick", "--problems", "nosuch", *where)
-    (tmp_path / "solvers").mkdir(exist_ok=True)
-    (tmp_path / "solvers" / "times.md").write_text("mine")
-    assert "--force" in refused(capsys, "bench", "--quick", *where)
-    assert (tmp_path / "solvers" / "times.md").read_text() == "mine"
-
-
 def test_repairs_are_told_and_can_be_left_out(capsys, flight):
     clean = read_flight(flight)
     velocity = clean.velocity.copy()

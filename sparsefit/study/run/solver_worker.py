@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -45,6 +46,7 @@ START_SECONDS = 120.0
 LOAD_SECONDS = 300.0  # of a problem and its reference
 FIRST_SECONDS = 180.0  # of the first call: it may compile
 JUDGE_SECONDS = 120.0
+PATIENCE = 4.0
 
 
 @dataclass(frozen=True)
@@ -225,21 +227,36 @@ class Worker:
             )
 
     def _receive(self, seconds: float) -> Answer | Lost:
-        """Wait for the answer; every `Begun` sets a new limit."""
+        """Wait for the answer; every `Begun` sets a new limit.
+
+        Seconds are of the process's CPU where the system tells them, so that a busy machine fails
+        no solver, and then `PATIENCE` times as many on the wall.
+        """
         assert self._pipe is not None
-        what = "the process"
-        deadline = time.monotonic() + seconds
+        what, began = "the process", self._clocks()
         while True:
             try:
-                if not self._pipe.poll(max(deadline - time.monotonic(), 0.0)):
+                if not self._pipe.poll(self._left(began, seconds)):
+                    if self._left(began, seconds) > 0.0:
+                        continue
                     return self._lost(Lost("timeout", f"{what} took longer than {seconds:g} s"))
                 message = self._pipe.recv()
             except (EOFError, OSError):
                 return self._lost(Lost("crashed", f"{what}: the process died{self._signal()}"))
             if isinstance(message, Answer):
                 return message
-            what, seconds = message.what, message.seconds
-            deadline = time.monotonic() + seconds
+            what, seconds, began = message.what, message.seconds, self._clocks()
+
+    def _clocks(self) -> tuple[float, float]:
+        """CPU seconds of the process (NaN where unknown), and of the wall."""
+        return _cpu_seconds(self.pid), time.monotonic()
+
+    def _left(self, began: tuple[float, float], seconds: float) -> float:
+        """Seconds of wall that it may go on at least; 0 where the limit is reached."""
+        cpu, wall = (now - then for now, then in zip(self._clocks(), began, strict=True))
+        if math.isnan(cpu):
+            return max(seconds - wall, 0.0)
+        return max(min(seconds - cpu, PATIENCE * seconds - wall), 0.0)
 
     def _signal(self) -> str:
         assert self._process is not None
@@ -255,6 +272,15 @@ class Worker:
     def _lost(self, lost: Lost) -> Lost:
         self.close()
         return lost
+
+
+def _cpu_seconds(pid: int | None) -> float:
+    """CPU seconds that a process has used, by /proc; NaN where there is none."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return sum(map(int, words[11:13])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, AttributeError):
+        return math.nan
 
 
 @contextmanager
