@@ -40,8 +40,7 @@ class Solver:
     package: what must be importable; brought: what pip installs for it. form: how the problem is
     handed over, in words. quadratic: for penalties of single coefficients only.
     plain: for norms of coefficients or of groups alone, without a ridge or groups within groups.
-    stops: whether a stopping tolerance can be set; compiles: whether its first call takes many
-    seconds. home: ``module:function`` of a `Solve`.
+    stops: whether a stopping tolerance can be set. home: ``module:function`` of a `Solve`.
     """
 
     name: str
@@ -52,7 +51,6 @@ class Solver:
     quadratic: bool = False
     plain: bool = True
     stops: bool = True
-    compiles: bool = False
 
     @property
     def installed(self) -> bool:
@@ -76,7 +74,7 @@ PEERS: tuple[Solver, ...] = (
            f"{DESCENT}:scikit_descent", EXTRA, quadratic=True),
     Solver("celer", "celer", "celer_path on the triangle of a QR", f"{DESCENT}:celer", EXTRA),
     Solver("skglm", "skglm", "AndersonCD or GroupBCD on the triangle of a QR",
-           f"{DESCENT}:skglm", EXTRA, compiles=True),
+           f"{DESCENT}:skglm", EXTRA),
     Solver("group-lasso-fista", "group_lasso", "FISTA of the package group-lasso, on a QR",
            f"{DESCENT}:fista", EXTRA),
     Solver("osqp-direct", "osqp", "OSQP itself on the dual, in Z'Z, its bounds moved along",

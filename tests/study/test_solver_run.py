@@ -21,7 +21,7 @@ from sparsefit.study.run.solver_solve import (
     reference_bounds,
     solve,
 )
-from sparsefit.study.run.solver_worker import Answer, Ask, Lost, Worker, small_problem
+from sparsefit.study.run.solver_worker import Answer, Ask, Hand, Lost, Worker, small_problem
 from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.solver_study import Clock, SolverCase, SolverStudy
 from tests.study.solver_files import HEAD, LASSO, write_data, write_study
@@ -148,6 +148,7 @@ def test_a_solve_beyond_the_limit_is_killed_and_one_that_dies_is_told(finished, 
     worker = Worker(hasty)
     case = SolverCase(0, 1, 1e-8)
     try:
+        worker.ask(Hand(study.problems[0].build()))
         lost = worker.ask(Ask("judge", case))
         assert lost == Lost("timeout", "the solve took longer than 1e-07 s")
         assert worker.pid is None

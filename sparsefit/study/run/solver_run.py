@@ -1,4 +1,4 @@
-"""Run a study of solvers: one process at a time, every case by turns with those of its problem.
+"""Run a study of solvers: one process works at a time, cases of a problem take turns.
 
 Problem by problem and objective by objective, each case is solved once and judged; then all are
 timed again in alternating order until each median is known, or the limits of [clock] are reached.
@@ -34,7 +34,7 @@ from sparsefit.study.run.solver_rows import (
     read_rows,
     write_cases,
 )
-from sparsefit.study.run.solver_worker import Answer, Ask, Lost, Worker
+from sparsefit.study.run.solver_worker import Answer, Ask, Hand, Lost, Worker
 from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
 from sparsefit.whole_file import refusing, write_whole
@@ -128,7 +128,7 @@ def _finish(
     rows = read_rows(folder)
     resumed = len(rows)
     known = {row["case_id"] for row in rows}
-    crew = _Crew(study)
+    crew = _Crew(study, problems)
     try:
         with appending(folder) as append:
             for together in _arenas(study):
@@ -167,33 +167,44 @@ def _arenas(study: SolverStudy) -> Iterator[list[SolverCase]]:
 
 
 class _Crew:
-    """The process of all contenders, and one for each that compiles; one works at a time."""
+    """A process for each family of contenders; one works at a time, the others wait."""
 
-    def __init__(self, study: SolverStudy) -> None:
+    def __init__(self, study: SolverStudy, problems: Sequence[RegressionProblem]) -> None:
         self._study = study
+        self._problems = problems
         self._workers: dict[str, Worker] = {}
-        self._first: dict[str, set[int]] = {}
+        self._met: dict[str, set[int]] = {}
+        self._holds: dict[str, int] = {}
         self.first_seconds: dict[int, float] = {}
 
     def ask(self, ask: Ask) -> Answer | Lost:
-        """The answer, after a first call where the process has not met the contender yet."""
+        """The answer; before it a first call, and the problem, where the process has not had them.
+
+        The problem is built once, here, and handed over.
+        """
         number = ask.case.contender
-        contender = self._study.contenders[number]
-        name = contender.solver if contender.compiles else ""
+        name = self._study.contenders[number].family
         worker = self._workers.setdefault(name, Worker(self._study))
-        met = self._first.setdefault(name, set())
-        if number not in met:
+        if number not in self._met.setdefault(name, set()):
             answer = worker.ask(Ask("first", ask.case))
             if isinstance(answer, Lost):
-                met.clear()
-                return Lost(answer.status, f"on a small problem, {answer.reason}")
-            met.add(number)
+                return self._forget(name, Lost(answer.status, f"its first call: {answer.reason}"))
+            self._met[name].add(number)
             if answer.timing:
                 self.first_seconds.setdefault(number, answer.timing.wall)
+        if self._holds.get(name) != ask.case.problem:
+            handed = worker.ask(Hand(self._problems[ask.case.problem]))
+            if isinstance(handed, Lost):
+                return self._forget(name, handed)
+            self._holds[name] = ask.case.problem
         answer = worker.ask(ask)
-        if isinstance(answer, Lost):
-            met.clear()
-        return answer
+        return self._forget(name, answer) if isinstance(answer, Lost) else answer
+
+    def _forget(self, name: str, lost: Lost) -> Lost:
+        """The process is gone, and with it what it had met and held."""
+        self._met[name].clear()
+        self._holds.pop(name, None)
+        return lost
 
     def close(self) -> None:
         for worker in self._workers.values():

@@ -1,4 +1,4 @@
-"""The one process in which solvers are run: it times them one after the other, and can be killed.
+"""A process in which solvers are run: it times them one after the other, and can be killed.
 
 BLAS has one thread, what solvers print goes nowhere, and a contender is imported and compiled on a
 small problem before it is timed for the first time; that first call is told apart.
@@ -43,7 +43,7 @@ from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
 
 START_SECONDS = 120.0
-LOAD_SECONDS = 300.0  # of a problem and its reference
+HAND_SECONDS = 300.0  # until it says that it begins
 FIRST_SECONDS = 180.0  # of the first call: it may compile
 JUDGE_SECONDS = 120.0
 PATIENCE = 4.0
@@ -55,6 +55,13 @@ class Ask:
 
     what: str
     case: SolverCase
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """The problem that the next cases are of."""
+
+    problem: RegressionProblem
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,7 @@ def work(study: SolverStudy, pipe: Connection, lifeline: Connection) -> None:
         with threadpool_limits(limits=1):
             pipe.send(Answer())
             while True:
-                ask: Ask = pipe.recv()
+                ask: Ask | Hand = pipe.recv()
                 try:
                     answer = desk.answer(ask)
                 except Exception as error:  # a solver may raise anything
@@ -121,19 +128,24 @@ class _Desk:
 
     study: SolverStudy
     pipe: Connection
-    number: int = -1
     problem: RegressionProblem | None = None
     bounds: dict[str, Array] = field(default_factory=dict)
 
-    def answer(self, ask: Ask) -> Answer:
-        task = self._task(ask.case)
+    def answer(self, ask: Ask | Hand) -> Answer:
+        if isinstance(ask, Hand):
+            self.problem, self.bounds = ask.problem, {}
+            keep_what_is_loaded()
+            return Answer()
+        contender = self.study.contenders[ask.case.contender]
+        backend = make_backend(contender.backend, contender.settings)
+        task = Task(backend, self.study.fractions, ask.case.tolerance)
         if ask.what == "first":
-            self._begin(max(self.study.clock.limit, FIRST_SECONDS), "its first call")
+            self._begin(max(self.study.clock.limit, FIRST_SECONDS), "compiling")
             _, timing = timed(lambda: solve(task, small_problem()))
             keep_what_is_loaded()
             return Answer(timing)
-        problem = self._problem(ask.case.problem)
-        clone = fresh(problem)
+        assert self.problem is not None
+        clone = fresh(self.problem)
         memory = PeakMemory() if ask.what == "judge" else None
         self._begin(self.study.clock.limit, "the solve")
         solutions, timing = timed(lambda: solve(task, clone))
@@ -141,23 +153,11 @@ class _Desk:
         if ask.what != "judge":
             return Answer(timing)
         self._begin(JUDGE_SECONDS, "the certificate")
-        bounds = self._bounds(self.study.contenders[ask.case.contender].problem_of, task)
-        return Answer(timing, judged(problem, task, solutions, bounds), megabytes)
+        bounds = self._bounds(contender.problem_of, task)
+        return Answer(timing, judged(self.problem, task, solutions, bounds), megabytes)
 
     def _begin(self, seconds: float, what: str) -> None:
         self.pipe.send(Begun(seconds, what))
-
-    def _task(self, case: SolverCase) -> Task:
-        contender = self.study.contenders[case.contender]
-        backend = make_backend(contender.backend, contender.settings)
-        return Task(backend, self.study.fractions, case.tolerance)
-
-    def _problem(self, number: int) -> RegressionProblem:
-        if self.problem is None or self.number != number:
-            self._begin(LOAD_SECONDS, "building the problem")
-            self.number, self.problem, self.bounds = number, self.study.problems[number].build(), {}
-            keep_what_is_loaded()
-        return self.problem
 
     def _bounds(self, solved: str, task: Task) -> Array:
         if solved not in self.bounds and self.problem is not None:
@@ -174,7 +174,7 @@ def small_problem() -> RegressionProblem:
 
 
 class Worker:
-    """The parent's end of the one process; started when first asked, and again after a loss."""
+    """The parent's end of a process; started when first asked, and again after a loss."""
 
     def __init__(self, study: SolverStudy) -> None:
         self._study = study
@@ -187,7 +187,7 @@ class Worker:
         """The process, where there is one now."""
         return None if self._process is None else self._process.pid
 
-    def ask(self, ask: Ask) -> Answer | Lost:
+    def ask(self, ask: Ask | Hand) -> Answer | Lost:
         """The answer, or how the process was lost over it."""
         if self._process is None:
             self._start()
@@ -196,7 +196,7 @@ class Worker:
             self._pipe.send(ask)
         except OSError:
             return self._lost(Lost("crashed", "the process died before the solve"))
-        return self._receive(LOAD_SECONDS)
+        return self._receive(HAND_SECONDS)
 
     def close(self) -> None:
         """End the process for real, and wait until it is gone."""

@@ -12,8 +12,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sparsefit.backends import load
+from sparsefit.backends.conic import DIRECT
 from sparsefit.backends.penalised import PenalisedPath
-from sparsefit.backends.solvers import solver_named
+from sparsefit.backends.solvers import AS_WRITTEN, Solver, solver_named
 from sparsefit.codec import Place, shown, text
 from sparsefit.errors import MissingExtra, SparsefitError
 from sparsefit.regression.backend import PenalisedBackend
@@ -30,6 +31,7 @@ from sparsefit.study.spec.document import (
 
 RESERVED = ("name", "label", "tolerances")
 NO_TOLERANCE = (math.nan,)
+OURS = "sparsefit"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +39,8 @@ class Contender:
     """A solver of an objective: a back-end with its settings, the solver among them.
 
     tolerances: where it is asked to stop, loosest first, NaN for what has nothing to set; form: how
-    the problem is handed to it; missing: why it cannot run here, empty where it can; compiles:
-    whether its first call takes many seconds.
+    the problem is handed to it; missing: why it cannot run here, empty where it can; family:
+    what shares a process with it, so that a solver that is killed takes no other's imports along.
     """
 
     objective: str
@@ -48,7 +50,7 @@ class Contender:
     tolerances: tuple[float, ...]
     form: str = ""
     missing: str = ""
-    compiles: bool = False
+    family: str = OURS
 
     @property
     def problem_of(self) -> str:
@@ -112,7 +114,6 @@ def _contender(
 ) -> Contender:
     solver = str(settings.get("solver", ""))
     known = solver_named(solver) if solver else None
-    missing = ""
     try:
         backend = make_backend(name, settings)
     except MissingExtra as error:
@@ -124,7 +125,7 @@ def _contender(
         raise place.error(" ".join(str(error).split())) from None
     if not isinstance(backend, PenalisedPath):
         form = (load(name).__doc__ or "").strip().split("\n")[0]
-        return Contender(objective, name, settings, solver or name, NO_TOLERANCE, form, missing)
+        return Contender(objective, name, settings, solver or name, NO_TOLERANCE, form, family=name)
     if isinstance(backend, PenalisedBackend) and backend.alpha_fraction == "auto":
         raise place.at("alpha_fraction").error('"auto" is many fits: give a number')
     if backend.solver == backend.exact.name:
@@ -133,9 +134,16 @@ def _contender(
     known = solver_named(backend.solver)
     assert known is not None  # the back-end has accepted it
     stops = tolerances if known.stops else NO_TOLERANCE
-    return Contender(
-        objective, name, settings, backend.solver, stops, known.form, compiles=known.compiles
-    )
+    family = _family(known)
+    return Contender(objective, name, settings, backend.solver, stops, known.form, family=family)
+
+
+def _family(solver: Solver) -> str:
+    if solver.name.startswith(AS_WRITTEN):
+        return "cvxpy, as written"
+    if solver.name in DIRECT:
+        return OURS
+    return solver.package if solver.home else "cvxpy"
 
 
 def read_tolerances(value: object, place: Place) -> tuple[float, ...]:
