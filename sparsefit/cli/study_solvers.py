@@ -172,7 +172,15 @@ def errors(args: argparse.Namespace) -> int:
 
 
 def show(args: argparse.Namespace) -> int:
-    """The tables of the study, or those asked for; also of one that is not finished."""
+    """The tables of the study, or those asked for; also of one that is not finished.
+
+    Raises:
+        InputError: where one case is asked for: there is no flight to draw.
+    """
+    from sparsefit.errors import InputError
+
+    if args.case is not None:
+        raise InputError("--case draws a flight; of a study of solvers show its tables: --table")
     return _print_tables(args, tuple(args.table or ()))
 
 

@@ -29,6 +29,7 @@ from sparsefit.study.evidence.table import (
 from sparsefit.study.evidence.tables import TABLES, tables_for
 from sparsefit.study.report.escape import escape_markdown, escape_tex
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.report.typical import typical
 from sparsefit.study.spec.outputs import Reference
 
 STUDY = SimpleNamespace(
@@ -165,6 +166,30 @@ class TestLeast:
         written = to_csv(Table("t", (Column("name"),), tuple((name,) for name in names)))
         read = [row[0] for row in csv.reader(io.StringIO(written))][1:]
         assert read == [*(f"'{name}" for name in names[:4]), "a=b"]
+
+
+class TestTypical:
+    def of(self, measure, *cases):
+        return int(typical(MEASURES[measure], frame(*cases))["flight"].iloc[0])
+
+    def test_is_the_largest_that_is_not_above_the_summary(self):
+        """Errors of L_w 1, 5, 3 and a failure: of an even number the lower middle."""
+        cases = [case(n, percent=(0.0, one)) for n, one in enumerate((1.0, 5.0, 3.0))]
+        assert self.of("length-scale-error", *cases) == 2
+        assert self.of("length-scale-error", *cases, case(3, status="error")) == 2
+
+    def test_rounding_does_not_choose(self):
+        for errors in ((1e-12, 2e-12, 3e-12), (3e-12, 1e-12, 2e-12)):
+            cases = [case(n, percent=(0.0, one)) for n, one in enumerate(errors)]
+            assert self.of("length-scale-error", *cases) == 0
+
+    def test_of_a_share_it_speaks_against_it(self):
+        assert self.of("hits", case(0), case(1, hit=False), case(2, hit=False)) == 1
+        assert self.of("silent-misses", case(0), case(1), case(2, percent=(9.0, 0.0))) == 2
+
+    def test_where_nobody_answers_it_is_the_first(self):
+        failed = [case(n, status="error") for n in range(2)]
+        assert self.of("length-scale-error", *failed) == 0
 
 
 class TestHits:

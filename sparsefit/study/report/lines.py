@@ -41,6 +41,8 @@ from sparsefit.study.report.drawing import (
     ticked,
     with_unit,
 )
+from sparsefit.study.report.typical import typical
+from sparsefit.study.report.vector import linked
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -201,6 +203,7 @@ def _draw(axes: Axes, panel: Panel, asked: Asked, series: Series) -> None:
             at, middle, color=colour[name], marker=marker[name], ms=1.5 + 1.4 * width, mew=0,
             lw=width, ls=style, label=name, zorder=3, clip_on=panel.measure.summary != "share",
         )  # fmt: skip
+        _lead(axes, panel, group.cases, at, middle)
     if panel.measure.beside:
         _beside(axes, panel, [group.cases for group in groups])
     if panel.measure.target is not None:
@@ -230,6 +233,16 @@ def _summaries(
     least = 0.0 if panel.measure.summary == "share" else TINY
     middle, low, high = np.where(np.isfinite(values), np.maximum(values, least), np.nan)
     return np.array(at), middle, low, high
+
+
+def _lead(axes: Axes, panel: Panel, cases: pd.DataFrame, at: Array, middle: Array) -> None:
+    """Let each mark lead to a case: a reader of the page can point at it."""
+    levels = by_level(cases, panel.along)
+    known = np.flatnonzero(np.isfinite(middle))
+    if known.size:
+        marks = axes.scatter(at[known], middle[known], s=40, alpha=0.0, zorder=5)
+        chosen = [typical(panel.measure, levels[place].cases) for place in known]
+        linked(marks, pd.concat(chosen), unseen=True)
 
 
 def _beside(axes: Axes, panel: Panel, series: list[pd.DataFrame]) -> None:

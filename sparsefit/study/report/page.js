@@ -108,6 +108,7 @@ function reachable(picture) {
     points[place].setAttribute("tabindex", "-1");
     next.setAttribute("tabindex", "0");
     next.focus();
+    show(next);
   });
 }
 

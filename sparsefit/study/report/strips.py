@@ -21,6 +21,7 @@ from sparsefit.study.report.drawing import (
     panels,
     shortened,
 )
+from sparsefit.study.report.typical import typical
 from sparsefit.study.report.vector import linked
 
 if TYPE_CHECKING:
@@ -104,6 +105,9 @@ def _interval(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int) -> 
         axes.text(95.0, place, "none", fontsize=6.5, color=GREY, va="center", ha="center")
     axes.plot(share.interval, [place, place], color="black", lw=0.9, zorder=3)
     axes.plot([share.percent], [place], "o", ms=4, color=COLOURS[0], zorder=4)
+    if share.whole:
+        mark = axes.scatter([share.percent], [place], s=30, alpha=0.0, zorder=5)
+        linked(mark, typical(measure, cases), unseen=True)
 
 
 def _band(row: list[Axes], limits: tuple[float, ...]) -> None:

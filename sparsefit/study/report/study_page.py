@@ -19,6 +19,11 @@ from sparsefit.study.run.manifest import read_manifest
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
+POINTS = (
+    "Point at a mark, or reach it by Tab and the arrows, to see a case and the command that runs "
+    "it again. A mark that summarises many leads to the one that is there, or of a share the first "
+    "that speaks against it; of the errors of all cases only the largest lead anywhere."
+)
 RUN = "This run"  # the last section: all before it is the same on every machine
 
 
@@ -38,7 +43,7 @@ def study_page(
     named = [name for picture in pictures for name in linked_names(picture.svg)]
     shown = [table for table in tables.values() if not table.varies]
     sections = [
-        *([Section("Pictures", pictures)] if pictures else []),
+        *([Section("Pictures", [*pictures, POINTS])] if pictures else []),
         *([Section("Tables", shown)] if shown else []),
         *more,
         Section("Methods", [*methods(study), *protocols(study)]),

@@ -19,8 +19,10 @@ NUMBER = re.compile(r"scale\([^)]*\)|-?\d+\.\d{3,}")
 # What Matplotlib names by a hash of unrounded numbers: clips, markers, hatches, images.
 HASHED = re.compile(r"\b[a-zA-Z]\w*[0-9a-f]{10}\b")
 DEFINED = re.compile(r'\bid="([a-zA-Z]\w*[0-9a-f]{10})"')
+UNSEEN = "~"
+HIDDEN = re.compile(rf'<a xlink:href="#{UNSEEN}[^"]*"[^>]*>.*?</a>\s*', re.DOTALL)
 LINKS = re.compile(r'<a xlink:href="#[^"]*"[^>]*>|</a>')
-POINT = re.compile(r'(<a xlink:href="#[^"]*")[^>]*>(?:<g[^>]*>)?(<use[^>]*>)(?:</g>)?</a>')
+POINT = re.compile(r'(<a xlink:href="#)~?([^"]*")[^>]*>(?:<g[^>]*>)?(<use[^>]*>)(?:</g>)?</a>')
 UNTURNED = re.compile(r' transform="rotate\(-?0 [^"]*"')
 LINKED = re.compile(r'<a href="#([^"]*)">')
 HEAD = re.compile(r"^.*?<svg[^>]*?viewBox=\"([^\"]*)\"[^>]*>", re.DOTALL)
@@ -33,9 +35,13 @@ STYLED = re.compile(r' style="([^"]*)"')
 BLANKS = re.compile(r">\s*\n\s*<")
 
 
-def linked(points: PathCollection, cases: pd.DataFrame) -> None:
-    """Let every point, in the order of the cases, stand for its case."""
-    points.set_urls([f"#{name}" for name in cases["case_id"]] if "case_id" in cases else [])
+def linked(points: PathCollection, cases: pd.DataFrame, *, unseen: bool = False) -> None:
+    """Let every point, in the order of the cases, stand for its case.
+
+    unseen: they lie over marks that are drawn already; only a page has them.
+    """
+    before = f"#{UNSEEN if unseen else ''}"
+    points.set_urls([f"{before}{name}" for name in cases["case_id"]] if "case_id" in cases else [])
 
 
 def linked_names(svg: str) -> list[str]:
@@ -48,7 +54,7 @@ def settled(svg: str) -> str:
 
     Labels and scales keep their digits; parts named by a hash get their number instead.
     """
-    return _rounded(LINKS.sub("", svg))
+    return _rounded(LINKS.sub("", HIDDEN.sub("", svg)))
 
 
 def inlined(svg: str, name: str, title: str) -> str:
@@ -61,7 +67,7 @@ def inlined(svg: str, name: str, title: str) -> str:
     if not match:
         raise ValueError("no SVG with a viewBox")
     body = WHITE.sub("", DROPPED.sub("", svg[match.end() :]))
-    body = POINT.sub(r"\1>\2</a>", BLANKS.sub("><", _rounded(body)).strip())
+    body = POINT.sub(r"\1\2>\3</a>", BLANKS.sub("><", _rounded(body)).strip())
     counted = Counter(style for tag in TAG.findall(body) for style in STYLED.findall(tag))
     often = [style for style, times in counted.items() if times > 1]
     places = {style: f"{name}s{place}" for place, style in enumerate(often)}
