@@ -73,14 +73,19 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
             scales = [ScaleEstimate(*m.values, own, m.uncertainty) for m, own in pairs]
             beside = known.vehicle, known.vehicle_uncertainty
             return Reading(_sorted(scales), *beside, True, known.goodness)
+    goodness = None
+    if readout.refine != "none" and not assessed and place.fit is not None:
+        known = _assessment(prepared, place, False)  # of the same fit: how well it explains
+        goodness = known.goodness if known else None
     if readout.scales == "several":
-        return _several(prepared, place, readout, assessed)
+        return replace(_several(prepared, place, readout, assessed), goodness=goodness)
     length_scale, vehicle = place.length_scales[0], None
     if prepared.library.unknown:
         fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])
         vehicle = _nuisance(prepared).read(fit.coefficients)
     speed = _mean_velocity(prepared, place, readout, vehicle)
-    return Reading((_scale(speed, length_scale, place.candidates[0]),), vehicle, None, assessed)
+    scale = _scale(speed, length_scale, place.candidates[0])
+    return Reading((scale,), vehicle, None, assessed, goodness)
 
 
 def _of_ladder(

@@ -68,7 +68,7 @@ class Estimate:
     flow. doubt: what kind of doubt the reason of a `misfit` or an `unidentifiable` flow puts in
     words. heading [rad]: by which the cells are turned counter-clockwise. flow: what was found, to
     be evaluated anywhere, in the coordinates and the time of the flight. goodness: how well refined
-    modes fit, with the ``rms`` mean velocity.
+    modes fit.
     repairs: what was mended in the flight before. agreement: of logged position and velocity; the
     intervals hold what a position wanders.
     shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,

@@ -114,3 +114,17 @@ def test_what_is_freed_is_suspected_no_more():
     freed = sf.Estimator(library=sf.Library(unknown=("wind",))).estimate(flight)
     assert freed.status == "ok"
     assert freed.wind == pytest.approx(wind, abs=0.05)
+
+
+@pytest.mark.parametrize("mean_velocity", ["peak", "paper"])
+def test_no_reading_of_the_velocity_hides_a_misfit(mean_velocity):
+    noise = {"velocity_noise": 0.05, "position_noise": 0.01}
+    readout = sf.Readout(mean_velocity=mean_velocity)
+    for flow, status in ((WORLDS[Cause.DRIFT][0], "misfit"), (FLOW, "ok")):
+        flight = sf.simulate_flight(
+            flow, VEHICLE, duration=12.0, sample_rate=100.0, seed=5, **noise
+        )
+        found = sf.Estimator(readout=readout).estimate(flight)
+        assert found.status == status
+        assert found.goodness.r_squared > 0.9
+        assert found.uncertainty is None
