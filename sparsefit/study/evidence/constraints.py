@@ -84,6 +84,8 @@ WORDS: Mapping[str, str] = {
 
 def told(name: str, value: float) -> str:
     """A value of a constraint with its unit."""
+    if name in MEASURED and math.isinf(value):
+        return "not measured"
     if name == "max_latency_p99":
         return f"{shown(1e3 * value)} ms"
     if name == "max_memory":
@@ -118,12 +120,17 @@ class Breach:
 def breaches(
     rule: SelectionRule, trial: Trial, regimes: tuple[str, ...], latency: Latency | None
 ) -> tuple[Breach, ...]:
-    """The constraints of a rule that a candidate breaks, each in its worst regime."""
-    return tuple(
+    """The constraints of a rule that a candidate breaks, each in its worst regime.
+
+    One that was not timed because it breaks another is not told to break what was not measured.
+    """
+    broken = tuple(
         Breach(name, regime, value, limit)
         for name, limit, value, regime in _worst(rule, trial, regimes, latency)
         if value > limit
     )
+    of_cases = tuple(breach for breach in broken if breach.constraint in KEPT)
+    return of_cases if latency is None and of_cases else broken
 
 
 def _worst(

@@ -17,6 +17,7 @@ from sparsefit.study.evidence.sentence import capital, listed, shown, some
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
 from sparsefit.study.spec.selection import AVERAGE, WORST
 
+FASTER = 0.8  # of the median latency of the chosen one: less is told
 SHOWN = 30  # rows that a page prints; CSV files have all of them
 CONSTRAINTS = tuple(WORDS)
 
@@ -276,6 +277,21 @@ def regime_table(selection: Selection) -> Table:
     return Table(f"Regimes ({selection.study})", columns, rows, notes, SHOWN)
 
 
+def _faster(selection: Selection) -> Iterator[str]:
+    """Whether one within the margin is clearly faster than the chosen one."""
+    chosen = selection.chosen
+    if chosen is None or chosen.latency is None:
+        return
+    near = [one for one in selection.passing if one.latency and selection.within(one)]
+    fastest = min(near, key=lambda one: one.latency.median if one.latency else math.inf)
+    if fastest.latency and fastest.latency.median < FASTER * chosen.latency.median:
+        yield (
+            f"Within the margin, {fastest.candidate.title} is faster than the chosen one: "
+            f"{shown(1e3 * fastest.latency.median)} against {shown(1e3 * chosen.latency.median)} "
+            'ms at the median; simplest = "fastest" chooses by that.'
+        )
+
+
 def latency_table(selection: Selection, processor: str = "") -> Table | None:
     """Time and memory of one estimate, a row per candidate; None where none was measured.
 
@@ -311,5 +327,6 @@ def latency_table(selection: Selection, processor: str = "") -> Table | None:
         "on one core, after a warm-up; the peak memory is that of the whole process. Disturbed: "
         "flights during which other programs had the core; their processor time is told."
         + (f" Measured on {processor}." if processor else ""),
+        *_faster(selection),
     )
     return Table(f"Latency and memory ({selection.study})", columns, rows, notes, SHOWN)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sparsefit.study.evidence.cases import DEFAULT, level_text
 from sparsefit.study.evidence.selection import Scored, Selection
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.report.drawing import (
@@ -19,6 +22,7 @@ from sparsefit.study.report.drawing import (
     with_unit,
 )
 
+LETTERS = 60  # of a line beside the axis
 DECADE = 8.0  # from here on, an axis is logarithmic
 CAPTION = (
     "The criterion on the evaluate flights, with its 95 % interval over flights, against the "
@@ -31,15 +35,16 @@ def pareto(selection: Selection) -> Figure:
     """Draw every candidate that was timed, and the front of those that keep the constraints."""
     timed = [one for one in selection.ranked if one.latency and np.isfinite(one.latency.median)]
     figure, ((axes,),) = panels(1, 1, height=4.0)
-    protocols = list(dict.fromkeys(one.candidate.group.protocol for one in timed))
+    readings = list(dict.fromkeys(map(_reading, timed)))
     backends = list(dict.fromkeys(str(one.candidate.group.key["backend"]) for one in timed))
-    colour, marker = colours(backends), markers(protocols)
+    colour, marker = colours(backends), markers(readings)
     for one in timed:
-        _point(axes, one, colour, marker, alone=len(protocols) < 2)
+        _point(axes, one, colour, marker)
     _front(axes, selection, timed)
     _scales(axes, timed)
     axes.set_xlabel("latency of one estimate [ms]")
-    axes.set_ylabel(with_unit(capital(selection.criterion.words), selection.criterion.measure.unit))
+    words = with_unit(capital(selection.criterion.words), selection.criterion.measure.unit)
+    axes.set_ylabel(textwrap.fill(words, LETTERS))
     legend(figure, [axes])
     return figure
 
@@ -59,21 +64,26 @@ def _place(one: Scored) -> tuple[float, float]:
     return (one.latency.median if one.latency else np.inf, one.evaluate)
 
 
-def _point(
-    axes: Axes, one: Scored, colour: dict[str, str], marker: dict[str, str], *, alone: bool
-) -> None:
+def _reading(one: Scored) -> str:
+    """What tells candidates of one back-end apart: the reading and the estimator's factors."""
+    levels = map(level_text, one.candidate.factors.values())
+    protocol = one.candidate.group.protocol
+    return ", ".join([*([] if protocol == DEFAULT else [protocol]), *levels])
+
+
+def _point(axes: Axes, one: Scored, colour: dict[str, str], marker: dict[str, str]) -> None:
     if one.latency is None:
         return
-    backend, protocol = str(one.candidate.group.key["backend"]), one.candidate.group.protocol
+    backend, reading = str(one.candidate.group.key["backend"]), _reading(one)
     ink, x, y = colour[backend], 1e3 * one.latency.median, one.evaluate
-    label = backend if alone else f"{backend}, {shortened(protocol, 20)}"
+    label = f"{backend}, {shortened(reading, 30)}" if reading else backend
     low, high = one.between
     if one.apart is None and one.passes:
         axes.plot([x], [y], "o", ms=13, mfc="none", mec="black", mew=1.0, zorder=2)
     axes.plot([x, 1e3 * one.latency.p99], [y, y], color=ink, lw=0.7, alpha=0.6, zorder=3)
     axes.plot([x, x], [low, high], color=ink, lw=0.7, alpha=0.6, zorder=3)
     axes.plot(
-        [x], [y], marker[protocol], ms=5, color=ink, zorder=4, label=label, ls="none",
+        [x], [y], marker[reading], ms=5, color=ink, zorder=4, label=label, ls="none",
         mfc=ink if one.passes else "white",
     )  # fmt: skip
 
