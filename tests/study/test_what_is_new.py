@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -181,10 +182,14 @@ def test_only_leaves_the_rest_for_later(tmp_path: Path, load: Load) -> None:
     assert run(study, tmp_path, processes=1).computed == PLANNED - 4
 
 
-def test_results_from_before_there_were_identities_count_for_the_same_study(
-    went: Path, load: Load
+@pytest.mark.parametrize("lacking", [["identity", "version"], ["version"]])
+def test_results_with_identities_of_old_or_none_count_for_the_same_study(
+    went: Path, load: Load, lacking: list[str]
 ) -> None:
-    old = pq.read_table(went / "cases.parquet").drop_columns(["identity", "version"])
+    old = pq.read_table(went / "cases.parquet").drop_columns(lacking)
+    if "identity" in old.column_names:
+        place = old.column_names.index("identity")
+        old = old.set_column(place, "identity", pa.array(["0"] * len(old)))
     pq.write_table(old, went / "cases.parquet")
     manifest = read_manifest(went) or {}
     del manifest["sha256"]

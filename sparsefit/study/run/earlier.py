@@ -24,8 +24,9 @@ READ = {column.name: column.kind for column in COLUMNS if column.read}
 class Known:
     """How rows of the file name their cases: a column, and the cells of the plan by its values.
 
-    Rows carry their identity; those from before there was one are known by their case_id, which
-    says the same as long as the study is the same. version: of rows that do not carry it.
+    As long as the study is the same, that is their case_id, however identities are told by now;
+    rows of another one are known by their identity, those from before there was one not at all.
+    version: of rows that do not carry it.
     """
 
     column: str
@@ -85,11 +86,12 @@ def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:
     manifest = read_manifest(folder) or {}
     versions = manifest.get("versions")
     made_by = str(versions.get("sparsefit")) if isinstance(versions, dict) else "unknown"
+    if manifest.get("study_hash") == ledger.study.hash:
+        keys = {cell.key: cell.index for cell in ledger.study.cells}
+        return Known("case_id", keys, made_by)
     if "identity" in names:
         return Known("identity", ledger.cells, made_by)
-    same = manifest.get("study_hash") == ledger.study.hash
-    keys = {cell.key: cell.index for cell in ledger.study.cells} if same else {}
-    return Known("case_id", keys, made_by)
+    return Known("case_id", {}, made_by)
 
 
 def _cell(known: Known, ledger: Ledger, flight: int, name: str) -> int | None:
