@@ -116,7 +116,8 @@ def _of_ladder(
         return replace(plainly, shaped=_shaped(plainly, ladder), assessed=True)
     all_of_it = with_wind(flow, nuisance.read(best.fit.coefficients))
     first = known.shapes[0] if known.shapes else None
-    shaped = Shaped(best.shape, first, best.drifting, rungs_of(ladder), all_of_it)
+    sure = known.flow and replace(known.flow, origin=origin)
+    shaped = Shaped(best.shape, first, best.drifting, rungs_of(ladder), all_of_it, sure)
     own = place.candidates[0]
     headings = [cells.heading for cells in known.shapes] or [math.nan]
     scales = tuple(

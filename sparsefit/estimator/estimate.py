@@ -1,7 +1,7 @@
 """What comes of a flight: the parameters, how sure they are, and how they came about."""
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from sparsefit.codec import finite_or_none
@@ -9,7 +9,13 @@ from sparsefit.derivative import Agreement, Repairs
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
-from sparsefit.uncertainty import Goodness, ShapeUncertainty, Uncertainty, VehicleUncertainty
+from sparsefit.uncertainty import (
+    FlowUncertainty,
+    Goodness,
+    ShapeUncertainty,
+    Uncertainty,
+    VehicleUncertainty,
+)
 
 
 @dataclass(frozen=True)
@@ -67,8 +73,9 @@ class Estimate:
     each has its own, and this is the first's. vehicle_uncertainty: of what was unknown beside the
     flow. doubt: what kind of doubt the reason of a `misfit` or an `unidentifiable` flow puts in
     words. heading [rad]: by which the cells are turned counter-clockwise. flow: what was found, to
-    be evaluated anywhere, in the coordinates and the time of the flight. goodness: how well refined
-    modes fit.
+    be evaluated anywhere, in the coordinates and the time of the flight; flow_uncertainty: of a
+    flow of waves, the standard error of its velocity anywhere (`FlowUncertainty.standard_error`).
+    goodness: how well refined modes fit.
     repairs: what was mended in the flight before. agreement: of logged position and velocity; the
     intervals hold what a position wanders.
     shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,
@@ -108,10 +115,12 @@ class Estimate:
     drift: tuple[float, float] | None = None
     shape_uncertainty: ShapeUncertainty | None = None
     rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
+    flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The estimate as JSON-ready values; NaN becomes None."""
-        values = asdict(self)
+        """The estimate as JSON-ready values; NaN becomes None. `flow_uncertainty` is left out."""
+        values = asdict(replace(self, flow_uncertainty=None))
+        del values["flow_uncertainty"]
         values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
         ready: dict[str, Any] = finite_or_none(values)
         return ready

@@ -17,7 +17,7 @@ from sparsefit.modes.choice import Ladder
 from sparsefit.modes.fitted_rows import middle
 from sparsefit.modes.rung import Rung
 from sparsefit.modes.wave_peaks import at_origin
-from sparsefit.uncertainty import Shape
+from sparsefit.uncertainty import FlowUncertainty, Shape
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Shaped:
         drifting: whether it moves.
         rungs: all that were tried, by rising BIC.
         flow: its waves, in the flight's own coordinates; None where no vehicle could have flown so.
+        flow_uncertainty: how sure it is anywhere, where that is told.
     """
 
     name: str
@@ -37,11 +38,13 @@ class Shaped:
     drifting: bool = False
     rungs: tuple[RungEstimate, ...] = ()
     flow: WaveFlow | SuperposedFlow | None = None
+    flow_uncertainty: FlowUncertainty | None = None
 
     @property
     def fields(self) -> dict[str, Any]:
         """The fields of an `Estimate`."""
         fields: dict[str, Any] = {"shape": self.name, "rungs": self.rungs}
+        fields["flow_uncertainty"] = self.flow_uncertainty
         if self.cells is None:
             return fields
         fields["heading"] = self.cells.heading

@@ -2,6 +2,7 @@
 
 from sparsefit.uncertainty.assessment import Assessment, ModeAssessment, assess
 from sparsefit.uncertainty.causes import Cause, Suspect
+from sparsefit.uncertainty.flow import FlowUncertainty
 from sparsefit.uncertainty.goodness import Goodness
 from sparsefit.uncertainty.lags import LAGS
 from sparsefit.uncertainty.record import Uncertainty
@@ -12,6 +13,7 @@ __all__ = [
     "LAGS",
     "Assessment",
     "Cause",
+    "FlowUncertainty",
     "Goodness",
     "ModeAssessment",
     "Shape",

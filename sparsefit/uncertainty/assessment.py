@@ -17,6 +17,7 @@ from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
 from sparsefit.uncertainty.corrected import Known, corrected
+from sparsefit.uncertainty.flow import FlowUncertainty, entries, flow_of
 from sparsefit.uncertainty.goodness import Goodness, goodness_of
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import MODE, Reader, Reading, cellular, joined
@@ -56,6 +57,8 @@ class Assessment:
         vehicle_uncertainty: how sure what was unknown of them is.
         goodness: how well the modes fit.
         shapes: the cells that two waves make, of each mode of waves.
+        flow: how sure a flow of waves is anywhere, where that is told; places count from where
+            the rows do.
     """
 
     modes: tuple[ModeAssessment, ...]
@@ -63,6 +66,7 @@ class Assessment:
     vehicle_uncertainty: VehicleUncertainty | None = None
     goodness: Goodness | None = None
     shapes: tuple[Shape, ...] = ()
+    flow: FlowUncertainty | None = None
 
     @property
     def white(self) -> bool:
@@ -105,7 +109,8 @@ def assess(
         return None
     if isinstance(model.family, Waves):
         names = names_of(model.family, len(model.parameters))
-        return _of_waves(known, names, len(flows), model, vehicle)
+        flow = flow_of(model, nuisance, known.errors)
+        return replace(_of_waves(known, names, len(flows), model, vehicle), flow=flow)
     count = len(MODE) * len(fit.parameters)
     every = known.values, known.errors, known.freedom
     by_mode = [array[:count].reshape(-1, 3) for array in every]
@@ -125,8 +130,10 @@ def reader(nuisance: Nuisance, flows: list[IntArray] | None = None) -> Reader:
 
     def read(model: Model) -> Reading:
         waved = isinstance(model.family, Waves)
-        modes = waves(model, nuisance, flows) if waved else cellular(model, nuisance)
-        return joined(modes, of_vehicle(model, nuisance)) if nuisance.unknown else modes
+        read = waves(model, nuisance, flows) if waved else cellular(model, nuisance)
+        if nuisance.unknown:
+            read = joined(read, of_vehicle(model, nuisance))
+        return joined(read, entries(model, nuisance)) if waved else read
 
     return read
 

@@ -92,18 +92,19 @@ def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
     variance = variance + _coherent(fit, reading.gradients, less.errors)
     spread = np.sqrt(variance)
     step = read(less.model).values - reading.values
+    correcting = correct & ~reading.stay
     moved = np.zeros(len(step))
     if correct and left.found:
         better = read(less.model.shifted(left.generalised_step))
         moved = np.clip(better.values - read(less.model).values, -MOST * spread, MOST * spread)
     correction = np.clip(step, -reading.limits, reading.limits)
-    doubt = (DOUBT_OF_TRUNCATION if correct else 1.0) * correction
+    doubt = np.where(correcting, DOUBT_OF_TRUNCATION, 1.0) * correction
     for score in _scores_of_noise(fit, float(levels[2])):
         step = read(fit.model.moved(-score)).values - reading.values
-        doubt = np.hypot(doubt, (DOUBT_OF_NOISE if correct else 1.0) * step)
+        doubt = np.hypot(doubt, np.where(correcting, DOUBT_OF_NOISE, 1.0) * step)
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     errors = np.hypot(spread, doubt)
-    return Known(reading.values + correct * (correction + moved), errors, freedom, left)
+    return Known(reading.values + correcting * (correction + moved), errors, freedom, left)
 
 
 def _coherent(fit: Filtered, gradients: Array, errors: Array) -> Array:

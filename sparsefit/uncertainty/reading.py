@@ -36,6 +36,7 @@ class Reading:
         limits: how far a correction of first order may move each value, (f,).
         norms: which values are norms of weights (f,): they grow along every direction that is
             not told, if not to first order.
+        kept: which values keep their bias even where others are corrected (f,); None: none.
     """
 
     names: tuple[str, ...]
@@ -43,6 +44,12 @@ class Reading:
     gradients: Array
     limits: Array
     norms: BoolArray
+    kept: BoolArray | None = None
+
+    @property
+    def stay(self) -> BoolArray:
+        """`kept`, told of every value."""
+        return np.zeros(len(self.values), dtype=bool) if self.kept is None else self.kept
 
 
 Reader: TypeAlias = Callable[[Model], Reading]
@@ -56,6 +63,7 @@ def joined(first: Reading, second: Reading) -> Reading:
         np.concatenate([first.gradients, second.gradients]),
         np.concatenate([first.limits, second.limits]),
         np.concatenate([first.norms, second.norms]),
+        np.concatenate([first.stay, second.stay]),
     )
 
 

@@ -17,7 +17,7 @@ from sparsefit.modes.wave_peaks import APART
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0))
 FLIGHT = sf.simulate_flight(
-    FLOW, VEHICLE, duration=8.0, sample_rate=100.0, seed=7, velocity_noise=0.2
+    FLOW, VEHICLE, duration=8.0, sample_rate=100.0, seed=7, velocity_noise=0.2, position_noise=0.05
 )
 WAVES = sf.Library(sf.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
 ESTIMATOR = sf.Estimator(library=WAVES, backend=backends.get("group-lasso", alpha_fraction=0.3))
