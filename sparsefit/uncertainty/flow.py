@@ -21,6 +21,8 @@ from sparsefit.library.waves import Waves
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import Reading
 
+MOST = 2_000_000  # sums of two entries times samples: beyond it neither time nor memory is spent
+
 
 @dataclass(frozen=True, eq=False)
 class FlowUncertainty:
@@ -74,7 +76,7 @@ class FlowUncertainty:
 
 
 def entries(model: Model, nuisance: Nuisance) -> Reading:
-    """Every entry of theta that is in the flow, and every sum of two of them."""
+    """Every entry of theta that is in the flow, and every sum of two of them; none beyond MOST."""
     theta = model.joined(model.parameters, model.weights, model.coefficients)
     unit = np.eye(_count(model, nuisance), len(theta))
     first, second = np.triu_indices(len(unit))
@@ -91,6 +93,8 @@ def flow_of(model: Model, nuisance: Nuisance, errors: Array) -> FlowUncertainty 
     """
     assert isinstance(model.family, Waves)
     count = _count(model, nuisance)
+    if not count:
+        return None
     squares = errors[-count * (count + 1) // 2 :] ** 2
     if not np.isfinite(squares).all():
         return None
@@ -114,6 +118,7 @@ def flow_of(model: Model, nuisance: Nuisance, errors: Array) -> FlowUncertainty 
 
 
 def _count(model: Model, nuisance: Nuisance) -> int:
-    """The number of entries of theta that are in the flow: the first ones."""
+    """The number of entries of theta that are in the flow, the first ones; 0 beyond MOST."""
     wind = 2 * ("wind" in nuisance.unknown)
-    return model.parameters.size + model.weights.size + nuisance.shared + wind
+    count = model.parameters.size + model.weights.size + nuisance.shared + wind
+    return count if count * (count + 1) // 2 * len(model.rows.position) <= MOST else 0

@@ -71,6 +71,13 @@ def test_far_from_the_flight_the_flow_is_less_sure_and_shapes_broadcast():
     assert np.linalg.norm(errors[3]) > 5 * np.linalg.norm(errors[0])
 
 
+def test_of_too_many_numbers_it_is_not_told(monkeypatch):
+    monkeypatch.setattr("sparsefit.uncertainty.flow.MOST", 1000)
+    found = sf.Estimator().estimate(flown(sf.CellularFlow(11.0, 4.2)))
+    assert found.flow_uncertainty is None
+    assert found.uncertainty.mean_velocity > 0
+
+
 def test_flows_of_free_candidates_have_none_and_json_leaves_it_out():
     readout = sf.Readout(refine="variable-projection")
     found = sf.Estimator(readout=readout).estimate(flown(sf.CellularFlow(11.0, 4.2)))
