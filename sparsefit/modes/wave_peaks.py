@@ -69,15 +69,3 @@ def at_origin(wavevectors: Array, weights: Array, origin: Array) -> Array:
     cos, sin = np.cos(shift), np.sin(shift)
     a, b = weights.T
     return np.stack([a * cos - b * sin, a * sin + b * cos], axis=1)
-
-
-def heading_of_pair(wavevectors: Array) -> float:
-    """By how much cells made of two waves (2, 2) are turned counter-clockwise, in (-pi/4, pi/4]."""
-    first, second = np.arctan2(wavevectors[:, 1], wavevectors[:, 0])
-    turned = math.remainder(0.5 * float(first + second), 0.5 * math.pi)
-    return -turned if turned == -0.25 * math.pi else turned
-
-
-def length_scale_of_pair(wavevectors: Array) -> float:
-    """Return sqrt(2) pi / sqrt(mean |k|^2) [m] of waves (w, 2): the L of square cells."""
-    return math.sqrt(2.0 / float(np.mean(np.sum(wavevectors**2, axis=1)))) * math.pi

@@ -8,8 +8,6 @@ import pytest
 import sparsefit as sf
 from sparsefit.modes.wave_peaks import (
     at_origin,
-    heading_of_pair,
-    length_scale_of_pair,
     strengths,
     wave_peaks,
 )
@@ -43,18 +41,6 @@ def test_what_is_far_weaker_than_the_strongest_proposes_nothing():
     weights = np.array([[10.0, 0.0], [0.9, 0.0], [1.0, 0.0]])
     assert wave_peaks(k, weights, EXTENT, 5).top.tolist() == [0, 2]
     assert wave_peaks(k, weights, EXTENT, 1).top.tolist() == [0]
-
-
-@pytest.mark.parametrize("degrees", [-44.0, -20.0, 0.0, 13.0, 45.0])
-@pytest.mark.parametrize("sides", [(4.0, 4.0), (4.0, 7.0)])
-def test_headings_and_length_scales_are_those_of_the_cells(degrees, sides):
-    flow = sf.ShapedCells(5.0, sides, heading=math.radians(degrees))
-    for signs in ([1, 1], [-1, 1], [-1, -1]):  # k and -k are one wave
-        pair = flow.waves.wavevectors * np.array(signs)[:, None]
-        off = heading_of_pair(pair) - math.radians(degrees)
-        assert math.remainder(off, math.pi / 2) == pytest.approx(0.0, abs=1e-12)
-        assert -math.pi / 4 < heading_of_pair(pair) <= math.pi / 4 + 1e-12
-        assert length_scale_of_pair(pair) == pytest.approx(flow.length_scale)
 
 
 def test_phases_are_carried_to_another_origin():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import sparsefit as sf
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.nuisance import Nuisance
@@ -13,7 +14,7 @@ from sparsefit.library.waves import PAIR, RECTANGLE, SQUARE, Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import project
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.shape import waves
+from sparsefit.uncertainty.shape import values_of, waves
 
 KNOWN = Nuisance((), PointMassVehicle(0.5, (5.0, 3.0)))
 RNG = np.random.default_rng(9)
@@ -62,3 +63,16 @@ def test_equally_strong_waves_know_more_than_free_ones():
     moved = bound.moved(RNG.standard_normal(bound.jacobian.size) * 1e-6).weights[0, :, 0]
     gap = np.hypot(*moved[:2]) - np.hypot(*moved[2:])
     assert abs(gap) < 1e-3 * np.abs(moved - own).max()  # they stay equally strong to first order
+
+
+@pytest.mark.parametrize("degrees", [-44.0, -20.0, 0.0, 13.0, 44.0])
+@pytest.mark.parametrize("sides", [(4.0, 4.0), (4.0, 7.0)])
+def test_headings_and_length_scales_are_those_of_the_cells(degrees, sides):
+    flow = sf.ShapedCells(5.0, sides, heading=math.radians(degrees))
+    for signs in ([1, 1], [-1, 1], [-1, -1]):  # k and -k are one wave
+        phases = np.zeros((2, 3))
+        phases[:, :2] = flow.waves.wavevectors * np.array(signs)[:, None]
+        amplitudes = np.column_stack([flow.waves.cosine, flow.waves.sine])
+        _, scale, _, *read = values_of(phases, amplitudes, drifting=False)
+        assert scale == pytest.approx(flow.length_scale)
+        np.testing.assert_allclose(read, [*sides, math.radians(degrees)], atol=1e-12)
