@@ -150,12 +150,17 @@ out.push(document.getElementById("tip").hidden);
 points[0].dispatchEvent(new PointerEvent("pointerover", { bubbles: true })); out.push(tipText());
 out.push([document.images.length, document.scripts.length]);
 out.push(document.documentElement.scrollWidth <= window.innerWidth);
+out.push(getComputedStyle(document.body).backgroundColor);
 document.body.dataset.out = JSON.stringify(out);
 """
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium to open the page in")
-def test_in_a_browser(tmp_path):
+@pytest.mark.parametrize(
+    ("width", "scheme", "paper"),
+    [(360, 1, "255, 255, 255"), (800, 0, "17, 17, 17"), (1400, 1, "255, 255, 255")],
+)
+def test_in_a_browser(tmp_path, width, scheme, paper):
     text = to_html(page())
     script = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)[-1]
     driven = script + DRIVER
@@ -164,15 +169,26 @@ def test_in_a_browser(tmp_path):
     ]
     file = tmp_path / "page.html"
     file.write_text(text.replace(script, driven).replace(*digests), "utf-8")
-    command = [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=400,800"]
-    options = ["--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]
+    command = [
+        BROWSER,
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--window-size={width},800",
+    ]
+    options = [
+        "--enable-logging=stderr",
+        f"--blink-settings=preferredColorScheme={scheme}",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--dump-dom",
+    ]
     done = subprocess.run(
         [*command, *options, file.as_uri()], capture_output=True, text=True, timeout=60, check=True
     )
     assert "CONSOLE" not in done.stderr
     told = re.search(r'data-out="([^"]*)"', done.stdout)
-    up, down, first, names, kept, count, tip, moved, next_tip, hidden, hover, elements, fits = (
-        json.loads(html.unescape(told[1]))
+    up, down, first, names, kept, count, tip, moved, next_tip, hidden, hover, *rest = json.loads(
+        html.unescape(told[1])
     )
     nothing = ["2", "8"]
     assert up == ["1", "6", "3", "5", "0", "7", "4", *nothing]
@@ -182,5 +198,7 @@ def test_in_a_browser(tmp_path):
     assert (kept, count) == (["2"], "1 of 9 rows")
     assert tip == hover == f"flight 1{HOSTILE}show --case 0001-ab"
     assert (moved, next_tip, hidden) == (True, "flight 2okshow --case 0002-cd", True)
-    assert elements == [0, 2]
+    images_and_scripts, fits, behind = rest
+    assert images_and_scripts == [0, 2]
     assert fits
+    assert behind == f"rgb({paper})"

@@ -41,9 +41,10 @@ def study_page(
     What depends on the machine stands in the last section, with the manifest in `folder`.
     """
     named = [name for picture in pictures for name in linked_names(picture.svg)]
+    told = [POINTS] if named else []
     shown = [table for table in tables.values() if not table.varies]
     sections = [
-        *([Section("Pictures", [*pictures, POINTS])] if pictures else []),
+        *([Section("Pictures", [*pictures, *told])] if pictures else []),
         *([Section("Tables", shown)] if shown else []),
         *more,
         Section("Methods", [*methods(study), *protocols(study)]),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -54,6 +55,8 @@ def write_manifest(
         "versions": versions(),
         "platform": platform.platform(),
         "machine": platform.machine(),
+        "processors": os.cpu_count(),
+        "load": _load(),
         "git_commit": git_commit(),
     }
     write_whole(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
@@ -86,6 +89,11 @@ def check_whole(path: Path) -> None:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _load() -> list[float] | None:
+    """The load of the last 1, 5 and 15 minutes, the run's own among it; None where none is told."""
+    return [round(one, 2) for one in os.getloadavg()] if hasattr(os, "getloadavg") else None
 
 
 def versions() -> dict[str, str | None]:
