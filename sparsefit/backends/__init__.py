@@ -18,6 +18,7 @@ from sparsefit.regression.foreign import quiet
 
 __all__ = [
     "BACKENDS",
+    "PUBLIC",
     "Backend",
     "Solution",
     "distribution",
@@ -48,6 +49,9 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
 )
 """The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
 
+PUBLIC: Mapping[str, str] = MappingProxyType({"pysindy": "sparsefit.backends.sindy:PySindy"})
+"""Back-ends that are another package's, behind an adapter here; they need the extra ``peers``."""
+
 
 @cache
 def _plugins() -> Mapping[str, EntryPoint]:
@@ -55,7 +59,7 @@ def _plugins() -> Mapping[str, EntryPoint]:
         {
             entry.name: entry
             for entry in entry_points(group="sparsefit.backends")
-            if entry.name not in BACKENDS
+            if entry.name not in BACKENDS and entry.name not in PUBLIC
         }
     )
 
@@ -75,11 +79,12 @@ def distribution(name: str) -> str:
 
 def load(name: str) -> type[Backend]:
     """The class of a back-end. Raises InputError on an unknown name or a plug-in that is broken."""
-    if name in BACKENDS:
-        module, _, attribute = BACKENDS[name].partition(":")
+    home = BACKENDS.get(name) or PUBLIC.get(name)
+    if home:
+        module, _, attribute = home.partition(":")
         return cast(type[Backend], getattr(import_module(module), attribute))
     if name not in _plugins():
-        raise unknown("back-end", name, known())
+        raise unknown("back-end", name, (*known(), *PUBLIC))
     try:
         with quiet():
             loaded = _plugins()[name].load()
@@ -118,7 +123,7 @@ def get(name: str, **settings: Any) -> Backend:
     for key in settings:
         if key not in valid:
             raise unknown(f"setting of {name}", key, valid)
-    if name in BACKENDS:
+    if name in BACKENDS or name in PUBLIC:
         return backend(**settings)
     return _plugin(name, backend, settings)
 
