@@ -65,6 +65,11 @@ def test_renamed_cases_are_known_by_what_determines_their_numbers():
         compared(first, second.assign(identity="other"), NAMES, 0.0)
 
 
+def test_what_is_no_study_of_flights_is_refused():
+    with pytest.raises(InputError, match="new: holds no cases of flights, without a column flight"):
+        compared(cases([0.5]), pd.DataFrame({"case_id": ["a"]}), NAMES, 0.0)
+
+
 @pytest.mark.parametrize(("sign", "verdict"), [(1.0, "worse"), (-1.0, "better")])
 def test_a_setting_is_worse_only_beyond_its_interval(sign, verdict):
     errors = np.random.default_rng(2).uniform(0.02, 0.1, 20)

@@ -197,7 +197,8 @@ class TestConstraints:
         assert b"None of the 2" in evidence_files(study(self.frame), selection)["evidence.md"]
 
     def test_nobody_keeps_a_limit_of_the_error_by_never_answering(self):
-        frame = cases({"mute": (1.0, 1.0)}, failed={("mute", flight) for flight in range(FLIGHTS)})
+        mute = {("mute", flight) for flight in range(FLIGHTS)}
+        frame = cases({"mute": (1.0, 1.0), "lasso": (9.0, 9.0)}, failed=mute)
         assert chosen(frame, max_error=5.0).chosen is None
 
     def test_what_was_not_timed_keeps_no_limit_of_time(self):
@@ -322,6 +323,10 @@ class TestRefusals:
         split[0] = "validate"
         with pytest.raises(InputError, match="flight 0 in both splits"):
             chosen(self.frame.assign(split=split))
+
+    def test_a_criterion_of_which_no_case_has_a_number(self):
+        with pytest.raises(InputError, match=r"no case with a number for .* prediction_flights"):
+            chosen(self.frame, criterion="mean prediction-error")
 
     @pytest.mark.parametrize("words", ["mean timescale-eror", "men timescale-error", "mean"])
     def test_unknown_criterion(self, words):

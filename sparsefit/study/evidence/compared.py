@@ -23,6 +23,7 @@ from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.sentence import shown
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
 
+NEEDED = ("flight", "protocol", "backend", "label", "settings", "status")
 KEYS = (("case_id",), ("flight", "identity"))
 JUDGED = replace(MEASURES["timescale-error"], failure=Failure.MISS, summary="mean")
 LARGEST = MEASURES["largest-error"]
@@ -84,6 +85,9 @@ def compared(
     Raises:
         InputError: if they have no case in common.
     """
+    for name, cases in zip(names, (first, second), strict=True):
+        if missing := [column for column in NEEDED if column not in cases]:
+            raise InputError(f"{name}: holds no cases of flights, without a column {missing[0]}")
     for key in KEYS:
         if not set(key) <= set(first.columns) & set(second.columns):
             continue

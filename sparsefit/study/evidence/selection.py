@@ -126,6 +126,11 @@ def select(
     rule = rule or study.selection
     check_finished(study, cases)
     criterion = Criterion.of(rule, regime_names(in_regimes(study, cases)))
+    if not np.isfinite(criterion.measure.read(cases)).any():
+        raise InputError(
+            f"{study.name} has no case with a number for {criterion.measure.words}: choose by "
+            "another criterion (for predictions, set [run] prediction_flights)"
+        )
     candidates = candidates_of(study, cases)
     known = latencies or {}
     if rule.simplest == "fastest" and not known:
