@@ -150,7 +150,8 @@ def test_a_solve_beyond_the_limit_is_killed_and_one_that_dies_is_told(finished, 
     try:
         worker.ask(Hand(study.problems[0].build()))
         lost = worker.ask(Ask("judge", case))
-        assert lost == Lost("timeout", "the solve took longer than 1e-07 s")
+        assert lost.status == "timeout"
+        assert lost.reason.startswith("the solve took longer than 1e-0")
         assert worker.pid is None
         worker.ask(Ask("first", case))
         os.kill(worker.pid, signal.SIGKILL)

@@ -63,7 +63,7 @@ class Repeats:
 
     def note(self, timing: Timing, *, counts: bool = True) -> None:
         """One more run; one that only warmed up is not counted."""
-        self.spent += timing.wall
+        self.spent += timing.cpu
         if counts:
             self.timings.append(timing)
 

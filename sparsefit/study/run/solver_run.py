@@ -191,7 +191,7 @@ class _Crew:
                 return self._forget(name, Lost(answer.status, f"its first call: {answer.reason}"))
             self._met[name].add(number)
             if answer.timing:
-                self.first_seconds.setdefault(number, answer.timing.wall)
+                self.first_seconds.setdefault(number, answer.timing.cpu)
         if self._holds.get(name) != ask.case.problem:
             handed = worker.ask(Hand(self._problems[ask.case.problem]))
             if isinstance(handed, Lost):

@@ -57,7 +57,7 @@ class PathRule:
 class Clock:
     """How a solve is timed: [clock].
 
-    limit: seconds of CPU time (four times as many on the wall) after which a solve is killed; a
+    limit: seconds of CPU time (ten times as many on the wall) after which a solve is killed; a
     case is repeated until the 95 % interval of its median is within `precision` of it, `repeats`
     are made or they took `seconds`.
     shift: seconds added in the shifted geometric mean, so that the shortest do not decide it.
