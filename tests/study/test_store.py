@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -259,3 +260,23 @@ def test_rows_lack_what_is_new_and_lose_what_is_gone(study: Study, tmp_path: Pat
     assert found["samples"] == 3
     assert math.isnan(float(found["extent"]))
     assert dict(found.values) == {"samples": 3}
+
+
+@pytest.mark.parametrize("planted", ["folder", "pipe", "link"])
+def test_what_waits_in_the_place_of_the_rows_is_not_followed(
+    study: Study, tmp_path: Path, planted: str
+) -> None:
+    partial.begin(tmp_path, {})
+    path, victim = tmp_path / partial.FOLDER / partial.ROWS, tmp_path / "victim"
+    victim.write_text("precious")
+    if planted == "folder":
+        path.mkdir()
+    elif planted == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(victim)
+    with pytest.raises(InputError, match=r"rows\.jsonl"):
+        Ledger.read(study, tmp_path)
+        with partial.appending(tmp_path) as rows:
+            rows.append(outcomes(study)[0], "0")
+    assert victim.read_text() == "precious"

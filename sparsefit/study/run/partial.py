@@ -80,6 +80,8 @@ def lines(folder: Path) -> Iterator[Line | None]:
     path = folder / FOLDER / ROWS
     if not path.exists():
         return
+    if not path.is_file():  # a pipe may have no end
+        raise InputError(f"{path}: no regular file: use --fresh to start over")
     place = 0
     try:
         with path.open("rb") as file:
