@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -136,6 +137,8 @@ def report(args: argparse.Namespace) -> int:
     found = runner.status(study, args.results)
     if not found.finished:
         raise InputError(_unfinished(args, found))
+    if found.stale:
+        print(stale_note(found.stale), file=sys.stderr)
     cases = read_cases(found.folder)
     written = write_pages(study, args.results, cases)
     print("\n".join([*sentences(study, cases), *map(str, written)]))

@@ -275,8 +275,12 @@ def test_what_waits_in_the_place_of_the_rows_is_not_followed(
         os.mkfifo(path)
     else:
         path.symlink_to(victim)
-    with pytest.raises(InputError, match=r"rows\.jsonl"):
+
+    def look_and_write() -> None:
         Ledger.read(study, tmp_path)
         with partial.appending(tmp_path) as rows:
             rows.append(outcomes(study)[0], "0")
+
+    with pytest.raises(InputError, match=r"rows\.jsonl"):
+        look_and_write()
     assert victim.read_text() == "precious"
