@@ -14,7 +14,7 @@ from tests.study.solver_files import HEAD, LASSO, write_data, write_study
 
 COLUMNS = {"level": "", "series": "s", "targets": 1, "samples": 10, "columns": 4, "reason": "",
            "first": 0.1, "memory": 1.0, "repeats": 9, "known": True, "disturbed": False,
-           "load": 1.0, "tolerance": math.nan}  # fmt: skip
+           "load": 1.0, "tolerance": math.nan, "certificate_kind": "duality_gap"}  # fmt: skip
 
 
 def row(problem, solver, cpu, excess=1e-12, status="ok", **more):
@@ -88,6 +88,16 @@ def test_equal_solvers_are_seldom_told_apart():
         times = measures.Times("lasso", 1e-8, problems, ("one", "two"), np.exp(logs))
         slower.append(times.against_best(limit=1e9)[:, 1].max() > 1.0)
     assert np.mean(slower) <= 0.13  # 5 % for many problems; a bootstrap of 20 has some more
+
+
+def test_a_reader_is_told_of_tolerances_that_stop_short_and_of_other_certificates(study):
+    rows = [row(f"p{i}", "loose", 0.01, 1e-5, tolerance=1e-4) for i in range(6)]
+    rows += [row(f"p{i}", "exact", 0.02) for i in range(6)]
+    table = tables_of(study, pd.DataFrame(rows))["summary"]
+    assert any("loose: never asked for 1e-8" in note for note in table.notes)
+    assert "no other solver" in sentences(study, pd.DataFrame(rows))[0]
+    other = pd.DataFrame(rows).assign(certificate_kind="fixed_point")
+    assert any("claims no optimum" in n for n in tables_of(study, other)["summary"].notes)
 
 
 def test_a_profile_is_a_staircase_to_the_share_that_is_solved():

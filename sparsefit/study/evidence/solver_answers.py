@@ -42,6 +42,8 @@ def _sentence(study: SolverStudy, cases: pd.DataFrame, objective: str) -> str:
     if len(order) < 2:
         return words + "."
     second = order[1]
+    if not at.solved[:, order[1:]].any():
+        return f"{words}; no other solver solves any."
     times_ = significant(float(ratio[second, 0]))
     interval = "" if math.isnan(ratio[second, 1]) else f" (95 % {interval_text(ratio[second])})"
     tie = " Their times cannot be told apart." if ratio[second, 1] <= 1.0 else ""

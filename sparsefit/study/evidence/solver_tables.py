@@ -89,7 +89,8 @@ def summary(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Table:
     absent = missing(cases[cases["objective"] == objective])
     nothing = (*("–" for _ in levels), *(None for _ in range(len(levels) + 2)))
     rows += [(name, *nothing, "missing") for name in absent]
-    return Table(f"{objective}: success and time", columns, tuple(rows), _summary_notes(study))
+    notes = (*_summary_notes(study), *_cautions(study, cases, objective))
+    return Table(f"{objective}: success and time", columns, tuple(rows), notes)
 
 
 def solved_text(one: Times, place: int) -> str:
@@ -125,6 +126,22 @@ def _summary_notes(study: SolverStudy) -> tuple[str, ...]:
         f"{FEWEST} or more; where it holds 1, a tie. The fastest is chosen by the same times, "
         "which flatters its lead.",
     )
+
+
+def _cautions(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Iterator[str]:
+    """What to know of an objective: tolerances that stop short, a certificate of another kind."""
+    here = cases[cases["objective"] == objective]
+    strict, asked = study.accuracies[-1], here["tolerance"].dropna()
+    least = asked.groupby(here["solver"]).min()
+    short = [str(name) for name in least.index[least > strict]]
+    if short:
+        told = f"{', '.join(short)}: never asked for {level_text(strict)} or less"
+        yield f"{told}; smaller tolerances in the study file would tell."
+    if (here["certificate_kind"] == "fixed_point").any():
+        yield (
+            "Certified here is a fixed point, the share of the support that the method's own rule "
+            "would change: it claims no optimum."
+        )
 
 
 def times(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Table:

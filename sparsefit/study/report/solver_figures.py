@@ -22,10 +22,19 @@ from sparsefit.study.evidence.solver_measures import (
     times_to,
 )
 from sparsefit.study.evidence.solver_tables import level_text
-from sparsefit.study.report.drawing import COLOURS, GREY, MARKERS, STYLES, panels, shortened
+from sparsefit.study.report.drawing import (
+    COLOURS,
+    GREY,
+    MARKERS,
+    STYLES,
+    logarithmic,
+    panels,
+    shortened,
+)
 from sparsefit.study.spec.solver_study import SolverStudy
 
 FLOOR = 1e-16  # an excess below it is drawn there
+SHORT = 150.0  # ends of an axis that has few decades
 Look: TypeAlias = Mapping[str, Mapping[str, object]]
 CAPTIONS = {
     "profiles": "Performance profiles: the share of problems that a solver solves to the accuracy "
@@ -196,8 +205,12 @@ def _growth(grown: pd.DataFrame, look: Look) -> Figure:
 
 
 def _powers(axes: Axes, which: str) -> None:
-    """1000 or 1e-08 at the decades: the style of this package sets no mathematics."""
+    """1000 or 1e-08 at the decades, 0.02 and 0.05 between few of them: no mathematics is set."""
     axis = axes.xaxis if which == "x" else axes.yaxis
+    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+    if low > 0.0 and high / low < SHORT:
+        logarithmic(axis, low, high)
+        return
     axis.set_major_locator(LogLocator(numticks=6))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
