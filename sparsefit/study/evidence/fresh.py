@@ -73,8 +73,10 @@ def check_of(study: Study, selection: Selection, cases: pd.DataFrame) -> Check:
     if selection.chosen is None:
         raise ValueError("nothing was chosen")
     tried = candidates_of(study, cases.assign(split="evaluate"))
-    criterion, chosen = selection.criterion, _title(selection.chosen.candidate)
-    own = next(place for place, one in enumerate(tried) if _title(one) == chosen)
+    criterion = selection.criterion
+    # Fewer levels may be left than the study sweeps, so that titles do not tell who is who.
+    keys = {cell.key for cell in cells_of(study, selection.chosen.candidate)}
+    own = next(place for place, one in enumerate(tried) if _keys(one) <= keys)
     grids = [criterion.grid(one.trials["evaluate"]) for one in tried]
     losses = [loss_of(criterion, grid) for grid in grids]
     best = min(range(len(tried)), key=lambda at: (losses[at], at != own))
@@ -87,12 +89,19 @@ def check_of(study: Study, selection: Selection, cases: pd.DataFrame) -> Check:
         score=float(criterion.score(criterion.by_regime(grids[own]))),
         between=interval(criterion.loss(resampled[own])),
         regret=Difference.of(losses[own] - losses[best], apart, len(grids[own]), same=own == best),
-        hindsight=tried[best].title,
+        hindsight=_titled(study, selection, tried[best]),
         broken=breaches(selection.rule, trial, criterion.regimes, selection.chosen.latency),
         candidates=len(tried),
     )
 
 
-def _title(candidate: Candidate) -> tuple[object, ...]:
-    fixed = map(candidate.of, ("protocol", "backend", "label", "settings"))
-    return (*fixed, tuple(candidate.factors.items()))
+def _titled(study: Study, selection: Selection, candidate: Candidate) -> str:
+    """What the selection calls a candidate."""
+    keys = _keys(candidate)
+    named = (one.candidate for one in selection.contenders)
+    return next(one.title for one in named if keys <= {cell.key for cell in cells_of(study, one)})
+
+
+def _keys(candidate: Candidate) -> set[str]:
+    """The keys of the cells of a candidate, which its case ids end in."""
+    return {str(case).partition("-")[2] for case in candidate.group.cases["case_id"]}
