@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from sparsefit.study.spec.solver_study import SolverStudy
 
 
+FLIGHTS_ONLY = ("retry_failed", "stale", "only", "executor")
+
+
 def action(name: str) -> Run:
     """What an action of `sparsefit study` does with a study of solvers.
 
@@ -109,6 +112,10 @@ def run(args: argparse.Namespace) -> int:
 
     if args.processes not in (None, 1):
         raise InputError("a study of solvers runs one process at a time: leave --processes away")
+    for option in FLIGHTS_ONLY:
+        if getattr(args, option, None):
+            flag = f"--{option.replace('_', '-')}"
+            raise InputError(f"{flag} is for studies of flights: a comparison is timed as one")
     study = _load(args)
     if args.fresh:
         args.stopped = STOPPED_FRESH

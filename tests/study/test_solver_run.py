@@ -10,7 +10,7 @@ import pytest
 
 from sparsefit.cli import main
 from sparsefit.errors import InputError
-from sparsefit.study.run import solver_rows, solver_run
+from sparsefit.study.run import solver_crew, solver_rows, solver_run
 from sparsefit.study.run.solver_clock import Repeats, median_interval
 from sparsefit.study.run.solver_solve import (
     Task,
@@ -82,7 +82,7 @@ def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
         verdict = Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4)
         return Answer(Timing(0.01, 0.01), verdict, 1.0)
 
-    monkeypatch.setattr(solver_run._Crew, "ask", answers)
+    monkeypatch.setattr(solver_crew.Crew, "ask", answers)
     with pytest.raises(KeyboardInterrupt):
         solver_run.run(study, tmp_path)
     half = solver_run.status(study, tmp_path)
@@ -100,7 +100,7 @@ def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
 def test_what_took_too_long_is_not_tried_at_a_tighter_tolerance(finished, tmp_path, monkeypatch):
     study, *_ = finished
     lost = Lost("timeout", "the solve took longer than 1 s")
-    monkeypatch.setattr(solver_run._Crew, "ask", lambda *_: lost)
+    monkeypatch.setattr(solver_crew.Crew, "ask", lambda *_: lost)
     solver_run.run(study, tmp_path)
     cases = solver_rows.read_cases(tmp_path / study.name)
     told = cases[cases["solver"] == "clarabel-direct"]["reason"].tolist()
@@ -138,6 +138,8 @@ def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
     assert main(["study", "errors", *where]) == 0
     assert main(["study", "run", *where, "--processes", "2"]) == 2
     assert "one process" in capsys.readouterr().err
+    assert main(["study", "run", *where, "--retry-failed"]) == 2
+    assert "studies of flights" in capsys.readouterr().err
     assert main(["study", "show", *where, "--table", "tims"]) == 2
     assert 'did you mean "times"' in capsys.readouterr().err
 

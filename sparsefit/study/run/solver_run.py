@@ -25,17 +25,15 @@ from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study.run import partial
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import MANIFEST, git_commit, read_manifest, versions
-from sparsefit.study.run.solver_clock import SLOW, Repeats, median_interval
+from sparsefit.study.run.solver_cases import measured
+from sparsefit.study.run.solver_crew import Crew
 from sparsefit.study.run.solver_rows import (
     CASES,
-    Row,
     appending,
     read_cases,
     read_rows,
     write_cases,
 )
-from sparsefit.study.run.solver_worker import Answer, Ask, Hand, Lost, Worker
-from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
 from sparsefit.whole_file import refusing, write_whole
 
@@ -128,13 +126,13 @@ def _finish(
     rows = read_rows(folder)
     resumed = len(rows)
     known = {row["case_id"] for row in rows}
-    crew = _Crew(study, problems)
+    crew = Crew(study, problems)
     try:
         with appending(folder) as append:
             for together in _arenas(study):
                 left = [case for case in together if study.case_id(case) not in known]
                 if left:
-                    made = _measured(study, crew, problems[left[0].problem], left)
+                    made = measured(study, crew, problems[left[0].problem], left)
                     append(made)
                     rows += made
                 if progress:
@@ -164,159 +162,6 @@ def _arenas(study: SolverStudy) -> Iterator[list[SolverCase]]:
                 for tolerance in contender.tolerances
                 if contender.objective == objective
             ]
-
-
-class _Crew:
-    """A process for each family of contenders; one works at a time, the others wait."""
-
-    def __init__(self, study: SolverStudy, problems: Sequence[RegressionProblem]) -> None:
-        self._study = study
-        self._problems = problems
-        self._workers: dict[str, Worker] = {}
-        self._met: dict[str, set[int]] = {}
-        self._holds: dict[str, int] = {}
-        self.first_seconds: dict[int, float] = {}
-
-    def ask(self, ask: Ask) -> Answer | Lost:
-        """The answer; before it a first call, and the problem, where the process has not had them.
-
-        The problem is built once, here, and handed over.
-        """
-        number = ask.case.contender
-        name = self._study.contenders[number].family
-        worker = self._workers.setdefault(name, Worker(self._study))
-        if number not in self._met.setdefault(name, set()):
-            answer = worker.ask(Ask("first", ask.case))
-            if isinstance(answer, Lost):
-                return self._forget(name, Lost(answer.status, f"its first call: {answer.reason}"))
-            self._met[name].add(number)
-            if answer.timing:
-                self.first_seconds.setdefault(number, answer.timing.cpu)
-        if self._holds.get(name) != ask.case.problem:
-            handed = worker.ask(Hand(self._problems[ask.case.problem]))
-            if isinstance(handed, Lost):
-                return self._forget(name, handed)
-            self._holds[name] = ask.case.problem
-        answer = worker.ask(ask)
-        return self._forget(name, answer) if isinstance(answer, Lost) else answer
-
-    def _forget(self, name: str, lost: Lost) -> Lost:
-        """The process is gone, and with it what it had met and held."""
-        self._met[name].clear()
-        self._holds.pop(name, None)
-        return lost
-
-    def close(self) -> None:
-        for worker in self._workers.values():
-            worker.close()
-
-
-def _measured(
-    study: SolverStudy, crew: _Crew, problem: RegressionProblem, cases: Sequence[SolverCase]
-) -> list[Row]:
-    entries = [Repeats(case) for case in cases]
-    for entry in entries:
-        _judge(study, crew, entry, entries)
-    turn = 0
-    while not all(entry.done(study.clock) for entry in entries):
-        turn += 1
-        for entry in entries if turn % 2 == 0 else reversed(entries):
-            if not entry.done(study.clock):
-                _time(crew, entry)
-    return [_row(study, crew, problem, entry) for entry in entries]
-
-
-def _judge(study: SolverStudy, crew: _Crew, entry: Repeats, entries: Sequence[Repeats]) -> None:
-    """The first run: judged, and timed where it was too long to be warmed up for."""
-    contender = study.contenders[entry.case.contender]
-    if contender.missing:
-        entry.lost = "skipped"
-        entry.error = contender.missing
-        return
-    entry.load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    for other in entries:
-        same = other.case.contender == entry.case.contender
-        if same and other.lost == "timeout" and other.case.tolerance > entry.case.tolerance:
-            entry.lost = "timeout"
-            entry.error = f"not tried: at tolerance {other.case.tolerance:g} {other.error}"
-            return
-    answer = crew.ask(Ask("judge", entry.case))
-    _note(entry, answer, first=True)
-
-
-def _time(crew: _Crew, entry: Repeats) -> None:
-    _note(entry, crew.ask(Ask("time", entry.case)), first=False)
-
-
-def _note(entry: Repeats, answer: Answer | Lost, *, first: bool) -> None:
-    if isinstance(answer, Lost):
-        entry.lost, entry.error = answer.status, answer.reason
-        return
-    entry.error = answer.error
-    if answer.timing:
-        entry.note(answer.timing, counts=not first or answer.timing.wall > SLOW)
-    if first:
-        entry.verdict, entry.memory = answer.verdict, answer.memory
-
-
-def _row(study: SolverStudy, crew: _Crew, problem: RegressionProblem, entry: Repeats) -> Row:
-    case = entry.case
-    source, contender = study.problems[case.problem], study.contenders[case.contender]
-    middle, low, high = median_interval([one.cpu for one in entry.timings])
-    wall, _, _ = median_interval([one.wall for one in entry.timings])
-    state, reason = _status(study, entry)
-    verdict = entry.verdict
-    return {
-        "case_id": study.case_id(case),
-        "study": study.name,
-        "problem": source.name,
-        "series": source.series,
-        "level": source.level,
-        "samples": problem.samples,
-        "columns": problem.columns,
-        "targets": problem.targets,
-        "objective": contender.objective,
-        "backend": contender.backend,
-        "settings": canonical_json(dict(contender.settings)),
-        "solver": contender.solver,
-        "tolerance": case.tolerance,
-        "points": max(len(study.fractions), 1),
-        "status": state,
-        "reason": reason,
-        "word": verdict.words if verdict else "",
-        "certificate_kind": verdict.kind if verdict else "",
-        "certificate": verdict.gap if verdict else None,
-        "excess": verdict.excess if verdict else None,
-        "cpu": middle,
-        "cpu_low": low,
-        "cpu_high": high,
-        "wall": wall,
-        "repeats": len(entry.timings),
-        "known": entry.known(study.clock),
-        "first": crew.first_seconds.get(case.contender),
-        "memory": entry.memory,
-        "load": entry.load,
-        "disturbed": entry.disturbed,
-    }
-
-
-def _status(study: SolverStudy, entry: Repeats) -> tuple[str, str]:
-    """`ok` where the certificate is within what was asked for, or the strictest accuracy."""
-    if entry.lost:
-        return entry.lost, entry.error
-    if entry.error:
-        return "error", entry.error
-    verdict = entry.verdict
-    if verdict is None:
-        return "error", "no answer"
-    if verdict.answered < verdict.asked:
-        return "error", f"{verdict.answered} of {verdict.asked} points answered: {verdict.words}"
-    wanted = entry.case.tolerance
-    wanted = study.accuracies[-1] if wanted != wanted else wanted
-    if verdict.excess <= wanted:
-        return "ok", ""
-    told = f"certified {verdict.excess:.1e}, asked for {wanted:g}"
-    return "inaccurate", f"{told}: {verdict.words}" if verdict.words else told
 
 
 def _write_manifest(
