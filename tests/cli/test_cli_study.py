@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ import pytest
 from sparsefit.cli import main
 from sparsefit.cli.progress import Lines
 from sparsefit.estimator.estimator import Estimator
+from sparsefit.study.evidence.fresh import check_of, fresh_study
+from sparsefit.study.evidence.selection import select
 from sparsefit.study.run import latency, partial, runner, store
 from sparsefit.study.run.latency import Latency
 from sparsefit.study.run.outcome import Outcome
@@ -312,6 +315,17 @@ def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
     assert (again, err) == (out, "")
 
 
+def test_a_choice_is_known_where_one_level_of_a_factor_is_left(finished):
+    study = Study.load(finished)
+    selection = select(study, store.read_cases("results/small"))
+    alone = replace(selection, ranked=(selection.chosen,))
+    fresh = fresh_study(study, alone, 2)
+    runner.run(fresh, "results", processes=1)
+    check = check_of(fresh, alone, store.read_cases("results/fresh"))
+    assert (check.candidates, check.flights, check.regret.effect) == (1, 2, 0.0)
+    assert check.hindsight == selection.chosen.candidate.title
+
+
 def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, finished):
     code, out, _ = run(capsys, "select", finished, *UNTIMED, "--max-error", "1e-9")
     assert code == 1
@@ -353,6 +367,8 @@ def test_what_needs_a_finished_study_refuses_another(capsys, half):
         (STUDY.replace("threshold", "treshold"), 'did you mean "threshold"?'),
         (STUDY.replace("0.01, 0.1", "0, 0.1"), "must be a number in (0, 1], not 0"),
         (STUDY.replace("lower = 3.0", "lower = 0"), "[library]"),
+        (f'{STUDY}[select]\ncriterion = "mean timescale-eror"', "[select]: unknown measure"),
+        (f"{STUDY}[select]\nmax_failur = 0.1", 'did you mean "max_failure"?'),
         (STUDY.replace("sample_rate", "sampling_rate"), 'did you mean "sample_rate"?'),
         (STUDY.replace("duration = 2.0", 'duration = "2 s"'), 'key "duration"'),
     ],

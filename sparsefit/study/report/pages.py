@@ -11,6 +11,7 @@ import pandas as pd
 
 from sparsefit.errors import InputError, told_with
 from sparsefit.study.evidence.answers import ANSWERS, sentences
+from sparsefit.study.evidence.candidates import measure_of
 from sparsefit.study.evidence.cases import STATUSES
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.table import Table
@@ -74,7 +75,7 @@ def write_report(
 
 
 def check_outputs(study: Study) -> None:
-    """Refuse a table, figure or answer of [outputs] that is not known.
+    """Refuse a table, figure or answer of [outputs], or a criterion, that is not known.
 
     Raises:
         InputError: with the file, the kind of output and the nearest name that is known.
@@ -84,6 +85,8 @@ def check_outputs(study: Study) -> None:
         with told_with(f"{study.path}: [outputs].{kind.noun}s"):
             for entry in entries:
                 kind.read(entry)
+    with told_with(f"{study.path}: [select]"):
+        measure_of(study.selection)
 
 
 def write_table(study: Study, folder: Path, name: str, table: Table) -> list[Path]:
