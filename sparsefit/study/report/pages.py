@@ -68,9 +68,10 @@ def write_report(
         captions[name] = caption(asked)
         inline = to_inline(figure, f"p{len(pictures) + 1}", title)
         pictures.append(Picture(inline, title, captions[name]))
-    page = study_page(study, cases, folder, tables, pictures, _progress(study, cases), more)
+    answers, progress = sentences(study, cases, varies=False), _progress(study, cases)
+    page = study_page(study, cases, folder, tables, pictures, answers, progress, more)
     files[PAGE] = to_html(page).encode()
-    files["README.md"] = readme(study, cases, tables, captions).encode()
+    files["README.md"] = readme(study, cases, tables, captions, answers).encode()
     return _write(folder, files)
 
 
@@ -104,13 +105,17 @@ def render_show(study: Study, cases: pd.DataFrame, *, width: int = 100) -> str:
 
 
 def readme(
-    study: Study, cases: pd.DataFrame, tables: dict[str, Table], captions: dict[str, str]
+    study: Study,
+    cases: pd.DataFrame,
+    tables: dict[str, Table],
+    captions: dict[str, str],
+    answers: Sequence[str],
 ) -> str:
     """Return the report as Markdown, its figures linked as files beside it."""
     parts = [
         f"# {escape_markdown(study.name)}",
         f"**{escape_markdown(study.question)}**",
-        *(escape_markdown(sentence) for sentence in sentences(study, cases, varies=False)),
+        *map(escape_markdown, answers),
         f"{_progress(study, cases)} Seed {study.seed}, study hash `{study.hash[:12]}`. "
         "Written by `sparsefit study report`; do not edit.",
         *(f"![{name}]({name}.svg)\n\n*{words}*" for name, words in captions.items()),

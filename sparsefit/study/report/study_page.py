@@ -33,12 +33,14 @@ def study_page(
     folder: Path,
     tables: Mapping[str, Table],
     pictures: Sequence[Picture],
+    answers: Sequence[str],
     progress: str,
     more: Sequence[Section] = (),
 ) -> Page:
     """Return the page of a study, `more` sections between its tables and its methods.
 
-    What depends on the machine stands in the last section, with the manifest in `folder`.
+    answers: those that are the same on every machine. What depends on the machine stands in the
+    last section, with the manifest in `folder`.
     """
     named = [name for picture in pictures for name in linked_names(picture.svg)]
     told = [POINTS] if named else []
@@ -50,7 +52,6 @@ def study_page(
         Section("Methods", [*methods(study), *protocols(study)]),
         Section(RUN, list(_run(study, cases, folder, tables))),
     ]
-    answers = sentences(study, cases, varies=False)
     points = points_of(study, cases, named)
     return Page(study.name, study.question, answers, sections, progress, points)
 
