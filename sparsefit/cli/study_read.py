@@ -17,7 +17,7 @@ from sparsefit.cli.study_run import by_status, stale_note, write_pages
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.study.run.runner import RunStatus
+    from sparsefit.study.run.summary import RunStatus
     from sparsefit.study.spec.study import Study
 
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)

@@ -15,7 +15,7 @@ from sparsefit.cli.progress import Bar, Lines
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.study.run.runner import RunSummary
+    from sparsefit.study.run.summary import RunSummary
     from sparsefit.study.spec.study import Study
 
 STOPPED = "stopped; run the same command again to continue"
@@ -42,6 +42,17 @@ def add_options(parser: Parser) -> None:
         "--stale",
         action="store_true",
         help="compute cases again that other code than this has computed",
+    )
+    parser.add_argument(
+        "--executor",
+        choices=("processes", "dask"),
+        default="processes",
+        help="where cases run: processes of this machine (default), or workers of dask (an extra)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of dask, tcp://host:8786 say; default: a cluster of N processes on this machine",
     )
     parser.add_argument(
         "--only",
@@ -74,6 +85,8 @@ def run(args: argparse.Namespace) -> int:
             retry_failed=args.retry_failed,
             renew_stale=args.stale,
             only=args.only,
+            executor=args.executor,
+            scheduler=args.scheduler,
             stopping=lambda: print(f"\n{STOPPING}", file=sys.stderr),
         )
     finally:

@@ -5,7 +5,8 @@ What reads stored cases is imported when first used: a worker process needs no d
 
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.study.run.runner import RunStatus, RunSummary, run, status
+from sparsefit.study.run.runner import run, status
+from sparsefit.study.run.summary import RunStatus, RunSummary
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.plan import Case, Counts, cells, counts, plan
 from sparsefit.study.spec.study import Study

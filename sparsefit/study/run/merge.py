@@ -18,7 +18,8 @@ from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import sparsefit_version
 from sparsefit.study.run.outcome import Outcome
-from sparsefit.study.run.runner import RunSummary, run
+from sparsefit.study.run.runner import run
+from sparsefit.study.run.summary import RunSummary
 from sparsefit.study.spec.study import Study
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
 from sparsefit.arrays import BoolArray
-from sparsefit.errors import InputError, SparsefitError, is_integer
+from sparsefit.errors import InputError, SparsefitError, is_integer, one_of
 from sparsefit.study.run import partial
 from sparsefit.study.run.again import Again, stale
 from sparsefit.study.run.folder import clear, made_folder
@@ -24,67 +24,21 @@ from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import sparsefit_version, write_manifest
 from sparsefit.study.run.pace import Pace
-from sparsefit.study.run.pool import outcomes
+from sparsefit.study.run.pool import Timed, outcomes
+from sparsefit.study.run.summary import RunStatus, RunSummary
 from sparsefit.study.run.version import version_of
+from sparsefit.study.run.worker import Job
 from sparsefit.study.spec.study import Study
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
 Publish: TypeAlias = Callable[[Study, Path], None]
 
+Place: TypeAlias = Callable[
+    [Study, Iterator[Job], int, Callable[[], bool]], Generator[Timed, None, None]
+]
+
+EXECUTORS = ("processes", "dask")
 PROGRESS_SECONDS = 0.2
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """What a run did: `resumed` rows were there before; `statuses` counts all rows.
-
-    `solver_seconds` of `processes` times `seconds` were spent in the back-ends. `stale` rows are
-    of other code than this; `dropped` ones were of cases that the study no longer plans, and
-    `damaged` ones could not be read.
-    """
-
-    folder: Path
-    planned: int
-    resumed: int
-    statuses: Mapping[str, int]
-    seconds: float
-    solver_seconds: float = 0.0
-    processes: int = 1
-    computed: int = 0
-    stale: int = 0
-    dropped: int = 0
-    damaged: int = 0
-
-    @property
-    def done(self) -> int:
-        """How many rows there are."""
-        return sum(self.statuses.values())
-
-    @property
-    def finished(self) -> bool:
-        """Whether every planned case is a row."""
-        return self.done == self.planned
-
-    @property
-    def nothing_to_do(self) -> bool:
-        """Whether all that was asked for was there before."""
-        return self.computed == 0
-
-
-@dataclass(frozen=True)
-class RunStatus:
-    """How far a study is, finished or not: counts of its rows by status and by version.
-
-    `stale` rows are of other code than this.
-    """
-
-    folder: Path
-    planned: int
-    done: int
-    finished: bool
-    statuses: Mapping[str, int]
-    stale: int = 0
-    versions: Mapping[str, int] = field(default_factory=dict)
 
 
 def run(
@@ -99,6 +53,8 @@ def run(
     only: Sequence[str] = (),
     publish: Publish | None = None,
     stopping: Callable[[], None] | None = None,
+    executor: str = "processes",
+    scheduler: str | None = None,
 ) -> RunSummary:
     """Run `study` into `results_dir/<name>`: cases that have a row there are not computed again.
 
@@ -116,12 +72,17 @@ def run(
         publish: called with the study and its folder once all rows are there, be it from now or
             from before: what draws tables and figures from them.
         stopping: called at the first interrupt, after which what is under way is finished.
+        executor: "processes" of this machine, or "dask": the workers of the ``scheduler`` at this
+            address, or of a local cluster where there is none.
 
     Raises:
         InputError: if the folder cannot be written, is in use, or is another study's.
         KeyboardInterrupt: interrupted; the rows so far are on the disk.
     """
     workers = _checked_processes(processes)
+    one_of("executor", executor, EXECUTORS)
+    if scheduler is not None and executor != "dask":
+        raise InputError(f"a scheduler is of dask, not of {executor}: add --executor dask")
     again = Again(retry_failed, renew_stale, tuple(only))
     folder = made_folder(study, results_dir)
     with locked(folder):
@@ -132,7 +93,8 @@ def run(
         if is_finished(study, folder, ledger) and not wanted.any():
             summary = _summary(folder, ledger, resumed=study.planned)
         else:
-            summary = _Run(study, folder, ledger, workers, progress, stopping).finish(wanted)
+            place = _place(executor, scheduler, workers)
+            summary = _Run(study, folder, ledger, workers, progress, stopping, place).finish(wanted)
         if publish and summary.finished:
             publish(study, folder)
     return summary
@@ -148,6 +110,7 @@ class _Run:
     processes: int
     progress: Progress | None
     stopping: Callable[[], None] | None
+    place: Place
 
     def finish(self, wanted: BoolArray) -> RunSummary:
         """Do what is wanted; only when all rows are written are the unfinished ones let go."""
@@ -196,11 +159,11 @@ class _Run:
         pace = Pace.start(wanted.sum(axis=0), self.processes)
         report = _Report(study.planned, self.progress, study.planned - int(wanted.sum()))
         report.say(pace)
-        hands = min(self.processes, max(count_jobs(study, wanted), 1))
+        todo, count = jobs(study, wanted), count_jobs(study, wanted)
         with (
             counted_interrupts(self.stopping or _nothing) as stop,
             partial.appending(self.folder) as rows,
-            closing(outcomes(study, jobs(study, wanted), hands, stop)) as arriving,
+            closing(self.place(study, todo, count, stop)) as arriving,
         ):
             for outcome, seconds in arriving:
                 flight, cell = outcome.flight, outcome.cell
@@ -230,6 +193,26 @@ class _Run:
             resumed=known,
         )
         partial.discard(self.folder)
+
+
+def _place(executor: str, scheduler: str | None, processes: int) -> Place:
+    """Where jobs are done: (study, jobs, how many, whether to stop) -> outcomes."""
+
+    def here(
+        study: Study, todo: Iterator[Job], count: int, stop: Callable[[], bool]
+    ) -> Generator[Timed, None, None]:
+        return outcomes(study, todo, min(processes, max(count, 1)), stop)
+
+    def on_dask(
+        study: Study, todo: Iterator[Job], count: int, stop: Callable[[], bool]
+    ) -> Generator[Timed, None, None]:
+        from sparsefit.study.run.on_dask import outcomes_on_dask
+
+        return outcomes_on_dask(
+            study, todo, count, scheduler=scheduler, processes=processes, stop=stop
+        )
+
+    return on_dask if executor == "dask" else here
 
 
 def _nothing() -> None:
