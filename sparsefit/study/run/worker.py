@@ -18,6 +18,11 @@ from multiprocessing.context import SpawnProcess
 
 from threadpoolctl import threadpool_limits
 
+from sparsefit.estimator.estimator import Estimator
+from sparsefit.flight import simulate_flight
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.builder import Library
+from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.study.run.channel import Message, Ready, Receiver, Sender
 from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.outcome import Outcome, Stage
@@ -61,6 +66,7 @@ def work(
     try:
         # For libraries that were loaded before the environment could tell them.
         with threadpool_limits(limits=1):
+            _load()
             sender.send(Ready())
             while True:
                 job: Job = jobs.recv()
@@ -70,6 +76,13 @@ def work(
                 sender.send(Ready())
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
+
+
+def _load() -> None:
+    """Import what is imported at first use, so that no case is charged for it."""
+    vehicle = PointMassVehicle(0.5, (5.0, 3.0))
+    flight = simulate_flight(None, vehicle, duration=1.0, sample_rate=20.0, seed=0)
+    Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0))).estimate(flight)
 
 
 def _end_with(parent: int, lifeline: Connection) -> None:
