@@ -3,6 +3,7 @@
 import io
 import math
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from sparsefit.study.spec.solver_study import SolverStudy, is_solver_study
 from sparsefit.study.spec.study import Study
 from tests.study.solver_files import HEAD, LASSO, write_data, write_study
 
+ROOT = Path(__file__).parents[2]
 ONE = '[[problems]]\nfile = "one.npz"\n'
 
 
@@ -184,6 +186,22 @@ def test_a_package_that_is_absent_is_a_missing_contender(tmp_path, monkeypatch):
     assert "sparsefit[peers]" in absent.missing
     assert len(absent.tolerances) == 4  # its cases are planned, and end as skipped
     assert absent.tolerances != contenders.NO_TOLERANCE
+
+
+def test_the_shipped_study_plans_every_kind_of_problem_and_the_exact_paths():
+    study = SolverStudy.load(ROOT / "studies" / "solvers.toml")
+    assert {source.kind for source in study.problems} == {"flights", "dataset"}
+    assert {one.solver for one in study.contenders} >= {"homotopy", "variational", "adelie"}
+    assert study.hash == SolverStudy.load(ROOT / "studies" / "solvers.toml").hash
+
+
+def test_the_example_of_the_readme_is_a_study(tmp_path):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    example = text.partition('kind = "solvers"')[2].partition("```")[0]
+    write_data(tmp_path, "first")
+    study = loaded(tmp_path, HEAD.partition("kind")[0] + 'kind = "solvers"' + example)
+    assert study.planned == 2 * (1 + 3 * 4)
+    assert len(text.partition("```toml")[2].partition("```")[0].splitlines()) <= 20
 
 
 def test_a_study_of_flights_is_no_study_of_solvers(tmp_path):
