@@ -196,11 +196,8 @@ def _record(told: _Told) -> dict[str, object]:
     from dataclasses import asdict
 
     from sparsefit.codec import finite_or_none
-    from sparsefit.study.evidence.verdicts import (
-        headline,
-        regime_table,
-        selection_table,
-    )
+    from sparsefit.study.evidence.selection_tables import regime_table, selection_table
+    from sparsefit.study.evidence.verdicts import headline
 
     selection = told.selection
     record: dict[str, object] = {
@@ -236,12 +233,12 @@ def _record(told: _Told) -> dict[str, object]:
 
 
 def _lines(told: _Told) -> list[str]:
-    from sparsefit.study.evidence.verdicts import (
-        headline,
+    from sparsefit.study.evidence.selection_tables import (
         latency_table,
         regime_table,
         selection_table,
     )
+    from sparsefit.study.evidence.verdicts import headline
     from sparsefit.study.report.render import to_text
 
     selection = told.selection

@@ -59,6 +59,11 @@ tables = ["errors", "times"]
 figures = ["scatter"]
 answers = ["completeness"]
 """
+CONTRAST = f"""{STUDY}
+[[outputs.tables]]
+name = "contrasts"
+contrasts = [["default", "paper"], ["lasso alpha_fraction=0.01", "stlsq"], ["0.1", "0"]]
+""".replace('tables = ["errors", "times"]', "")
 UNTIMED = ("--latency-flights", "0")
 PLANNED = 4 * 2 * 4 * 3
 ANSWER = (
@@ -368,6 +373,10 @@ def test_what_needs_a_finished_study_refuses_another(capsys, half):
         (STUDY.replace("0.01, 0.1", "0, 0.1"), "must be a number in (0, 1], not 0"),
         (STUDY.replace("lower = 3.0", "lower = 0"), "[library]"),
         (f'{STUDY}[select]\ncriterion = "mean timescale-eror"', "[select]: unknown measure"),
+        (
+            CONTRAST.replace('"paper"],', '"papre"],'),
+            'contrasts: "papre" is unknown: did you mean "paper"?',
+        ),
         (f"{STUDY}[select]\nmax_failur = 0.1", 'did you mean "max_failure"?'),
         (STUDY.replace("sample_rate", "sampling_rate"), 'did you mean "sample_rate"?'),
         (STUDY.replace("duration = 2.0", 'duration = "2 s"'), 'key "duration"'),
@@ -377,6 +386,11 @@ def test_what_needs_a_finished_study_refuses_another(capsys, half):
 def test_study_files_that_are_none_are_refused(capsys, fresh, action, text, words):
     Path("bad.toml").write_text(text)
     assert words in refused(capsys, "study", action, "bad.toml")
+
+
+def test_contrasts_of_what_the_study_has_are_taken(capsys, fresh):
+    Path("good.toml").write_text(CONTRAST)
+    assert run(capsys, "study", "check", "good.toml")[0] == 0
 
 
 @pytest.mark.parametrize("name", ["missing.toml", "."])

@@ -10,7 +10,8 @@ from sparsefit.codec import Place
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.candidates import Criterion, candidates_of, measure_of
 from sparsefit.study.evidence.selection import select
-from sparsefit.study.evidence.verdicts import headline, regime_table, selection_table, sentences
+from sparsefit.study.evidence.selection_tables import regime_table, selection_table
+from sparsefit.study.evidence.verdicts import headline, sentences
 from sparsefit.study.report.evidence_page import evidence_files
 from sparsefit.study.report.render import to_csv
 from sparsefit.study.run.latency import Latency

@@ -31,6 +31,7 @@ from sparsefit.study.evidence.measure import Measure
 from sparsefit.study.evidence.per_flight import CHUNK, SEED, bootstrap, by_flight, per_case, pooled
 from sparsefit.study.evidence.resampling import RESAMPLES, SAME, holm
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
+from sparsefit.study.spec.document import canonical_json
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -187,6 +188,24 @@ def _pairs(
         told = [level_text(plain(value)) for value in cases[kind]]
         sides = [cases[[value == name for value in told]] for name in (one, other)]
         yield one, other, sides[0], sides[1]
+
+
+def check_contrasts(study: Study, asked: Asked) -> None:
+    """Refuse, before anything is run, a contrast of what the study does not have.
+
+    Raises:
+        InputError: with the nearest name. Settings are known by the back-end they begin with.
+    """
+    backends = {name for cell in study.cells for name in (cell.backend, cell.label)}
+    levels = {
+        level_text(level if isinstance(level, str | int | float) else canonical_json(level))
+        for factor in study.sweep
+        for level in factor.levels
+    }
+    known = backends | levels | {protocol.name for protocol in study.protocols}
+    for name in (name for pair in asked.contrasts for name in pair):
+        if name not in known and not name.startswith(tuple(backends)):
+            raise InputError(f'contrasts: "{name}" is unknown{suggestion(name, known)}')
 
 
 def _name(group: Group) -> str:

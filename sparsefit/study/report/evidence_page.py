@@ -13,15 +13,9 @@ import numpy as np
 
 from sparsefit.study.evidence.fresh import Check
 from sparsefit.study.evidence.selection import Selection
+from sparsefit.study.evidence.selection_tables import latency_table, regime_table, selection_table
 from sparsefit.study.evidence.table import Table
-from sparsefit.study.evidence.verdicts import (
-    checked,
-    headline,
-    latency_table,
-    regime_table,
-    selection_table,
-    sentences,
-)
+from sparsefit.study.evidence.verdicts import checked, headline, sentences
 from sparsefit.study.report.drawing import STYLE, to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.html_page import Code, Page, Part, Picture, Section, to_html

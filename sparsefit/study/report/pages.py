@@ -13,6 +13,7 @@ from sparsefit.errors import InputError, told_with
 from sparsefit.study.evidence.answers import ANSWERS, sentences
 from sparsefit.study.evidence.candidates import measure_of
 from sparsefit.study.evidence.cases import STATUSES
+from sparsefit.study.evidence.contrasts import check_contrasts
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.table import Table
 from sparsefit.study.evidence.tables import TABLES, tables_of
@@ -85,7 +86,7 @@ def check_outputs(study: Study) -> None:
     for kind, entries in every:
         with told_with(f"{study.path}: [outputs].{kind.noun}s"):
             for entry in entries:
-                kind.read(entry)
+                check_contrasts(study, kind.read(entry))
     with told_with(f"{study.path}: [select]"):
         measure_of(study.selection)
 
