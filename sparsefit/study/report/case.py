@@ -22,7 +22,7 @@ from sparsefit.regression.fit import Fit
 from sparsefit.regression.objective import alpha_max
 from sparsefit.study.evidence.cases import PARAMETERS, SYMBOLS, UNITS
 from sparsefit.study.evidence.table import Column, Table, plain
-from sparsefit.study.report.drawing import COLOURS, GREY, laid_out, panels
+from sparsefit.study.report.drawing import COLOURS, GREY, laid_out, logarithmic, panels
 from sparsefit.study.run.one_case import OneCase
 
 if TYPE_CHECKING:
@@ -145,8 +145,9 @@ def _certificate(axes: Axes, again: OneCase) -> None:
     if isinstance(fit.backend, PenalisedBackend):
         axes.axhline(1.0, color=GREY, lw=0.9)
         axes.set_ylim(0.0, None)
-    else:
-        axes.set_yscale("log" if (values > 0).all() else "linear")
+    elif (values > 0).all():
+        axes.set_yscale("log")
+        logarithmic(axes.yaxis, *axes.get_ylim())
     _scales(axes, again)
 
 
