@@ -53,7 +53,10 @@ def _never() -> bool:
 # its busy workers outlive a parent that is killed.
 @dataclass
 class _Pool:
-    """jobs: those never begun; queue: those to do next, among them what lost workers left."""
+    """jobs: those never begun; queue: those to do next, among them what lost workers left.
+
+    looked: when the clock was looked at last; stillborn: workers in a row that did not start.
+    """
 
     study: Study
     jobs: Iterator[Job]
@@ -62,6 +65,7 @@ class _Pool:
     queue: deque[Job] = field(default_factory=deque)
     crew: list[Worker] = field(default_factory=list)
     looked: float = field(default_factory=time.monotonic)
+    stillborn: int = 0
 
     @property
     def busy(self) -> bool:
@@ -96,6 +100,8 @@ class _Pool:
 
     def collect(self) -> Generator[Timed, None, None]:
         """Wait until something happens, and say what."""
+        if not self.crew:  # asked to stop before there was one
+            return
         until = min(worker.deadline for worker in self.crew) - time.monotonic()
         watched = [worker.messages for worker in self.crew]
         sentinels = [worker.process.sentinel for worker in self.crew]
@@ -139,6 +145,7 @@ class _Pool:
                 if timed:
                     yield timed
                 if isinstance(message, Ready):
+                    self.stillborn = 0
                     self._give(worker)
         except (EOFError, OSError):
             return False
@@ -149,6 +156,9 @@ class _Pool:
         self.crew.remove(worker)
         worker.kill()
         if not worker.ready:
+            self.stillborn += 1
+            if self.stillborn < MAX_DEATHS:
+                return
             raise SparsefitError(
                 f"a worker process could not start ({cause}): in a script, call run() under "
                 'if __name__ == "__main__"'
