@@ -12,6 +12,7 @@ Boninsegna, Nueske and Clementi (J. Chem. Phys. 2018), SSR; Billings (2013), FRO
 import warnings
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -47,7 +48,8 @@ class PySindy:
         number_setting(self.name, "ridge", self.ridge, low=0.0)
         number_setting(self.name, "relaxation", self.relaxation, low=0.0, open_low=True)
         integer_setting(self.name, "max_iterations", self.max_iterations, least=1)
-        _package()
+        if find_spec("pysindy") is None:
+            raise MissingExtra("pysindy is not installed: pip install 'sparsefit[peers]'")
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """The optimizer's weights; what it warns of is its status."""
@@ -82,7 +84,7 @@ class PySindy:
         return np.stack(supports, axis=1)
 
     def _made(self) -> Any:
-        package = _package()
+        package: Any = import_module("pysindy")  # seconds: not before it is needed
         if self.optimizer == "STLSQ":
             return package.STLSQ(
                 threshold=self.threshold, alpha=self.ridge, max_iter=self.max_iterations
@@ -114,14 +116,6 @@ class PySindy:
         step = np.linalg.solve(normal, theta.T @ problem.target + damping * weights)
         support: BoolArray = np.abs(step) > self.threshold
         return support
-
-
-def _package() -> Any:
-    try:
-        return import_module("pysindy")
-    except ImportError:
-        remedy = "pip install 'sparsefit[peers]'"
-        raise MissingExtra(f"pysindy is not installed: {remedy}") from None
 
 
 def _eliminated(theta: Array, values: Array, count: int, ridge: float) -> BoolArray:

@@ -61,20 +61,27 @@ def add(verbs: Verbs) -> None:
 
 
 def run_list(args: argparse.Namespace) -> int:
-    """List every back-end; one that is broken with its error."""
+    """List every back-end, one that is broken with its error, and the solvers behind them."""
     from sparsefit import backends
     from sparsefit.backends.conic import installed_solvers
+    from sparsefit.backends.solvers import PEERS
 
+    ours = (*backends.BACKENDS, *backends.PUBLIC)
     records = [
-        _record(name) if name in backends.BACKENDS else _record_apart(name)
-        for name in backends.known()
+        _record(name) if name in ours else _record_apart(name)
+        for name in (*backends.known(), *backends.PUBLIC)
     ]
     solvers = installed_solvers()
+    public = [{"name": one.name, "form": one.form, "installed": one.installed} for one in PEERS]
     if args.json:
-        print_json({"backends": records, "cvxpy_solvers": solvers})
+        print_json({"backends": records, "cvxpy_solvers": solvers, "solvers": public})
         return 0
     print("\n\n".join(_entry(record) for record in records))
     print(f"\nsolvers that cvxpy finds here: {', '.join(solvers)}")
+    print(f"other solvers: {', '.join(one.name for one in PEERS if one.installed)}")
+    for one in PEERS:
+        if not one.installed:
+            print(f"  missing: {one.remedy}")
     return 0
 
 
@@ -92,15 +99,18 @@ def _record_apart(name: str) -> dict[str, Any]:
 
 def _record(name: str) -> dict[str, Any]:
     from sparsefit import backends
-    from sparsefit.errors import InputError
+    from sparsefit.errors import InputError, MissingExtra
 
     try:
         loaded = backends.load(name)
         settings = backends.settings_of(backends.get(name))
+    except MissingExtra as error:
+        return {"name": name, "missing": str(error)}
     except (InputError, TypeError) as error:  # a plug-in whose settings have no defaults
         return {"name": name, "error": " ".join(str(error).split())}
     # Each of our own is a module of its own, whose first line says more than its class's.
-    described = sys.modules[loaded.__module__] if name in backends.BACKENDS else loaded
+    ours = name in backends.BACKENDS or name in backends.PUBLIC
+    described = sys.modules[loaded.__module__] if ours else loaded
     summary = (described.__doc__ or "").strip().split("\n\n")[0]
     return {
         "name": name,
@@ -111,6 +121,8 @@ def _record(name: str) -> dict[str, Any]:
 
 
 def _entry(record: dict[str, Any]) -> str:
+    if "missing" in record:
+        return f"{record['name']}\n  missing: {record['missing']}"
     if "error" in record:
         return f"{record['name']}\n  broken: {record['error']}"
     settings = shown(record["settings"]) or "none"
@@ -126,7 +138,7 @@ def run_check(args: argparse.Namespace) -> int:
     from sparsefit.cli.child import in_child
     from sparsefit.errors import InputError, one_of, positive
 
-    one_of("back-end", args.name, backends.known())
+    one_of("back-end", args.name, (*backends.known(), *backends.PUBLIC))
     settings, seconds = collected(args.setting), positive("--timeout", args.timeout, "s")
     if args.name in backends.BACKENDS:
         record = _tried(args.name, settings)

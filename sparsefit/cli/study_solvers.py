@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sparsefit.study.spec.solver_study import SolverStudy
 
 
-FLIGHTS_ONLY = ("retry_failed", "stale", "only", "executor")
+FLIGHTS_ONLY = ("retry_failed", "stale", "only", "scheduler")
 
 
 def action(name: str) -> Run:
@@ -112,6 +112,8 @@ def run(args: argparse.Namespace) -> int:
 
     if args.processes not in (None, 1):
         raise InputError("a study of solvers runs one process at a time: leave --processes away")
+    if args.executor != "processes":
+        raise InputError("a study of solvers runs on this machine: leave --executor away")
     for option in FLIGHTS_ONLY:
         if getattr(args, option, None):
             flag = f"--{option.replace('_', '-')}"

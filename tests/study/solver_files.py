@@ -4,6 +4,7 @@ import numpy as np
 
 HEAD = 'name = "small"\nkind = "solvers"\n'
 LASSO = '[[backends]]\nname = "lasso"\nsolver = ["homotopy", "clarabel-direct", "adelie"]\n'
+STLSQ = '[[backends]]\nname = "stlsq"\nmode = "pysindy"\nthreshold = 0.2\n'
 
 
 def write_data(folder, name="one", seed=0, samples=30, columns=6, targets=1, **more):

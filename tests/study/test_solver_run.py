@@ -24,13 +24,14 @@ from sparsefit.study.run.solver_solve import (
 from sparsefit.study.run.solver_worker import Answer, Ask, Hand, Lost, Worker, small_problem
 from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.solver_study import Clock, SolverCase, SolverStudy
-from tests.study.solver_files import HEAD, LASSO, write_data, write_study
+from tests.study.solver_files import HEAD, LASSO, STLSQ, write_data, write_study
 
 TEXT = (
     HEAD
     + 'question = "Which?"\ntolerances = [1e-3, 1e-8]\n'
     + '[[problems]]\nfile = "one.npz"\n[[problems]]\nfile = "two.npz"\n'
     + LASSO
+    + STLSQ
     + "[path]\npoints = 4\n[clock]\nrepeats = 3\nseconds = 0.2\n"
 )
 
@@ -59,6 +60,9 @@ def test_every_planned_case_is_a_row_and_what_is_missing_too(finished):
     assert (ran["cpu"] > 0).all()
     assert (ran["repeats"] == 3).all()
     assert not (results / study.name / ".partial").exists()
+    greedy = cases[cases["solver"] == "stlsq"]
+    assert set(greedy["certificate_kind"]) == {"fixed_point"}
+    assert set(greedy["points"]) == {1}  # it has no penalty, and so no path
 
 
 def test_a_finished_study_is_not_run_again_and_a_changed_one_is_refused(finished, tmp_path):
@@ -120,7 +124,13 @@ def test_pages_name_every_contender_and_say_what_they_cannot_tell(finished):
     assert page.count("<figure>") >= 3
     assert page.index("What this comparison cannot tell") < page.index("Versions, machine")
     names = {path.name for path in folder.iterdir()}
-    assert {"summary.csv", "times.md", "clock.tex", "profiles.svg", "accuracy.png"} <= names
+    assert {
+        "summary-lasso.csv",
+        "times-lasso.md",
+        "clock.tex",
+        "profiles.svg",
+        "accuracy.png",
+    } <= names
     assert {"cases.parquet", "manifest.json", "data-profiles.svg"} <= names
 
 
@@ -138,6 +148,8 @@ def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
     assert main(["study", "errors", *where]) == 0
     assert main(["study", "run", *where, "--processes", "2"]) == 2
     assert "one process" in capsys.readouterr().err
+    assert main(["study", "run", *where, "--executor", "dask"]) == 2
+    assert "this machine" in capsys.readouterr().err
     assert main(["study", "run", *where, "--retry-failed"]) == 2
     assert "studies of flights" in capsys.readouterr().err
     assert main(["study", "show", *where, "--table", "tims"]) == 2

@@ -85,7 +85,7 @@ def _row(study: SolverStudy, crew: Crew, problem: RegressionProblem, entry: Repe
         "settings": canonical_json(dict(contender.settings)),
         "solver": contender.solver,
         "tolerance": case.tolerance,
-        "points": max(len(study.fractions), 1),
+        "points": verdict.asked if verdict else max(len(study.fractions), 1),
         "status": state,
         "reason": reason,
         "word": verdict.words if verdict else "",

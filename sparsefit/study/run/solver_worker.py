@@ -25,6 +25,7 @@ from threadpoolctl import threadpool_limits
 
 from sparsefit.arrays import Array
 from sparsefit.errors import SparsefitError
+from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study.run.solver_solve import (
     PeakMemory,
@@ -138,7 +139,9 @@ class _Desk:
             return Answer()
         contender = self.study.contenders[ask.case.contender]
         backend = make_backend(contender.backend, contender.settings)
-        task = Task(backend, self.study.fractions, ask.case.tolerance)
+        # What has no penalty has no path: it is fitted once.
+        path = self.study.fractions if isinstance(backend, PenalisedBackend) else ()
+        task = Task(backend, path, ask.case.tolerance)
         if ask.what == "first":
             self._begin(max(self.study.clock.limit, FIRST_SECONDS), "compiling")
             _, timing = timed(lambda: solve(task, small_problem()))
