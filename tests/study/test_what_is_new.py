@@ -174,7 +174,15 @@ def test_rows_of_other_code_are_told_and_renewed(
 
 def test_only_leaves_the_rest_for_later(tmp_path: Path, load: Load) -> None:
     study = load()
-    part = run(study, tmp_path, processes=1, only=["least-squares"])
+    seen: list[tuple[int, int]] = []
+    part = run(
+        study,
+        tmp_path,
+        processes=1,
+        only=["least-squares"],
+        progress=lambda done, planned, _: seen.append((done, planned)),
+    )
+    assert (seen[0], seen[-1]) == ((0, 4), (4, 4))
     assert (part.computed, part.done, part.finished) == (4, 4, False)
     assert not (tmp_path / "n" / "cases.parquet").exists()
     with pytest.raises(InputError, match=r'called "ridge": give a back-end, .*lasso'):

@@ -157,7 +157,8 @@ class _Run:
         versions = {choice.name: version_of(choice.name) for choice in study.backends}
         came = np.zeros_like(wanted)
         pace = Pace.start(wanted.sum(axis=0), self.processes)
-        report = _Report(study.planned, self.progress, study.planned - int(wanted.sum()))
+        kept = int((ledger.done & ~wanted).sum())
+        report = _Report(kept + int(wanted.sum()), self.progress, kept)
         report.say(pace)
         todo, count = jobs(study, wanted), count_jobs(study, wanted)
         with (
