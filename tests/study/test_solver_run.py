@@ -28,7 +28,7 @@ from tests.study.solver_files import HEAD, LASSO, STLSQ, write_data, write_study
 
 TEXT = (
     HEAD
-    + 'question = "Which?"\ntolerances = [1e-3, 1e-8]\n'
+    + 'question = "Which?"\ntolerances = [1e-3, 1e-8]\naccuracies = [1e-6]\n'
     + '[[problems]]\nfile = "one.npz"\n[[problems]]\nfile = "two.npz"\n'
     + LASSO
     + STLSQ
