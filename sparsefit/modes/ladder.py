@@ -262,10 +262,10 @@ class _Climb:
         q = here.phases[:, : pattern.parameters]
         family, thin = Waves(pattern), self.lookout.thin
         while len(q) < MOST:
-            more = np.zeros((1, pattern.parameters))
-            more[0, :2] = self.lookout.strongest(here.fit.rest)
+            strong = self.lookout.strong(here.fit.rest, 1)
+            more = np.pad(strong, ((0, 0), (0, pattern.parameters - 2)))
             fit = descended(family, thin, np.vstack([q, more]), rough=True)
-            if self.lookout.blown(fit):
+            if self.lookout.blown(fit) or not len(strong):
                 return
             there = self.keep(family, fit)
             if there.bic >= here.bic:

@@ -172,14 +172,12 @@ class Lookout:
 
     def pairs(self) -> Array:
         """Pairs (j, 4) of the strongest wave and the strongest in what it leaves."""
-        first = descended(Waves(), self.thin, self.strongest(self.target)[None], rough=True)
+        start = self.strong(self.target, 1)
+        if not len(start):  # nothing to explain: a logged velocity of zeros, say
+            return np.empty((0, 4))
+        first = descended(Waves(), self.thin, start, rough=True)
         second = self.scan.axis[peaks(self.scan.gains(first.rest), 2)]
         return np.column_stack([np.repeat(first.parameters, len(second), axis=0), second])
-
-    def strongest(self, rest: Array) -> Array:
-        """The wave (2,) that explains most of errors (m, 2)."""
-        wave: Array = self.strong(rest, 1)[0]
-        return wave
 
     def strong(self, rest: Array, most: int) -> Array:
         """The waves (j, 2) that explain most of errors (m, 2), one beside another."""
