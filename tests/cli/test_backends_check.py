@@ -34,7 +34,7 @@ class Good:
             print("not JSON")
         if self.deed == "random":
             shape = (problem.columns, problem.targets)
-            return Solution(np.random.default_rng().standard_normal(shape))
+            return Solution(100.0 * np.random.default_rng().standard_normal(shape))
         if self.deed == "write":
             problem.theta.base[0] += 1
         if self.deed == "shape":

@@ -44,6 +44,7 @@ def content(file):
 
 
 @pytest.mark.skipif(not X86, reason="kernels of OpenBLAS are chosen by name on x86-64 only")
+@pytest.mark.slow
 def test_another_kernel_changes_the_files_of_the_run_alone(tmp_path):
     study = tmp_path / "table2.toml"
     study.write_text(in_small((STUDIES / "table2.toml").read_text()))
