@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -105,10 +106,10 @@ def _waves(
     proposed = tuple(peaks.wavevectors.ravel().tolist())
     if _climbable(prepared, readout):
         found = located = prepared.once(("one", None), lambda: locate_one(space))
-        climb = lambda: climbed(space, time, found.fit, peaks.wavevectors)  # noqa: E731
+        climb = partial(climbed, space, time, found.fit, peaks.wavevectors)
         ladder = prepared.once(("ladder", proposed), climb)
     else:
-        join = lambda: joined(space, time, peaks.wavevectors)  # noqa: E731
+        join = partial(joined, space, time, peaks.wavevectors)
         ladder = prepared.once(("waves", proposed), join)
     best = ladder.best
     return Place(wavenumbers_of(best.phases[:, :2]), (candidate,), located, best.fit, ladder)

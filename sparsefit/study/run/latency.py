@@ -29,8 +29,8 @@ from threadpoolctl import threadpool_limits
 
 from sparsefit.codec import finite_or_none
 from sparsefit.flight import Flight
-from sparsefit.study.run.manifest import sparsefit_version
-from sparsefit.study.run.worker import ONE_THREAD, _environment
+from sparsefit.study.run.manifest import processor, sparsefit_version
+from sparsefit.study.run.worker import ONE_THREAD, environment
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.study import Study
@@ -94,7 +94,7 @@ def _of_one(study: Study, flights: int) -> Latency:
         context.set_forkserver_preload([__name__])  # imported once, by what all are forked from
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_timed, args=(study, flights, theirs), daemon=True)
-    with _environment(ONE_THREAD):
+    with environment(ONE_THREAD):
         process.start()
     theirs.close()
     try:
@@ -172,16 +172,8 @@ def _peak() -> float:
 def machine() -> dict[str, object]:
     """What the times are of: the processor, the system, the version and its load."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    known = {"processor": _processor(), "system": platform.platform()}
+    known = {"processor": processor(), "system": platform.platform()}
     return {**known, "sparsefit": sparsefit_version(), "load": load}
-
-
-def _processor() -> str:
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
 
 
 def write_latency(study: Study, folder: Path, measured: Mapping[str, Latency]) -> None:

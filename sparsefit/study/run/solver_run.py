@@ -16,7 +16,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import TypeAlias
 
@@ -24,7 +23,14 @@ from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study.run import partial
 from sparsefit.study.run.lock import locked
-from sparsefit.study.run.manifest import MANIFEST, git_commit, read_manifest, versions
+from sparsefit.study.run.manifest import (
+    MANIFEST,
+    git_commit,
+    processor,
+    read_manifest,
+    version_of,
+    versions,
+)
 from sparsefit.study.run.solver_cases import measured
 from sparsefit.study.run.solver_crew import Crew
 from sparsefit.study.run.solver_rows import (
@@ -178,28 +184,11 @@ def _write_manifest(
         "wall_seconds": round(seconds, 3),
         "resumed_cases": resumed,
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions() | {name: _version(name) for name in PEERS},
+        "versions": versions() | {name: version_of(name) for name in PEERS},
         "platform": platform.platform(),
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": processor(),
         "processors": os.cpu_count(),
         "git_commit": git_commit(),
     }
     write_whole(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
-
-
-def _version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def _processor() -> str:
-    """The name of the CPU, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

@@ -13,8 +13,6 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -39,7 +37,7 @@ from sparsefit.study.run.solver_solve import (
     solve,
     timed,
 )
-from sparsefit.study.run.worker import ONE_THREAD
+from sparsefit.study.run.worker import ONE_THREAD, environment
 from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
 
@@ -218,7 +216,7 @@ class Worker:
         self._process = context.Process(
             target=work, args=(self._study, theirs, lifeline), daemon=True
         )
-        with one_thread():
+        with environment(ONE_THREAD):
             self._process.start()
         theirs.close()
         lifeline.close()
@@ -288,17 +286,3 @@ def _cpu_seconds(pid: int | None) -> float:
         return sum(map(int, words[11:13])) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, AttributeError):
         return math.nan
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """An environment in which a new process starts its libraries with one thread each."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value

@@ -137,7 +137,7 @@ class Worker:
         lifeline, stays = context.Pipe(duplex=False)
         told = (study, jobs, theirs, lifeline, os.getpid())
         process = context.Process(target=work, args=told, daemon=True)
-        with _environment(ONE_THREAD), _interrupts_ignored():
+        with environment(ONE_THREAD), _interrupts_ignored():
             process.start()
         for end in (jobs, theirs, lifeline):
             end.close()
@@ -198,7 +198,8 @@ class Worker:
 
 
 @contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
+def environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Variables of the environment for processes that are started within, as before after it."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
