@@ -134,10 +134,16 @@ class Estimator:
             reason = f"{words}; fly longer, or give the response time"
             return Verdict.against(Doubt.VEHICLE, reason)
         samples, scales = prepared.samples, reading.scales
+        precision = self.readout.precision if reading.assessed else None
         waves = reading.shaped is not None or self.library.family == "waves"
         if place.ladder is not None and waves and not place.ladder.steady_cells:
             doubts = judge_shape(
-                place.ladder, reading, prepared.space, samples, prepared.library.unknown
+                place.ladder,
+                reading,
+                prepared.space,
+                samples,
+                self.readout.precision,
+                prepared.library.unknown,
             )
             return doubts or verdict
         if not 0 < first.mean_velocity < math.inf:
@@ -149,12 +155,12 @@ class Estimator:
                 scales,
                 samples,
                 reading.goodness,
-                assessed=reading.assessed,
+                precision=precision,
                 climbed=place.ladder is not None,
                 unknown=prepared.library.unknown,
             )
             return doubts or (rivalled(place.ladder) if reading.shaped else None) or verdict
-        return (imprecise(scales) if reading.assessed else None) or verdict
+        return imprecise(scales, precision) or verdict
 
     def _by_scale(self, fit: Fit) -> dict[float, float]:
         """The weight of each length scale [m]."""

@@ -32,7 +32,7 @@ def judge(
     samples: Samples,
     goodness: Goodness | None = None,
     *,
-    assessed: bool,
+    precision: float | None,
     climbed: bool = False,
     unknown: tuple[str, ...] = (),
 ) -> Verdict | None:
@@ -43,7 +43,8 @@ def judge(
         scales: the estimates of the modes, fastest first.
         samples: of the flight.
         goodness: of the fit, where it is known.
-        assessed: whether standard errors were asked for: values known too poorly are doubted.
+        precision: the largest share of a value that its interval may reach to either side; None
+            where no standard errors were asked for.
         climbed: whether other shapes than steady cells along the axes were tried.
         unknown: what the library has freed beside the flow.
     """
@@ -58,17 +59,19 @@ def judge(
         or _left_over(located)
         or (misfit(goodness, unknown) if short is None else None)
         or _mistaken(located)
-        or (imprecise(scales) if assessed else None)
+        or imprecise(scales, precision)
         or short
     )
 
 
-def imprecise(scales: Sequence[ScaleEstimate]) -> Verdict | None:
+def imprecise(scales: Sequence[ScaleEstimate], precision: float | None) -> Verdict | None:
     """Whether a value is known too poorly.
 
     Every value must be told at all, and those of the fastest flow well; a weak flow beside it may
     be known less well, as its intervals say.
     """
+    if precision is None:
+        return None
     for place, scale in enumerate(scales):
         known = scale.uncertainty
         if known is None:
@@ -77,7 +80,8 @@ def imprecise(scales: Sequence[ScaleEstimate]) -> Verdict | None:
             words = "too few samples for a standard error; fly longer, or sample faster"
             return Verdict.against(Doubt.FEW_SAMPLES, words)
         if not place or not math.isfinite(known.mean_velocity + known.length_scale):
-            wide = known.wide((scale.mean_velocity, scale.length_scale, scale.timescale))
+            values = scale.mean_velocity, scale.length_scale, scale.timescale
+            wide = known.wide(values, precision)
             if wide:
                 return Verdict.against(Doubt.IMPRECISE, wide)
     return None
@@ -210,6 +214,7 @@ def judge_shape(
     reading: Reading,
     space: SearchSpace,
     samples: Samples,
+    precision: float,
     unknown: tuple[str, ...] = (),
 ) -> Verdict | None:
     """The first reason not to believe waves, or a shape other than steady cells along the axes."""
@@ -222,7 +227,7 @@ def judge_shape(
         or _more(ladder)
         or rivalled(ladder)
         or _uneven(ladder, reading)
-        or _unsure(reading.scales)
+        or _unsure(reading.scales, precision)
         or short
     )
 
@@ -291,8 +296,8 @@ def _told(rung: Rung) -> str:
     return f"{rung.mean_velocity:.3g} m/s and {rung.length_scale:.3g} m (shape {rung.shape!r})"
 
 
-def _unsure(scales: Sequence[ScaleEstimate]) -> Verdict | None:
+def _unsure(scales: Sequence[ScaleEstimate], precision: float) -> Verdict | None:
     if scales[0].uncertainty is None:
         words = "too few samples for a standard error; fly longer, or sample faster"
         return Verdict.against(Doubt.FEW_SAMPLES, words)
-    return imprecise(scales)
+    return imprecise(scales, precision)

@@ -41,11 +41,6 @@ class ModeAssessment:
         """U0, L and tau_w."""
         return self.mean_velocity, self.length_scale, self.timescale
 
-    @property
-    def wide(self) -> str:
-        """Which value is known only to more than WIDE, in words; empty if none is."""
-        return self.uncertainty.wide(self.values)
-
 
 @dataclass(frozen=True)
 class Assessment:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 NORMAL_95 = 1.959963984540054
-WIDE = 0.03  # of a value, the half-width of its interval: at it, 5 % off is 1 in 1000 likely
 NAMES = {
     "mean_velocity": "the mean velocity",
     "length_scale": "the length scale",
@@ -36,15 +35,18 @@ class Uncertainty:
         worst = max(range(3), key=lambda i: shares[i])
         return tuple(NAMES)[worst], shares[worst]
 
-    def wide(self, values: tuple[float, float, float]) -> str:
-        """Which of (U0, L, tau_w) is known only to more than WIDE, in words; empty if none is."""
+    def wide(self, values: tuple[float, float, float], precision: float) -> str:
+        """Which of (U0, L, tau_w) has an interval of a half-width beyond a share of it, in words.
+
+        Empty if none has.
+        """
         name, share = self.widest(values)
-        if share <= WIDE:
+        if share <= precision:
             return ""
         if not math.isfinite(share):
             return f"the flight does not tell {NAMES[name]} at all; fly across more cells"
         known = f"{NAMES[name]} is known only to +-{100 * share:.0f} %"
-        return f"{known}; fly longer, across more cells"
+        return f"{known}; fly longer, across more cells, or ask for less (readout precision)"
 
     @classmethod
     def around(

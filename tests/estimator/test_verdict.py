@@ -8,6 +8,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
+from sparsefit.estimator.doubt import Doubt
 from sparsefit.modes.space import concentration
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
@@ -149,3 +150,17 @@ def test_a_flight_too_short_for_a_drift_says_so():
     told = sf.Estimator().estimate(longer)
     assert told.status == "ok"
     assert told.drift == pytest.approx((0.3, 0.2), abs=0.02)
+
+
+def test_how_precise_an_answer_must_be_is_a_setting():
+    flight = flown(velocity_noise=0.3, position_noise=0.05)
+    asked = {
+        share: sf.Estimator(readout=sf.Readout(precision=share)).estimate(flight)
+        for share in (1e-4, 0.03)
+    }
+    assert asked[0.03].status == "ok"
+    assert (asked[1e-4].status, asked[1e-4].doubt) == ("unidentifiable", Doubt.IMPRECISE)
+    assert "ask for less (readout precision)" in asked[1e-4].reason
+    assert asked[1e-4].mean_velocity == asked[0.03].mean_velocity
+    with pytest.raises(InputError, match="readout: precision must be"):
+        sf.Readout(precision=-0.1)

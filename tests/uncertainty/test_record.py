@@ -9,11 +9,13 @@ from sparsefit.uncertainty import Uncertainty, VehicleUncertainty
 
 def test_words_for_what_is_hardly_known():
     known = Uncertainty.around([10.0, 4.0, 0.4], [2.0, 0.01, 0.08])
-    assert "mean velocity is known only to +-39 %" in known.wide((10.0, 4.0, 0.4))
-    assert Uncertainty.around([10.0, 4.0, 0.4], [0.02, 0.01, 0.002]).wide((10.0, 4.0, 0.4)) == ""
+    assert "mean velocity is known only to +-39 %" in known.wide((10.0, 4.0, 0.4), 0.03)
+    assert (
+        Uncertainty.around([10.0, 4.0, 0.4], [0.02, 0.01, 0.002]).wide((10.0, 4.0, 0.4), 0.03) == ""
+    )
     lost = Uncertainty.around([10.0, 4.0, 0.4], [math.nan, 0.01, 0.002])
     assert lost.mean_velocity == math.inf
-    assert "does not tell the mean velocity" in lost.wide((10.0, 4.0, 0.4))
+    assert "does not tell the mean velocity" in lost.wide((10.0, 4.0, 0.4), 0.03)
 
 
 def test_the_widest_value_is_data():
