@@ -108,10 +108,10 @@ class Channels:
         positions_only: bool = False,
     ) -> Channels:
         """Channels with the noise levels that their own differences show."""
-        levels = noise_level(position, starts), noise_level(velocity, starts)
-        if positions_only:
-            levels = levels[0], 0.0
-        return cls(position, velocity, step, *levels, starts, positions_only)
+        of_velocity = 0.0 if positions_only else noise_level(velocity, starts)
+        # Kernels of a limited ratio cannot use positions that are better than this.
+        of_position = max(noise_level(position, starts), of_velocity * step / LONGEST)
+        return cls(position, velocity, step, of_position, of_velocity, starts, positions_only)
 
     def within(self, window: int, rows: int) -> slice | BoolArray:
         """Which of so many filtered rows have a whole window in one piece."""

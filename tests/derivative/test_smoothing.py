@@ -243,6 +243,13 @@ def test_exact_flights_are_read_to_a_thousandth_of_a_percent():
     assert found.max() < 1e-3
 
 
+def test_exact_positions_carry_the_flight_where_velocities_are_noisy():
+    for exact in (0.0, 1e-6):
+        flight = fly(13, 0.3, velocity_noise=0.6, position_noise=exact)
+        assert AUTO(flight).smoothing.coupled
+        assert errors(flight, AUTO).max() < 1e-2
+
+
 def test_process_noise_costs_no_more_than_with_a_short_filter():
     scales = np.random.default_rng(20).uniform(2.0, 10.0, 8)
     timescales = np.linspace(0.1, 0.9, 8)
