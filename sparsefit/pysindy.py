@@ -1,0 +1,78 @@
+"""Back-ends as the optimizer of a SINDy model (extra ``peers``); the other way is `backends.sindy`.
+
+    X' = Theta(X) W
+
+PySINDy makes the library Theta (m, k) and the derivatives X' (m, n), and asks an optimizer for the
+sparse W. Here that is any back-end of any design matrix, certified: `Optimizer` goes where
+``pysindy.STLSQ()`` would.
+
+Source: Brunton, Proctor and Kutz, PNAS 113 (2016) 3932-3937; `pysindy.optimizers.BaseOptimizer`.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sparsefit.errors import MissingExtra
+from sparsefit.regression.backend import Backend
+from sparsefit.regression.fit import TOLERANCE
+from sparsefit.sklearn import SparseRegressor
+
+try:
+    from pysindy.optimizers import BaseOptimizer
+except ImportError as error:
+    raise MissingExtra("pysindy is not installed: pip install 'sparsefit[peers]'") from error
+
+__all__ = ["Optimizer"]
+
+
+class Optimizer(BaseOptimizer):  # type: ignore[misc]
+    """An optimizer of PySINDy that fits by a back-end of sparsefit.
+
+    Parameters
+    ----------
+    backend : str or back-end, default="lasso"
+        A name, with its default settings, or what ``sparsefit.backends.get(name, **settings)``
+        returns. One of groups, such as ``group-lasso``, keeps or drops a term for all states.
+    groups : array-like of shape (n_library_terms,), default=None
+        Labels, equal for the terms of one group; None makes each term a group of its own.
+    unbias : bool, default=True
+        Whether the weights are fitted again by least squares on the support, as by PySINDy's own
+        optimizers. The certificate is that of the support's fit, before.
+    certificate_tolerance : float, default=1e-8
+        Up to which certificate an answer counts as proven.
+
+    Attributes
+    ----------
+    coef_ : (n_states, n_library_terms), as of every optimizer.
+    status_, reason_, certificate_ : as of `SparseRegressor`.
+    alpha_fraction_ : the penalty used, where the back-end has one.
+    """
+
+    def __init__(
+        self,
+        backend: str | Backend = "lasso",
+        *,
+        groups: ArrayLike | None = None,
+        unbias: bool = True,
+        certificate_tolerance: float = TOLERANCE,
+    ) -> None:
+        super().__init__(unbias=unbias)
+        self.backend = backend
+        self.groups = groups
+        self.certificate_tolerance = certificate_tolerance
+
+    def _reduce(self, x: Any, y: Any) -> None:
+        """Set coef_ for the library's columns x (m, k) and the derivatives y (m, n)."""
+        regressor = SparseRegressor(
+            self.backend,
+            groups=self.groups,
+            fit_intercept=False,
+            certificate_tolerance=self.certificate_tolerance,
+        ).fit(np.asarray(x), np.asarray(y))
+        self.coef_ = regressor.coef_
+        self.history_.append(self.coef_)
+        for name in ("status_", "reason_", "certificate_", "alpha_fraction_"):
+            if hasattr(regressor, name):
+                setattr(self, name, getattr(regressor, name))

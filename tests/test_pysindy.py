@@ -1,0 +1,57 @@
+"""SINDy models fitted by our back-ends, beside PySINDy's own optimizer and the truth."""
+
+import numpy as np
+import pysindy as ps
+import pytest
+from pysindy.utils import lorenz
+from scipy.integrate import solve_ivp
+from sklearn.base import clone
+
+from sparsefit import backends
+from sparsefit.pysindy import Optimizer
+
+TIMES = np.arange(0.0, 4.0, 0.002)
+TRUTH = {("x", "x"): -10, ("x", "y"): 10, ("y", "x"): 28, ("y", "y"): -1, ("y", "x z"): -1}
+TRUTH |= {("z", "z"): -2.66667, ("z", "x y"): 1}
+
+
+@pytest.fixture(scope="module")
+def states():
+    return solve_ivp(lorenz, (0.0, 4.0), [-8.0, 8.0, 27.0], t_eval=TIMES, rtol=1e-9, atol=1e-9).y.T
+
+
+def fitted(optimizer, states):
+    model = ps.SINDy(optimizer=optimizer, feature_library=ps.PolynomialLibrary(2))
+    return model.fit(states, t=TIMES, feature_names=["x", "y", "z"])
+
+
+def test_stlsq_is_that_of_pysindy(states):
+    backend = backends.get("stlsq", mode="pysindy", threshold=0.2)
+    ours = fitted(Optimizer(backend), states)
+    theirs = fitted(ps.STLSQ(threshold=0.2), states)
+    assert ours.coefficients() == pytest.approx(theirs.coefficients(), rel=1e-9)
+    assert ours.predict(states[:5]) == pytest.approx(theirs.predict(states[:5]), rel=1e-9)
+    assert ours.complexity == theirs.complexity == 7
+    assert ours.optimizer.status_ == "ok"
+
+
+def test_weights_that_are_not_fitted_again_are_those_that_are_certified(states):
+    shrunk = Optimizer(backends.get("lasso", alpha_fraction=0.02), unbias=False)
+    fitted(shrunk, states)
+    assert clone(shrunk).get_params() == shrunk.get_params()
+    certificate = shrunk.certificate_
+    assert certificate.kind == "duality_gap"
+    assert certificate.value <= 1e-8
+    assert shrunk.alpha_fraction_ == 0.02
+    unbiased = Optimizer(shrunk.backend)
+    fitted(unbiased, states)
+    assert np.array_equal(unbiased.coef_ != 0, shrunk.coef_ != 0)
+    assert np.abs(unbiased.coef_ - shrunk.coef_).max() > 1e-3
+
+
+def test_a_group_back_end_keeps_a_term_for_all_states_or_none(states):
+    joint = Optimizer("group-lasso", unbias=False)
+    fitted(joint, states)
+    used = joint.coef_ != 0
+    assert np.array_equal(used.any(axis=0), used.all(axis=0))
+    assert 0 < used.any(axis=0).sum() < 10
