@@ -17,7 +17,9 @@ the cause takes away, or that nothing coloured is left without it. Turbulence mo
 that the share of a response time says nothing of either.
 
 What a derivative's own rule does to a flow without noise is coloured too, and scores. A cause that
-explains less than a thousandth of the flow velocity is none, therefore: it moves no answer.
+explains less than a thousandth of the flow velocity is none, therefore: it moves no answer. Nor is
+one that explains less than what the rule does to second order, where samples are few: of a flow of
+which a filter takes the share d, the share d^2 is not corrected.
 
 Causes whose columns are alike share the score: of the best three the one that leaves least is told.
 """
@@ -101,7 +103,10 @@ def suspected(left: Turbulence, mean_velocity: float) -> Suspect | None:
     observed = left.observed
     if observed.unexplained <= TRUNCATION:
         return None
-    slight, square = SLIGHT**2 * _square(observed.fit.plain.flow), _square(observed.errors)
+    plain = observed.fit.plain
+    flow, square = _square(plain.flow), _square(observed.errors)
+    truncated = _square(plain.residual - observed.errors) / flow if flow else 0.0
+    slight = max(SLIGHT, truncated) ** 2 * flow
     tried = [(one, freed) for one, freed in _tested(left) if one.share * square > slight]
     guilty = [suspect for suspect, freed in tried if _guilty(left, suspect, freed)]
     nearest = sorted(guilty, key=lambda one: one.p_value)[: len(Cause) if left.found else BEST]
