@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: study test check clean
+.PHONY: study test check docs clean
 
 study: $(VENV)/.installed
 	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/.partial),,--fresh)
@@ -14,9 +14,14 @@ test: $(VENV)/.tests
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 check: $(VENV)/.dev
-	$(BIN)/ruff check sparsefit tests
-	$(BIN)/ruff format --check sparsefit tests
+	$(BIN)/ruff check sparsefit tests docs
+	$(BIN)/ruff format --check sparsefit tests docs
 	$(BIN)/mypy
+
+# The documentation, in build/docs; a warning is an error.
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs build/docs
+	@echo "open build/docs/index.html"
 
 # Compiled loops of older sources would be tested otherwise.
 COMPILED := $(wildcard sparsefit/backends/compiled/*.pxd sparsefit/backends/compiled/*.h)
@@ -39,6 +44,10 @@ $(VENV)/.tests: $(VENV)/.installed
 
 $(VENV)/.dev: $(VENV)/.tests
 	$(EXTRAS) dev > $@
+	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(EXTRAS) docs > $@
 	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
 
 clean:

@@ -1,0 +1,14 @@
+"""Markdown that a directive has written, as nodes."""
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.util.docutils import SphinxDirective
+
+
+def parsed(directive: SphinxDirective, lines: list[str]) -> list[nodes.Node]:
+    """The nodes of these lines of Markdown, headings among them."""
+    source, _ = directive.get_source_info()
+    holder = nodes.section()
+    holder.document = directive.state.document
+    directive.state.nested_parse(StringList(lines, source), 0, holder)
+    return holder.children

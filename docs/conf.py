@@ -1,0 +1,53 @@
+"""How the documentation is built: `make docs`, or `sphinx-build -W -n docs build/docs`."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
+
+from sparsefit import __version__  # noqa: E402
+
+project = "sparsefit"
+author = "the sparsefit authors"
+copyright = "the sparsefit authors, MIT licence"
+version = release = __version__
+
+extensions = [
+    "myst_parser",
+    "sphinx_design",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    *("contents", "mathml", "results", "study_keys", "commands", "pictures", "public_names"),
+]
+exclude_patterns = ["_ext", "_static", "pictures"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+add_module_names = False
+default_role = "code"
+nitpick_ignore_regex = [("py:.*", ".*")]
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"sparsefit {version}"
+html_static_path = ["_static"]
+html_css_files = ["sparsefit.css"]
+html_show_sphinx = False
+html_copy_source = False
+html_math_renderer = "mathml"
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_prev_next": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "navbar_align": "left",
+    "header_links_before_dropdown": 6,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "pygments_light_style": "tango",
+    "pygments_dark_style": "monokai",
+}
