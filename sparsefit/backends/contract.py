@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.errors import one_line
-from sparsefit.regression.backend import Backend
+from sparsefit.regression.backend import Backend, Solution
+from sparsefit.regression.fit import fit
 from sparsefit.regression.foreign import check_unharmed, lent, received
 from sparsefit.regression.problem import RegressionProblem
 
@@ -25,6 +25,8 @@ def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
     """A sentence for everything that is found; none where the back-end keeps the contract."""
     try:
         return list(_faults(backend, problem))
+    except ModuleNotFoundError as error:
+        return [one_line(f"it needs the package {error.name!r}, which is not installed")]
     except Exception as error:  # whatever it raises is the last fault
         return [one_line(f"raises {type(error).__name__}: {error}")]
 
@@ -37,20 +39,23 @@ def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
         first, second = _solved(backend, problem), _solved(backend, problem)
     if printed.getvalue():
         yield f"it prints: {one_line(printed.getvalue())[:60]!r}"
-    if first is None or second is None:
+    weights, again = first.weights, second.weights
+    if weights is None or again is None:
         yield "it has no weights for a problem that every least-squares solver solves"
         return
-    if np.linalg.norm(first - second) > REPEATED * np.linalg.norm(first):
+    if np.linalg.norm(weights - again) > REPEATED * np.linalg.norm(weights):
         yield "it answers the same problem differently the second time: solve must be pure"
-    residual = np.linalg.norm(problem.target - problem.theta @ first)
+    elif first.status == "ok" and (judged := fit(problem, backend)).status != "ok":
+        yield f"it says ok of an answer that is not: {judged.reason}"
+    residual = np.linalg.norm(problem.target - problem.theta @ weights)
     if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
         yield "its weights fit the target worse than zeros do"
     if dataclasses.replace(backend) != backend:
         yield "two of it with the same settings are not equal: it is no plain dataclass"
 
 
-def _solved(backend: Backend, problem: RegressionProblem) -> Array | None:
+def _solved(backend: Backend, problem: RegressionProblem) -> Solution:
     borrowed = lent(problem)
     solution = received(backend.solve(borrowed), backend, problem)
     check_unharmed(backend, borrowed, problem)
-    return solution.weights
+    return solution

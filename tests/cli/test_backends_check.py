@@ -95,7 +95,7 @@ def test_plug_ins_that_end_their_process_are_listed_with_it(
                 "its weights fit the target worse than zeros do",
             ],
         ),
-        ("zeros", []),
+        ("zeros", ["it says ok of an answer that is not: fixed_point"]),
         ("worse", ["its weights fit the target worse than zeros do"]),
         ("write", ["raises InputError: back-end 'good' writes into problem.theta, which it is "]),
         (
