@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from sparsefit.flight.flow import CellularFlow as CellularFlow
     from sparsefit.flight.flow import SuperposedFlow as SuperposedFlow
     from sparsefit.flight.shaped import ShapedCells as ShapedCells
+    from sparsefit.flight.thrust import ThrustSeries as ThrustSeries
     from sparsefit.flight.turbulence import Turbulence as Turbulence
     from sparsefit.flight.vehicle import PointMassVehicle as PointMassVehicle
     from sparsefit.flight.waves import WaveFlow as WaveFlow
@@ -53,6 +54,7 @@ _HOMES = {
     "WaveFlow": "flight.waves",
     "Turbulence": "flight.turbulence",
     "PointMassVehicle": "flight.vehicle",
+    "ThrustSeries": "flight.thrust",
     "Flight": "flight",
     "LogFaults": "flight.faults",
     "simulate_flight": "flight",

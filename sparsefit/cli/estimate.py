@@ -48,7 +48,7 @@ OPTIONS = {
     "refine": ("readout", "refine"),
     "scales": ("readout", "scales"),
 }
-STAND_IN = 1.0  # s; where the response time is sought, a flight needs one that nothing reads
+STAND_IN = 1.0  # s or 1/m; where the drag is sought, a flight needs one that nothing reads
 
 
 def add(verbs: Verbs) -> None:
@@ -64,9 +64,17 @@ def add(verbs: Verbs) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     _add_estimator(parser)
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
-    vehicle.add_argument("--response-time", type=number("s"), metavar="S")
+    vehicle.add_argument(
+        "--response-time", type=number("s"), metavar="S", help="alone: drag is linear only"
+    )
+    vehicle.add_argument(
+        "--drag", type=number("1/m"), metavar="1/M", help="alone: drag is quadratic only"
+    )
     vehicle.add_argument("--thrust-ax", type=number("m/s^2"), metavar="AX", help="in m/s^2")
     vehicle.add_argument("--thrust-ay", type=number("m/s^2"), metavar="AY", help="in m/s^2")
+    vehicle.add_argument(
+        "--thrust-scale", type=number(), metavar="S", help="of the measured thrust ax, ay"
+    )
 
 
 def _add_estimator(parser: argparse.ArgumentParser) -> None:
@@ -105,7 +113,8 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
         "--unknown",
         nargs="+",
         metavar="NAME",
-        help="estimated with the flow: response_time, thrust_acceleration, wind",
+        help="estimated with the flow: response_time, drag, thrust_scale, thrust_acceleration, "
+        "wind",
     )
     group.add_argument(
         "--length-scale-readout",
@@ -212,12 +221,15 @@ def _flight(args: argparse.Namespace, unknown: tuple[str, ...]) -> Flight:
     from sparsefit.flight.table import vehicle_of
 
     table = read_table(args.flight)
-    names = ("response_time", "thrust_ax", "thrust_ay")
+    names = ("response_time", "drag", "thrust_ax", "thrust_ay", "thrust_scale")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     settings = table.settings | given
-    if "response_time" in unknown:
-        settings.setdefault("response_time", STAND_IN)
-    if "response_time" not in settings:
+    for law, other in (("response_time", "drag"), ("drag", "response_time")):
+        if law in given and other not in given:
+            settings.pop(other, None)
+        if law in unknown and law not in settings:
+            settings = {k: v for k, v in settings.items() if k != other} | {law: STAND_IN}
+    if "response_time" not in settings and "drag" not in settings:
         told = (
             "the file has none; give --response-time too"
             if given

@@ -33,12 +33,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
 
     Of the vehicle only what was not ``unknown`` is told as given.
     """
-    ax, ay = flight.vehicle.thrust_acceleration
-    known = {
-        "response_time": f"response time {flight.vehicle.response_time:g} s",
-        "thrust_acceleration": f"thrust ({ax:g}, {ay:g}) m/s^2",
-    }
-    vehicle = [words for key, words in known.items() if key not in unknown]
+    vehicle = [words for key, words in _known(flight).items() if key not in unknown]
     certificate = estimate.certificate
     meaning = (
         f"  ({MEANINGS[certificate.kind]})" if certificate and certificate.kind in MEANINGS else ""
@@ -62,6 +57,20 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
         ("time", duration(estimate.seconds)),
     ]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _known(flight: Flight) -> dict[str, str]:
+    """What is told of a vehicle, by the name of what could be unknown of it."""
+    craft, known = flight.vehicle, {}
+    ax, ay = craft.thrust_acceleration
+    if math.isfinite(craft.response_time):
+        known["response_time"] = f"response time {craft.response_time:g} s"
+    if craft.drag:
+        known["drag"] = f"quadratic drag {craft.drag:g} 1/m"
+    known["thrust_acceleration"] = f"thrust ({ax:g}, {ay:g}) m/s^2"
+    if flight.thrust is not None:
+        known["thrust_scale"] = f"and {craft.thrust_scale:g} times the measured one"
+    return known
 
 
 def _measured(flight: Flight) -> str:
@@ -126,6 +135,11 @@ def _estimated(estimate: Estimate) -> list[tuple[str, str]]:
     if estimate.response_time == estimate.response_time:
         given = (known.response_time, known.response_time_interval) if known else ()
         rows.append(("response time  tau", _quantity(estimate.response_time, "s", *given)))
+    for label, name, unit in (("drag", "drag", "1/m"), ("thrust scale", "thrust_scale", "")):
+        value = getattr(estimate, name)
+        if value == value:
+            given = (getattr(known, name), getattr(known, f"{name}_interval")) if known else ()
+            rows.append((label, _quantity(value, unit, *given)))
     for label, name, unit in (
         ("thrust         a", "thrust_acceleration", "m/s^2"),
         ("wind", "wind", "m/s"),

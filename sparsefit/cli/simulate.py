@@ -6,13 +6,15 @@ import argparse
 
 from sparsefit.cli.output import refuse_existing
 from sparsefit.cli.parser import Verbs, number, verb, whole
-from sparsefit.cli.simulated import add_faults, add_flow, faults_of, flow_of
+from sparsefit.cli.simulated import add_faults, add_flow, faults_of, flow_of, vehicle_of
 
 EXAMPLE = """\
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --response-time 0.5 \\
       --thrust 5 3 --duration 10 --sample-rate 100 --seed 7 -o flight.csv
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --heading 0.3 --drift 1 0.5 \\
       --turbulence 1.5 8 --outliers 0.01 5 -o windy.csv
+  sparsefit simulate --mean-velocity 8 --length-scale 4 --drag 0.3 -o drag.csv
+  sparsefit simulate --mean-velocity 8 --length-scale 4 --thrust-turn 6 5 -o circling.csv
 """
 FAULTY = 100  # the child of the seed that faults are drawn from, as in a study
 
@@ -29,7 +31,13 @@ def add(verbs: Verbs) -> None:
     add_flow(parser)
     craft = parser.add_argument_group("vehicle")
     craft.add_argument(
-        "--response-time", type=number("s"), default=0.5, metavar="S", help="default: 0.5 s"
+        "--response-time",
+        type=number("s"),
+        metavar="S",
+        help="of linear drag; default: 0.5 s, with --drag none",
+    )
+    craft.add_argument(
+        "--drag", type=number("1/m"), default=0.0, metavar="1/M", help="quadratic drag; default: 0"
     )
     craft.add_argument(
         "--thrust",
@@ -38,6 +46,20 @@ def add(verbs: Verbs) -> None:
         default=(5.0, 3.0),
         metavar=("AX", "AY"),
         help="thrust acceleration; default: 5 3 m/s^2",
+    )
+    craft.add_argument(
+        "--thrust-turn",
+        type=number(),
+        nargs=2,
+        metavar=("A", "S"),
+        help="thrust in m/s^2 that turns once in so many seconds, beside --thrust; it is logged",
+    )
+    craft.add_argument(
+        "--thrust-noise",
+        type=number("m/s^2"),
+        default=0.0,
+        metavar="A",
+        help="standard deviation of the logged thrust; default: 0",
     )
     _add_log(parser)
     add_faults(parser)
@@ -80,12 +102,11 @@ def run(args: argparse.Namespace) -> int:
 
     from sparsefit.flight import simulate_flight, write_flight
     from sparsefit.flight.faults import LogFaults
-    from sparsefit.flight.vehicle import PointMassVehicle
 
-    flow, faults = flow_of(args), faults_of(args)
+    flow, faults, (vehicle, thrust) = flow_of(args), faults_of(args), vehicle_of(args)
     flight = simulate_flight(
         flow,
-        PointMassVehicle(args.response_time, tuple(args.thrust)),
+        vehicle,
         duration=args.duration,
         sample_rate=args.sample_rate,
         seed=args.seed,
@@ -94,6 +115,8 @@ def run(args: argparse.Namespace) -> int:
         position_noise=args.position_noise,
         velocity_noise=args.velocity_noise,
         time_jitter=args.time_jitter,
+        thrust=thrust,
+        thrust_noise=args.thrust_noise,
     )
     if faults != LogFaults():
         flight = faults.spoil(flight, SeedSequence(args.seed, spawn_key=(FAULTY,)))

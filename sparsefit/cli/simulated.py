@@ -11,6 +11,8 @@ from sparsefit.errors import InputError, positive
 if TYPE_CHECKING:
     from sparsefit.flight.faults import LogFaults
     from sparsefit.flight.flow import Flow
+    from sparsefit.flight.thrust import ThrustSeries
+    from sparsefit.flight.vehicle import PointMassVehicle
 
 SHAPING = ("heading", "stretch", "angle", "offset", "drift", "swell")
 MEANT = {
@@ -125,3 +127,28 @@ def faults_of(args: argparse.Namespace) -> LogFaults:
         if count in given and given[count] == round(given[count]):
             given[count] = round(given[count])
     return LogFaults(**given)
+
+
+def vehicle_of(args: argparse.Namespace) -> tuple[PointMassVehicle, ThrustSeries | None]:
+    """The vehicle that the options say, and the thrust that it measures beside its constant.
+
+    Raises:
+        InputError: for a value that is out of its range, or noise of a thrust that is not logged.
+    """
+    import math
+
+    from sparsefit.flight.thrust import turning
+    from sparsefit.flight.vehicle import PointMassVehicle
+
+    default = math.inf if args.drag else 0.5
+    response = default if args.response_time is None else args.response_time
+    constant = tuple(args.thrust)
+    if args.thrust_turn is None:
+        if args.thrust_noise:
+            raise InputError("--thrust-noise needs --thrust-turn too: a constant is not logged")
+        return PointMassVehicle(response, constant, args.drag), None
+    size, period = args.thrust_turn
+    series = turning(
+        args.duration, args.sample_rate, constant=constant, size=size, period=period, phase=0.0
+    )
+    return PointMassVehicle(response, drag=args.drag), series

@@ -75,7 +75,7 @@ class Pieces:
         count = int((time[-1] - time[0]) / step + 1e-6) + 1
         grid = np.minimum(time[0] + step * np.arange(count), time[-1])
         position, velocity = self.position[piece], self.velocity[piece]
-        return grid, _hermite(time, position, velocity, grid), _interpolated(time, velocity, grid)
+        return grid, hermite(time, position, velocity, grid), _interpolated(time, velocity, grid)
 
 
 def cut(log: Pieces) -> Pieces:
@@ -100,7 +100,7 @@ def straddling(starts: IntArray, width: int, rows: int) -> BoolArray:
     return crossing
 
 
-def _hermite(time: Array, position: Array, velocity: Array, at: Array) -> Array:
+def hermite(time: Array, position: Array, velocity: Array, at: Array) -> Array:
     """Positions (q, 2) at the times (q,) by the cubic through position and velocity beside them."""
     low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
     width = (time[low + 1] - time[low])[:, None]

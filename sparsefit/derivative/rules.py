@@ -10,6 +10,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative.agreement import Agreement, agreement_of
+from sparsefit.derivative.carried import Carried
 from sparsefit.derivative.outliers import unexplained
 from sparsefit.derivative.pieces import Pieces
 from sparsefit.derivative.repair import Repairs, repaired, untouched
@@ -45,6 +46,7 @@ class Samples:
             place of the samples; these, by ``auto``, then only say where a scan has to look.
         repairs: what was mended in the flight before.
         agreement: of position and velocity in the longest piece, where ``auto`` smoothed both.
+        thrust: that was measured [m/s^2], (m, 2), or None.
 
     ``smoothing`` is None where the samples were not made by a `Derivative`.
     """
@@ -58,10 +60,11 @@ class Samples:
     weak: WeakRows | None = None
     repairs: Repairs = Repairs()
     agreement: Agreement | None = None
+    thrust: Array | None = None
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
-        return vehicle.flow_velocity(self.velocity, self.acceleration)
+        return vehicle.flow_velocity(self.velocity, self.acceleration, self.thrust)
 
 
 @dataclass(frozen=True)
@@ -138,12 +141,15 @@ class Derivative:
                 f"weak order must be an integer from {least} to {most}; got {self.order!r}"
             )
 
-    def _weak(self, log: Pieces, time: Array, state: Array, smoothing: Smoothing) -> WeakRows:
+    def _weak(
+        self, log: Pieces, time: Array, state: Array, smoothing: Smoothing, thrust: Carried | None
+    ) -> WeakRows:
         """Rows of the smoothed states; of the measured ones where nothing was smoothed."""
         if smoothing.method != "auto":
             time, state = log.time, np.hstack([log.position, log.velocity])
         window = self.window or automatic_window(len(time), smoothing.window)
-        return weak_rows(time, state[:, :2], state[:, 2:], window, self.order or ORDER)
+        rows = weak_rows(time, state[:, :2], state[:, 2:], window, self.order or ORDER)
+        return rows if thrust is None else thrust.averaged(rows, time)
 
     def __call__(self, flight: Flight) -> Samples:
         """Return states and derivatives of ``flight``.
@@ -153,8 +159,14 @@ class Derivative:
                 with ``savgol``, if its time steps are not uniform.
         """
         log, repairs = self._log(flight)
-        time, state, rate, smoothing = _RULES[self.method](self, log)
-        weak = self._weak(log, time, state, smoothing) if self.method == "weak" else None
+        carried, thrust = Carried.of(flight, log), None
+        moved = log if carried is None else carried.without(log)
+        time, state, rate, smoothing = _RULES[self.method](self, moved)
+        if carried is not None:
+            state, rate, thrust = carried.restored(time, state, rate)
+        weak = None
+        if self.method == "weak":
+            weak = self._weak(log, time, state, smoothing, carried)
         return Samples(
             time=time,
             position=state[:, :2],
@@ -165,6 +177,7 @@ class Derivative:
             weak=weak,
             repairs=repairs,
             agreement=_agreement(log, smoothing),
+            thrust=thrust,
         )
 
     def _log(self, flight: Flight) -> tuple[Pieces, Repairs]:

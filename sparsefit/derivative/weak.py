@@ -48,6 +48,7 @@ class WeakRows:
         order: p.
         correlation: rows over which errors of the velocity correlate, >= 1.
         rate: the weights (q, m) of -int psi' dt, each row of sum 0.
+        thrust: int psi m dt [m/s^2], (q, 2), where a thrust was measured.
     """
 
     operator: csr_array
@@ -60,10 +61,16 @@ class WeakRows:
     order: int
     correlation: float
     rate: csr_array
+    thrust: Array | None = None
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """The averages of Phi [m/s], (q, 2), for a vehicle."""
-        return vehicle.flow_velocity(self.velocity, self.acceleration)
+        if vehicle.drag:
+            raise InputError(
+                "the weak form averages the equation of motion, which quadratic drag does not "
+                "allow: use the derivative 'auto'"
+            )
+        return vehicle.flow_velocity(self.velocity, self.acceleration, self.thrust)
 
     def blocks(self) -> Iterator[tuple[slice, csr_array, Array]]:
         """Rows of Psi in blocks: which, their weights, and the positions that these act on."""

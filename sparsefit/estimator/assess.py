@@ -187,7 +187,7 @@ def _mean_velocity(
     if vehicle is not None:
         if not vehicle.possible:
             return math.nan
-        phi = target = vehicle.flow_velocity(samples.velocity, samples.acceleration)
+        phi = target = vehicle.flow_velocity(samples.velocity, samples.acceleration, samples.thrust)
     plain = vehicle is None and samples.weak is None
     if plain or readout.mean_velocity == "paper":
         return readout.velocity(samples.position, phi, target, place.length_scales[0])

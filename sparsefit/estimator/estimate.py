@@ -64,8 +64,9 @@ class Estimate:
     ``unidentifiable`` or ``error``, with its reason;
     grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
     length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
-    refinement found the best other lobe of the residual [m]; response_time [s],
-    thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they are unknown;
+    refinement found the best other lobe of the residual [m]; response_time [s], drag [1/m],
+    thrust_scale, thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they
+    are unknown;
     scales: all cellular flows found, fastest first, where the readout asks for several, or the
     ladder finds two: the parameters are those of the first. uncertainty: of a refined scale with
     the ``rms`` mean velocity, `unidentifiable` or not: it holds within the lobe that was chosen,
@@ -116,6 +117,8 @@ class Estimate:
     shape_uncertainty: ShapeUncertainty | None = None
     rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
     flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
+    drag: float = math.nan
+    thrust_scale: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None. `flow_uncertainty` is left out."""

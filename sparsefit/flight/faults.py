@@ -107,7 +107,8 @@ class LogFaults:
                 f"{flight.duration:g} s: make them fewer or shorter"
             )
         logged = {name: getattr(flight, name)[kept] for name in ("time", "position", "velocity")}
-        return replace(flight, **logged)
+        thrust = None if flight.thrust is None else flight.thrust[kept]
+        return replace(flight, **logged, thrust=thrust)
 
 
 def _directions(count: int, stream: np.random.Generator) -> Array:

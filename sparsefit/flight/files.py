@@ -23,7 +23,8 @@ def read_flight(path: str | os.PathLike[str], *, vehicle: PointMassVehicle | Non
     Columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored. Without
     both ``vx`` and ``vy`` the log has positions only (`Flight.from_positions`). The vehicle:
     ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
-    not given), the same keys in the metadata of Parquet. The true flow, where known:
+    not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet. Columns
+    ``ax`` and ``ay`` [m/s^2] are a measured thrust (`Flight.thrust`). The true flow, where known:
     ``mean_velocity`` and ``length_scale``, or those of shaped cells and of turbulence, numbered
     ``_1``, ``_2``, ... when superposed (`sparsefit.flight.flow_settings`).
 

@@ -30,6 +30,8 @@ class Flight:
         vehicle: the vehicle that flew.
         flow: the true flow where it is known; no estimate ever reads it.
         velocity_measured: whether the velocity was logged, or is only that of the position.
+        thrust: measured thrust acceleration m [m/s^2], shape (m, 2), in the axes of the position;
+            None where it is the vehicle's constant alone.
 
     Raises:
         InputError: naming the field and row, if the shapes differ, a value is not finite or
@@ -42,10 +44,16 @@ class Flight:
     vehicle: PointMassVehicle
     flow: Flow | None = None
     velocity_measured: bool = True
+    thrust: Array | None = None
 
     @classmethod
     def from_positions(
-        cls, time: object, position: object, vehicle: PointMassVehicle, flow: Flow | None = None
+        cls,
+        time: object,
+        position: object,
+        vehicle: PointMassVehicle,
+        flow: Flow | None = None,
+        thrust: Array | None = None,
     ) -> Flight:
         """A flight whose log has positions only.
 
@@ -54,6 +62,7 @@ class Flight:
             position: (x, y) [m], shape (m, 2).
             vehicle: the vehicle that flew.
             flow: the true flow where it is known.
+            thrust: measured thrust acceleration [m/s^2], shape (m, 2), where there is one.
 
         Returns:
             The flight. Its velocity is the difference quotient of the position; the derivative
@@ -66,7 +75,8 @@ class Flight:
         t, x = _frozen("time", time, ("m",)), _frozen("position", position, ("m", 2))
         _check_lengths(t, x, x)
         _check_increasing(t)
-        return cls(t, x, np.gradient(x, t, axis=0), vehicle, flow, velocity_measured=False)
+        speed = np.gradient(x, t, axis=0)
+        return cls(t, x, speed, vehicle, flow, velocity_measured=False, thrust=thrust)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
@@ -79,6 +89,12 @@ class Flight:
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "velocity", velocity)
+        if self.thrust is not None:
+            thrust = _frozen("thrust", self.thrust, ("m", 2))
+            if len(thrust) != len(time):
+                words = f"thrust has {len(thrust)} rows for {len(time)} samples"
+                raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
+            object.__setattr__(self, "thrust", thrust)
 
     @property
     def samples(self) -> int:

@@ -21,6 +21,7 @@ from sparsefit.errors import (
 )
 from sparsefit.flight.flow import Flow
 from sparsefit.flight.record import MINIMUM_SAMPLES, MOST_SAMPLES, Flight, check_models
+from sparsefit.flight.thrust import ThrustSeries
 from sparsefit.flight.vehicle import PointMassVehicle
 
 if TYPE_CHECKING:
@@ -47,11 +48,14 @@ def simulate_flight(
     velocity_noise: float = 0.0,
     substeps: int = 10,
     time_jitter: float = 0.0,
+    thrust: ThrustSeries | None = None,
+    thrust_noise: float = 0.0,
 ) -> Flight:
     """Fly ``vehicle`` through ``flow`` and return what it logs, at t = 0, 1/rate, 2/rate, ...
 
-    Five independent streams come from ``seed``: initial position, process noise, position noise,
-    velocity noise, time jitter. Flights that differ in a noise level only therefore share one draw.
+    Six independent streams come from ``seed``: initial position, process noise, position noise,
+    velocity noise, time jitter, thrust noise. Flights that differ in a noise level only therefore
+    share one draw.
 
     Args:
         flow: the true flow; kept in the flight for scoring. None: still air.
@@ -69,6 +73,8 @@ def simulate_flight(
         substeps: random kicks per sample interval; used only with process noise.
         time_jitter: in [0, 0.5): by which share of 1/rate a sample is taken early or late at most,
             uniformly; the time that is logged is the one at which it was taken.
+        thrust: flown beside the vehicle's constant, and logged; its times cover the flight.
+        thrust_noise: standard deviation [m/s^2] of the logged thrust.
 
     Returns:
         The flight; without noise, the solution of Eq. 14 to about 1e-12 per sample interval.
@@ -77,7 +83,8 @@ def simulate_flight(
         InputError: if an argument is out of its range, or the equation is too stiff to integrate.
     """
     check_models(vehicle, flow)
-    start_stream, process_stream, position_stream, velocity_stream, time_stream = _streams(seed)
+    start_stream, process_stream, position_stream, velocity_stream, *others = _streams(seed)
+    time_stream, thrust_stream = others
     time = _sample_times(duration, sample_rate)
     time = _jittered(time, time_jitter, time_stream)
     state = (
@@ -87,22 +94,27 @@ def simulate_flight(
     kicks = _kicks(process_noise, time, integer("substeps", substeps, 1), process_stream)
     blur = non_negative("position_noise", position_noise, "m")
     jitter = non_negative("velocity_noise", velocity_noise, "m/s")
-    states = _integrate(_right_hand_side(flow, vehicle), state, time, kicks)
+    level = non_negative("thrust_noise", thrust_noise, "m/s^2")
+    logged = None if thrust is None else thrust.at(time)
+    states = _integrate(_right_hand_side(flow, vehicle, thrust), state, time, kicks)
+    if logged is not None:
+        logged = logged + level * thrust_stream.standard_normal(logged.shape)
     return Flight(
         time=time,
         position=states[:, :2] + blur * position_stream.standard_normal((len(time), 2)),
         velocity=states[:, 2:] + jitter * velocity_stream.standard_normal((len(time), 2)),
         vehicle=vehicle,
         flow=flow,
+        thrust=logged,
     )
 
 
 def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
-    """Return the five streams of ``SeedSequence.spawn(5)``, without its count of past spawns."""
+    """Return the six streams of ``SeedSequence.spawn(6)``, without its count of past spawns."""
     root = seed if isinstance(seed, np.random.SeedSequence) else _root(seed)
     children = (
         np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, child))
-        for child in range(5)
+        for child in range(6)
     )
     return [np.random.default_rng(child) for child in children]
 
@@ -171,11 +183,24 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
     return kicks
 
 
-def _right_hand_side(flow: Flow | None, vehicle: PointMassVehicle) -> RightHandSide:
+def _right_hand_side(
+    flow: Flow | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None = None
+) -> RightHandSide:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more."""
     flow_at = flow.pointwise() if flow else _still
-    rate = 1.0 / vehicle.response_time
+    rate, drag = vehicle.rate, vehicle.drag
     ax, ay = vehicle.thrust_acceleration
+    if drag or thrust is not None:
+        push, scale = thrust.pointwise() if thrust else _unpushed, vehicle.thrust_scale
+
+        def general(t: float, state: Array) -> list[float]:
+            x, y, vx, vy = state.tolist()
+            wx, wy = flow_at(x, y, t)
+            mx, my = push(t)
+            own = rate + drag * math.hypot(wx - vx, wy - vy)
+            return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
+
+        return general
 
     def derivative(t: float, state: Array) -> list[float]:
         x, y, vx, vy = state.tolist()
@@ -186,6 +211,10 @@ def _right_hand_side(flow: Flow | None, vehicle: PointMassVehicle) -> RightHandS
 
 
 def _still(_x: float, _y: float, _t: float) -> tuple[float, float]:
+    return 0.0, 0.0
+
+
+def _unpushed(_t: float) -> tuple[float, float]:
     return 0.0, 0.0
 
 

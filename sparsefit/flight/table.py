@@ -1,4 +1,4 @@
-"""A flight as a file holds it: three or five named columns and a few named numbers."""
+"""A flight as a file holds it: three to seven named columns and a few named numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from sparsefit.flight.vehicle import PointMassVehicle
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
 COLUMNS = (*POSITIONS, "vx", "vy")  # m/s, m/s
-KEYS = ("response_time", "thrust_ax", "thrust_ay", "mean_velocity", "length_scale")
+THRUST = ("ax", "ay")  # m/s^2, measured; in some logs
+KEYS = (
+    *("response_time", "thrust_ax", "thrust_ay", "drag", "thrust_scale"),
+    *("mean_velocity", "length_scale"),
+)
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,9 @@ class FlightTable:
         values = np.column_stack([flight.time, flight.position, flight.velocity])
         names = COLUMNS if flight.velocity_measured else POSITIONS
         columns = {name: values[:, place].tolist() for place, name in enumerate(names)}
-        ax, ay = flight.vehicle.thrust_acceleration
-        vehicle = {"response_time": flight.vehicle.response_time, "thrust_ax": ax, "thrust_ay": ay}
-        return cls(columns, vehicle | settings_of_flow(flight.flow))
+        if flight.thrust is not None:
+            columns |= dict(zip(THRUST, flight.thrust.T.tolist(), strict=True))
+        return cls(columns, _settings_of(flight.vehicle) | settings_of_flow(flight.flow))
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
         """Return the flight; a ``vehicle`` given here replaces the one in the settings.
@@ -48,10 +52,12 @@ class FlightTable:
         position = np.column_stack([self.columns["x"], self.columns["y"]])
         flown = vehicle_of(self.settings) if vehicle is None else vehicle
         flow = flow_of_settings(self.settings)
+        measured = THRUST[0] in self.columns
+        thrust = np.column_stack([self.columns[name] for name in THRUST]) if measured else None
         if "vx" not in self.columns:
-            return Flight.from_positions(time, position, flown, flow)
+            return Flight.from_positions(time, position, flown, flow, thrust)
         velocity = np.column_stack([self.columns["vx"], self.columns["vy"]])
-        return Flight(time=time, position=position, velocity=velocity, vehicle=flown, flow=flow)
+        return Flight(time, position, velocity, flown, flow, thrust=thrust)
 
 
 def is_key(name: str) -> bool:
@@ -62,13 +68,13 @@ def is_key(name: str) -> bool:
 def columns_of(names: list[str]) -> tuple[str, ...]:
     """The columns to read of a file that has `names`: `COLUMNS`, or `POSITIONS` without vx and vy.
 
-    Other columns are welcome.
+    With both of `THRUST`, these too. Other columns are welcome.
 
     Raises:
         InputError: where one is missing or stands twice.
     """
     alone = set(POSITIONS) <= set(names) and not {"vx", "vy"} & set(names)
-    wanted = POSITIONS if alone else COLUMNS
+    wanted = (*(POSITIONS if alone else COLUMNS), *(THRUST if set(THRUST) & set(names) else ()))
     missing = [name for name in wanted if name not in names]
     if missing:
         present = ascii(", ".join(names)[:200])[1:-1] or "nothing"
@@ -98,12 +104,28 @@ def number(text: str, place: str) -> float:
 def vehicle_of(settings: dict[str, float]) -> PointMassVehicle:
     """Return the vehicle that the settings name; its thrust is 0 where they do not say.
 
+    With quadratic drag and no response time it has no other drag.
+
     Raises:
-        InputError: if they name no response time, or a value is out of its range.
+        InputError: if they name neither a response time nor drag, or a value is out of its range.
     """
-    if "response_time" not in settings:
+    drag = settings.get("drag", 0.0)
+    if "response_time" not in settings and not drag:
         raise InputError(
             "no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
         )
     thrust = (settings.get("thrust_ax", 0.0), settings.get("thrust_ay", 0.0))
-    return PointMassVehicle(settings["response_time"], thrust)
+    response = settings.get("response_time", math.inf)
+    return PointMassVehicle(response, thrust, drag, settings.get("thrust_scale", 1.0))
+
+
+def _settings_of(vehicle: PointMassVehicle) -> dict[str, float]:
+    """The settings of a vehicle; without a response time where its drag is quadratic only."""
+    ax, ay = vehicle.thrust_acceleration
+    linear = {"response_time": vehicle.response_time} if vehicle.rate else {}
+    settings = linear | {"thrust_ax": ax, "thrust_ay": ay}
+    if vehicle.drag:
+        settings["drag"] = vehicle.drag
+    if vehicle.thrust_scale != 1.0:
+        settings["thrust_scale"] = vehicle.thrust_scale
+    return settings

@@ -42,8 +42,9 @@ class Library:
 
     ``target``: ``flow-velocity`` Phi = tau (v' - a) + v (Eq. 23), ``acceleration`` v', or
     ``state-derivative`` (x', v'), the literal reading of Eq. 20.
-    ``unknown``: what is estimated with the flow, of ``response_time``, ``thrust_acceleration`` and
-    ``wind`` (`sparsefit.library.nuisance`); what is not is as the vehicle says, the wind 0.
+    ``unknown``: what is estimated with the flow, of ``response_time``, ``drag``, ``thrust_scale``,
+    ``thrust_acceleration`` and ``wind`` (`sparsefit.library.nuisance`); what is not is as the
+    vehicle says, the wind 0.
     ``family``: ``cells``, ``stream`` or ``waves``. Those of a stream function have one weight for
     both velocity components, and their one target is the flow velocity.
     ``waves``: how fine the wavevectors of ``waves`` are; ``grid`` gives the bounds of the length
@@ -157,6 +158,7 @@ class Library:
             velocity=samples.velocity[thin],
             position_rate=samples.position_rate[thin],
             acceleration=samples.acceleration[thin],
+            thrust=None if samples.thrust is None else samples.thrust[thin],
         )
 
     def _reduced(
@@ -176,7 +178,7 @@ class Library:
         basis = np.zeros((len(target), 0))
         if self.unknown:
             basis = Nuisance(self.unknown, vehicle).basis(
-                source.velocity, shared=columns.components == 2
+                source.velocity, source.thrust, shared=columns.components == 2
             )
         pieces = columns.blocks(source)
         if not large:

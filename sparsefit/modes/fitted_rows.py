@@ -48,7 +48,7 @@ class Rows:
         return cls(
             centred(source.position),
             source.flow_velocity(vehicle),
-            Nuisance(unknown, vehicle).columns(source.velocity),
+            Nuisance(unknown, vehicle).columns(source.velocity, source.thrust),
             source.operator if isinstance(source, WeakRows) else None,
         )
 

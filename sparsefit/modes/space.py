@@ -92,7 +92,7 @@ class SearchSpace:
         if not unknown:
             return cls(Cells(), rows, sampled, bounds, correlation)
         nuisance = Nuisance(unknown, vehicle)
-        series = nuisance.series(samples.velocity)
+        series = nuisance.series(samples.velocity, samples.thrust)
         return cls(Cells(), rows, sampled, bounds, correlation, nuisance, series)
 
     @classmethod

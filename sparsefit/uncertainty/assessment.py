@@ -9,10 +9,9 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.derivative import Samples
-from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.family import Family
-from sparsefit.library.nuisance import Nuisance, VehicleEstimate
+from sparsefit.library.nuisance import NUMBERS, Nuisance, VehicleEstimate
 from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
@@ -158,9 +157,9 @@ def _as_found(
     samples: Samples, model: Model, nuisance: Nuisance, vehicle: VehicleEstimate
 ) -> tuple[Model, Nuisance]:
     """The same fit, of the rows of the vehicle that was found: b_v = 0, W in units of Phi."""
-    found = PointMassVehicle(vehicle.response_time, vehicle.thrust_acceleration)
-    ratio = nuisance.ratio(model.coefficients)
-    left = (*[0.0] * nuisance.shared, *(vehicle.wind if nuisance.constant else ()))
+    found, ratio = vehicle.vehicle, nuisance.ratio(model.coefficients)
+    settled = [0.0] * (nuisance.shared + nuisance.scaled)
+    left = (*settled, *(vehicle.wind if nuisance.constant else ()))
     turned = replace(
         model,
         rows=replace(
@@ -183,10 +182,10 @@ def _vehicle(vehicle: VehicleEstimate, known: Known) -> tuple[VehicleEstimate, V
     parts: list[dict[str, tuple[float, ...]]] = [{}, {}, {}]
     first = 0
     for name in vehicle.unknown:
-        part = slice(first, first + (1 if name == "response_time" else 2))
+        part = slice(first, first + (1 if name in NUMBERS else 2))
         for own, array in zip(parts, (known.values, known.errors, known.freedom), strict=True):
             own[name] = tuple(array[part].tolist())
         first = part.stop
     values = parts[0]
-    read: dict[str, Any] = {n: v[0] if n == "response_time" else v for n, v in values.items()}
+    read: dict[str, Any] = {n: v[0] if n in NUMBERS else v for n, v in values.items()}
     return replace(vehicle, **read), VehicleUncertainty.around(*parts)

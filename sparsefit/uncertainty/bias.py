@@ -22,10 +22,14 @@ Noise of the velocity, where the response time is unknown and v is a column: E v
 covariance of both, row by row; of kicks to the acceleration, which the velocity after them holds,
 tau sigma^2 h sum_j p_j r_j, p_j the weight of step j in the filtered acceleration and r_j in
 the filtered velocity.
+
+Quadratic drag: tau is the response dr/dF of each sample (`filtered`), (w - v)/tau is F(w - v) and
+(P - 1)(w - v) is dr/dF (P - 1) F. And r(F) is no line: its mean over the noise of v' is another.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +41,7 @@ from sparsefit.derivative.transform import fast_length
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 
+DIRECTIONS = 8  # of noise
 PASSES = 2  # of the truncation: the flow it is computed from moves by it
 
 
@@ -81,13 +86,20 @@ class Distortion:
         samples = int(self.place.shape[1])
         return samples / (samples - 2 * self.half)
 
-    def of_samples(self, model: Model, velocity: Array) -> Array:
-        """b at the samples (m, 2) [m/s], of a model of them and their velocity v (m, 2)."""
+    def of_samples(self, model: Model, fit: Filtered) -> Array:
+        """b at the samples (m, 2) [m/s], of a model of them and the fit that it is of."""
+        velocity = fit.samples.velocity
         lost, samples = self._bent(model), len(velocity)
         excess = model.flow.T - velocity.T
+        if fit.stretch is not None:
+            excess = fit.vehicle.drag_of(excess.T).T
         filtered = np.fft.irfft(np.fft.rfft(excess, self.size) * self.mean, self.size)
         inner = slice(self.half, samples - self.half)
-        lost[inner] += (filtered[:, : samples - 2 * self.half] - excess[:, inner]).T
+        short = np.zeros_like(excess)
+        short[:, inner] = filtered[:, : samples - 2 * self.half] - excess[:, inner]
+        if fit.stretch is not None:
+            short = fit.response_time * fit.stretched(short)
+        lost += short.T
         return lost
 
     def of_weak(self, model: Model, weak: WeakRows, response_time: float) -> Array:
@@ -129,14 +141,14 @@ def without_truncation(fit: Filtered) -> Truncated:
     for _ in range(PASSES):
         base = moved
         if samples.weak is None:
-            lost, share = distortion.of_samples(base, velocity), distortion.share
+            lost, share = distortion.of_samples(base, fit), distortion.share
         else:
             lost, share = distortion.of_weak(base, samples.weak, fit.response_time), 1.0
         moved = model.moved(-share * model.jacobian.score(lost))
     errors = at_samples = base.residual - lost
     if samples.weak is not None:
         plain = fit.as_samples(base)
-        at_samples = _refitted(plain, plain.residual - distortion.of_samples(plain, velocity))
+        at_samples = _refitted(plain, plain.residual - distortion.of_samples(plain, fit))
     return Truncated(moved, errors, at_samples)
 
 
@@ -155,7 +167,8 @@ def noisy_columns(fit: Filtered) -> Array:
     filters, weak, model = fit.filters, fit.samples.weak, fit.model
     variances = np.array([[filters.sigma_position], [filters.sigma_velocity]]) ** 2
     place, velocity, acceleration = filters.raw
-    through = velocity + fit.response_time * acceleration
+    tau = fit.response_time
+    through = velocity + fit.evenness * tau * acceleration
     square = float(np.sum(variances * place**2)) + fit.wander.rms**2
     bowed = model.rows.averaged(-0.5 * square * model.laplacian)
     score = model.jacobian.score(bowed.T)
@@ -167,15 +180,32 @@ def noisy_columns(fit: Filtered) -> Array:
     if weak is not None:
         return score
     load = -square * model.gradient
-    load[[0, 1], [0, 1]] += float(np.sum(variances * place * through))
+    if fit.stretch is None:
+        load[[0, 1], [0, 1]] += float(np.sum(variances * place * through))
+    else:
+        load[[0, 1], [0, 1]] += float(np.sum(variances * place * velocity))
+        load += tau * float(np.sum(variances * place * acceleration)) * fit.stretch
     return score + _shaken(model, load)
 
 
 def kicked_velocity(fit: Filtered, kicks: float) -> Array:
     """E J'e (n,) of kicks in the column of the velocity; kicks: the variance of tau times them."""
     held = kicks_through(fit.filters.raw[1], float(np.mean(np.diff(fit.samples.time))))
-    by_row = kicks / fit.response_time * float(np.sum(fit.filters.kicks * held))
+    by_row = kicks * fit.evenness / fit.response_time * float(np.sum(fit.filters.kicks * held))
     return _in_velocity(fit.model, by_row)
+
+
+def curved(fit: Filtered) -> Array:
+    """J'e (n,) of noise in v', of which the relative velocity of quadratic drag is no line.
+
+    The mean of r(F + n) less r(F), n of rms `roughness` in all directions.
+    """
+    vehicle, model = fit.vehicle, fit.plain
+    drags = vehicle.drag_of(model.fitted - fit.samples.velocity)
+    turns = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    around = fit.roughness * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    mean = sum(vehicle.relative_of(drags + one) for one in around) / DIRECTIONS
+    return model.jacobian.score(mean - vehicle.relative_of(drags))
 
 
 def _in_velocity(model: Model, by_row: float) -> Array:

@@ -125,4 +125,6 @@ def _scores_of_noise(fit: Filtered, kicks: float) -> list[Array]:
         scores.append(bias.noisy_columns(fit))
     if fit.shared:
         scores.append(bias.kicked_velocity(fit, kicks))
+    if fit.stretch is not None:
+        scores.append(bias.curved(fit))
     return scores

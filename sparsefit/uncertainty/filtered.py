@@ -1,16 +1,27 @@
-"""A fit together with the filters through which its rows see the flight."""
+"""A fit together with the filters through which its rows see the flight.
+
+An error of the acceleration is one of Phi by dr/dF, the vehicle's response: tau for linear drag, a
+matrix from sample to sample for quadratic drag (`sparsefit.flight.vehicle`), along the fitted
+flow. It grows without bound where nothing drags; what noise is there bounds it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.derivative import Samples
 from sparsefit.derivative.filters import Filters
+from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.wander import Wander
+
+LEAST = 1e-6  # of the rms drag: without noise, what bounds the response
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,16 +33,22 @@ class Filtered:
         filters: the weights behind them.
         model: the fit, as a model of its rows.
         plain: the same fit as a model of the samples: other than `model` for weak rows only.
-        response_time: tau [s] of the vehicle that fits best.
+        vehicle: that fits best.
+        response_time: its tau [s]; of quadratic drag, the root mean square of its response.
         shared: whether the velocity has a column, the first of the nuisance columns.
+        stretch: the response of quadratic drag over `response_time`, (2, 2, m); None: 1.
+        roughness: of quadratic drag, the rms of the noise in |v' - a| [m/s^2].
     """
 
     samples: Samples
     filters: Filters
     model: Model
     plain: Model
+    vehicle: PointMassVehicle
     response_time: float
     shared: bool
+    stretch: Array | None = None
+    roughness: float = 0.0
 
     @classmethod
     def of(cls, samples: Samples, model: Model, nuisance: Nuisance) -> Filtered | None:
@@ -44,13 +61,37 @@ class Filtered:
             rows = Rows.of(single, nuisance.believed, nuisance.unknown)
             timed = model.rows.position.shape[1] > 2
             plain = replace(model, rows=rows.timed(samples.time) if timed else rows)
-        tau = nuisance.believed.response_time
-        return cls(samples, filters, model, plain, tau, nuisance.shared)
+        vehicle, shared = nuisance.believed, nuisance.shared
+        if not vehicle.drag:
+            return cls(samples, filters, model, plain, vehicle, vehicle.response_time, shared)
+        drags = vehicle.drag_of(plain.fitted - samples.velocity)
+        seen = samples.flow_velocity(vehicle) - samples.velocity
+        size = float(np.sqrt(np.mean(np.sum(drags**2, axis=1))))
+        away = np.sqrt(np.mean(np.sum((vehicle.drag_of(seen) - drags) ** 2, axis=1)))
+        noise = max(float(away), LEAST * size)
+        response = vehicle.response(drags, noise)
+        tau = float(np.sqrt(0.5 * np.mean(np.sum(response**2, axis=(0, 1)))))
+        stretch = response / tau
+        return cls(samples, filters, model, plain, vehicle, tau, shared, stretch, noise)
 
     @cached_property
     def wander(self) -> Wander:
         """What the position wanders."""
         return Wander.of(self.samples)
+
+    @cached_property
+    def evenness(self) -> float:
+        """The mean response over `response_time`, its root mean square: 1 for linear drag."""
+        if self.stretch is None:
+            return 1.0
+        return float(0.5 * np.mean(np.trace(self.stretch)))
+
+    def stretched(self, values: Array) -> Array:
+        """What a response of `response_time` would make (..., 2, m), as the vehicle's makes it."""
+        if self.stretch is None:
+            return values
+        turned: Array = np.einsum("abm,...bm->...am", self.stretch, values)
+        return turned
 
     def as_samples(self, model: Model) -> Model:
         """A model of the rows, as one of the samples."""

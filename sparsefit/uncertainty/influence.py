@@ -94,7 +94,16 @@ def powers(fit: Filtered, passage: Passage, influence: Array, spectra: ComplexAr
     """
     weight, kicked = frequency_weights(passage.size), np.abs(passage.kicks) ** 2
     by_raw = [power(one, weight) for one in raw_plain(fit, passage, influence, spectra)]
-    return np.array([*by_raw, power(spectra, weight * kicked)])
+    return np.array([*by_raw, power(_of_kicks(fit, passage, influence, spectra), weight * kicked)])
+
+
+def _of_kicks(
+    fit: Filtered, passage: Passage, influence: Array, spectra: ComplexArray
+) -> ComplexArray:
+    """The influence of errors of tau times the acceleration, as transforms (f, 2, size/2 + 1)."""
+    if fit.stretch is None:
+        return spectra
+    return np.fft.rfft(fit.stretched(influence), passage.size)
 
 
 def raw_plain(
@@ -102,9 +111,13 @@ def raw_plain(
 ) -> list[ComplexArray]:
     """The influence of raw position and velocity, as transforms (f, 2, size/2 + 1) of each."""
     bent = np.fft.rfft(_bent(fit.model, influence), passage.size)
-    through = passage.of_flow_velocity(fit.response_time)
-    pairs = zip(through, passage.place, strict=True)
-    return [spectra * of_phi - bent * place for of_phi, place in pairs]
+    if fit.stretch is None:
+        through = passage.of_flow_velocity(fit.response_time)
+        pairs = zip(through, passage.place, strict=True)
+        return [spectra * of_phi - bent * place for of_phi, place in pairs]
+    pushed = fit.response_time * _of_kicks(fit, passage, influence, spectra)
+    each = zip(passage.velocity, passage.acceleration, passage.place, strict=True)
+    return [spectra * speed + pushed * rate - bent * place for speed, rate, place in each]
 
 
 def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Array) -> Array:

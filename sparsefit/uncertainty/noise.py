@@ -116,8 +116,11 @@ class Observed:
         """The spectra (2, size/2 + 1) in Phi of measured noise and of kicks, each of level 1."""
         passage = self.passage
         steep = float(np.mean(np.sum(self.fit.plain.gradient**2, axis=0)))  # along an axis
-        through = passage.of_flow_velocity(self.fit.response_time)
+        tau, even = self.fit.response_time, self.fit.evenness
+        through = passage.of_flow_velocity(even * tau)
         measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
+        if even < 1.0:
+            measured += (1.0 - even**2) * tau**2 * np.abs(passage.acceleration) ** 2
         wandered = modulated(self.fit.wander, self.fit.plain.gradient, passage.size)
         return np.array([self.squares @ measured + wandered, np.abs(passage.kicks) ** 2])
 

@@ -4,7 +4,7 @@ Of a mode of a cellular flow, W its weights and k its wavenumber: U0^2 = 2 sum h
 square of a column over a cell, L = pi/k and tau_w = L/U0. Where the response time is unknown
 all fitted weights are 1 - b_v of the true ones, b_v the coefficient of the velocity; of the vehicle
 (`sparsefit.library.nuisance`), tau = tau_0/(1 - b_v), the thrust is a_0 + b_c/tau_0 and the
-wind b_c/(1 - b_v).
+wind b_c/(1 - b_v); its scale s_0 + b_m/tau_0, and quadratic drag c_0 (1 - b_v)^2.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.library.cells import MEAN_SQUARE, rms_mean_velocity
-from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.nuisance import NUMBERS, Nuisance
 from sparsefit.uncertainty.model import Model
 
 FIRST_ORDER = 0.2  # of a value that a correction may move it: beyond it first order is no guide
@@ -103,6 +103,10 @@ def vehicle(model: Model, nuisance: Nuisance) -> Reading:
         by_theta = np.zeros((len(value), first + len(model.coefficients)))
         if name == "response_time":
             by_theta[0, first] = found.response_time / ratio
+        elif name == "drag":
+            by_theta[0, first] = -2 * found.drag / ratio
+        elif name == "thrust_scale":
+            by_theta[0, first + nuisance.shared] = 1 / nuisance.believed.response_time
         else:
             step = 1 / ratio if name == "wind" else 1 / nuisance.believed.response_time
             by_theta[:, -2:] = step * np.eye(2)
@@ -112,7 +116,7 @@ def vehicle(model: Model, nuisance: Nuisance) -> Reading:
         values.append(value)
         gradients.append(by_theta)
     limits = [
-        FIRST_ORDER * v if n == "response_time" else math.inf
+        FIRST_ORDER * v if n in NUMBERS else math.inf
         for n, v in zip(names, np.concatenate(values), strict=True)
     ]
     return Reading(

@@ -36,7 +36,7 @@ def with_position_noise(model, sigma):
     filters = Filters(raw, np.ones(1), None, None, sigma, 0.0)
     position = model.rows.position
     samples = Samples(np.arange(len(position)) * 0.01, position, position, position, position)
-    return Filtered(samples, filters, model, model, 0.5, shared=False)
+    return Filtered(samples, filters, model, model, PointMassVehicle(0.5), 0.5, shared=False)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_truncation_is_found_without_the_truth(rule, exact):
     samples = rule(exact)
     model = cells_at(Rows.of(samples, VEHICLE), FLOW.wavenumber)
     distortion = Distortion.of(model.rows.position, samples.velocity, Filters.of(samples))
-    lost = distortion.of_samples(model, samples.velocity)
+    lost = distortion.of_samples(model, Filtered.of(samples, model, KNOWN))
     known = (lost != 0).any(axis=1)
     true = model.rows.target - FLOW.velocity(*samples.position.T)
     assert distortion.share == pytest.approx(len(lost) / known.sum())

@@ -86,9 +86,10 @@ def _cut(piece: Piece, vehicle: PointMassVehicle | None) -> Flight:
         raise InputError(f"{piece.file} has changed since the study was read: run it again")
     inside = (whole.time >= piece.start) & (whole.time <= piece.end)
     time, position = whole.time[inside] - piece.start, whole.position[inside]
+    thrust = None if whole.thrust is None else whole.thrust[inside]
     if not whole.velocity_measured:
-        return Flight.from_positions(time, position, whole.vehicle)
-    return Flight(time, position, whole.velocity[inside], whole.vehicle)
+        return Flight.from_positions(time, position, whole.vehicle, thrust=thrust)
+    return Flight(time, position, whole.velocity[inside], whole.vehicle, thrust=thrust)
 
 
 def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:

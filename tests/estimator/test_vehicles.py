@@ -1,0 +1,92 @@
+"""Vehicles beyond the paper's, estimated: quadratic drag, a measured thrust, unknowns of both."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.flight.thrust import turning
+
+FLOW = sf.CellularFlow(8.0, 4.0)
+QUADRATIC = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
+LINEAR = sf.PointMassVehicle(0.5)
+NOISE = {"velocity_noise": 0.1, "position_noise": 0.02}
+GRID = sf.LengthScaleGrid(2.0, 7.0, step=0.5)
+PLAIN = sf.Readout(refine="variable-projection")
+
+
+def flown(vehicle, *, circling=False, **noise):
+    thrust = turning(15.0, 50.0, constant=(5.0, 3.0), size=6.0, period=4.0, phase=0.0)
+    return sf.simulate_flight(
+        FLOW, vehicle, duration=15.0, sample_rate=50.0, seed=5,
+        thrust=thrust if circling else None, **noise,
+    )  # fmt: skip
+
+
+def estimated(flight, *unknown, derivative="auto"):
+    library = sf.Library(grid=GRID, unknown=unknown)
+    return sf.Estimator(
+        derivative=derivative, library=library, backend="best-scale", readout=PLAIN
+    ).estimate(flight)
+
+
+def test_quadratic_drag_without_noise():
+    flight = flown(QUADRATIC)
+    estimate = estimated(flight)
+    assert estimate.status == "ok"
+    assert estimate.mean_velocity == pytest.approx(8.0, rel=1e-3)
+    assert estimate.length_scale == pytest.approx(4.0, rel=1e-4)
+    both = sf.PointMassVehicle(1.0, (5.0, 3.0), 0.3)
+    assert estimated(flown(both)).mean_velocity == pytest.approx(8.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("believed", [0.1, 0.3, 2.0])
+def test_drag_that_is_sought_does_not_depend_on_what_is_believed(believed):
+    flight = replace(flown(QUADRATIC, **NOISE), vehicle=replace(QUADRATIC, drag=believed))
+    estimate = estimated(flight, "drag")
+    assert estimate.status == "ok"
+    low, high = estimate.vehicle_uncertainty.drag_interval
+    assert low < 0.3 < high
+    assert abs(estimate.mean_velocity - 8.0) < 3 * estimate.uncertainty.mean_velocity
+    assert estimate.drag == pytest.approx(estimated(flown(QUADRATIC, **NOISE), "drag").drag)
+
+
+def test_a_measured_thrust_and_its_own_unknowns():
+    flight = flown(LINEAR, circling=True, thrust_noise=0.1, **NOISE)
+    wrong = replace(flight, vehicle=sf.PointMassVehicle(2.0, (0.3, -0.2), thrust_scale=1.3))
+    names = ("response_time", "thrust_scale", "thrust_acceleration")
+    estimate = estimated(wrong, *names)
+    assert estimate.status == "ok"
+    true = {"response_time": 0.5, "thrust_scale": 1.0}
+    for name, value in true.items():
+        spread = getattr(estimate.vehicle_uncertainty, name)
+        assert 0 < spread < 0.05
+        assert abs(getattr(estimate, name) - value) < 4 * spread
+    spreads = np.array(estimate.vehicle_uncertainty.thrust_acceleration)
+    assert (np.abs(estimate.thrust_acceleration) < 4 * spreads).all()
+    right = estimated(flight)
+    assert abs(right.mean_velocity - 8.0) < 4 * right.uncertainty.mean_velocity
+    # The same flight whose thrust was not logged is no flight of this vehicle.
+    assert estimated(replace(flight, thrust=None)).status != "ok"
+
+
+def test_what_cannot_be_sought_is_refused():
+    flight = flown(QUADRATIC)
+    for names, words in {
+        ("response_time",): "no response time",
+        ("thrust_acceleration",): "not linear",
+        ("thrust_scale",): "not linear",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            estimated(flight, *names)
+    with pytest.raises(InputError, match="linear and quadratic at once"):
+        estimated(replace(flight, vehicle=sf.PointMassVehicle(0.5, drag=0.1)), "drag")
+    with pytest.raises(InputError, match="needs a vehicle with quadratic drag"):
+        estimated(flown(LINEAR), "drag")
+    with pytest.raises(InputError, match="needs a measured thrust"):
+        estimated(flown(LINEAR), "thrust_scale")
+    with pytest.raises(InputError, match="weak form"):
+        estimated(flight, derivative="weak")
