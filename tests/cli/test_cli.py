@@ -166,8 +166,9 @@ def test_simulate_refuses(capsys, options, words):
 
 def test_estimate_prints_standard_errors_and_intervals(capsys, tmp_path):
     path = tmp_path / "noisy.csv"
-    of_flow = ("--mean-velocity", "15.43", "--length-scale", "4.21", "--velocity-noise", "0.1")
-    assert run(capsys, "simulate", *of_flow, "--seed", "7", "-o", path)[0] == 0
+    of_flow = ("--mean-velocity", "15.43", "--length-scale", "4.21")
+    noise = ("--velocity-noise", "0.1", "--position-noise", "0.02")
+    assert run(capsys, "simulate", *of_flow, *noise, "--seed", "7", "-o", path)[0] == 0
     code, out, _ = run(capsys, "estimate", path)
     assert code == 0
     line = next(line for line in out.splitlines() if line.startswith("length scale"))

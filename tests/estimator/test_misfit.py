@@ -75,6 +75,7 @@ def test_less_than_one_period_is_told_only_where_it_fits_exactly(noise):
         seed=3,
         initial_position=(3.0, 5.0),
         velocity_noise=noise,
+        position_noise=0.05 * noise,
     )
     found = sf.Estimator().estimate(flight)
     assert flight.extent < 20.0  # it circles in one eddy

@@ -112,7 +112,7 @@ def test_noise_reaches_the_rows_through_every_filter(method):
     steps, h = m + window - 2, 0.01
     time = np.arange(steps + 1) * h
     kicked = np.clip(time[:, None] - time[None, :-1], 0.0, h)  # velocity after a unit of V'
-    moved = np.where(kicked >= h, h * (time[:, None] - time[None, :-1] - h / 2), 0.0)
+    moved = np.where(kicked > h / 2, h * (time[:, None] - time[None, :-1] - h / 2), 0.0)
     np.fill_diagonal(moved, 0.0)
     by_kick = np.tensordot(rate[0], moved, (1, 0)) + np.tensordot(rate[1], kicked, (1, 0))
     expected = np.zeros((3, 2))
