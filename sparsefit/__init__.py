@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from sparsefit.library import Library as Library
     from sparsefit.library import WaveGrid as WaveGrid
     from sparsefit.modes import Readout as Readout
+    from sparsefit.online import OnlineEstimator as OnlineEstimator
     from sparsefit.regression import Certificate as Certificate
     from sparsefit.regression import Fit as Fit
     from sparsefit.regression import Path as Path
@@ -76,6 +77,7 @@ _HOMES = {
     "ScaleEstimate": "estimator",
     "CertificateMap": "estimator.certificate_map",
     "certificate_map": "estimator.certificate_map",
+    "OnlineEstimator": "online",
     "ScalesScore": "score",
     "Score": "score",
     "prediction_error": "score",

@@ -11,6 +11,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative.agreement import Agreement, agreement_of
 from sparsefit.derivative.carried import Carried
+from sparsefit.derivative.kernels import polynomial_kernels
 from sparsefit.derivative.outliers import unexplained
 from sparsefit.derivative.pieces import Pieces
 from sparsefit.derivative.repair import Repairs, repaired, untouched
@@ -235,8 +236,6 @@ def _midpoint(_: Derivative, time: Array, state: Array) -> Rates:
 
 def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
     """Only full windows are kept: the polynomial at an edge extrapolates."""
-    from scipy.signal import savgol_filter  # half a second to import: only who asks pays
-
     window, order = rule.window, rule.order
     assert window is not None
     assert order is not None
@@ -247,10 +246,13 @@ def _savgol(rule: Derivative, time: Array, state: Array) -> Rates:
         )
     step = uniform_step(time)
     full = slice(window // 2, len(time) - window // 2)
-    smoothed = savgol_filter(state, window, order, axis=0)
-    rate = savgol_filter(state, window, order, deriv=1, delta=step, axis=0)
+    value, slope, _ = polynomial_kernels(window, order, 1.0)
+    smoothed, rate = (
+        np.stack([np.correlate(column, kernel, "valid") for column in state.T], axis=1)
+        for kernel in (value, slope)
+    )
     smoothing = Smoothing("savgol", window=window, rate_window=window, order=order)
-    return time[full], smoothed[full], rate[full], smoothing
+    return time[full], smoothed, rate / step, smoothing
 
 
 def _auto(rule: Derivative, log: Pieces) -> Rates:

@@ -23,6 +23,7 @@ from sparsefit.library.scan import extent_of
 from sparsefit.library.wave_continuum import WaveContinuum
 from sparsefit.library.wave_grid import WaveGrid
 from sparsefit.regression.problem import RegressionProblem, compressed
+from sparsefit.regression.statistics import Statistics
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
 FamilyName = Literal["cells", "stream", "waves"]
@@ -114,9 +115,25 @@ class Library:
             theta, target = triangle[:, : columns.size], triangle[:, columns.size :]
             return self._problem(theta.copy(), target.copy(), columns, count, None)
         theta = columns.at(samples.position)
-        continuum = self._continuum(samples.position, columns)
+        return self.of_rows(samples.position, theta, target, columns)
+
+    def of_rows(
+        self,
+        position: Array,
+        theta: Array,
+        target: Array,
+        columns: LibraryColumns,
+        sums: Statistics | None = None,
+    ) -> RegressionProblem:
+        """The problem of rows theta (m, k) and target (m, n) that are there already.
+
+        position: of the samples (m, 2) [m]; sums: the statistics of the rows, where they are known.
+        """
+        if self.family == "cells":
+            _refuse_axes(position)
+        continuum = self._continuum(position, columns)
         own = len(target) if self.family == "cells" else None
-        return self._problem(theta, target, columns, own, continuum)
+        return self._problem(theta, target, columns, own, continuum, sums)
 
     def columns(self, samples: Samples) -> LibraryColumns:
         """The columns that the grid gives a flight with these samples.
@@ -200,6 +217,7 @@ class Library:
         columns: LibraryColumns,
         count: int | None,
         continuum: CellContinuum | WaveContinuum | None,
+        sums: Statistics | None = None,
     ) -> RegressionProblem:
         names = TARGET_NAMES[self.target]
         return RegressionProblem(
@@ -213,6 +231,7 @@ class Library:
             continuum,
             columns.subgroups,
             columns.parameters,
+            sums,
         )
 
 

@@ -49,6 +49,7 @@ class RegressionProblem:
     ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within one group, such as
     the waves of a ring, for penalties of both; None where there are none.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
+    ``sums``: the statistics of these rows, where they were summed as the rows came.
     """
 
     theta: Array
@@ -61,6 +62,7 @@ class RegressionProblem:
     continuum: Continuum | None = None
     subgroups: IntArray | None = None
     parameters: Array | None = None
+    sums: Statistics | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)
@@ -154,6 +156,7 @@ class RegressionProblem:
             sample_count=None,
             subgroups=None,
             parameters=parameters,
+            sums=None,
         )
 
     @property
@@ -174,7 +177,7 @@ class RegressionProblem:
     @cached_property
     def statistics(self) -> Statistics:
         """Sufficient statistics in scaled columns, shared by all back-ends."""
-        return Statistics.of(self.theta, self.target, count=self.samples)
+        return self.sums or Statistics.of(self.theta, self.target, count=self.samples)
 
     @cached_property
     def compressed(self) -> tuple[Array, Array]:

@@ -58,6 +58,22 @@ class Statistics:
         target_square = np.einsum("ij,ij->j", target, target) / count
         return cls(count, len(theta), scale, cross, target_square, theta=theta)
 
+    @classmethod
+    def summed(
+        cls, gram: Array, cross: Array, square: Array, *, count: int, rows: int | None = None
+    ) -> "Statistics":
+        """From theta'theta (k, k), which becomes the square, theta'Y (k, n) and |y_t|^2 (n,).
+
+        count: the number m of samples; rows: that were summed, where they are not as many.
+        """
+        rms = np.sqrt(np.diagonal(gram) / count)
+        scale = np.where(rms > 0, rms, 1.0)
+        gram /= scale[:, None] * count
+        gram /= scale
+        return cls(
+            count, rows or count, scale, cross / (scale[:, None] * count), square / count, gram
+        )
+
     @cached_property
     def gram(self) -> Array:
         """Z'Z/m (k, k)."""
@@ -131,12 +147,7 @@ def accumulate(
             rows += len(theta)
     if gram is None:
         raise ValueError("no rows: a regression problem needs at least one block of samples")
-    m = count or rows
-    rms = np.sqrt(np.diagonal(gram) / m)
-    scale = np.where(rms > 0, rms, 1.0)
-    gram /= scale[:, None] * m
-    gram /= scale
-    return Statistics(m, rows, scale, cross / (scale[:, None] * m), square / m, gram)
+    return Statistics.summed(gram, cross, square, count=count or rows, rows=rows)
 
 
 def _products() -> Products:
