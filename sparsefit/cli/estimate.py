@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimate_lines import lines
+from sparsefit.cli.estimate_log import add_log, log_record, log_rows, quality_of_log, read_log
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Verbs, add_setting, collected, number, verb, whole
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from sparsefit.errors import InputError
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.flight import Flight
+    from sparsefit.flight.table import FlightTable
 
 EXAMPLE = """\
   sparsefit estimate flight.csv
@@ -24,6 +26,7 @@ EXAMPLE = """\
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
   sparsefit estimate flight.csv --family waves --grid-lower 3 --json
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
+  sparsefit estimate drifters.csv --only id=7 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"
 
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
 2 for bad input. `sparsefit backends` lists back-ends and their settings.
@@ -62,6 +65,7 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("flight", metavar="FLIGHT", help="flight log, .csv or .parquet")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_log(parser)
     _add_estimator(parser)
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
     vehicle.add_argument(
@@ -141,12 +145,16 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Estimate, print, and tell by the exit code whether the status is ok."""
     estimator = _estimator(args)
-    flight = _flight(args, estimator.library.unknown)
+    table = read_log(args, args.flight)
+    flight = _flight(args, table, estimator.library.unknown)
+    quality = quality_of_log(args, args.flight, flight, estimator.library.grid.lower)
     estimate = estimator.estimate(flight)
     if args.json:
-        print_json(estimate.to_dict())
+        log = log_record(quality, estimate, flight, table.notes)
+        print_json(estimate.to_dict() | {"log": log})
     else:
-        print("\n".join(lines(args.flight, flight, estimate, estimator.library.unknown)))
+        log_lines = log_rows(quality, estimate, flight, table.notes)
+        print("\n".join(lines(args.flight, flight, estimate, estimator.library.unknown, log_lines)))
     if estimate.status != "ok":
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
     return 0 if estimate.status == "ok" else 1
@@ -214,13 +222,11 @@ def _read_estimator(path: str) -> Estimator:
         return Estimator.from_json(text)
 
 
-def _flight(args: argparse.Namespace, unknown: tuple[str, ...]) -> Flight:
+def _flight(args: argparse.Namespace, table: FlightTable, unknown: tuple[str, ...]) -> Flight:
     """The flight, its vehicle as in the file unless the command line says otherwise."""
     from sparsefit.errors import InputError, told_with
-    from sparsefit.flight.files import read_table
     from sparsefit.flight.table import vehicle_of
 
-    table = read_table(args.flight)
     names = ("response_time", "drag", "thrust_ax", "thrust_ay", "thrust_scale")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     settings = table.settings | given

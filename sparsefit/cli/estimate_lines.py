@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.output import duration, proof
@@ -28,10 +29,16 @@ SHAPES = {
 }
 
 
-def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:
+def lines(
+    name: str,
+    flight: Flight,
+    estimate: Estimate,
+    unknown: tuple[str, ...],
+    log: Sequence[tuple[str, str]] = (),
+) -> list[str]:
     """The lines of the answer: flight and vehicle, the parameters, the status and its proof.
 
-    Of the vehicle only what was not ``unknown`` is told as given.
+    Of the vehicle only what was not ``unknown`` is told as given; log: rows on the log's quality.
     """
     vehicle = [words for key, words in _known(flight).items() if key not in unknown]
     certificate = estimate.certificate
@@ -40,6 +47,7 @@ def lines(name: str, flight: Flight, estimate: Estimate, unknown: tuple[str, ...
     )
     rows = [
         ("flight", f"{name}: {_measured(flight)}"),
+        *log,
         *([("repaired", estimate.repairs.words)] if estimate.repairs.words else []),
         *_wander(estimate),
         ("vehicle", ", ".join(vehicle) or "unknown"),

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 
 from sparsefit.errors import InputError, unknown
-from sparsefit.flight.table import KEYS, FlightTable, columns_of, is_key, number
+from sparsefit.flight.layout import (
+    Layout,
+    Reader,
+    Source,
+    check_one_vehicle,
+    reader_of,
+    settled,
+    vehicle_columns,
+)
+from sparsefit.flight.table import KEYS, FlightTable, frame_of, is_key, number
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 
@@ -16,62 +26,103 @@ def encode(table: FlightTable) -> bytes:
     """Return the file's content, in UTF-8; its numbers read back to the same floats."""
     # The shortest digits that do are those of repr.
     lines = [f"# {key}={value!r}" for key, value in table.settings.items()]
+    lines += [f"# frame={table.frame}"] if table.frame else []
     lines.append(",".join(table.columns))
     rows = zip(*table.columns.values(), strict=True)
     lines.extend(",".join(map(repr, row)) for row in rows)
     return ("\n".join(lines) + "\n").encode()
 
 
-def decode(content: bytes) -> FlightTable:
-    """Return the table in a file's content.
+def decode(content: bytes, layout: Layout) -> FlightTable:
+    """Return the table in a file's content, read by a layout.
 
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
     try:
         lines = content.decode("utf-8-sig").splitlines()
-        return FlightTable(columns=_columns(lines), settings=_settings(lines))
+        settings, frame = _settings(lines, foreign=layout.foreign)
+        columns, sources = _columns(lines, layout)
+        table = FlightTable(columns, settings, frame)
+        return settled(table, sources) if layout.foreign else table
     except UnicodeDecodeError:
         raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy") from None
     except csv.Error as error:
         raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
 
 
-def _settings(lines: list[str]) -> dict[str, float]:
-    """Read the ``# key=value`` lines; comments of any other form are free text."""
+def _settings(lines: list[str], *, foreign: bool) -> tuple[dict[str, float], str]:
+    """Read the ``# key=value`` lines; comments of any other form are free text.
+
+    So are all others of a ``foreign`` table.
+    """
     settings: dict[str, float] = {}
+    frame = ""
     for count, line in enumerate(lines, start=1):
         match = _SETTING.fullmatch(line.strip())
         if match is None:
             continue
         key, value = match.groups()
-        if not is_key(key):
-            raise InputError(f"line {count}: {unknown('key', key, KEYS)}")
-        if key in settings:
+        if key in settings or (key == "frame" and frame):
             raise InputError(f"line {count}: {key} is given twice; keep one")
-        settings[key] = number(value, f"line {count}, {key}")
-    return settings
+        if key == "frame":
+            frame = frame_of(value, f"line {count}")
+        elif is_key(key):
+            settings[key] = number(value, f"line {count}, {key}")
+        elif not foreign:
+            raise InputError(f"line {count}: {unknown('key', key, KEYS)}")
+    return settings, frame
 
 
-def _columns(lines: list[str]) -> dict[str, list[float]]:
-    rows = _rows(lines)
+def _columns(lines: list[str], layout: Layout) -> tuple[dict[str, list[float]], dict[str, Source]]:
+    rows = _rows(lines, layout)
     _, header = next(rows, (0, []))
     names = [name.strip() for name in header]
-    places = [(name, names.index(name)) for name in columns_of(names)]
+    sources = layout.chosen(names)
+    places = [(name, names.index(source.column)) for name, source in sources.items()]
     columns: dict[str, list[float]] = {name: [] for name, _ in places}
+    readers: dict[str, Reader] = {}
+    for line, row in _of_one_vehicle(rows, names, sources, layout):
+        readers = readers or {name: reader_of(name, sources[name], row[p]) for name, p in places}
+        for name, place in places:
+            where = f"line {line}, column {names[place]}"
+            columns[name].append(readers[name](row[place], where))
+    return columns, sources
+
+
+def _of_one_vehicle(
+    rows: Iterator[tuple[int, list[str]]],
+    names: list[str],
+    sources: Mapping[str, Source],
+    layout: Layout,
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows that the layout takes; InputError at the end where they are of several."""
+    counts = {names.index(column): Counter[str]() for column in vehicle_columns(names, sources)}
+    place, wanted = layout.filtered(names)
     for line, row in rows:
         if len(row) != len(names):
             raise InputError(
                 f"line {line} has {len(row)} cells, the header has {len(names)}; repair that line"
             )
-        for name, place in places:
-            columns[name].append(number(row[place], f"line {line}, column {name}"))
-    return columns
+        if place is not None and row[place].strip() != wanted:
+            continue
+        for column, count in counts.items():
+            count[row[column].strip()] += 1
+        yield line, row
+    for column, count in counts.items():
+        check_one_vehicle(names[column], count)
 
 
-def _rows(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
+def _rows(lines: list[str], layout: Layout) -> Iterator[tuple[int, list[str]]]:
     """Yield line numbers and cells; comments become empty lines so that the count stays right."""
-    reader = csv.reader("" if line.lstrip().startswith("#") else line for line in lines)
+    plain = ["" if line.lstrip().startswith("#") else line for line in lines]
+    header = next(filter(None, map(str.strip, plain)), "")
+    reader = csv.reader(plain, delimiter=_delimiter(header) if layout.foreign else ",")
     for row in reader:
         if any(cell.strip() for cell in row):
             yield reader.line_num, row
+
+
+def _delimiter(header: str) -> str:
+    """What stands between the cells of a foreign table: the most frequent of three."""
+    return max(",;\t", key=header.count)

@@ -8,6 +8,7 @@ from types import ModuleType
 
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight import csv_file, parquet_file
+from sparsefit.flight.layout import Columns, Layout
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -17,43 +18,63 @@ LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
 FORMATS: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
 
 
-def read_flight(path: str | os.PathLike[str], *, vehicle: PointMassVehicle | None = None) -> Flight:
+def read_flight(
+    path: str | os.PathLike[str],
+    *,
+    vehicle: PointMassVehicle | None = None,
+    columns: Columns = None,
+    only: str | None = None,
+) -> Flight:
     """Read a flight from a ``.csv`` or ``.parquet`` file.
 
     Columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored. Without
     both ``vx`` and ``vy`` the log has positions only (`Flight.from_positions`). The vehicle:
     ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
-    not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet. Columns
-    ``ax`` and ``ay`` [m/s^2] are a measured thrust (`Flight.thrust`). The true flow, where known:
-    ``mean_velocity`` and ``length_scale``, or those of shaped cells and of turbulence, numbered
-    ``_1``, ``_2``, ... when superposed (`sparsefit.flight.flow_settings`).
+    not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet; likewise
+    ``frame``, ``ENU`` or ``NED``. Columns ``ax`` and ``ay`` [m/s^2] are a measured thrust
+    (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or those
+    of shaped cells and of turbulence, numbered ``_1``, ``_2``, ... when superposed
+    (`sparsefit.flight.flow_settings`).
 
     Args:
         path: the file.
         vehicle: used in place of the one in the file.
+        columns: of a table with other columns which of them are read, and their units:
+            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"`` or a mapping of the same. Longitude
+            and latitude, degrees, become metres on a local plane about their middle, x east and y
+            north; times may be ISO 8601, and then are seconds since the first.
+        only: ``"column=value"``: the rows to read, of a table that holds several vehicles.
 
     Raises:
-        InputError: naming file, line and column, if the file is missing, is not a flight, or
-            holds no vehicle and none is given.
-        MissingExtra: for Parquet without pyarrow.
+        InputError: naming file, line and column, if the file is missing, is not a flight, holds
+            several vehicles, or no vehicle is told and none is given.
+        MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj.
     """
-    table = read_table(path)
+    table = read_table(path, columns=columns, only=only)
     with told_with(Path(path)):
         return table.flight(vehicle)
 
 
-def read_table(path: str | os.PathLike[str]) -> FlightTable:
+def read_table(
+    path: str | os.PathLike[str], *, columns: Columns = None, only: str | None = None
+) -> FlightTable:
     """Read the columns and settings of a flight file, which may lack a vehicle.
+
+    Args:
+        path: the file.
+        columns: as of `read_flight`.
+        only: as of `read_flight`.
 
     Raises:
         InputError: naming file, line and column, if the file is missing or holds no such table.
-        MissingExtra: for Parquet without pyarrow.
+        MissingExtra: as of `read_flight`.
     """
     file = Path(path)
     decode = _format(file).decode
+    layout = Layout.of(columns, only)
     content = _content(file)
     with told_with(file):
-        table: FlightTable = decode(content)
+        table: FlightTable = decode(content, layout)
         return table
 
 

@@ -7,13 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, one_of
 from sparsefit.flight.flow import FLOWS, Flow
 from sparsefit.flight.vehicle import PointMassVehicle
 
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
 MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
 SMALLEST_STEP = 1e-9  # [s] between samples, in the mean
+FRAMES = {
+    "": "x and y as in the file",
+    "ENU": "x east, y north; headings counter-clockwise from east",
+    "NED": "x north, y east; headings clockwise from north",
+}
 LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
 
 
@@ -32,6 +37,8 @@ class Flight:
         velocity_measured: whether the velocity was logged, or is only that of the position.
         thrust: measured thrust acceleration m [m/s^2], shape (m, 2), in the axes of the position;
             None where it is the vehicle's constant alone.
+        frame: what x and y are: ``ENU`` (east, north), ``NED`` (north, east) or empty where the
+            log does not say. Nothing is turned: results are in the same axes.
 
     Raises:
         InputError: naming the field and row, if the shapes differ, a value is not finite or
@@ -45,6 +52,7 @@ class Flight:
     flow: Flow | None = None
     velocity_measured: bool = True
     thrust: Array | None = None
+    frame: str = ""
 
     @classmethod
     def from_positions(
@@ -54,6 +62,7 @@ class Flight:
         vehicle: PointMassVehicle,
         flow: Flow | None = None,
         thrust: Array | None = None,
+        frame: str = "",
     ) -> Flight:
         """A flight whose log has positions only.
 
@@ -63,6 +72,7 @@ class Flight:
             vehicle: the vehicle that flew.
             flow: the true flow where it is known.
             thrust: measured thrust acceleration [m/s^2], shape (m, 2), where there is one.
+            frame: what x and y are.
 
         Returns:
             The flight. Its velocity is the difference quotient of the position; the derivative
@@ -76,7 +86,7 @@ class Flight:
         _check_lengths(t, x, x)
         _check_increasing(t)
         speed = np.gradient(x, t, axis=0)
-        return cls(t, x, speed, vehicle, flow, velocity_measured=False, thrust=thrust)
+        return cls(t, x, speed, vehicle, flow, False, thrust, frame)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
@@ -86,6 +96,7 @@ class Flight:
         _check_lengths(time, position, velocity)
         _check_increasing(time)
         check_models(self.vehicle, self.flow)
+        one_of("frame", self.frame, FRAMES)
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "velocity", velocity)
@@ -159,10 +170,11 @@ def _check_increasing(time: Array) -> None:
     falls = np.flatnonzero(np.diff(time) <= 0)
     if len(falls):
         row = int(falls[0]) + 1
-        raise InputError(
-            f"time must increase strictly: row {row} (t={time[row]}) follows "
-            f"t={time[row - 1]}; sort or drop repeated samples"
-        )
+        rows = f"row {row} (t={time[row]}) follows t={time[row - 1]}"
+        if time[row] < time[row - 1]:
+            remedy = "sort or drop rows, or split the log where another begins"
+            raise InputError(f"time runs backwards: {rows}; {remedy}")
+        raise InputError(f"time must increase strictly: {rows}; sort or drop repeated samples")
     step = float(time[-1] - time[0]) / (len(time) - 1)
     if step < SMALLEST_STEP:
         raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight.flow_settings import flow_of_settings, is_flow_key, settings_of_flow
-from sparsefit.flight.record import Flight
+from sparsefit.flight.record import FRAMES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
@@ -27,10 +27,14 @@ class FlightTable:
 
     The parameters of superposed flows are numbered: ``mean_velocity_1``, ``length_scale_1``, ...;
     a steady wind is ``wind_x``, ``wind_y``.
+
+    frame: what the axes are, a key of `FRAMES`; notes: how a foreign log was read, in words.
     """
 
     columns: dict[str, list[float]]
     settings: dict[str, float]
+    frame: str = ""
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def from_flight(cls, flight: Flight) -> FlightTable:
@@ -40,7 +44,8 @@ class FlightTable:
         columns = {name: values[:, place].tolist() for place, name in enumerate(names)}
         if flight.thrust is not None:
             columns |= dict(zip(THRUST, flight.thrust.T.tolist(), strict=True))
-        return cls(columns, _settings_of(flight.vehicle) | settings_of_flow(flight.flow))
+        settings = _settings_of(flight.vehicle) | settings_of_flow(flight.flow)
+        return cls(columns, settings, flight.frame)
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
         """Return the flight; a ``vehicle`` given here replaces the one in the settings.
@@ -55,9 +60,26 @@ class FlightTable:
         measured = THRUST[0] in self.columns
         thrust = np.column_stack([self.columns[name] for name in THRUST]) if measured else None
         if "vx" not in self.columns:
-            return Flight.from_positions(time, position, flown, flow, thrust)
+            return Flight.from_positions(time, position, flown, flow, thrust, self.frame)
         velocity = np.column_stack([self.columns["vx"], self.columns["vy"]])
-        return Flight(time, position, velocity, flown, flow, thrust=thrust)
+        return Flight(time, position, velocity, flown, flow, True, thrust, self.frame)
+
+    def between(self, start: float | None, end: float | None) -> FlightTable:
+        """Return the rows from one time of the log to another [s]; None is its own end.
+
+        Raises:
+            InputError: where no row is between them.
+        """
+        if start is None and end is None:
+            return self
+        time = np.array(self.columns["time"])
+        low, high = -math.inf if start is None else start, math.inf if end is None else end
+        kept = np.flatnonzero((time >= low) & (time <= high))
+        if not len(kept):
+            ends = f"{time.min():g} … {time.max():g} s" if len(time) else "nothing"
+            raise InputError(f"no sample from {low:g} s to {high:g} s; the log has {ends}")
+        columns = {name: [values[row] for row in kept] for name, values in self.columns.items()}
+        return replace(self, columns=columns)
 
 
 def is_key(name: str) -> bool:
@@ -99,6 +121,17 @@ def number(text: str, place: str) -> float:
         shown = ascii(text.strip()[:40])
         raise InputError(f"{place}: {shown} is not a finite number; repair or drop it")
     return value
+
+
+def frame_of(text: str, place: str) -> str:
+    """Return the frame that ``text`` names.
+
+    Raises:
+        InputError: naming ``place``, where it is none.
+    """
+    with told_with(place):
+        one_of("frame", text.strip(), filter(None, FRAMES))
+    return text.strip()
 
 
 def vehicle_of(settings: dict[str, float]) -> PointMassVehicle:

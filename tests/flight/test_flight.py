@@ -46,8 +46,8 @@ def test_repeated_time_names_both_rows():
     time = np.arange(30) / 100.0
     time[[16, 17]] = time[[17, 16]]
     message = (
-        r"^time must increase strictly: row 17 \(t=0\.16\) follows t=0\.17; "
-        r"sort or drop repeated samples$"
+        r"^time runs backwards: row 17 \(t=0\.16\) follows t=0\.17; "
+        r"sort or drop rows, or split the log where another begins$"
     )
     with pytest.raises(InputError, match=message):
         flight_with(time=time, position=np.zeros((30, 2)), velocity=np.zeros((30, 2)))

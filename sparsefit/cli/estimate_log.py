@@ -1,0 +1,95 @@
+"""What `sparsefit estimate` is told of the log it reads, and what it says of it."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from sparsefit.cli.parser import number
+
+if TYPE_CHECKING:
+    from sparsefit.derivative.quality import LogQuality
+    from sparsefit.estimator import Estimate
+    from sparsefit.flight import Flight
+    from sparsefit.flight.table import FlightTable
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    """Declare how the log is read."""
+    group = parser.add_argument_group("log")
+    group.add_argument(
+        "--columns",
+        metavar="MAP",
+        help="columns of a foreign table and their units: time=t[ms],x=lon,y=lat,vx=u[cm/s],"
+        "vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
+    )
+    group.add_argument(
+        "--only",
+        metavar="COLUMN=VALUE",
+        help="the rows to read, where a table holds several flights",
+    )
+    group.add_argument(
+        "--from", dest="begin", type=number("s"), metavar="S", help="of the log's time"
+    )
+    group.add_argument("--to", dest="end", type=number("s"), metavar="S", help="of the log's time")
+    group.add_argument(
+        "--longest-gap",
+        type=number("s"),
+        metavar="S",
+        help="a log with a longer one is refused; default: 60 s, or 20 steps",
+    )
+
+
+def read_log(args: argparse.Namespace, path: str) -> FlightTable:
+    """The table of a log, cut to the times that were asked for."""
+    from sparsefit.errors import told_with
+    from sparsefit.flight.files import read_table
+
+    table = read_table(path, columns=args.columns, only=args.only)
+    with told_with(path):
+        return table.between(args.begin, args.end)
+
+
+def quality_of_log(args: argparse.Namespace, path: str, flight: Flight, lower: float) -> LogQuality:
+    """Refuse a log that nothing should be made of; of others say how good they are.
+
+    lower: the least length scale that is sought [m].
+    """
+    from sparsefit.derivative import Derivative
+    from sparsefit.derivative.quality import quality_of
+    from sparsefit.derivative.refusal import check_log
+    from sparsefit.errors import told_with
+
+    with told_with(path):
+        check_log(flight, smallest=lower, longest_gap=args.longest_gap)
+    return quality_of(flight, Derivative()(flight).smoothing)
+
+
+def log_rows(
+    quality: LogQuality, estimate: Estimate, flight: Flight, notes: tuple[str, ...]
+) -> list[tuple[str, str]]:
+    """Lines on the log: its quality, its frame, and how a foreign one was read."""
+    from sparsefit.flight.record import FRAMES
+
+    crossed = _crossed(estimate, flight)
+    words = quality.words + (f"; {crossed} cells crossed" if crossed else "")
+    frame = f"{quality.frame}: {FRAMES[quality.frame]}" if quality.frame else FRAMES[""]
+    rows = [("log", words), ("frame", frame)]
+    return rows + [("read as" if not place else "", note) for place, note in enumerate(notes)]
+
+
+def log_record(
+    quality: LogQuality, estimate: Estimate, flight: Flight, notes: tuple[str, ...]
+) -> dict[str, Any]:
+    """The same for programs; what is not known is None."""
+    from sparsefit.codec import finite_or_none
+
+    record: dict[str, Any] = finite_or_none(asdict(quality))
+    return record | {"cells_crossed": _crossed(estimate, flight), "read_as": list(notes)}
+
+
+def _crossed(estimate: Estimate, flight: Flight) -> int | None:
+    from sparsefit.estimator.crossed import cells_crossed
+
+    return cells_crossed(estimate, flight.time, flight.position)

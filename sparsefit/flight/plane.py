@@ -1,0 +1,106 @@
+"""From longitude and latitude to a local plane, x east and y north, by the PROJ library.
+
+The azimuthal equidistant projection about the middle of the track, on the ellipsoid of WGS 84:
+true along every line through the middle; across it lengths are (r/R)^2/6 too long at a distance r,
+0.01 % at 150 km (Snyder, Map Projections: A Working Manual, USGS 1395, 1987, ch. 25). East and
+north turn against the axes away from the middle by the convergence of the meridians, and velocities
+are turned back by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError, MissingExtra
+
+POLAR = 85.0  # degrees: few fly beyond, and whoever seems to has likely exchanged his columns
+WIDEST = 2_000e3  # m: a plane beyond it is none
+RADIUS = 6_371e3  # m, of the Earth
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A track in its local plane.
+
+    Args:
+        position: x east and y north of the middle [m], (m, 2).
+        convergence: by which true north is turned from y, clockwise [rad], (m,).
+        words: where the plane touches, and how true its lengths are.
+    """
+
+    position: Array
+    convergence: Array
+    words: str
+
+    def turned(self, velocity: Array) -> Array:
+        """Return velocities (m, 2) along the plane's axes, of those to the east and the north."""
+        cos, sin = np.cos(self.convergence), np.sin(self.convergence)
+        east, north = velocity.T
+        return np.column_stack([cos * east + sin * north, cos * north - sin * east])
+
+
+def plane_of(longitude: Array, latitude: Array, named: tuple[str, str]) -> Plane:
+    """Lay a track into the plane that touches the Earth in its middle.
+
+    Args:
+        longitude: degrees east, -180 to 360, (m,).
+        latitude: degrees north, (m,).
+        named: what the two are called in the log.
+
+    Raises:
+        InputError: if a value is no longitude or latitude, both seem exchanged, or the track is
+            wider than 2000 km.
+        MissingExtra: without pyproj.
+    """
+    _check(longitude, latitude, named)
+    longitude = (
+        longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
+    )  # past 180 degrees
+    east, north = ((float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude))
+    projection = _pyproj().Proj(proj="aeqd", lon_0=east, lat_0=north, ellps="WGS84")
+    position = np.column_stack(projection(longitude, latitude))
+    farthest = float(np.hypot(*position.T).max())
+    if not farthest < WIDEST:
+        raise InputError(
+            f"the track goes {farthest / 1e3:.0f} km from its middle: no plane; cut it"
+        )
+    turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
+    share = 100.0 * (farthest / RADIUS) ** 2 / 6.0
+    words = f"local plane about {_place(east, north)}, lengths true to {share:.1g} %"
+    return Plane(position, turned, words)
+
+
+def _check(longitude: Array, latitude: Array, named: tuple[str, str]) -> None:
+    x, y = named
+    swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
+    low, high = float(latitude.min()), float(latitude.max())
+    if max(-low, high) > 90.0:
+        remedy = swap if np.abs(longitude).max() <= 90.0 else "check the columns and their units"
+        raise InputError(f"{y} goes to {low:g} … {high:g}°, no latitude; {remedy}")
+    if longitude.min() < -180.0 or longitude.max() > 360.0:
+        ends = f"{longitude.min():g} … {longitude.max():g}°"
+        raise InputError(f"{x} goes to {ends}, no longitude; check the columns and their units")
+    if np.median(np.abs(latitude)) > POLAR and np.abs(longitude).max() <= POLAR:
+        raise InputError(f"{y} tells latitudes of {low:.4g} … {high:.4g}°, at a pole; {swap}")
+    crossed = x.casefold().startswith("lat") and y.casefold().startswith("lon")
+    if crossed and np.median(np.abs(longitude)) <= POLAR:  # else the header has them wrong
+        raise InputError(f"x = {x} and y = {y}: x is east, the longitude; {swap}")
+
+
+def _place(east: float, north: float) -> str:
+    ns, ew = "N" if north >= 0 else "S", "E" if (east + 180.0) % 360.0 >= 180.0 else "W"
+    return f"{abs(north):.4f}° {ns}, {abs((east + 180.0) % 360.0 - 180.0):.4f}° {ew}"
+
+
+def _pyproj() -> Any:
+    """Import pyproj where the first degrees are met; metres need none."""
+    try:
+        return import_module("pyproj")
+    except ImportError:
+        remedy = "pip install 'sparsefit[logs]'"
+        raise MissingExtra(f"longitude and latitude need pyproj: {remedy}") from None
