@@ -39,7 +39,7 @@ EXTRAS = $(BIN)/python -c 'import sys, tomllib; \
 	print(*(need for name in sys.argv[1:] for need in extras[name] if "sparsefit[" not in need), sep="\n")'
 
 $(VENV)/.tests: $(VENV)/.installed
-	$(EXTRAS) peers test > $@
+	$(EXTRAS) peers logs test > $@
 	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
 
 $(VENV)/.dev: $(VENV)/.tests

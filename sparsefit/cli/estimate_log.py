@@ -74,7 +74,9 @@ def log_rows(
 
     crossed = _crossed(estimate, flight)
     words = quality.words + (f"; {crossed} cells crossed" if crossed else "")
-    frame = f"{quality.frame}: {FRAMES[quality.frame]}" if quality.frame else FRAMES[""]
+    frame = (
+        f"{quality.frame}: {FRAMES[quality.frame]}" if quality.frame else f"not told: {FRAMES['']}"
+    )
     rows = [("log", words), ("frame", frame)]
     return rows + [("read as" if not place else "", note) for place, note in enumerate(notes)]
 

@@ -52,8 +52,6 @@ class LogQuality:
     def words(self) -> str:
         """The numbers in a line."""
         parts = [self._pace, self._gaps, f"{_extent(self.extent)} at {self.speed:.3g} m/s rms"]
-        if not self.velocity_measured:
-            parts.append("positions only")
         return "; ".join([*parts, self._noise])
 
     @property

@@ -1,9 +1,10 @@
 """Which columns of a foreign table are a flight, and in which units: ``time=t,x=lon,vx=u[cm/s]``.
 
-A field (``time``, ``x``, ``y``, ``vx``, ``vy``, ``ax``, ``ay``) is read from the column that it names,
-in the unit in brackets, else in SI units; ``ax`` and ``ay``, a measured thrust, only where the map says so. Columns whose names begin with ``lon`` and ``lat`` are degrees,
-and become metres on a local plane (`sparsefit.flight.plane`). Times may be ISO 8601: they become
-seconds since the first, UTC where they name no zone.
+A field (``time``, ``x``, ``y``, ``vx``, ``vy``, ``ax``, ``ay``) is read from the column that it
+names, in the unit in brackets, else in SI units; ``ax`` and ``ay``, a measured thrust, only where
+the map says so. Columns whose names begin with ``lon`` and ``lat`` are degrees, and become metres
+on a local plane (`sparsefit.flight.plane`). Times may be ISO 8601: they become seconds since the
+first, UTC where they name no zone.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class Plane:
 
     Args:
         position: x east and y north of the middle [m], (m, 2).
-        convergence: by which true north is turned from y, clockwise [rad], (m,).
+        convergence: by which true north is turned from y, counter-clockwise [rad], (m,).
         words: where the plane touches, and how true its lengths are.
     """
 
@@ -41,7 +41,7 @@ class Plane:
         """Return velocities (m, 2) along the plane's axes, of those to the east and the north."""
         cos, sin = np.cos(self.convergence), np.sin(self.convergence)
         east, north = velocity.T
-        return np.column_stack([cos * east + sin * north, cos * north - sin * east])
+        return np.column_stack([cos * east - sin * north, cos * north + sin * east])
 
 
 def plane_of(longitude: Array, latitude: Array, named: tuple[str, str]) -> Plane:

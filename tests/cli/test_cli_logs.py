@@ -1,0 +1,126 @@
+"""`sparsefit estimate` and the logs of others: what it says of them, and which it refuses."""
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.cli import main
+from sparsefit.flight import read_flight, write_flight
+
+GRID = ("--grid-lower", "3.2", "--grid-upper", "5.2")
+VEHICLE = ("--response-time", "0.5", "--thrust-ax", "5", "--thrust-ay", "3")
+MAP = "time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"
+
+
+@pytest.fixture(scope="module")
+def flight():
+    flow, vehicle = sf.CellularFlow(15.43, 4.21), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    return sf.simulate_flight(
+        flow, vehicle, duration=5.0, sample_rate=100.0, seed=7, velocity_noise=0.05
+    )
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch, flight):
+    monkeypatch.chdir(tmp_path)
+    write_flight(flight, "flight.csv")
+
+
+def run(capsys, *argv):
+    capsys.readouterr()
+    code = main(["estimate", *map(str, argv)])
+    return (code, *capsys.readouterr())
+
+
+def refused(capsys, *argv):
+    """The one line on stderr of an estimate that exits 2 and writes nothing."""
+    before = sorted(os.listdir())
+    code, out, err = run(capsys, *argv)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("sparsefit: error: ")
+    assert sorted(os.listdir()) == before
+    return err
+
+
+def written(flight):
+    """The same flight as a foreign log: ms, degrees about 47 N 8 E, cm/s."""
+    from pyproj import Proj
+
+    x, y = (flight.position - (flight.position.max(0) + flight.position.min(0)) / 2).T
+    lon, lat = Proj(proj="aeqd", lon_0=8, lat_0=47, ellps="WGS84")(x, y, inverse=True)
+    rows = np.column_stack([1e3 * flight.time, lon, lat, 100.0 * flight.velocity])
+    with open("foreign.csv", "w") as file:
+        file.write("t,lon,lat,u,v\n")
+        file.writelines(",".join(map(repr, row)) + "\n" for row in rows.tolist())
+    return "foreign.csv"
+
+
+def test_a_log_in_other_columns_units_and_degrees_gives_the_same_flow(capsys, flight):
+    code, out, _ = run(capsys, written(flight), *VEHICLE, *GRID, "--columns", MAP, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["mean_velocity"] == pytest.approx(15.43, rel=1e-3)
+    assert found["length_scale"] == pytest.approx(4.21, rel=1e-3)
+    log = found["log"]
+    assert (log["frame"], log["rate"], log["gaps"]) == ("ENU", pytest.approx(100.0), 0)
+    assert log["extent"] == pytest.approx(np.ptp(flight.position, axis=0).tolist(), rel=1e-5)
+    assert log["velocity_noise"] == pytest.approx(0.05, rel=0.15)
+    assert log["read_as"][0].startswith("time = t [ms], x = lon [deg]")
+    assert 4 <= log["cells_crossed"] <= 30
+
+
+def test_the_log_is_told_before_the_estimate(capsys):
+    code, out, _ = run(capsys, "flight.csv", *GRID, "--from", "1", "--to", "4")
+    lines = {line[:20].strip(): (place, line[22:]) for place, line in enumerate(out.splitlines())}
+    assert code == 0
+    assert lines["flight"][1].endswith("301 samples over 3 s")
+    assert lines["log"][0] < lines["frame"][0] < lines["mean velocity  U0"][0]
+    assert lines["log"][1].startswith("100 Hz, even steps; no gaps; ")
+    assert lines["log"][1].endswith(" cells crossed")
+    assert lines["frame"][1] == "not told: x and y as in the file"
+
+
+LOGS = {
+    "a gap of 10 minutes": lambda f: replace(f, time=f.time + 600.0 * (f.time > 2)),
+    "stands still": lambda f: replace(f, position=0.01 * f.position, velocity=0.01 * f.velocity),
+    "velocity in km/h?": lambda f: replace(f, velocity=3.6 * f.velocity),
+    "vx goes with y": lambda f: replace(f, velocity=f.velocity[:, ::-1]),
+}
+
+
+@pytest.mark.parametrize("words", LOGS)
+def test_bad_logs_are_refused_by_name_before_any_work(capsys, monkeypatch, flight, words):
+    def worked(*_):
+        raise AssertionError("an estimate was begun")
+
+    monkeypatch.setattr("sparsefit.estimator.estimator.Estimator.estimate", worked)
+    write_flight(LOGS[words](flight), "bad.csv")
+    assert words in refused(capsys, "bad.csv")
+    assert "bad.csv: " in refused(capsys, "bad.csv", "--json")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--columns", "time=t,x=lat,y=lon"), "x is east, the longitude"),
+        (("--columns", "time=t[parsec],x=lon,y=lat"), 'unknown unit "parsec"'),
+        (("--columns", MAP, "--only", "id=7"), 'no column "id"'),
+        (("--columns", MAP, "--from", "9"), "no sample from 9 s"),
+        (("--columns", MAP.replace("[ms]", "")), "units are mixed (position in km"),
+    ],
+)
+def test_bad_options_are_one_line(capsys, flight, options, words):
+    assert words in refused(capsys, written(flight), *VEHICLE, *options)
+
+
+def test_time_that_runs_backwards_is_named(capsys, flight):
+    with open("flight.csv") as file:
+        lines = file.read().splitlines()
+    with open("twice.csv", "w") as file:
+        file.write("\n".join([*lines, *lines[lines.index("time,x,y,vx,vy") + 1 :]]) + "\n")
+    assert "time runs backwards: row 501 (t=0.0) follows t=5.0" in refused(capsys, "twice.csv")
+    assert read_flight("flight.csv").samples == flight.samples

@@ -1,0 +1,155 @@
+"""What a log is like, and logs that are refused by name before anything is made of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.derivative.quality import quality_of
+from sparsefit.derivative.refusal import check_log
+from tests.fleet import fly_together
+
+VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
+NOISE = {"velocity_noise": 0.2, "position_noise": 0.05}
+
+
+def flown(seed=7, rate=100.0, **noise):
+    return sf.simulate_flight(
+        sf.CellularFlow(15.43, 4.21), VEHICLE, duration=10.0, sample_rate=rate, seed=seed, **noise
+    )
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return flown(**NOISE)
+
+
+def refused(flight, **options):
+    with pytest.raises(sf.InputError) as caught:
+        check_log(flight, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def joined(first, second, apart):
+    return replace(
+        first,
+        time=np.concatenate([first.time, second.time + first.time[-1] + 0.01]),
+        position=np.concatenate([first.position, second.position + apart]),
+        velocity=np.concatenate([first.velocity, second.velocity]),
+    )
+
+
+@pytest.mark.parametrize("rate", [100.0, 10.0, 6.0])
+def test_flights_are_not_refused(rate):
+    flows = [(sf.CellularFlow(15.43, 4.21),)] * 6
+    for noise in ({}, {"velocity_noise": 0.5, "position_noise": 0.2}):
+        for flight in fly_together(flows, VEHICLE, duration=5.0, rate=rate, seed=5, **noise):
+            check_log(flight, smallest=1.0)
+
+
+def test_a_gap_of_ten_minutes(flight):
+    time = flight.time + 600.0 * (np.arange(flight.samples) > 300)
+    late = replace(flight, time=time)
+    assert refused(late).startswith("a gap of 10 minutes after t=3 s (row 300)")
+    check_log(late, longest_gap=601.0)  # as the message says
+    assert "longest gap of 601 s" in refused(late)
+
+
+def test_a_slow_log_has_longer_steps_and_no_gap():
+    time = 900.0 * np.arange(40.0)
+    position = 300.0 * np.column_stack([np.sin(time / 9e3), time / 9e3])
+    check_log(sf.Flight.from_positions(time, position, VEHICLE))
+
+
+def test_a_vehicle_that_stands_still(flight):
+    assert "never leaves its place" in refused(replace(flight, position=0 * flight.position))
+    near = replace(flight, position=0.01 * flight.position, velocity=0.01 * flight.velocity)
+    check_log(near)
+    assert "stands still: it stays within 0.4" in refused(near, smallest=1.0)
+
+
+UNITS = [
+    ("velocity", 0.3048, "velocity in ft/s?"),
+    ("velocity", 1 / 3.6, "velocity in km/h?"),
+    ("velocity", 1852 / 3600, "velocity in kn?"),
+    ("velocity", 0.01, "velocity in cm/s?"),
+    ("position", 0.3048, "position in ft?"),
+    ("position", 1e3, "position in km or velocity in mm/s or time in ms?"),
+    ("time", 1e-6, "time in us?"),
+]
+
+
+@pytest.mark.parametrize(("name", "factor", "words"), UNITS)
+def test_mixed_units_are_named(flight, name, factor, words):
+    other = replace(flight, **{name: getattr(flight, name) / factor})
+    told = refused(other, longest_gap=1e9)
+    assert words in told
+    assert "units are mixed" in told
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        ([[0, 1], [1, 0]], "vx goes with y and vy with x"),
+        ([[1, 0], [0, -1]], "vy has the opposite sign"),
+        ([[-1, 0], [0, -1]], "vx and vy have the opposite sign"),
+        ([[0, 0], [0, 0]], "the velocity is zero throughout"),
+    ],
+)
+def test_other_frames_of_the_velocity_are_named(flight, turn, words):
+    assert words in refused(replace(flight, velocity=flight.velocity @ np.array(turn, float)))
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_two_flights_given_as_one(flight, measured):
+    both = joined(flight, flown(8, **NOISE), [300.0, 0.0])
+    if not measured:
+        clean = joined(flown(7), flown(8), [300.0, 0.0])
+        both = sf.Flight.from_positions(clean.time, clean.position, VEHICLE)
+    assert "between rows 1000 and 1001 (t=10 s)" in refused(both)
+
+
+def test_a_jump_of_the_receiver_is_left_to_the_repairs(flight):
+    position = flight.position + 300.0 * (np.arange(flight.samples) > 500)[:, None]
+    check_log(replace(flight, position=position))
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_rows_of_vehicles_that_take_turns(flight, count):
+    shift = np.array([[300.0, 0.0], [0.0, 0.0], [0.0, 250.0]])
+    position = flight.position + shift[np.arange(flight.samples) % count]
+    assert f"take turns between {count} tracks" in refused(replace(flight, position=position))
+
+
+def test_quality_counts_what_is_there(flight):
+    rows = np.r_[0:400, 450:1001]
+    rng = np.random.default_rng(3)
+    time = flight.time[rows] + 0.001 * rng.standard_normal(len(rows))
+    cut = replace(flight, time=time, position=flight.position[rows],
+                  velocity=flight.velocity[rows], frame="NED")  # fmt: skip
+    quality = quality_of(cut)
+    assert quality.rate == pytest.approx(100.0, rel=0.01)
+    assert quality.jitter == pytest.approx(np.sqrt(2) * 0.1, rel=0.1)  # of two times, of 10 ms
+    assert (quality.gaps, quality.longest_gap) == (1, pytest.approx(0.51, abs=0.01))
+    assert quality.extent == tuple(np.ptp(cut.position, axis=0))
+    assert quality.frame == "NED"
+    assert (
+        "100.1 Hz, jitter 14 %; 1 gap of up to 0.509 s; 39.6 × 43.3 m at 8.03 m/s rms"
+        in quality.words
+    )
+
+
+def test_quality_of_a_slow_log_of_positions():
+    time = 900.0 * np.arange(5.0)
+    flight = sf.Flight.from_positions(time, 2e4 * np.outer(time / 900, [1.0, 2.0]), VEHICLE)
+    words = quality_of(flight).words
+    assert words == "every 900 s, even steps; no gaps; 80 × 160 km at 49.7 m/s rms; noise not known"
+
+
+def test_quality_tells_the_noise(flight):
+    quality = quality_of(flight, sf.Derivative()(flight).smoothing)
+    assert quality.velocity_noise == pytest.approx(0.2, rel=0.1)
+    assert quality.position_noise == pytest.approx(0.05, rel=0.1)
+    assert quality.words.endswith("; noise 0.19 m/s and 0.05 m")

@@ -1,0 +1,214 @@
+"""Foreign tables: column maps, units, ISO times, degrees on a plane, several vehicles in a file."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from pyproj import Geod
+
+import sparsefit as sf
+from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight import plane
+from sparsefit.flight.files import read_table
+from sparsefit.flight.layout import Layout, Source
+from sparsefit.flight.plane import plane_of
+
+VEHICLE = sf.PointMassVehicle(60.0)
+DRIFTER = Path(__file__).parent / "logs" / "drifter_079_head.csv"
+MAPPED = "time=t[ms],x=east[km],y=north[ft],vx=u[cm/s],vy=v[kn]"
+ROWS = [(0, 1.0, 2.0, 30.0, 4.0), (500, 1.5, 3.0, 31.0, 5.0), (1000, 2.0, 4.0, 32.0, 6.0)]
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(text, name="log.csv"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def csv_text(header, rows, delimiter=","):
+    return "\n".join(delimiter.join(map(str, row)) for row in [header, *rows]) + "\n"
+
+
+def in_si(path, **options):
+    flight = sf.read_flight(path, vehicle=VEHICLE, **options)
+    return np.column_stack([flight.time, flight.position, flight.velocity])
+
+
+WANTED = np.array(ROWS) * [1e-3, 1e3, 0.3048, 1e-2, 1852 / 3600]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_units_of_a_column_map_become_si(file, delimiter):
+    path = file(csv_text(("t", "east", "north", "u", "v"), ROWS, delimiter))
+    np.testing.assert_allclose(in_si(path, columns=MAPPED), WANTED, rtol=1e-15)
+    pairs = dict(pair.split("=") for pair in MAPPED.split(","))
+    np.testing.assert_allclose(in_si(path, columns=pairs), WANTED, rtol=1e-15)
+
+
+def test_units_may_stand_in_the_header_and_what_is_not_named_keeps_its_name(file):
+    header = ("time", "east [km]", "north[ft]", "vx", "vy")
+    path = file("# gain = 3 of a foreign writer\n" + csv_text(header, ROWS))
+    found = in_si(path, columns="x=east[km],y=north [ft]")
+    np.testing.assert_allclose(found, np.array(ROWS) * [1, 1e3, 0.3048, 1, 1], rtol=1e-15)
+
+
+def test_parquet_takes_the_same_map_and_its_own_times(tmp_path):
+    names = ("t", "east", "north", "u", "v")
+    columns = dict(zip(names, np.array(ROWS).T, strict=True))
+    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+    np.testing.assert_allclose(in_si(tmp_path / "log.parquet", columns=MAPPED), WANTED)
+    moments = pa.array([1_342_966_500_000 + 500 * i for i in range(3)], pa.timestamp("ms", "UTC"))
+    pq.write_table(pa.table(columns | {"t": moments}), tmp_path / "log.parquet")
+    found = in_si(tmp_path / "log.parquet", columns=MAPPED.replace("t[ms]", "t"))
+    np.testing.assert_allclose(found, WANTED)
+
+
+def test_iso_times_are_seconds_since_the_first_in_any_zone(file):
+    times = ("2012-07-22 14:15:00.5", "2012-07-22T14:15:01+00:00", "2012-07-22T16:15:03.25+02:00")
+    rows = [(time, x, x) for time, x in zip(times, (0.0, 1.0, 3.0), strict=True)]
+    flight = sf.read_flight(file(csv_text(("time", "x", "y"), rows)), vehicle=VEHICLE)
+    assert flight.time.tolist() == [0.0, 0.5, 2.75]
+    with pytest.raises(InputError, match="line 3, column time: '12' is no ISO time"):
+        sf.read_flight(file(csv_text(("time", "x", "y"), [rows[0], ("12", 0, 0)])))
+
+
+def test_the_plane_is_true_from_its_middle_and_turns_velocities_with_it():
+    """Against geodesics of the ellipsoid, by another part of PROJ (Karney, 2013)."""
+    geod = Geod(ellps="WGS84")
+    longitude, latitude = np.array([7.0, 9.0, 8.0, 8.6]), np.array([46.6, 47.4, 47.0, 47.3])
+    found = plane_of(longitude, latitude, ("lon", "lat"))
+    azimuth, _, distance = geod.inv(8.0, 47.0, longitude[3], latitude[3])
+    expected = distance * np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
+    np.testing.assert_allclose(found.position[3], expected, atol=1e-3)
+    assert found.words == "local plane about 47.0000° N, 8.0000° E, lengths true to 0.003 %"
+    ahead = geod.fwd(longitude, latitude, np.full(4, 30.0), np.full(4, 1.0))[:2]
+    moved = plane_of(*map(np.concatenate, ([longitude, ahead[0]], [latitude, ahead[1]])), ("", ""))
+    step = moved.position[4:] - moved.position[:4]
+    heading = np.radians(30.0)
+    turned = found.turned(np.tile([np.sin(heading), np.cos(heading)], (4, 1)))
+    np.testing.assert_allclose(turned, step, atol=3e-4)
+    assert np.abs(turned[0] - turned[1]).max() > 0.02  # the meridians do converge
+
+
+def test_a_track_across_the_date_line_is_one_track():
+    found = plane_of(np.array([179.9, -179.9]), np.array([10.0, 10.0]), ("lon", "lat"))
+    assert np.ptp(found.position[:, 0]) == pytest.approx(0.2 * 109_640, rel=1e-3)
+
+
+def test_a_drifter_whose_header_has_latitude_and_longitude_swapped():
+    """GLAD drifter 079, MIT licence beside it: the header says Long,Lat and is wrong."""
+    with pytest.raises(InputError, match=r"latitude and longitude look swapped: .* x=Lat, y=Long"):
+        read_table(DRIFTER, columns="time=Date,x=Long,y=Lat")
+    table = read_table(DRIFTER, columns="time=Date,x=Lat,y=Long")
+    assert (table.frame, table.columns["time"][:2]) == ("ENU", [0.0, 900.0])
+    assert table.notes[0] == "time = Date, x = Lat [deg], y = Long [deg]"
+    flight = table.flight(VEHICLE)
+    assert 0.2 < np.hypot(*flight.velocity.T).mean() < 1.0  # m/s, of the Gulf of Mexico
+    assert flight.frame == "ENU"
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [
+        ((8.0, 8.1), (120.0, 120.1), "lat goes to 120 … 120.1°, no latitude"),
+        ((120.0, 120.1), (-95.0, -95.1), "no latitude; check the columns"),
+        ((400.0, 400.1), (8.0, 8.1), "lon goes to 400 … 400.1°, no longitude"),
+        ((0.0, 60.0), (8.0, 8.1), "km from its middle: no plane"),
+    ],
+)
+def test_degrees_that_are_none(x, y, words):
+    with pytest.raises(InputError, match=words):
+        plane_of(np.array(x), np.array(y), ("lon", "lat"))
+
+
+def test_a_map_that_takes_latitude_for_east_is_refused():
+    with pytest.raises(InputError, match=r"x is east, the longitude; .* x=lon, y=lat"):
+        plane_of(np.array([47.0, 47.1]), np.array([8.0, 8.1]), ("lat", "lon"))
+
+
+def test_degrees_without_pyproj_name_the_extra(monkeypatch):
+    def absent(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr(plane, "import_module", absent)
+    with pytest.raises(MissingExtra, match=r"pip install 'sparsefit\[logs\]'"):
+        read_table(DRIFTER, columns="time=Date,x=Lat,y=Long")
+
+
+SEVERAL = csv_text(
+    ("Id", "time", "x", "y"),
+    [(name, t, t, t * (1 + i)) for i, name in enumerate("ab") for t in range(4)],
+)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_several_vehicles_in_a_file_are_refused_or_one_is_read(file, suffix):
+    path = file(SEVERAL)
+    if suffix == "parquet":
+        path = path.with_suffix(".parquet")
+        columns = {"Id": list("aaaabbbb"), "time": [*range(4)] * 2}
+        pq.write_table(
+            pa.table(columns | {"x": columns["time"], "y": [0, 1, 2, 3, 0, 2, 4, 6]}), path
+        )
+    with pytest.raises(InputError, match=r"column Id names 2 vehicles \(a, b\).* only Id=a"):
+        sf.read_flight(path, vehicle=VEHICLE)
+    flight = sf.read_flight(path, vehicle=VEHICLE, only="Id=b")
+    assert flight.position.tolist() == [[0, 0], [1, 2], [2, 4], [3, 6]]
+    with pytest.raises(InputError, match='no column "id": did you mean "Id"'):
+        sf.read_flight(path, vehicle=VEHICLE, only="id=b")
+
+
+def test_a_column_that_counts_rows_names_no_vehicles(file):
+    rows = [(i, i, i, i) for i in range(4)]
+    assert (
+        sf.read_flight(file(csv_text(("id", "time", "x", "y"), rows)), vehicle=VEHICLE).samples == 4
+    )
+
+
+def test_the_frame_is_written_and_read(tmp_path):
+    time, position = np.arange(5.0), np.arange(10.0).reshape(5, 2)
+    flight = sf.Flight.from_positions(time, position, VEHICLE, frame="NED")
+    for name in ("a.csv", "a.parquet"):
+        sf.write_flight(flight, tmp_path / name)
+        assert sf.read_flight(tmp_path / name).frame == "NED"
+    with pytest.raises(InputError, match='unknown frame "NWU"'):
+        sf.Flight.from_positions(time, position, VEHICLE, frame="NWU")
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ("t", 'columns: "t" is not field=column'),
+        ("tim=t", 'unknown field "tim": did you mean "time"'),
+        ("time=t,time=q", "time is given twice"),
+        ("time=t[fortnight]", 'time: unknown unit "fortnight"'),
+        ("vx=u[m]", 'vx: unknown unit "m".*m/s'),
+        ("time=tt,x=east,y=north", 'no column "tt"'),
+        ("x=east,y=north", "columns: nothing says time"),
+        ("time=t,x=east,y=north,vx=u", "nothing says vx or vy beside the other"),
+        ("time=t,x=east[deg],y=north", "both are degrees, or none"),
+    ],
+)
+def test_bad_maps_are_named(file, columns, words):
+    path = file(csv_text(("t", "east", "north", "u", "v"), ROWS))
+    with pytest.raises(InputError, match=words):
+        read_table(path, columns=columns)
+
+
+def test_degrees_follow_from_names_unless_a_unit_is_said():
+    layout = Layout.of("x=Longitude,y=lat[m]")
+    assert layout.sources == {"x": Source("Longitude", "deg"), "y": Source("lat", "m")}
+
+
+def test_rows_between_two_times(file):
+    table = read_table(file(csv_text(("time", "x", "y"), [(t, t, t) for t in range(9)])))
+    assert table.between(2.0, 4.5).columns["x"] == [2.0, 3.0, 4.0]
+    assert table.between(None, None) is table
+    with pytest.raises(InputError, match=r"no sample from 20 s to inf s; the log has 0 … 8 s"):
+        table.between(20.0, None)
