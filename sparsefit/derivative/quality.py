@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.derivative.pieces import GAP
 from sparsefit.derivative.smoothing import Smoothing
 from sparsefit.derivative.steps import ONE_STEP, clock_rounding
@@ -113,8 +113,8 @@ def quality_of(flight: Flight, smoothing: Smoothing | None = None) -> LogQuality
     )
 
 
-def gaps_of(time: Array) -> Array:
+def gaps_of(time: Array) -> BoolArray:
     """Tell which steps (m - 1,) of times (m,) [s] are gaps: longer than `GAP` median ones."""
     steps = np.diff(time)
-    gaps: Array = steps > GAP * np.median(steps)
+    gaps: BoolArray = steps > GAP * np.median(steps)
     return gaps

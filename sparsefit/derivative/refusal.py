@@ -118,14 +118,14 @@ def _check_units(flight: Flight) -> None:
         if flight.velocity.any() or len(moved) < TOGETHER:
             return
         raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
-    found = np.linalg.lstsq(meant, moved, rcond=None)[0]
+    found: Array = np.linalg.lstsq(meant, moved, rcond=None)[0].astype(np.float64)
     left = float(np.sum((moved - meant @ found) ** 2))
     if left > (1.0 - EXPLAINED) * float(np.sum(moved**2)):
         return
     factor = float(np.sqrt(abs(np.linalg.det(found))))
     if not factor > 0:
         return
-    axes = found / factor
+    axes: Array = found / factor
     if _is(axes, [[0, 1], [1, 0]]):
         raise InputError(
             "vx goes with y and vy with x: position and velocity are in different frames, NED and "

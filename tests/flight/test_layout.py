@@ -191,7 +191,7 @@ def test_the_frame_is_written_and_read(tmp_path):
         ("vx=u[m]", 'vx: unknown unit "m".*m/s'),
         ("time=tt,x=east,y=north", 'no column "tt"'),
         ("x=east,y=north", "columns: nothing says time"),
-        ("time=t,x=east,y=north,vx=u", "nothing says vx or vy beside the other"),
+        ("time=t,x=east,y=north,vx=u", "nothing says vy; the table has t, east"),
         ("time=t,x=east[deg],y=north", "both are degrees, or none"),
     ],
 )
