@@ -1,12 +1,12 @@
 """Tables and sentences of `results/`, read when the documentation is built.
 
     ```{results} table2/errors-absolute
-    :columns: protocol, backend, n, mean |error| U0 [%]
+    :columns: protocol; backend; n; mean |error| U0 [%]
     :where: protocol=default; backend=lasso, group-lasso
     ```
 
-shows rows and columns of `results/table2/errors-absolute.md`, and says where they come from;
-`{answers}` shows the question and the answer of studies.
+shows rows and columns of `results/table2/errors-absolute.md`, and says where they come from. The
+README of every study becomes a page, `docs/studies/NAME.md`.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ class Results(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         path = RESULTS / f"{self.arguments[0]}.md"
         self.env.note_dependency(str(path))
-        columns, names = (_listed(self.options.get(key, "")) for key in ("columns", "names"))
+        columns, names = (_listed(self.options.get(key, ""), ";") for key in ("columns", "names"))
         where = {
-            name.strip(): _listed(values)
+            name.strip(): _listed(values, ",")
             for part in self.options.get("where", "").split(";")
             if part.strip()
             for name, _, values in [part.partition("=")]
@@ -94,34 +94,41 @@ class Results(SphinxDirective):
         return [table, nodes.paragraph("", "", *source.children, classes=["source"])]
 
 
-class Answers(SphinxDirective):
-    """The question and the answer of each study named, as its README has them."""
-
-    required_arguments = 1
-    final_argument_whitespace = True
-
-    def run(self) -> list[nodes.Node]:
-        lines: list[str] = []
-        for name in self.arguments[0].split():
-            path = RESULTS / name / "README.md"
-            self.env.note_dependency(str(path))
-            question, answer = answered(path)
-            lines += [f"**`{name}`.** {question}", "", answer, ""]
-        return parsed(self, lines)
+def _listed(text: str, between: str) -> list[str]:
+    return [part.strip() for part in text.split(between) if part.strip()]
 
 
-def answered(path: Path) -> tuple[str, str]:
-    """The question and the answer that stand at the head of a study's README."""
-    paragraphs = path.read_text("utf-8").split("\n\n")
-    return paragraphs[1].strip("*\n "), paragraphs[2]
+def study_page(name: str) -> str:
+    """The README of a study as a page: its headings one level up, its pictures where they are.
+
+    Links to files beside it are left out, as those are not part of the documentation.
+    """
+    text = (RESULTS / name / "README.md").read_text("utf-8")
+    kept = [part for part in text.split("\n\n") if not part.startswith(BESIDE)]
+    text = re.sub(r"^###", "##", "\n\n".join(kept), flags=re.MULTILINE)
+    text = re.sub(r"!\[([^\]]*)\]\(", rf"![\1](../../results/{name}/", text)
+    return f"{text.rstrip()}\n\nThe study is `studies/{name}.toml`, its files `results/{name}/`.\n"
 
 
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in re.split(r",(?!\s*\d)", text) if part.strip()]
+BESIDE = ("This table: ", "Of the run that made these files: ")
+
+
+def write_pages(app: Sphinx) -> None:
+    """A page for every study in `results/`, in `docs/studies/`, which git does not keep."""
+    folder = Path(app.srcdir) / "studies"
+    folder.mkdir(exist_ok=True)
+    pages = {path.parent.name: study_page(path.parent.name) for path in RESULTS.glob("*/README.md")}
+    for old in folder.glob("*.md"):
+        if old.stem not in pages:
+            old.unlink()
+    for name, text in pages.items():
+        page = folder / f"{name}.md"
+        if not page.exists() or page.read_text("utf-8") != text:
+            page.write_text(text, "utf-8")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     app.add_directive("results", Results)
-    app.add_directive("answers", Answers)
+    app.connect("builder-inited", write_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,6 +1,8 @@
 """Every code block of README.md and docs/*.md runs, from an empty folder, page by page."""
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -40,10 +42,11 @@ def run_page(page: str, blocks: list[Block], folder: Path, monkeypatch: pytest.M
     monkeypatch.chdir(folder)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     missing = {block.needs for block in blocks if block.missing}
-    names: dict[str, object] = {"__name__": "page"}
+    module = ModuleType("page")  # where a dataclass of the page looks for its own names
+    monkeypatch.setitem(sys.modules, "page", module)
     for block in blocks:
         if not block.missing:
-            run(block, page, names)
+            run(block, page, vars(module))
     return missing
 
 

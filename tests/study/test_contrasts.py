@@ -141,6 +141,11 @@ def test_intervals_draw_flights_not_cases():
     assert all(map(math.isnan, one))
 
 
+def test_flights_that_all_failed_have_no_interval_and_no_warning():
+    failed = cases({"lasso": [1.0] * 4}, failed=[("lasso", flight) for flight in range(4)])
+    assert all(map(math.isnan, interval_of(MEASURES["timescale-size"], failed)))
+
+
 def test_values_by_flight():
     frame = pd.concat([cases({"lasso": [1.0, 2.0]}), cases({"lasso": [3.0]})])
     grid = by_flight(per_case(MISSED, frame), frame)

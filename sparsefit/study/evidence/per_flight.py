@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -49,13 +50,15 @@ def pooled(summary: str, grid: Array) -> Array:
 def bootstrap(statistic: Callable[[Draws], Array], flights: int, seed: int = SEED) -> Array:
     """(2,) the 95 % percentile interval of a statistic of drawn flights (..., flights).
 
-    Raises nothing where flights are too few to draw: the interval is NaN.
+    Raises nothing where flights are too few to draw, or have no number: the interval is NaN.
     """
     if flights < 2:
         return np.full(2, np.nan)
     from scipy import stats  # slow to import, and only tables need it
 
-    with np.errstate(invalid="ignore"):  # an end between two infinities is NaN: not known
+    # An end between two infinities is NaN, and so is one of draws without a number: not known.
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         result = stats.bootstrap(
             (np.arange(flights),),
             lambda at, axis: statistic(at),
