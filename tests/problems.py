@@ -21,6 +21,7 @@ GENERAL = (
     "adaptive-group-lasso",
     "group-mcp",
     "elastic-net",
+    "square-root-lasso",
     "ridge",
     "best-scale",
     "group-omp",

@@ -39,6 +39,7 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "adaptive-lasso": "sparsefit.backends.adaptive_lasso:AdaptiveLasso",
         "adaptive-group-lasso": "sparsefit.backends.adaptive_group_lasso:AdaptiveGroupLasso",
         "group-mcp": "sparsefit.backends.group_mcp:GroupMCP",
+        "square-root-lasso": "sparsefit.backends.square_root_lasso:SquareRootLasso",
         "elastic-net": "sparsefit.backends.elastic_net:ElasticNet",
         "ridge": "sparsefit.backends.ridge:Ridge",
         "gridless-group-lasso": "sparsefit.backends.gridless:GridlessGroupLasso",

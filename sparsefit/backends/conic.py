@@ -44,6 +44,7 @@ TOLERANCES: dict[str, tuple[str, ...]] = {
     "proxqp": ("eps_abs", "eps_rel"),
 }
 """Solver -> the settings that hold its stopping tolerance."""
+RANK = 1e-13  # of Z'Z/m: eigenvalues below it, relative, count as zero where its root is taken
 DIRECT = ("clarabel-direct", "clarabel-working-set")
 QUADRATIC_ONLY = ("osqp", "highs", "piqp", "daqp", "proxqp")
 
@@ -81,15 +82,11 @@ def solve_conic(
         return tuple(_zero(statistics) for _ in alpha_fractions)
     variable = cvxpy.Variable(statistics.cross.shape)
     fraction = cvxpy.Parameter(nonneg=True)
-    gram = cvxpy.psd_wrap((statistics.gram + statistics.gram.T) / 2)
-    quadratic = sum(
-        0.5 * cvxpy.quad_form(variable[:, t], gram) for t in range(statistics.cross.shape[1])
-    )
-    linear = cvxpy.sum(cvxpy.multiply(statistics.cross / unit, variable))
+    loss = (_root_loss if penalty.root else _quadratic_loss)(variable, statistics, unit)
     omega = _penalty_expression(variable, penalty)
     if penalty.ridge:  # the only term that is not linear in the unit of the target
         omega = omega + 0.5 * penalty.ridge * unit * cvxpy.sum_squares(variable)
-    problem = cvxpy.Problem(cvxpy.Minimize(quadratic - linear + fraction * omega))
+    problem = cvxpy.Problem(cvxpy.Minimize(loss + fraction * omega))
     scale = unit / statistics.rms[:, None]
     settings = with_tolerance(solver, tolerance, SETTINGS.get(solver.lower(), {}))
     found = []
@@ -122,11 +119,40 @@ def solve_rows(
         omega = _penalty_expression(variable, penalty)
         if penalty.ridge:
             omega = omega + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
-        loss = cvxpy.sum_squares(scaled @ variable - problem.target) / (2 * problem.samples)
+        residual = scaled @ variable - problem.target
+        if penalty.root:
+            level = np.sqrt(statistics.target_square.sum() / problem.samples)
+            loss = level * cvxpy.norm(residual, "fro")
+        else:
+            loss = cvxpy.sum_squares(residual) / (2 * problem.samples)
         stated = cvxpy.Problem(cvxpy.Minimize(loss + fraction * unit * omega))
         scale = 1.0 / statistics.rms[:, None]
         found.append(_solve_one(stated, variable, solver, settings, scale))
     return tuple(found)
+
+
+def _quadratic_loss(variable: Any, statistics: Statistics, unit: float) -> Any:
+    """1/2 sum_t v_t'G v_t - <C, V>, in units of the target's unit squared."""
+    import cvxpy
+
+    gram = cvxpy.psd_wrap((statistics.gram + statistics.gram.T) / 2)
+    targets = range(statistics.cross.shape[1])
+    quadratic = sum(0.5 * cvxpy.quad_form(variable[:, t], gram) for t in targets)
+    return quadratic - cvxpy.sum(cvxpy.multiply(statistics.cross / unit, variable))
+
+
+def _root_loss(variable: Any, statistics: Statistics, unit: float) -> Any:
+    """y |Y - Z V|/sqrt(m) by a root H of G = H'H: |H V - B|^2 + rest, H'B = C."""
+    import cvxpy
+
+    values, vectors = np.linalg.eigh((statistics.gram + statistics.gram.T) / 2)
+    kept = values > RANK * values[-1]
+    half = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
+    known = (vectors[:, kept].T @ statistics.cross) / np.sqrt(values[kept])[:, None] / unit
+    square = float(statistics.target_square.sum()) / unit**2
+    rest = np.sqrt(max(square - float(np.sum(known**2)), 0.0))
+    misfit = cvxpy.vec(half @ variable - known, order="C")
+    return np.sqrt(square) * cvxpy.norm(cvxpy.hstack([misfit, rest]), 2)
 
 
 def _penalty_expression(variable: Any, penalty: Penalty) -> Any:

@@ -14,7 +14,9 @@ from typing import Literal, TypeAlias
 Loop: TypeAlias = Literal["compiled", "python"]
 LOOPS: Mapping[str, str] = MappingProxyType(
     {
-        **dict.fromkeys(("lasso", "adaptive-lasso", "elastic-net"), "homotopy_walk"),
+        **dict.fromkeys(
+            ("lasso", "adaptive-lasso", "elastic-net", "square-root-lasso"), "homotopy_walk"
+        ),
         **dict.fromkeys(("group-lasso", "adaptive-group-lasso", "group-mcp"), "variational_search"),
     }
 )

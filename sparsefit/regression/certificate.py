@@ -12,8 +12,14 @@ targets that the penalty does not couple have an s each. The gap is (P - D) / (|
 mu/2 |V|^2, mu = alpha rho, is k more rows of Z, sqrt(m mu) I, with targets of zero: with F = V
 there, C becomes C - mu F, r becomes r + mu |F|^2 and q stays. Where there is no norm, F = C/mu is
 the better dual point, and obeys the constraint C = 0 that is left then. max_g |C_g|/omega_g stands
-for the dual norm of `objective`. C, r and q come from the rows, in m k operations, or from the Gram
-matrix G = Z'Z/m and B = Z'Y/m, in k^2:
+for the dual norm of `objective`. With the root of the mean square as the loss, r = sum_t r_t and
+q = sum_t q_t,
+
+    P = y sqrt(r) + alpha Omega(V),   D = s q,   s = y/sqrt(r), cut to the limit,
+
+since the dual point's own constraint is |s R|_F/sqrt(m) <= y (Belloni, Chernozhukov and Wang 2011);
+that gap is (P - D) / y^2, y^2 being P at V = 0. C, r and q come from the rows, in m k operations,
+or from the Gram matrix G = Z'Z/m and B = Z'Y/m, in k^2:
 
     C = B - G V,   q_t = y_t^2 - <V_t, B_t>,   r_t = q_t - <V_t, C_t>.
 
@@ -175,15 +181,47 @@ def _certificates(
     residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty, target_square: Array
 ) -> tuple[Certificate, ...]:
     """Primal, dual and gap at weights V = ``scaled`` (p, k, n), and what rounding leaves open."""
+    if penalty.root:
+        return _root_certificates(residual, scaled, alphas, penalty, target_square)
     primal = 0.5 * residual.square.sum(axis=1) + alphas * penalty.value(scaled)
     extended = _with_ridge(residual, scaled, alphas, penalty) if penalty.ridge else residual
     peaks, error = _constraint(extended, penalty)
     dual, _ = _dual(extended, alphas, peaks, penalty)
     certain, doubt = _dual(extended, alphas, peaks * (1.0 + residual.gamma) + error, penalty)
     doubt = doubt + 0.5 * residual.square_error.sum(axis=1) + residual.gamma * primal
-    null = 0.5 * float(target_square.sum()) or 1.0
+    return _told(residual, primal, dual, certain - doubt, 0.5 * float(target_square.sum()))
+
+
+def _root_certificates(
+    residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty, target_square: Array
+) -> tuple[Certificate, ...]:
+    """The same for the root of the mean square, at whose targets one factor s acts."""
+    level, gamma = float(np.sqrt(target_square.sum())), residual.gamma
+    square, product = residual.square.sum(axis=1), residual.product.sum(axis=1)
+    loose, off = residual.square_error.sum(axis=1), residual.product_error.sum(axis=1)
+    primal = level * np.sqrt(square) + alphas * penalty.value(scaled)
+    peaks, error = (part.max(axis=1) for part in _constraint(residual, penalty))
+
+    def factor(peak: Array, spread: Array) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            limits = np.where(peak > 0, alphas / peak, np.inf), level / np.sqrt(spread)
+        least: Array = np.minimum(*limits)
+        return np.where(np.isfinite(least), least, 0.0)
+
+    dual = factor(peaks, square) * product
+    safe = factor(peaks * (1.0 + gamma) + error, square * (1.0 + gamma) + loose)
+    moved = level * (np.sqrt(square + loose) - np.sqrt(np.maximum(square - loose, 0.0)))
+    doubt = moved + safe * off + 4.0 * gamma * (primal + safe * np.abs(product))
+    return _told(residual, primal, dual, safe * product - doubt, level**2)
+
+
+def _told(
+    residual: _Residual, primal: Array, dual: Array, least: Array, null: float
+) -> tuple[Certificate, ...]:
+    """Gaps relative to ``null``, the objective at zero; ``least``: D less all that rounding did."""
+    null = null or 1.0
     gaps = np.maximum(primal - dual, 0.0) / null
-    most = np.maximum(primal - certain + doubt, 0.0) / null * (1.0 + 2.0 * residual.gamma)
+    most = np.maximum(primal - least, 0.0) / null * (1.0 + 2.0 * residual.gamma)
     rounding = np.maximum(most - gaps, 0.0) if residual.safe else np.full(len(gaps), np.inf)
     return tuple(
         Certificate("duality_gap", float(g), float(p), float(d), float(r))

@@ -9,6 +9,9 @@ In scaled columns z_j = theta_j / rms(theta_j), with m samples, k columns and n 
 g are blocks of coefficients, h blocks within them (sparse-group LASSO), rho a ridge (elastic net);
 most back-ends have the first term alone. Weights in the original units of theta are W = V / rms.
 
+The square-root LASSO has y |Y - Z V|_F/sqrt(m) in place of the first term of P, y = |Y|_F/sqrt(m).
+The factor y, a constant, gives alpha the same unit and the same alpha_max in both.
+
 The dual norm of the first two terms together, for one block g, is the tau > 0 with
 
     sum_{h in g} (|C_h| - tau lambda_h)_+^2 = (tau omega_g)^2,
@@ -39,7 +42,8 @@ class Penalty:
     groups (k,) gives the block of each column, 0..g-1; weights omega (g,) > 0, or all zero for a
     ridge alone. ``joint``: a block spans all n targets; otherwise each target has blocks of its
     own. Groups of one column and not joint: the LASSO. ``within``: the same on blocks that lie
-    within these, and are joint only if these are. ``ridge``: rho of rho/2 |V|^2.
+    within these, and are joint only if these are. ``ridge``: rho of rho/2 |V|^2. ``root``: it is
+    added to the root of the mean square, and not to half the mean square.
     """
 
     groups: IntArray
@@ -47,6 +51,7 @@ class Penalty:
     joint: bool
     within: "Penalty | None" = None
     ridge: float = 0.0
+    root: bool = False
 
     @cached_property
     def _layout(self) -> tuple[IntArray | None, IntArray]:
@@ -57,6 +62,11 @@ class Penalty:
     def elementwise(self) -> bool:
         """Whether each coefficient is a block of its own (the LASSO)."""
         return not self.joint and len(self.weights) == len(self.groups) and self.within is None
+
+    @property
+    def coupled(self) -> bool:
+        """Whether the targets of a problem are one problem, and not one each."""
+        return self.joint or self.root
 
     @cached_property
     def smooth(self) -> bool:

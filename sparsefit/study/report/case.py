@@ -167,6 +167,9 @@ def left_to_explain(fit: Fit) -> tuple[Array, str]:
         penalty = backend.penalty(problem)
         if not penalty.smooth:
             alpha = backend.alpha_fraction * alpha_max(cross, penalty)
+            if penalty.root:  # its slope in V is |R| / |Y| times that of half the square
+                residual = problem.target - problem.theta @ fit.weights
+                alpha *= float(np.linalg.norm(residual) / np.linalg.norm(problem.target))
             blocks = penalty.block_dual_norms(share).max(axis=-1) / alpha
             return _largest(blocks[penalty.groups], problem.groups), "|Z'R| / penalty"
     norm = float(np.sqrt(np.sum(np.square(problem.target)) / problem.samples)) or 1.0
