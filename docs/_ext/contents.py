@@ -26,6 +26,7 @@ def _read(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect the reading of the index."""
+    """Read the index on every build, as pages may have come and gone."""
     app.connect("source-read", _read)
+    app.connect("env-get-outdated", lambda *_: ["index"])
     return {"parallel_read_safe": True, "parallel_write_safe": True}

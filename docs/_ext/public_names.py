@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import inspect
-import re
 from collections import defaultdict
 
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-from written import parsed
+from written import escaped, parsed
 
 import sparsefit
 
@@ -56,15 +55,11 @@ def _documented(name: str) -> list[str]:
     return [f".. autoclass:: sparsefit.{name}", "   :members:"]
 
 
-BAR = re.compile(r"(``[^`]*``)|\\|")
-
-
 def escape(
     app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
 ) -> None:
     """Docstrings have |w| for a size, where reStructuredText sees a substitution."""
-    text = "\n".join(lines)
-    lines[:] = BAR.sub(lambda found: found[1] or r"\|", text).split("\n")
+    lines[:] = escaped("\n".join(lines)).split("\n")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

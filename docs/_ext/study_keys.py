@@ -8,7 +8,7 @@ import key_tables
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-from written import parsed
+from written import escaped, parsed
 
 from sparsefit import backends
 from sparsefit.study.evidence.answers import ANSWERS
@@ -40,7 +40,7 @@ class BackendSettings(SphinxDirective):
         for name in (*backends.BACKENDS, *backends.PUBLIC):
             kind = backends.load(name)
             lines += [f"### `{name}`", "", "````{eval-rst}"]
-            lines += [*(inspect.getdoc(kind) or "").splitlines(), "````", ""]
+            lines += [*escaped(inspect.getdoc(kind) or "").splitlines(), "````", ""]
             keys = key_tables.settings(name)
             lines += [f"Certificate: {kind.certificate_kind.replace('_', ' ')}.", ""]
             if keys:

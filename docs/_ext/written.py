@@ -1,5 +1,7 @@
 """Markdown that a directive has written, as nodes."""
 
+import re
+
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
@@ -12,3 +14,11 @@ def parsed(directive: SphinxDirective, lines: list[str]) -> list[nodes.Node]:
     holder.document = directive.state.document
     directive.state.nested_parse(StringList(lines, source), 0, holder)
     return holder.children
+
+
+BAR = re.compile(r"(``[^`]*``)|\|")
+
+
+def escaped(docstring: str) -> str:
+    """A docstring whose |w| is a size, where reStructuredText sees a substitution."""
+    return BAR.sub(lambda found: found[1] or r"\|", docstring)

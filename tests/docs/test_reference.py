@@ -1,0 +1,50 @@
+"""What the documentation says of the package itself is complete: keys, options, public names."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+import sparsefit
+
+EXTENSIONS = Path(__file__).parents[2] / "docs" / "_ext"
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(EXTENSIONS)
+    import key_tables
+
+    yield key_tables
+    sys.modules.pop("key_tables")
+
+
+def test_every_key_of_a_study_file_has_words_and_no_words_are_left_over(tables):
+    tables.checked()
+    assert set(tables.meanings()) == set(tables.sections())
+    for section in tables.sections():
+        assert len(tables.table(section)) > 2
+
+
+def test_a_key_without_words_is_refused_by_name(tables, monkeypatch):
+    words = {name: dict(keys) for name, keys in tables.meanings().items()}
+    del words["run"]["tolerance"]
+    monkeypatch.setattr(tables, "meanings", lambda: words)
+    with pytest.raises(ValueError, match=r"\[run\].*tolerance"):
+        tables.table("run")
+
+
+def test_types_and_ranges_are_told_as_somebody_who_writes_toml_would(tables):
+    keys = {key.name: key for key in tables.sections()["select"]}
+    assert keys["margin"] == ("margin", "number", "`0.05`")
+    assert keys["simplest"].kind == '`"listed"` or `"fastest"`'
+    flights = {key.name: key for key in tables.sections()["flights"]}
+    assert flights["outliers"].kind == "from 0 to 1"
+    assert flights["duration"].default == "none: needed"
+
+
+@pytest.mark.parametrize("name", sparsefit.__all__[1:])
+def test_public_names_have_docstrings_of_their_own(name):
+    value = getattr(sparsefit, name)
+    assert value.__doc__
+    assert not value.__doc__.startswith(f"{name}(")  # what a dataclass without one is given
