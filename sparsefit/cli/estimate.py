@@ -26,6 +26,8 @@ EXAMPLE = """\
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
   sparsefit estimate flight.csv --family waves --grid-lower 3 --json
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
+  sparsefit estimate log.ulg --unknown response_time --from 60 --to 300
+  sparsefit estimate glider.igc --response-time 2 --grid-lower 100 --grid-upper 2000 --grid-step 20
   sparsefit estimate drifters.csv --only id=7 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"
 
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
@@ -63,7 +65,11 @@ def add(verbs: Verbs) -> None:
         summary="estimate mean velocity, length scale and timescale from a flight",
         example=EXAMPLE,
     )
-    parser.add_argument("flight", metavar="FLIGHT", help="flight log, .csv or .parquet")
+    parser.add_argument(
+        "flight",
+        metavar="FLIGHT",
+        help="flight log: .csv or .parquet, .ulg of PX4, .igc of a glider",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_log(parser)
     _add_estimator(parser)
@@ -236,11 +242,11 @@ def _flight(args: argparse.Namespace, table: FlightTable, unknown: tuple[str, ..
         if law in unknown and law not in settings:
             settings = {k: v for k, v in settings.items() if k != other} | {law: STAND_IN}
     if "response_time" not in settings and "drag" not in settings:
-        told = (
-            "the file has none; give --response-time too"
-            if given
-            else "the file has no `# response_time=` line; add it or give --response-time"
-        )
+        told = "the file has no `# response_time=` line; add it or give --response-time"
+        if given:
+            told = "the file has none; give --response-time too"
+        elif table.notes:  # no line of ours can be added to a log of others
+            told = "the log does not tell; give --response-time, or --unknown response_time"
         raise InputError(f"{args.flight}: no vehicle: {told}")
     vehicle = vehicle_of(settings)
     with told_with(args.flight):

@@ -1,4 +1,4 @@
-"""Flights in files: ``.csv`` and ``.parquet``, exact both ways."""
+"""Flights in files: ``.csv`` and ``.parquet``, exact both ways; ``.ulg`` and ``.igc`` are read."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 from sparsefit.errors import InputError, one_of, told_with
-from sparsefit.flight import csv_file, parquet_file
+from sparsefit.flight import csv_file, igc_file, parquet_file, ulog_file
 from sparsefit.flight.layout import Columns, Layout
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
@@ -15,7 +15,8 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.whole_file import read_whole, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
-FORMATS: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
+WRITTEN: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
+FORMATS: dict[str, ModuleType] = WRITTEN | {".ulg": ulog_file, ".igc": igc_file}
 
 
 def read_flight(
@@ -25,10 +26,10 @@ def read_flight(
     columns: Columns = None,
     only: str | None = None,
 ) -> Flight:
-    """Read a flight from a ``.csv`` or ``.parquet`` file.
+    """Read a flight from a ``.csv`` or ``.parquet`` table, a PX4 log (``.ulg``) or an IGC file.
 
-    Columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored. Without
-    both ``vx`` and ``vy`` the log has positions only (`Flight.from_positions`). The vehicle:
+    Of a table: columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored.
+    Without both ``vx`` and ``vy`` it has positions only (`Flight.from_positions`). The vehicle:
     ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
     not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet; likewise
     ``frame``, ``ENU`` or ``NED``. Columns ``ax`` and ``ay`` [m/s^2] are a measured thrust
@@ -48,7 +49,8 @@ def read_flight(
     Raises:
         InputError: naming file, line and column, if the file is missing, is not a flight, holds
             several vehicles, or no vehicle is told and none is given.
-        MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj.
+        MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj, for
+            logs of PX4 without pyulog, for IGC files without aerofiles.
     """
     table = read_table(path, columns=columns, only=only)
     with told_with(Path(path)):
@@ -70,7 +72,7 @@ def read_table(
         MissingExtra: as of `read_flight`.
     """
     file = Path(path)
-    decode = _format(file).decode
+    decode = _format(file, FORMATS).decode
     layout = Layout.of(columns, only)
     content = _content(file)
     with told_with(file):
@@ -88,16 +90,16 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
         MissingExtra: for Parquet without pyarrow.
     """
     file = Path(path)
-    encode = _format(file).encode
+    encode = _format(file, WRITTEN).encode
     if file.exists() and not overwrite:
         raise InputError(f"{file} exists; pass overwrite=True or choose another name")
     write_whole(file, encode(FlightTable.from_flight(flight)))
 
 
-def _format(file: Path) -> ModuleType:
+def _format(file: Path, known: dict[str, ModuleType]) -> ModuleType:
     suffix = file.suffix.lower()
-    one_of("file type", suffix or file.name, FORMATS)
-    return FORMATS[suffix]
+    one_of("file type", suffix or file.name, known)
+    return known[suffix]
 
 
 def _content(file: Path) -> bytes:

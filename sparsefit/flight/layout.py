@@ -95,6 +95,11 @@ class Layout:
         found = rest | {name: _present(source, names) for name, source in self.sources.items()}
         return _complete({name: found[name] for name in FIELDS if name in found}, names)
 
+    def refuse_any(self, what: str) -> None:
+        """Raise `InputError` if anything is asked of a file whose columns are its own."""
+        if self.sources or self.only:
+            raise InputError(f"{what} tells its own columns; leave columns and only out")
+
     def filtered(self, names: list[str]) -> tuple[int | None, str]:
         """The place of the column that says which rows are read, None for all, and its text there.
 

@@ -241,7 +241,9 @@ def test_parquet_without_pyarrow_tells_how_to_install_it(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["a.txt", "a", "a.csvv", "a.csv.gz"])
 def test_unknown_file_type(tmp_path, name):
-    with pytest.raises(InputError, match=r"unknown file type .*\(known: \.csv, \.parquet\)"):
+    with pytest.raises(
+        InputError, match=r"unknown file type .*\(known: \.csv, \.parquet, \.ulg, \.igc\)"
+    ):
         read_flight(tmp_path / name)
     with pytest.raises(InputError, match="unknown file type"):
         write_flight(flight_with(), tmp_path / name)

@@ -1,0 +1,100 @@
+"""Flight recorders of gliders (IGC), read by aerofiles: fixes in longitude and latitude.
+
+B records: time in UTC, to a second or, with the extension TDS, finer; positions to a thousandth of
+a minute of arc, 1.9 m, or with LAD and LOD finer (FAI, Technical Specification for GNSS Flight
+Recorders, appendix A). They become metres on a local plane, x east and y north.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight.layout import Layout
+from sparsefit.flight.plane import plane_of
+from sparsefit.flight.table import POSITIONS, FlightTable
+
+FIX = "A"  # of a B record that is three-dimensional
+MINUTE = 3  # decimals of a minute that a B record has without extensions
+GRAIN = 1852.0 / 10**MINUTE  # m
+_EXTENSION = re.compile(r"(\d\d)(\d\d)([A-Z]{3})")
+
+
+def decode(content: bytes, layout: Layout) -> FlightTable:
+    """Return the positions in a recorder's file; their frame is ENU.
+
+    Raises:
+        InputError: if it is no IGC file, or holds no fixes; and on a column map.
+        MissingExtra: without aerofiles, or without pyproj.
+    """
+    layout.refuse_any("an IGC file")
+    text = content.decode("utf-8", errors="replace")
+    digits = _digits(text)
+    fixes, damaged = _fixes(text, fine="TDS" in digits)
+    valid = [fix for fix in fixes if fix["validity"] == FIX]
+    if not valid:
+        raise InputError(f"none of {len(fixes)} fixes is valid; give a recording of a flight")
+    start = valid[0]["datetime"]
+    time = np.array([(fix["datetime"] - start).total_seconds() for fix in valid])
+    time = time + _finer(valid, "TDS", digits, 0)
+    degrees = []
+    for name, extension in (("lon", "LOD"), ("lat", "LAD")):
+        whole = np.array([fix[name] for fix in valid])
+        degrees.append(whole + np.sign(whole) * _finer(valid, extension, digits, MINUTE) / 60.0)
+    plane = plane_of(degrees[0], degrees[1], ("longitude", "latitude"))
+    notes = [f"fixes from {start:%Y-%m-%d %H:%M:%S} UTC", plane.words]
+    if "LAD" not in digits:
+        notes.append(f"positions are rounded to {GRAIN:.2g} m")
+    if len(valid) < len(fixes):
+        notes.append(f"{len(fixes) - len(valid)} of {len(fixes)} fixes are not valid, and left out")
+    if damaged:
+        notes.append("some records cannot be read, and are left out")
+    values = (time - time[0], *plane.position.T)
+    columns = {name: one.tolist() for name, one in zip(POSITIONS, values, strict=True)}
+    return FlightTable(columns, {}, "ENU", tuple(notes))
+
+
+def _fixes(text: str, *, fine: bool) -> tuple[list[dict[str, Any]], bool]:
+    """The fixes, and whether there are records that could not be read.
+
+    fine: whether several fixes in a second are told apart; if not, one is kept.
+    """
+    try:
+        igc = import_module("aerofiles.igc")
+    except ImportError:
+        raise MissingExtra("IGC files need aerofiles: pip install 'sparsefit[logs]'") from None
+    try:
+        read = igc.Reader(skip_duplicates=not fine).read(io.StringIO(text))
+    except KeyError as error:
+        if "utc_date" not in str(error):
+            raise InputError(f"not an IGC file: no {error}; give a recorder's own file") from None
+        raise InputError(
+            "no date (HFDTE record) before the first fix; is it an IGC file?"
+        ) from None
+    except Exception as error:  # what aerofiles makes of a foreign file may be anything
+        words = " ".join(str(error).split())[:100] or type(error).__name__
+        raise InputError(f"not an IGC file, or a damaged one: {words}") from None
+    errors, fixes = read["fix_records"]
+    if not fixes:
+        raise InputError("no fixes (B records): not an IGC file, or an empty one")
+    return fixes, bool(errors)
+
+
+def _digits(text: str) -> dict[str, int]:
+    """How many digits each extension of the B records has, by the I record."""
+    record = re.search(r"^I\d\d(.*)$", text, re.MULTILINE)
+    found = _EXTENSION.findall(record[1]) if record else []
+    return {name: int(last) - int(first) + 1 for first, last, name in found}
+
+
+def _finer(fixes: list[dict[str, Any]], name: str, digits: dict[str, int], places: int) -> Array:
+    """The decimals beyond ``places`` that an extension holds (m,); zeros without it."""
+    scale = 10.0 ** -(places + digits.get(name, 0))
+    decimals: Array = scale * np.array([fix.get(name, 0) for fix in fixes], dtype=np.float64)
+    return decimals

@@ -1,0 +1,65 @@
+"""Small writers of the formats that are only read: PX4's ULog and the IGC files of gliders."""
+
+import struct
+from datetime import datetime, timedelta
+
+import numpy as np
+
+MAGIC = b"ULog\x01\x12\x35\x01"
+LOCAL = (
+    ("timestamp", "uint64_t", "Q"),
+    *((name, "float", "f") for name in ("x", "y", "vx", "vy")),
+    *((name, "bool", "?") for name in ("xy_valid", "v_xy_valid")),
+)
+LANDED = (("timestamp", "uint64_t", "Q"), ("landed", "bool", "?"))
+
+
+def message(kind, payload):
+    return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+
+def ulog(topics):
+    """The bytes of a log: topics by name, each a list of fields and rows of their values."""
+    parts = [MAGIC + struct.pack("<Q", 0), message("B", bytes(40))]
+    for name, (fields, _) in topics.items():
+        told = ";".join(f"{kind} {field}" for field, kind, _ in fields)
+        parts.append(message("F", f"{name}:{told};".encode()))
+    for number, name in enumerate(topics):
+        parts.append(message("A", struct.pack("<BH", 0, number) + name.encode()))
+    for number, (fields, rows) in enumerate(topics.values()):
+        packed = struct.Struct("<H" + "".join(code for *_, code in fields))
+        parts += [message("D", packed.pack(number, *row)) for row in rows]
+    return b"".join(parts)
+
+
+def ulog_of(flight, *, valid=None, start=20_000_000, landed=None):
+    """The log of PX4 that a flight in NED would have left; valid: of each sample, (m,)."""
+    stamps = start + np.rint(1e6 * flight.time).astype(int)
+    fine = np.ones(flight.samples, bool) if valid is None else valid
+    rows = [
+        (stamp, *place, *speed, good, good)
+        for stamp, place, speed, good in zip(
+            stamps.tolist(), flight.position, flight.velocity, fine.tolist(), strict=True
+        )
+    ]
+    topics = {"vehicle_local_position": (LOCAL, rows)}
+    if landed is not None:
+        topics["vehicle_land_detected"] = (LANDED, [(start, landed), (stamps[-1], landed)])
+    return ulog(topics)
+
+
+def igc(times, latitude, longitude, *, start=datetime(2024, 6, 1, 23, 59, 30), fine=False):
+    """The text of a recorder's file; fine: with two more decimals of a minute, and tenths of s."""
+    lines = ["AXXX001 sparsefit", f"HFDTE{start:%d%m%y}"]
+    lines += ["I033637LAD3839LOD4040TDS"] if fine else []
+    for seconds, *degrees in zip(times, latitude, longitude, strict=True):
+        moment = start + timedelta(seconds=seconds)
+        more, told = "", ""
+        for value, width, signs in zip(degrees, (2, 3), ("NS", "EW"), strict=True):
+            units = round(abs(value) * 60 * 10**5) if fine else round(abs(value) * 60 * 10**3) * 100
+            whole, rest = divmod(units, 100)
+            told += f"{whole // 60000:0{width}d}{whole % 60000:05d}{signs[int(value < 0)]}"
+            more += f"{rest:02d}"
+        more = more + f"{moment.microsecond // 100_000}" if fine else ""
+        lines.append(f"B{moment:%H%M%S}{told}A0050000512{more}")
+    return "\r\n".join([*lines, "GABCDEF"]) + "\r\n"

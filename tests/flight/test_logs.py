@@ -1,0 +1,174 @@
+"""Logs of PX4 and of gliders' recorders: what is read of them, and how bad ones are refused."""
+
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import Proj
+
+import sparsefit as sf
+from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight import igc_file, ulog_file
+from sparsefit.flight.files import read_table
+from tests.flight.log_writers import LANDED, LOCAL, igc, ulog, ulog_of
+
+VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
+STANDING = Path(__file__).parent / "logs" / "sample_log_small.ulg"
+
+
+@pytest.fixture(scope="module")
+def flight():
+    flow = sf.CellularFlow(15.43, 4.21)
+    return sf.simulate_flight(flow, VEHICLE, duration=3.0, sample_rate=50.0, seed=7)
+
+
+def write(folder, name, content):
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def test_a_px4_log_is_read_in_ned_and_seconds(tmp_path, flight):
+    path = write(tmp_path, "log.ulg", ulog_of(flight, landed=False))
+    found = sf.read_flight(path, vehicle=VEHICLE)
+    np.testing.assert_allclose(found.time, flight.time, atol=1e-9)
+    np.testing.assert_allclose(found.position, flight.position, rtol=1e-6, atol=1e-6)  # float32
+    np.testing.assert_allclose(found.velocity, flight.velocity, rtol=1e-6, atol=1e-6)
+    assert found.frame == "NED"
+    assert read_table(path).notes == ("PX4's vehicle_local_position",)
+
+
+def test_samples_that_the_filter_calls_invalid_are_left_out(tmp_path, flight):
+    valid = np.ones(flight.samples, bool)
+    valid[:20] = False
+    path = write(tmp_path, "log.ulg", ulog_of(flight, valid=valid))
+    table = read_table(path)
+    assert len(table.columns["time"]) == flight.samples - 20
+    assert table.columns["time"][0] == 0.0
+    assert table.notes[1] == f"20 of {flight.samples} samples are not valid, and left out"
+
+
+def test_a_public_log_of_a_vehicle_on_the_ground_is_refused():
+    """PX4/pyulog, test/sample_log_small.ulg, licence BSD-3 beside it."""
+    with pytest.raises(InputError, match=r"no valid local position in any of 636 .* stands still"):
+        sf.read_flight(STANDING, vehicle=VEHICLE)
+
+
+@pytest.mark.parametrize("at", [20, 100, 4000, -1, -40])
+def test_a_truncated_log_is_named(tmp_path, flight, at, capsys):
+    path = write(tmp_path, "log.ulg", ulog_of(flight)[:at])
+    with pytest.raises(InputError, match=r"the log is truncated: it ends within a message"):
+        sf.read_flight(path, vehicle=VEHICLE)
+    assert capsys.readouterr().out == ""
+
+
+def position(rows):
+    return {"vehicle_local_position": (LOCAL, rows)}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "truncated"),
+        (b"junk" * 99, "not a ULog of PX4"),
+        (ulog({"vehicle_attitude": (LANDED, [(1, True)])}), "no vehicle_local_position"),
+        (ulog({"vehicle_local_position": (LANDED, [(1, True)])}), "has no x, y, vx, vy"),
+        (
+            ulog(position([(i, 0, 0, 0, 0, True, False) for i in range(5)])),
+            "5 samples, and stands still",
+        ),
+        (ulog(position([(i, i, 0, 0, 0, False, True) for i in range(5)])), "in any of 5 samples;"),
+        (ulog(position([(1 - i, i, 0, 0, 0, True, True) for i in range(2)])), "at least 3 samples"),
+        (
+            ulog(
+                position([(i, i, 0, 0, 0, True, True) for i in range(5)])
+                | {"vehicle_land_detected": (LANDED, [(1, True)])}
+            ),
+            "the vehicle stands still: it is landed throughout",
+        ),
+        (
+            ulog(position([(9 - i, i, 0, 0, 0, True, True) for i in range(5)])),
+            "time runs backwards: row 1",
+        ),
+    ],
+)
+def test_bad_px4_logs_are_one_line(tmp_path, content, words):
+    path = write(tmp_path, "log.ulg", content)
+    with pytest.raises(InputError, match=words) as caught:
+        sf.read_flight(path, vehicle=VEHICLE)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def circling():
+    """Seconds, latitude and longitude of a glider in a thermal, and its plane [m], (m, 2)."""
+    time = np.arange(0.0, 120.0)
+    plane = 150.0 * np.column_stack([np.cos(0.2 * time), np.sin(0.2 * time)]) + 2.0 * time[:, None]
+    longitude, latitude = Proj(proj="aeqd", lon_0=8, lat_0=47, ellps="WGS84")(
+        *plane.T, inverse=True
+    )
+    return time, latitude, longitude, plane
+
+
+@pytest.mark.parametrize(("fine", "grain"), [(False, 1.0), (True, 0.01)])
+def test_a_gliders_recording_is_read_on_a_plane_past_midnight(tmp_path, fine, grain):
+    time, latitude, longitude, plane = circling()
+    path = write(tmp_path, "log.igc", igc(time, latitude, longitude, fine=fine))
+    flight = sf.read_flight(path, vehicle=VEHICLE)
+    np.testing.assert_array_equal(flight.time, time)
+    moved = plane - plane[0]
+    np.testing.assert_allclose(flight.position - flight.position[0], moved, atol=2 * grain)
+    assert np.abs(flight.position - flight.position[0] - moved).max() > 0.1 * grain
+    assert (flight.frame, flight.velocity_measured) == ("ENU", False)
+    notes = read_table(path).notes
+    assert notes[0] == "fixes from 2024-06-01 23:59:30 UTC"
+    assert ("positions are rounded to 1.9 m" in notes) is not fine
+
+
+def test_southern_and_western_degrees_and_tenths_of_seconds(tmp_path):
+    text = igc([0.0, 0.2, 0.4], [-33.1, -33.11, -33.12], [-70.1, -70.1, -70.1],
+               start=datetime(2024, 1, 1), fine=True)  # fmt: skip
+    flight = sf.read_flight(write(tmp_path, "log.igc", text), vehicle=VEHICLE)
+    np.testing.assert_allclose(flight.time, [0.0, 0.2, 0.4], atol=1e-12)
+    np.testing.assert_allclose(np.diff(flight.position[:, 1]), -1109.0, rtol=1e-3)  # north
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: "", "no fixes"),
+        (lambda text: "time,x,y\n1,2,3\n", "no fixes"),
+        (lambda text: text.replace("HFDTE010624\r\n", ""), "no date"),
+        (lambda text: text.replace("A00500", "V00500"), "none of 120 fixes is valid"),
+    ],
+)
+def test_bad_recordings_are_one_line(tmp_path, change, words):
+    time, latitude, longitude, _ = circling()
+    path = write(tmp_path, "log.igc", change(igc(time, latitude, longitude)))
+    with pytest.raises(InputError, match=words) as caught:
+        sf.read_flight(path, vehicle=VEHICLE)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("reader", "name", "package"),
+    [(ulog_file, "a.ulg", "pyulog"), (igc_file, "a.igc", "aerofiles")],
+)
+def test_absent_packages_are_named_with_the_extra(tmp_path, monkeypatch, reader, name, package):
+    def absent(module):
+        raise ImportError(module)
+
+    monkeypatch.setattr(reader, "import_module", absent)
+    path = write(tmp_path, name, b"")
+    with pytest.raises(MissingExtra, match=rf"{package}: pip install 'sparsefit\[logs\]'"):
+        sf.read_flight(path, vehicle=VEHICLE)
+    with pytest.raises(InputError, match="tells its own columns"):
+        sf.read_flight(path, vehicle=VEHICLE, columns="time=t")
+
+
+def test_they_are_not_written(tmp_path, flight):
+    with pytest.raises(
+        InputError, match=r"unknown file type \".ulg\".*\(known: \.csv, \.parquet\)"
+    ):
+        sf.write_flight(flight, tmp_path / "a.ulg")
