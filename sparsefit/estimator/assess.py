@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,10 +11,10 @@ import numpy as np
 from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.locate import Place
 from sparsefit.estimator.prepare import Prepared
-from sparsefit.estimator.shaped import Shaped, flow_of, middle_of, rungs_of, with_wind
+from sparsefit.estimator.shaped import Shaped, flow_of, rungs_of, with_wind
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
-from sparsefit.library.nuisance import Nuisance, VehicleEstimate
+from sparsefit.library.nuisance import VehicleEstimate
 from sparsefit.modes.choice import Ladder
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
@@ -22,8 +23,10 @@ from sparsefit.uncertainty import (
     Goodness,
     Shape,
     VehicleUncertainty,
-    assess,
+    assess_flights,
+    common,
     values_of,
+    vehicles_of,
 )
 
 NOTHING = ScaleEstimate(math.nan, math.nan, math.nan, math.nan)
@@ -34,7 +37,8 @@ class Reading:
     """The cellular flows of a flight, fastest first, and what was unknown of the vehicle.
 
     assessed: whether standard errors were sought; goodness: how well the modes fit, where they
-    were; shaped: the flow of waves, where it is one.
+    were; shaped: the flow of waves, where it is one; vehicles: of several flights what was unknown
+    of each, and how sure it is.
     """
 
     scales: tuple[ScaleEstimate, ...]
@@ -43,11 +47,13 @@ class Reading:
     assessed: bool = False
     goodness: Goodness | None = None
     shaped: Shaped | None = None
+    vehicles: tuple[tuple[VehicleEstimate, VehicleUncertainty | None], ...] = ()
 
     @property
-    def impossible(self) -> bool:
-        """Whether the vehicle that fits best cannot be."""
-        return self.vehicle is not None and not self.vehicle.possible
+    def impossible(self) -> VehicleEstimate | None:
+        """A vehicle that fits best and cannot be."""
+        every = (self.vehicle, *(vehicle for vehicle, _ in self.vehicles))
+        return next((one for one in every if one is not None and not one.possible), None)
 
 
 def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
@@ -65,27 +71,36 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
     sought = readout.refine != "none" and readout.mean_velocity == "rms"
     assessed = sought and place.fit is not None
     if assessed:
-        plain = prepared.samples.weak is None and not prepared.library.unknown
+        plain = not prepared.weak and not prepared.library.unknown
         single = plain and readout.scales == "one"
         known = _assessment(prepared, place, single and readout.correction != "none")
         if known is not None:
             pairs = zip(known.modes, place.candidates, strict=True)
             scales = [ScaleEstimate(*m.values, own, m.uncertainty) for m, own in pairs]
             beside = known.vehicle, known.vehicle_uncertainty
-            return Reading(_sorted(scales), *beside, True, known.goodness)
+            goodness, each = known.goodness, known.vehicles
+            return Reading(_sorted(scales), *beside, True, goodness, None, each)
     goodness = None
     if readout.refine != "none" and not assessed and place.fit is not None:
         known = _assessment(prepared, place, False)  # of the same fit: how well it explains
         goodness = known.goodness if known else None
     if readout.scales == "several":
         return replace(_several(prepared, place, readout, assessed), goodness=goodness)
-    length_scale, vehicle = place.length_scales[0], None
+    vehicles: list[VehicleEstimate] = []
     if prepared.library.unknown:
         fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])
-        vehicle = _nuisance(prepared).read(fit.coefficients)
-    speed = _mean_velocity(prepared, place, readout, vehicle)
-    scale = _scale(speed, length_scale, place.candidates[0])
-    return Reading((scale,), vehicle, None, assessed, goodness)
+        vehicles = vehicles_of(prepared.parts, fit.coefficients)
+    speed = _mean_velocity(prepared, place, readout, vehicles)
+    scale = _scale(speed, place.length_scales[0], place.candidates[0])
+    reading = Reading((scale,), assessed=assessed, goodness=goodness)
+    return _beside(reading, vehicles)
+
+
+def _beside(reading: Reading, vehicles: Sequence[VehicleEstimate]) -> Reading:
+    """A reading with the vehicles that were estimated, how sure they are not told."""
+    if len(vehicles) == 1:
+        return replace(reading, vehicle=vehicles[0])
+    return replace(reading, vehicles=tuple((vehicle, None) for vehicle in vehicles))
 
 
 def _of_ladder(
@@ -95,16 +110,17 @@ def _of_ladder(
 
     That is where waves that make no cells leave turbulence: they may follow nothing else.
     """
-    best, nuisance, samples = ladder.best, _nuisance(prepared), prepared.samples
+    best, nuisance = ladder.best, common(prepared.nuisances)
     if not len(best.phases):
         return Reading((NOTHING,), assessed=True)
     plain = samples.weak is None and not prepared.library.unknown
     correct = plain and readout.correction != "none"
 
     def assessed() -> Assessment | None:
-        return assess(samples, ladder.rows, best.family, best.fit, nuisance, correct=correct)
+        rows, family, fit = ladder.rows, best.family, best.fit
+        return assess_flights(prepared.parts, rows, family, fit, correct=correct)
 
-    origin = middle_of((samples.weak or samples).position, samples.time)
+    origin = prepared.origin
     flow = flow_of(best, origin, nuisance.ratio(best.fit.coefficients))
     key = ("shape", tuple(best.phases.ravel().tolist()), best.shape, correct)
     known = prepared.once(key, assessed)
@@ -125,7 +141,7 @@ def _of_ladder(
         for mode, heading in zip(known.modes, headings, strict=True)
     )
     beside = known.vehicle, known.vehicle_uncertainty
-    return Reading(scales, *beside, True, known.goodness, shaped)
+    return Reading(scales, *beside, True, known.goodness, shaped, known.vehicles)
 
 
 def _shaped(plainly: Reading, ladder: Ladder) -> Shaped | None:
@@ -138,7 +154,7 @@ def _shaped(plainly: Reading, ladder: Ladder) -> Shaped | None:
 def _on_grid(prepared: Prepared, place: Place, grid: WaveFlow) -> Reading:
     """Waves on the grid: U0 of their peaks, and the sum of all as the flow."""
     assert place.fit is not None
-    ratio = _nuisance(prepared).ratio(place.fit.coefficients)
+    ratio = common(prepared.nuisances).ratio(place.fit.coefficients)
     flow = WaveFlow(grid.wavevectors, grid.cosine / ratio, grid.sine / ratio)
     peaks = place.fit.weights[..., 0] / ratio
     return _plain(prepared, place, flow, WaveFlow(place.fit.parameters, *peaks.T))
@@ -159,19 +175,19 @@ def _plain(
     phases = np.column_stack([own.wavevectors, moving])
     amplitudes = np.column_stack([own.cosine, own.sine])
     speed, scale, timescale, *cells = values_of(phases, amplitudes, drifting=drifting).tolist()
-    vehicle = _nuisance(prepared).read(place.fit.coefficients)
+    coefficients = place.fit.coefficients
+    vehicle = common(prepared.nuisances).read(coefficients)
     shape = Shape.of(np.array(cells)) if cells else None
     shaped = Shaped("", shape, drifting, flow=with_wind(flow, vehicle))
     scales = (ScaleEstimate(speed, scale, timescale, place.candidates[0]),)
-    return Reading(scales, vehicle if vehicle.unknown else None, shaped=shaped)
+    reading = Reading(scales, shaped=shaped)
+    if not prepared.library.unknown:
+        return reading
+    return _beside(reading, vehicles_of(prepared.parts, coefficients))
 
 
 def _sorted(scales: list[ScaleEstimate]) -> tuple[ScaleEstimate, ...]:
     return tuple(sorted(scales, key=lambda scale: -scale.mean_velocity))
-
-
-def _nuisance(prepared: Prepared) -> Nuisance:
-    return Nuisance(prepared.library.unknown, prepared.vehicle)
 
 
 def _scale(speed: float, length_scale: float, candidate: float) -> ScaleEstimate:
@@ -180,15 +196,19 @@ def _scale(speed: float, length_scale: float, candidate: float) -> ScaleEstimate
 
 
 def _mean_velocity(
-    prepared: Prepared, place: Place, readout: Readout, vehicle: VehicleEstimate | None
+    prepared: Prepared, place: Place, readout: Readout, vehicles: Sequence[VehicleEstimate]
 ) -> float:
-    """U0 of the one mode at its place, by the vehicle that fits it best where it is unknown."""
+    """U0 of the one mode at its place, by the vehicles that fit it best where these are unknown."""
     samples, phi, target = prepared.samples, prepared.flow_velocity, prepared.target
-    if vehicle is not None:
-        if not vehicle.possible:
+    if vehicles:
+        if not all(vehicle.possible for vehicle in vehicles):
             return math.nan
-        phi = target = vehicle.flow_velocity(samples.velocity, samples.acceleration, samples.thrust)
-    plain = vehicle is None and samples.weak is None
+        each = [
+            vehicle.flow_velocity(own.velocity, own.acceleration, own.thrust)
+            for vehicle, own in zip(vehicles, (part.samples for part in prepared.parts), strict=True)
+        ]
+        phi = target = np.concatenate(each)
+    plain = not vehicles and not prepared.weak
     if plain or readout.mean_velocity == "paper":
         return readout.velocity(samples.position, phi, target, place.length_scales[0])
     fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])
@@ -197,14 +217,14 @@ def _mean_velocity(
 
 def _true_weights(prepared: Prepared, fit: Projection) -> np.ndarray:
     """Weights (s, 8, 2) in units of the true Phi, where that of the believed vehicle is scaled."""
-    return fit.weights / _nuisance(prepared).ratio(fit.coefficients)
+    return fit.weights / common(prepared.nuisances).ratio(fit.coefficients)
 
 
 def _assessment(prepared: Prepared, place: Place, correct: bool) -> Assessment | None:
     def assessed() -> Assessment | None:
-        fit, nuisance = place.fit, _nuisance(prepared)
+        fit = place.fit
         assert fit is not None
-        return assess(prepared.samples, prepared.rows, Cells(), fit, nuisance, correct=correct)
+        return assess_flights(prepared.parts, prepared.rows, Cells(), fit, correct=correct)
 
     key = ("assessed", tuple(place.wavenumbers.tolist()), correct)
     return prepared.once(key, assessed)
@@ -222,7 +242,7 @@ def _several(prepared: Prepared, place: Place, readout: Readout, assessed: bool)
             speeds, place.length_scales, place.candidates, strict=True
         )
     ]
-    vehicle = None
-    if prepared.library.unknown:
-        vehicle = _nuisance(prepared).read(place.fit.coefficients)
-    return Reading(_sorted(scales), vehicle, assessed=assessed)
+    reading = Reading(_sorted(scales), assessed=assessed)
+    if not prepared.library.unknown:
+        return reading
+    return _beside(reading, vehicles_of(prepared.parts, place.fit.coefficients))

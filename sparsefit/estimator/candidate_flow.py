@@ -16,10 +16,9 @@ from sparsefit.estimator.locate import Place
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.cells import Cells
-from sparsefit.library.nuisance import Nuisance
 from sparsefit.library.waves import AXIS
-from sparsefit.modes.fitted_rows import middle
 from sparsefit.regression.fit import Fit
+from sparsefit.uncertainty import common, vehicles_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +57,14 @@ def flow_of(prepared: Prepared, fit: Fit, place: Place) -> CandidateFlow | WaveF
     """
     if place.fit is None:
         return _as_weighed(prepared, fit)
-    nuisance = Nuisance(prepared.library.unknown, prepared.vehicle)
-    vehicle = nuisance.read(place.fit.coefficients)
-    if not vehicle.possible:
+    coefficients, nuisance = place.fit.coefficients, common(prepared.nuisances)
+    if not all(vehicle.possible for vehicle in vehicles_of(prepared.parts, coefficients)):
         return None
-    weights = place.fit.weights / nuisance.ratio(place.fit.coefficients)
-    source = prepared.samples.weak or prepared.samples
-    return CandidateFlow(place.wavenumbers, weights, middle(source.position), vehicle.wind)
+    weights, wind = (
+        place.fit.weights / nuisance.ratio(coefficients),
+        nuisance.read(coefficients).wind,
+    )
+    return CandidateFlow(place.wavenumbers, weights, prepared.origin[:2], wind)
 
 
 def _as_weighed(prepared: Prepared, fit: Fit) -> CandidateFlow | WaveFlow | None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +30,7 @@ FAR_APART = 10.0  # motions: beyond it a share says no more
 def judge(
     located: Located,
     scales: Sequence[ScaleEstimate],
-    samples: Samples,
+    flights: Sequence[Samples],
     goodness: Goodness | None = None,
     *,
     precision: float | None,
@@ -41,7 +42,7 @@ def judge(
     Args:
         located: the modes and their rivals.
         scales: the estimates of the modes, fastest first.
-        samples: of the flight.
+        flights: the samples of each.
         goodness: of the fit, where it is known.
         precision: the largest share of a value that its interval may reach to either side; None
             where no standard errors were asked for.
@@ -50,10 +51,10 @@ def judge(
     """
     short = _short(located.space.extent, scales, goodness)
     return (
-        _still(located, samples)
-        or _disagreeing(samples)
+        _still(located.space, flights)
+        or _disagreeing(flights)
         or _few(located)
-        or _undersampled(located, samples)
+        or _undersampled(located, flights)
         or _undetected(located, climbed=climbed)
         or _at_edge(located)
         or _left_over(located)
@@ -87,14 +88,33 @@ def imprecise(scales: Sequence[ScaleEstimate], precision: float | None) -> Verdi
     return None
 
 
-def _still(located: Located, samples: Samples) -> Verdict | None:
-    speed = float(np.abs(samples.velocity).max())
-    if float(np.abs(located.space.empty.rest).max()) > CALM * speed:
+def _still(space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
+    speed = max(float(np.abs(samples.velocity).max()) for samples in flights)
+    rest, scale = space.empty.rest, space.rows.scale
+    left = rest if scale is None else rest / scale[:, None]
+    if float(np.abs(left).max()) > CALM * speed:
         return None
     return Verdict.against(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
 
 
-def _disagreeing(samples: Samples) -> Verdict | None:
+def _of_any(
+    flights: Sequence[Samples], rule: Callable[[Samples], Verdict | None]
+) -> Verdict | None:
+    """The first flight's verdict by a rule; of several flights its number comes before it."""
+    for number, samples in enumerate(flights, 1):
+        verdict = rule(samples)
+        if verdict is not None and len(flights) > 1:
+            return replace(verdict, reason=f"flight {number}: {verdict.reason}")
+        if verdict is not None:
+            return verdict
+    return None
+
+
+def _disagreeing(flights: Sequence[Samples]) -> Verdict | None:
+    return _of_any(flights, _disagreement)
+
+
+def _disagreement(samples: Samples) -> Verdict | None:
     """Whether position and velocity tell two motions: of these no one has flown."""
     agreement = samples.agreement
     if agreement is None or not agreement.broken:
@@ -122,11 +142,11 @@ def _few(located: Located) -> Verdict | None:
     return Verdict.against(Doubt.FEW_SAMPLES, f"{words}; fly longer, or sample faster")
 
 
-def _undersampled(located: Located, samples: Samples) -> Verdict | None:
+def _undersampled(located: Located, flights: Sequence[Samples]) -> Verdict | None:
     """A scale that is told must be resolved; where none is, the least one that was searched."""
     lower = math.pi / located.space.bounds[1]
     least = math.pi / float(located.wavenumbers.max()) if located.identifiable else lower
-    return _too_coarse(samples, least, lower)
+    return _of_any(flights, lambda samples: _too_coarse(samples, least, lower))
 
 
 def _too_coarse(samples: Samples, least: float, lower: float) -> Verdict | None:
@@ -213,16 +233,16 @@ def judge_shape(
     ladder: Ladder,
     reading: Reading,
     space: SearchSpace,
-    samples: Samples,
+    flights: Sequence[Samples],
     precision: float,
     unknown: tuple[str, ...] = (),
 ) -> Verdict | None:
     """The first reason not to believe waves, or a shape other than steady cells along the axes."""
-    short = _short(_swept(samples, reading), reading.scales, reading.goodness)
+    short = _short(_swept(flights, reading), reading.scales, reading.goodness)
     return (
-        _disagreeing(samples)
-        or _no_waves(ladder, space, samples)
-        or _unresolved(ladder, space, samples)
+        _disagreeing(flights)
+        or _no_waves(ladder, space, flights)
+        or _unresolved(ladder, space, flights)
         or (misfit(reading.goodness, unknown) if short is None else None)
         or _more(ladder)
         or rivalled(ladder)
@@ -232,30 +252,37 @@ def judge_shape(
     )
 
 
-def _swept(samples: Samples, reading: Reading) -> float:
-    """The extent [m] of the flight through the pattern, which may drift."""
+def _swept(flights: Sequence[Samples], reading: Reading) -> float:
+    """The extent [m] of the flights through the pattern, which may drift."""
     cells = reading.shaped.cells if reading.shaped else None
     drift = np.array(cells.drift if cells else (0.0, 0.0))
-    return extent_of(samples.position - samples.time[:, None] * drift)
+    every = [samples.position - samples.time[:, None] * drift for samples in flights]
+    return extent_of(np.concatenate(every))
 
 
-def _no_waves(ladder: Ladder, space: SearchSpace, samples: Samples) -> Verdict | None:
-    if float(np.abs(space.empty.rest).max()) <= CALM * float(np.abs(samples.velocity).max()):
-        return Verdict.against(Doubt.STILL_AIR, "no flow detected: the air is still")
+def _no_waves(
+    ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]
+) -> Verdict | None:
+    still = _still(space, flights)
+    if still is not None:
+        return replace(still, reason="no flow detected: the air is still")
     if ladder.evidence <= ladder.chance:
         words = "no cellular flow detected: no waves explain more than chance does"
         return Verdict.against(Doubt.NO_FLOW, words)
     return None
 
 
-def _unresolved(ladder: Ladder, space: SearchSpace, samples: Samples) -> Verdict | None:
+def _unresolved(
+    ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]
+) -> Verdict | None:
     """Whether a wave is out of the bounds of the search, or too short for the samples."""
     edge, lower = outside(ladder, space.bounds), math.pi / space.bounds[1]
     if not math.isnan(edge):
         words = f"a wave of the flow has a length scale of {edge:.3g} m, outside the search"
         return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
     largest = float(np.hypot(*ladder.best.phases[:, :2].T).max())
-    return _too_coarse(samples, math.sqrt(2.0) * math.pi / largest, lower)
+    least = math.sqrt(2.0) * math.pi / largest
+    return _of_any(flights, lambda samples: _too_coarse(samples, least, lower))
 
 
 def _more(ladder: Ladder) -> Verdict | None:

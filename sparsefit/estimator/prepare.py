@@ -3,40 +3,47 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.derivative import Derivative, Samples
+from sparsefit.errors import InputError, told_with
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.builder import Library
-from sparsefit.modes.fitted_rows import Rows
+from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.scan import Bounds
+from sparsefit.modes.fitted_rows import Rows, middle
+from sparsefit.modes.levels import weighed
 from sparsefit.modes.space import SearchSpace
+from sparsefit.modes.stack import Part, rows_of
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.uncertainty import LAGS
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """One flight with its derivatives, its regression problem and what is searched for modes.
+    """One flight, or several through one flow, and what is worked out for all back-ends.
 
     Args:
-        samples: states and derivatives.
-        vehicle: as it is believed to be.
+        parts: the samples and derivatives of each flight, what is unknown of it, and its weight.
         library: that built the problem.
-        problem: the regression problem of the flight.
+        problem: the regression problem of the flights.
         target: what the columns are regressed on, a row per sample (m, n), where the problem's own
-            rows may be compressed or averages.
+            rows may be compressed, averages or weighted.
         seconds: what all this took.
     """
 
-    samples: Samples
-    vehicle: PointMassVehicle
+    parts: tuple[Part, ...]
     library: Library
     problem: RegressionProblem
     target: Array
@@ -44,15 +51,36 @@ class Prepared:
     _answers: dict[tuple[Any, ...], Any] = field(default_factory=dict, repr=False)
 
     @cached_property
+    def samples(self) -> Samples:
+        """States and derivatives, of several flights one after another."""
+        flights = [part.samples for part in self.parts]
+        return flights[0] if len(flights) == 1 else _joined(flights)
+
+    @property
+    def vehicle(self) -> PointMassVehicle:
+        """As it is believed to be; of several flights that of the first."""
+        return self.parts[0].nuisance.believed
+
+    @property
+    def nuisances(self) -> list[Nuisance]:
+        """What is unknown of each flight."""
+        return [part.nuisance for part in self.parts]
+
+    @property
+    def weak(self) -> bool:
+        """Whether rows are averages."""
+        return self.parts[0].samples.weak is not None
+
+    @cached_property
     def flow_velocity(self) -> Array:
-        """Phi (m, 2) [m/s] at the samples, of the vehicle as it is believed to be."""
-        return self.samples.flow_velocity(self.vehicle)
+        """Phi (m, 2) [m/s] at the samples, of the vehicles as they are believed to be."""
+        each = [part.samples.flow_velocity(part.nuisance.believed) for part in self.parts]
+        return np.concatenate(each)
 
     @cached_property
     def rows(self) -> Rows:
         """The rows that modes are fitted to."""
-        source = self.samples.weak or self.samples
-        return Rows.of(source, self.vehicle, self.library.unknown)
+        return rows_of(self.parts)
 
     @property
     def narrow(self) -> bool:
@@ -62,8 +90,15 @@ class Prepared:
     @cached_property
     def space(self) -> SearchSpace:
         """Where modes are searched off the grid. Raises InputError where nothing can be found."""
-        bounds = math.pi / self.library.grid.upper, math.pi / self.library.grid.lower
-        return SearchSpace.of(self.samples, self.vehicle, bounds, self.library.unknown)
+        return SearchSpace.of_flights(self.parts, _bounds(self.library))
+
+    @property
+    def origin(self) -> Array:
+        """(x, y, t) from which places [m] and times [s] of the rows count."""
+        sources = [part.samples.weak or part.samples for part in self.parts]
+        time = self.samples.time
+        place = middle(np.concatenate([source.position for source in sources]))
+        return np.array([*place, 0.5 * (time.min() + time.max())])
 
     def once(self, key: tuple[Any, ...], work: Callable[[], Result]) -> Result:
         """What the work gives, done once for all back-ends that come to the same key."""
@@ -73,19 +108,49 @@ class Prepared:
 
 
 def prepare(
-    flight: Flight, derivative: Derivative, library: Library, *, shared: bool = True
+    flights: Sequence[Flight], derivative: Derivative, library: Library, *, shared: bool = True
 ) -> Prepared:
-    """Derivatives, flow velocity and regression problem of a flight.
+    """Derivatives, flow velocity and regression problem of flights through one flow.
 
     shared: whether several back-ends will use it: what they share is worked out here, not in
-    whichever of them happens to come first. Raises InputError where the flight does not suit the
+    whichever of them happens to come first. Raises InputError where a flight does not suit the
     settings.
     """
-    start = perf_counter()
-    samples = derivative(flight)
-    problem = library.build(samples, flight.vehicle)
-    target = library.response(samples, flight.vehicle)
+    start, samples = perf_counter(), []
+    for number, flight in enumerate(flights, 1):
+        with told_with(f"flight {number}") if len(flights) > 1 else nullcontext():
+            samples.append(derivative(flight))
+            if len(flights) > 1:
+                _refuse_short(samples[-1])
+    vehicles = [flight.vehicle for flight in flights]
+    pairs = zip(samples, vehicles, strict=True)
+    parts = [Part(own, Nuisance(library.unknown, vehicle)) for own, vehicle in pairs]
+    parts = weighed(parts, _bounds(library))
+    problem = library.build_flights(samples, vehicles, [part.weight for part in parts])
+    responses = zip(samples, vehicles, strict=True)
+    target = np.concatenate([library.response(own, vehicle) for own, vehicle in responses])
     if shared:
         _ = problem.statistics.gram
     seconds = perf_counter() - start
-    return Prepared(samples, flight.vehicle, library, problem, target, seconds)
+    return Prepared(tuple(parts), library, problem, target, seconds)
+
+
+def _bounds(library: Library) -> Bounds:
+    """Of the wavenumber [1/m]."""
+    return math.pi / library.grid.upper, math.pi / library.grid.lower
+
+
+def _refuse_short(samples: Samples) -> None:
+    """InputError where a flight's own noise cannot be told."""
+    rows = len((samples.weak or samples).time)
+    if rows <= LAGS:
+        raise InputError(
+            f"{rows} rows are too few to tell its noise beside other flights (at least {LAGS + 1});"
+            " leave it out, or sample faster"
+        )
+
+
+def _joined(flights: Sequence[Samples]) -> Samples:
+    """Samples of several flights one after another, without what is known of one flight only."""
+    names = ("time", "position", "velocity", "position_rate", "acceleration")
+    return Samples(*(np.concatenate([getattr(own, name) for own in flights]) for name in names))

@@ -14,7 +14,6 @@ from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.library.nuisance import VehicleEstimate
 from sparsefit.modes.choice import Ladder
-from sparsefit.modes.fitted_rows import middle
 from sparsefit.modes.rung import Rung
 from sparsefit.modes.wave_peaks import at_origin
 from sparsefit.uncertainty import FlowUncertainty, Shape
@@ -70,11 +69,6 @@ def _share(rung: Rung, ladder: Ladder, square: float) -> float:
     """What a rung, fitted to thinned rows, leaves of the squares of all rows."""
     share: float = rung.fit.residual / len(rung.fit.rest) * len(ladder.rows.target) / square
     return share
-
-
-def middle_of(position: Array, time: Array) -> Array:
-    """(x, y, t) of the middle of positions (m, 2) [m] and times [s], from which rows count."""
-    return np.array([*middle(position), 0.5 * (time[0] + time[-1])])
 
 
 def flow_of(rung: Rung, origin: Array, ratio: float) -> WaveFlow:

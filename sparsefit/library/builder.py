@@ -6,6 +6,7 @@ amplitudes of a stream function for every L, which both components share; ``wave
 stream function over the plane of wavevectors, cells of any heading and shape among them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
-from sparsefit.errors import InputError, integer_setting, one_of
+from sparsefit.errors import InputError, integer_setting, one_of, told_with
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.columns import LibraryColumns, cell_columns, stream_columns, wave_columns
 from sparsefit.library.continuum import EQUATION_1, CellContinuum
@@ -135,12 +136,68 @@ class Library:
         own = len(target) if self.family == "cells" else None
         return self._problem(theta, target, columns, own, continuum, sums)
 
+    def build_flights(
+        self,
+        flights: Sequence[Samples],
+        vehicles: Sequence[PointMassVehicle],
+        weights: Sequence[float],
+    ) -> RegressionProblem:
+        """The problem of several flights through one flow: the rows of each times its weight.
+
+        Gram matrices add up. What is unknown of a flight is taken from its own rows.
+        """
+        if len(flights) == 1:
+            return self.build(flights[0], vehicles[0])
+        position = np.concatenate([samples.position for samples in flights])
+        if self.family == "cells":
+            _refuse_axes(position)
+        columns, thinned = self._columns(position), [self._thinned(one) for one in flights]
+        blocks = (
+            self._weighted(number, samples, vehicle, weight, columns)
+            for number, (samples, vehicle, weight) in enumerate(
+                zip(thinned, vehicles, weights, strict=True), 1
+            )
+        )
+        if sum(len(one.time) for one in thinned) * columns.size * 8 > STREAM_BYTES:
+            triangle, count, _ = compressed(blocks)
+            theta, target = triangle[:, : columns.size].copy(), triangle[:, columns.size :].copy()
+            return self._problem(theta, target, columns, count, None)
+        theta, target = map(np.concatenate, zip(*blocks, strict=True))
+        continuum = None
+        if self.family == "cells" and not self.unknown and flights[0].weak is None:
+            counts = [len(one.time) for one in thinned]
+            place = np.concatenate([one.position for one in thinned])
+            continuum = self._continuum(place, columns, np.repeat(weights, counts))
+        return self._problem(theta, target, columns, None, continuum)
+
+    def _weighted(
+        self,
+        number: int,
+        samples: Samples,
+        vehicle: PointMassVehicle,
+        weight: float,
+        columns: LibraryColumns,
+    ) -> tuple[Array, Array]:
+        """The rows of theta and of the target of one flight of several, times its weight."""
+        source = samples.weak or samples
+        target = self.response(source, vehicle)
+        target = target.reshape(-1, target.shape[1] // columns.components)
+        if samples.weak or self.unknown:
+            with told_with(f"flight {number}"):
+                theta, target, _ = self._reduced(source, vehicle, target, columns, False)
+        else:
+            theta = columns.at(samples.position)
+        return weight * theta, weight * target
+
     def columns(self, samples: Samples) -> LibraryColumns:
         """The columns that the grid gives a flight with these samples.
 
         Raises InputError where they are too many to hold.
         """
-        extent = extent_of(samples.position)
+        return self._columns(samples.position)
+
+    def _columns(self, position: Array) -> LibraryColumns:
+        extent = extent_of(position)
         if self.family == "waves":
             rings = self.waves.rings(self.grid.lower, self.grid.upper, extent)
             return wave_columns(rings, self.groups)
@@ -148,13 +205,16 @@ class Library:
         return cell_columns(scales) if self.family == "cells" else stream_columns(scales)
 
     def _continuum(
-        self, position: Array, columns: LibraryColumns
+        self, position: Array, columns: LibraryColumns, weight: Array | None = None
     ) -> CellContinuum | WaveContinuum | None:
-        """The columns between those of the grid, at positions (m, 2) [m], where they are known."""
+        """The columns between those of the grid, at positions (m, 2) [m], where they are known.
+
+        weight (m,): of the rows of `cells`.
+        """
         low, high = (float(np.pi / scale) for scale in (columns.scales.max(), columns.scales.min()))
         if self.family == "cells":
             pattern = EQUATION_1 if self.target == "flow-velocity" else None
-            return CellContinuum(position, (low, high), pattern)
+            return CellContinuum(position, (low, high), pattern, weight)
         if self.family == "waves" and self.groups == "wave":
             return WaveContinuum(position, (low, high))
         return None

@@ -26,6 +26,7 @@ class CellContinuum:
         position: of every row (m, 2) [m].
         bounds: of k where none are asked for: those of the library's grid [1/m].
         pattern: the weights (8, n) of a target known up to its size, if it is.
+        weight: of every row (m,), with which the target is multiplied; None: all are 1.
     """
 
     size: ClassVar[int] = Cells.size
@@ -33,6 +34,7 @@ class CellContinuum:
     position: Array
     bounds: Bounds
     pattern: Array | None = None
+    weight: Array | None = None
 
     @property
     def extent(self) -> float:
@@ -53,14 +55,17 @@ class CellContinuum:
 
     def scan(self, bounds: Bounds) -> CellScan:
         """The scan of an interval of k [1/m]."""
-        return CellScan.of(self.position, bounds)
+        return CellScan.of(self.position, bounds, self.weight)
 
     def columns(self, places: Array) -> tuple[Array, Array, Array]:
         """The candidates (s, 8, m) and their derivatives by k, at k (s, 1) [1/m]."""
         cells, parameters = Cells(), np.reshape(places, (-1, 1))
         values = cells.values(self.position, parameters)
         slopes = cells.slopes(self.position, parameters, values)
-        return values, slopes, cells.bends(self.position, parameters, values)
+        jet = values, slopes, cells.bends(self.position, parameters, values)
+        if self.weight is None:
+            return jet
+        return jet[0] * self.weight, jet[1] * self.weight, jet[2] * self.weight
 
     def spans(self, places: Array) -> Array:
         """The extent [m], for every k (s, 1)."""
@@ -74,7 +79,10 @@ class CellContinuum:
         """Theta (m, 8 s) at k (s, 1) [1/m], k, the length scales (s,) [m] and the names."""
         scales = math.pi / places[:, 0]
         names = tuple(f"{name} (L = {scale:.6g} m)" for scale in scales for name in CANDIDATES)
-        return candidate_columns(self.position, scales), places, scales, names
+        columns = candidate_columns(self.position, scales)
+        if self.weight is not None:
+            columns *= self.weight[:, None]
+        return columns, places, scales, names
 
     def places(self, parameters: Array) -> Array:
         """k (s, 1) [1/m], the parameter of cells."""
@@ -82,4 +90,5 @@ class CellContinuum:
 
     def at(self, rows: IntArray) -> CellContinuum:
         """The continuum of some rows (r,) of the flight."""
-        return replace(self, position=self.position[rows])
+        weight = None if self.weight is None else self.weight[rows]
+        return replace(self, position=self.position[rows], weight=weight)

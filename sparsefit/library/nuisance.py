@@ -171,22 +171,7 @@ class Nuisance:
 
         Those of Phi_x, Phi_y and the j rows of `series`.
         """
-        pairs = [[None if i is None else i + 2 for i in pair] for pair in self.pairs]
-        gram = np.zeros((len(products), len(pairs), len(pairs)))
-        load = np.zeros((len(products), len(pairs), 1))
-        for component in range(2):
-            for row, first in enumerate(pair[component] for pair in pairs):
-                if first is None:
-                    continue
-                load[:, row, 0] += products[:, first, component]
-                for column, second in enumerate(pair[component] for pair in pairs):
-                    if second is not None:
-                        gram[:, row, column] += products[:, first, second]
-        sizes = np.trace(gram, axis1=1, axis2=2)[:, None, None]
-        gram += LOST * sizes * np.eye(len(pairs))
-        explained = np.sum(load * np.linalg.solve(gram, load), axis=(1, 2))
-        residuals: Array = products[:, 0, 0] + products[:, 1, 1] - explained
-        return residuals
+        return regressed(products, self.pairs)
 
     def basis(self, velocity: Array, thrust: Array | None = None, *, shared: bool = False) -> Array:
         """An orthonormal basis (m, r) of the span of `series`, or (2 m, r) of `columns`.
@@ -227,6 +212,30 @@ class Nuisance:
         if self.scaled:
             scale += float(coefficients[int(self.shared)]) / tau
         return VehicleEstimate(found, thrust, (east, north), self.unknown, drag, scale)
+
+
+def regressed(products: Array, of_series: list[tuple[int | None, int | None]]) -> Array:
+    """RSS (q,) of Phi on nuisance columns, from inner products (q, 2 + j, 2 + j).
+
+    Those of Phi_x, Phi_y and j series; of_series: which of these every coefficient multiplies in
+    the x and in the y component.
+    """
+    pairs = [[None if i is None else i + 2 for i in pair] for pair in of_series]
+    gram = np.zeros((len(products), len(pairs), len(pairs)))
+    load = np.zeros((len(products), len(pairs), 1))
+    for component in range(2):
+        for row, first in enumerate(pair[component] for pair in pairs):
+            if first is None:
+                continue
+            load[:, row, 0] += products[:, first, component]
+            for column, second in enumerate(pair[component] for pair in pairs):
+                if second is not None:
+                    gram[:, row, column] += products[:, first, second]
+    sizes = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+    gram += LOST * sizes * np.eye(len(pairs))
+    explained = np.sum(load * np.linalg.solve(gram, load), axis=(1, 2))
+    residuals: Array = products[:, 0, 0] + products[:, 1, 1] - explained
+    return residuals
 
 
 def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:

@@ -34,16 +34,18 @@ class PlaneScan:
         position: of the rows, from the middle of their box (m, 2) [m].
         radii: the least and the largest |k| [1/m].
         step: between wavevectors, along x and y [1/m].
+        weight: of every row (m,), with which rows come already multiplied; None: all are 1.
     """
 
     position: Array
     radii: Bounds
     step: float
+    weight: Array | None = None
 
     @classmethod
-    def of(cls, position: Array, radii: Bounds) -> PlaneScan:
+    def of(cls, position: Array, radii: Bounds, weight: Array | None = None) -> PlaneScan:
         """The scan at a step of pi / extent, half a lobe."""
-        return cls(position[:, :2], radii, math.pi / extent_of(position[:, :2]))
+        return cls(position[:, :2], radii, math.pi / extent_of(position[:, :2]), weight)
 
     @property
     def half(self) -> int:
@@ -64,10 +66,14 @@ class PlaneScan:
 
     def gains(self, rest: Array) -> Array:
         """What one wave explains of rows (m, 2) [m^2/s^2], over the grid (n, n)."""
-        count = len(rest)
-        moved = rest - rest.mean(axis=0)
+        weight, moved = np.ones(len(rest)), rest - rest.mean(axis=0)
+        if self.weight is not None:
+            weight = self.weight
+            constant = weight @ rest / float(weight @ weight)
+            moved = weight[:, None] * (rest - np.outer(weight, constant))
+        count = float(np.sum(weight**2))
         both = self._sums(moved[:, 0] + 1j * moved[:, 1], 1)
-        once, twice = (self._sums(np.ones(count, complex), times) / count for times in (1, 2))
+        once, twice = (self._sums(weight**2 + 0j, times) / count for times in (1, 2))
         load = across(both, self.axis)
         # The Gram matrix over m: of cos^2, sin cos and sin^2, less what constants take.
         first = 0.5 + 0.5 * twice.real - once.real**2

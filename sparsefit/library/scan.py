@@ -48,6 +48,7 @@ class CellScan:
         centre: the middle of the box, to which the candidates' phases refer, (2,) [m].
         wavenumbers: k (q,) [1/m], uniform, both bounds included.
         step: between them [1/m].
+        weight: of every row (m,), with which loads come already multiplied; None: all are 1.
     """
 
     slack: ClassVar[float] = SLACK
@@ -55,9 +56,10 @@ class CellScan:
     centre: Array
     wavenumbers: Array
     step: float
+    weight: Array | None = None
 
     @classmethod
-    def of(cls, position: Array, bounds: Bounds) -> CellScan:
+    def of(cls, position: Array, bounds: Bounds, weight: Array | None = None) -> CellScan:
         """The scan over bounds of k [1/m] at a step that resolves the lobes of the rows.
 
         position (m, 2) [m]: the phases of the candidates are those at these positions. The rows
@@ -68,7 +70,18 @@ class CellScan:
         centre = 0.5 * (position.max(axis=0) + position.min(axis=0))
         step = (high - low) / steps if steps else STEP / extent_of(position)
         wavenumbers: Array = low + step * np.arange(steps + 1, dtype=float)
-        return cls(position - centre, centre, wavenumbers, step)
+        return cls(position - centre, centre, wavenumbers, step, weight)
+
+    @property
+    def squares(self) -> Array:
+        """The square of the weight of every row, (1, m)."""
+        ones = np.ones((1, len(self.position)))
+        return ones if self.weight is None else ones * self.weight**2
+
+    @property
+    def mass(self) -> float:
+        """The sum of these: how many rows there are, weighted."""
+        return len(self.position) if self.weight is None else float(self.squares.sum())
 
     @cached_property
     def _phases(self) -> list[list[ComplexArray]]:
@@ -116,7 +129,7 @@ class CellScan:
     def factor(self) -> Array:
         """Cholesky factors (8, 8, q) of the Gram matrices of the waves, with a ridge."""
         factor = self.gram
-        factor[range(8), range(8)] += RIDGE * len(self.position)
+        factor[range(8), range(8)] += RIDGE * self.mass
         for i in range(8):  # a column of the factor, for all k at once
             factor[i:, i] -= np.einsum("ijq,jq->iq", factor[i:, :i], factor[i, :i])
             factor[i:, i] /= np.sqrt(factor[i, i])
@@ -129,9 +142,9 @@ class CellScan:
 
         Products of two waves a and b are waves of a + b and a - b.
         """
-        ones = np.ones((1, len(self.position)))
+        ones = self.squares
         sums = np.empty((25, len(self.wavenumbers)), complex)  # (p, q) = divmod(i, 5) - 2
-        sums[12] = len(self.position)
+        sums[12] = self.mass
         for i in range(12):
             p, q = divmod(i, 5)
             sums[i] = self.sums((p - 2, q - 2), ones)[0]
@@ -145,6 +158,7 @@ class CellScan:
 
     def cross(self, loads: Array) -> Array:
         """Inner products (8, j, q) of the waves' cosines and sines with loads (j, m)."""
+        loads = loads if self.weight is None else loads * self.weight
         sums = np.stack([self.sums((p, q), loads) for p, q in WAVES.tolist()])
         return np.concatenate([sums.real, sums.imag])
 
@@ -160,9 +174,9 @@ class CellScan:
     @cached_property
     def rms(self) -> Array:
         """The rms of each candidate (q, 8); a thousandth where the sums cannot tell it from 0."""
-        ones = np.ones((1, len(self.position)))
+        ones = self.squares
         waves = (2 * WAVES).tolist()
-        doubled = (self.sums((p, q), ones)[0].real / len(self.position) for p, q in waves)
+        doubled = (self.sums((p, q), ones)[0].real / self.mass for p, q in waves)
         c_x, c_y, c_plus, c_minus = doubled
         pair, cross = c_x + c_y, 0.5 * (c_plus + c_minus)
         squares = [(1 - c_x) / 2, (1 - c_y) / 2, (1 + c_x) / 2, (1 + c_y) / 2]

@@ -282,7 +282,7 @@ class _Climb:
         pattern = WAVE.moving if here.drifting else WAVE
         columns = Waves(pattern).values(thin.position, here.phases[:, : pattern.parameters])
         for wave, (own, weights) in enumerate(zip(columns, here.weights, strict=True)):
-            without = here.fit.rest + (own.T @ weights).reshape(2, -1).T
+            without = here.fit.rest + (thin.averaged(own).T @ weights).reshape(2, -1).T
             for place in self.lookout.strong(without, INSTEAD):
                 phases = here.phases.copy()
                 phases[wave, :2] = place

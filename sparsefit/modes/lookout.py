@@ -64,7 +64,7 @@ class Lookout:
     @cached_property
     def scan(self) -> PlaneScan:
         """The plane of wavevectors of square cells between the bounds of the length scale."""
-        return PlaneScan.of(self.thin.position, self._radii)
+        return PlaneScan.of(self.thin.position, self._radii, self.thin.scale)
 
     @property
     def _radii(self) -> tuple[float, float]:

@@ -86,6 +86,7 @@ def _length(family: PlaneFamily, fit: Projection, reach: Array) -> float:
 def residuals(family: PlaneFamily, rows: Rows, parameters: Array) -> Array:
     """RSS (s,) of every one of s modes alone, at parameters (s, p), nuisance columns left out."""
     values = family.values(rows.position, parameters)
+    values = rows.averaged(values.reshape(-1, values.shape[-1])).reshape(values.shape)
     target = rows.stacked(family)[0][:, 0]
     gram, load = values @ values.swapaxes(1, 2), values @ target
     gram += SLIGHT * len(target) * np.mean(values**2, axis=2)[:, :, None] * np.eye(family.size)

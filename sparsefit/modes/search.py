@@ -159,7 +159,7 @@ def locate_several(
 
 def _correlation(space: SearchSpace, fit: Projection) -> float:
     """Averages know how far their errors correlate; samples show it in their residuals."""
-    if space.rows.operator is not None or space.nuisance is not None:
+    if space.rows.operator is not None or space.pairs:
         return space.correlation
     return max(space.correlation, concentration(fit.rest))
 

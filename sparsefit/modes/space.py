@@ -8,6 +8,7 @@ into, by Gauss-Newton with all modes moving together.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,13 +20,21 @@ from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import Cells
 from sparsefit.library.family import Family
-from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.nuisance import Nuisance, regressed
 from sparsefit.library.scan import Bounds, CellScan, extent_of, scan_steps
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection, project
+from sparsefit.modes.stack import (
+    CORRELATION,
+    Pair,
+    Part,
+    correlation_of,
+    rows_of,
+    samples_of,
+    series_of,
+)
 
 MAX_STEPS = 500_000  # of a scan, 0.5 GB
-CORRELATION = 5.0  # samples: errors of smoothed derivatives and of positions are not white
 ITERATIONS, HALVINGS = 60, 12  # of a descent, and of one of its moves
 END = 1e-15  # of a parameter: moves below it are rounding
 ROUNDING = 8 * float(np.finfo(float).eps)  # of |Phi| |E|: falls of RSS below it are rounding
@@ -47,8 +56,8 @@ class SearchSpace:
         sampled: samples of Phi at which the scan looks, the same rows where these are no averages.
         bounds: of the wavenumber [1/m].
         correlation: rows over which the errors of Phi correlate, at least.
-        nuisance: what is unknown beside the flow, if anything.
-        series: the nuisance's series at the scanned samples (j, m).
+        pairs: which series each coefficient of the nuisance columns multiplies, in x and in y.
+        series: that these are made of, at the scanned samples (j, m).
     """
 
     family: Family
@@ -56,7 +65,7 @@ class SearchSpace:
     sampled: Rows
     bounds: Bounds
     correlation: float = CORRELATION
-    nuisance: Nuisance | None = None
+    pairs: tuple[Pair, ...] = ()
     series: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
@@ -80,20 +89,16 @@ class SearchSpace:
 
         Raises InputError where the flight does not move, or has too many lobes to look into.
         """
-        weak, smoothing = samples.weak, samples.smoothing
-        sampled = Rows.of(samples, vehicle, unknown)
-        rows = sampled if weak is None else Rows.of(weak, vehicle, unknown)
-        if weak is not None:
-            correlation = weak.correlation
-        elif smoothing is not None:  # a polynomial's window per coefficient
-            correlation = max(CORRELATION, smoothing.rate_window / (smoothing.order + 1))
-        else:
-            correlation = CORRELATION
-        if not unknown:
-            return cls(Cells(), rows, sampled, bounds, correlation)
-        nuisance = Nuisance(unknown, vehicle)
-        series = nuisance.series(samples.velocity, samples.thrust)
-        return cls(Cells(), rows, sampled, bounds, correlation, nuisance, series)
+        return cls.of_flights([Part(samples, Nuisance(unknown, vehicle))], bounds)
+
+    @classmethod
+    def of_flights(cls, parts: Sequence[Part], bounds: Bounds) -> SearchSpace:
+        """The same of several flights through one flow."""
+        sampled = rows = samples_of(parts)
+        if parts[0].samples.weak is not None:
+            rows = rows_of(parts)
+        pairs, series = series_of(parts, sampled)
+        return cls(Cells(), rows, sampled, bounds, correlation_of(parts, rows), pairs, series)
 
     @classmethod
     def plain(cls, position: Array, flow_velocity: Array, bounds: Bounds) -> SearchSpace:
@@ -104,7 +109,7 @@ class SearchSpace:
     @cached_property
     def scan(self) -> CellScan:
         """The columns of one mode at every wavenumber."""
-        return CellScan.of(self.sampled.position, self.bounds)
+        return CellScan.of(self.sampled.position, self.bounds, self.sampled.scale)
 
     @cached_property
     def empty(self) -> Projection:
@@ -115,6 +120,8 @@ class SearchSpace:
     def null_residual(self) -> float:
         """RSS [m^2/s^2] of a uniform wind, and the nuisance columns."""
         ones = np.ones((1, len(self.rows.target), 1))
+        if self.rows.scale is not None:
+            ones[0, :, 0] = self.rows.scale
         wind = np.concatenate([np.kron(np.eye(2)[:, None, [t]], ones) for t in range(2)], axis=2)
         both = np.concatenate([self.rows.nuisance, wind], axis=2)
         return project(
@@ -159,15 +166,19 @@ class SearchSpace:
         if self.sampled is not self.rows:
             loose = np.einsum("tmj,j->mt", self.sampled.nuisance, fit.coefficients)
             rest = self.sampled.target - self.flow(fit) - loose
-        if self.nuisance is None:
+        if not self.pairs:
             freed = self.scan.freed(np.ascontiguousarray(rest.T))
             return np.asarray(np.trace(freed, axis1=1, axis2=2))
-        return self.nuisance.regressed(self.scan.freed(np.vstack([rest.T, self.series])))
+        return regressed(self.scan.freed(np.vstack([rest.T, self.series])), list(self.pairs))
 
     def flow(self, fit: Projection, mode: int | None = None) -> Array:
-        """The flow velocity of all modes of a fit, or of one, at the samples (m, 2) [m/s]."""
+        """What all modes of a fit, or one, say of the scanned samples (m, 2) [m/s]."""
         chosen = slice(None) if mode is None else slice(mode, mode + 1)
         values = self.family.values(self.sampled.position, fit.parameters[chosen])
+        if self.sampled.scale is not None:
+            values = self.sampled.averaged(values.reshape(-1, values.shape[-1])).reshape(
+                values.shape
+            )
         flow = np.einsum("scr,scn->rn", values, fit.weights[chosen])
         return self.sampled.unstacked(flow)
 

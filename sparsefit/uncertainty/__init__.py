@@ -1,6 +1,13 @@
 """How sure an estimate is, and what smoothing and noise take from it."""
 
-from sparsefit.uncertainty.assessment import Assessment, ModeAssessment, assess
+from sparsefit.uncertainty.assessment import (
+    Assessment,
+    ModeAssessment,
+    assess,
+    assess_flights,
+    common,
+    vehicles_of,
+)
 from sparsefit.uncertainty.causes import Cause, Suspect
 from sparsefit.uncertainty.flow import FlowUncertainty
 from sparsefit.uncertainty.goodness import Goodness
@@ -22,5 +29,8 @@ __all__ = [
     "Uncertainty",
     "VehicleUncertainty",
     "assess",
+    "assess_flights",
+    "common",
     "values_of",
+    "vehicles_of",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from sparsefit.library.nuisance import NUMBERS, Nuisance, VehicleEstimate
 from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
+from sparsefit.modes.stack import Part
 from sparsefit.uncertainty.corrected import Known, corrected
 from sparsefit.uncertainty.flow import FlowUncertainty, entries, flow_of
 from sparsefit.uncertainty.goodness import Goodness, goodness_of
@@ -53,6 +55,8 @@ class Assessment:
         shapes: the cells that two waves make, of each mode of waves.
         flow: how sure a flow of waves is anywhere, where that is told; places count from where
             the rows do.
+        vehicles: of several flights the vehicle of each, where something beside the flow is
+            unknown, and how sure that is.
     """
 
     modes: tuple[ModeAssessment, ...]
@@ -61,6 +65,7 @@ class Assessment:
     goodness: Goodness | None = None
     shapes: tuple[Shape, ...] = ()
     flow: FlowUncertainty | None = None
+    vehicles: tuple[tuple[VehicleEstimate, VehicleUncertainty], ...] = ()
 
     @property
     def white(self) -> bool:
@@ -92,49 +97,84 @@ def assess(
         None below 21 samples, with fewer rows than parameters of a velocity component, or where
         the vehicle that fits best is impossible.
     """
-    vehicle, model = nuisance.read(fit.coefficients), Model.of(family, rows, fit)
-    if not vehicle.possible:
+    return assess_flights([Part(samples, nuisance)], rows, family, fit, correct=correct)
+
+
+def assess_flights(
+    parts: Sequence[Part],
+    rows: Rows,
+    family: Family | EqualWaves,
+    fit: Projection,
+    *,
+    correct: bool,
+) -> Assessment | None:
+    """The same of a fit to the rows of several flights; None where one of them is too short."""
+    vehicles, model = vehicles_of(parts, fit.coefficients), Model.of(family, rows, fit)
+    if not all(vehicle.possible for vehicle in vehicles):
         return None
-    if nuisance.unknown:
-        model, nuisance = _as_found(samples, model, nuisance, vehicle)
+    if len(parts) == 1 and parts[0].nuisance.unknown:
+        model, nuisance = _as_found(parts[0].samples, model, parts[0].nuisance, vehicles[0])
+        parts = [replace(parts[0], nuisance=nuisance)]
     flows = flows_of(*phases_of(model)) if isinstance(model.family, Waves) else []
-    known = corrected(samples, model, nuisance, reader(nuisance, flows), correct=correct)
+    nuisances = [part.nuisance for part in parts]
+    known = corrected(parts, model, reader(*nuisances, flows=flows), correct=correct)
     if known is None:
         return None
     if isinstance(model.family, Waves):
         names = names_of(model.family, len(model.parameters))
-        flow = flow_of(model, nuisance, known.errors)
-        return replace(_of_waves(known, names, len(flows), model, vehicle), flow=flow)
-    count = len(MODE) * len(fit.parameters)
-    every = known.values, known.errors, known.freedom
-    by_mode = [array[:count].reshape(-1, 3) for array in every]
-    modes = tuple(_mode(*one) for one in zip(*by_mode, strict=True))
-    goodness = goodness_of(model, known.left, modes[0].mean_velocity)
-    if not nuisance.unknown:
-        return Assessment(modes, goodness=goodness)
-    beside = Known(known.values[count:], known.errors[count:], known.freedom[count:])
-    return Assessment(modes, *_vehicle(vehicle, beside), goodness=goodness)
+        read, count = _of_waves(known, names, len(flows), model), len(flows) * len(names)
+        read = replace(read, flow=flow_of(model, common(nuisances), known.errors))
+    else:
+        count = len(MODE) * len(fit.parameters)
+        every = known.values, known.errors, known.freedom
+        by_mode = [array[:count].reshape(-1, 3) for array in every]
+        modes = tuple(_mode(*one) for one in zip(*by_mode, strict=True))
+        goodness = goodness_of(model, known.left, modes[0].mean_velocity)
+        read = Assessment(modes, goodness=goodness)
+    if not vehicles[0].unknown:
+        return read
+    own, beside = sum(map(_entries, vehicles[0].unknown)), []
+    for first, vehicle in enumerate(vehicles):
+        place = slice(count + own * first, count + own * (first + 1))
+        every = known.values[place], known.errors[place], known.freedom[place]
+        beside.append(_vehicle(vehicle, Known(*every)))
+    if len(parts) > 1:
+        return replace(read, vehicles=tuple(beside))
+    return replace(read, vehicle=beside[0][0], vehicle_uncertainty=beside[0][1])
 
 
-def reader(nuisance: Nuisance, flows: list[IntArray] | None = None) -> Reader:
-    """What a model is read for: its modes by their family, and what is unknown beside them.
+def vehicles_of(parts: Sequence[Part], coefficients: Array) -> list[VehicleEstimate]:
+    """The vehicle of each flight, from the coefficients (j,) of all nuisance columns."""
+    ends = np.cumsum([len(part.nuisance.pairs) for part in parts])[:-1]
+    pairs = zip(parts, np.split(coefficients, ends), strict=True)
+    return [part.nuisance.read(own) for part, own in pairs]
+
+
+def common(nuisances: Sequence[Nuisance]) -> Nuisance:
+    """What scales the weights of the flow: the unknown response time of a single flight."""
+    return nuisances[0] if len(nuisances) == 1 else Nuisance((), nuisances[0].believed)
+
+
+def reader(*nuisances: Nuisance, flows: list[IntArray] | None = None) -> Reader:
+    """What a model of flights is read for: its modes, then what is unknown of each flight.
 
     flows: the places of the waves of every flow, of a model of `Waves`; None: all are one flow's.
     """
+    shared = common(nuisances)
 
     def read(model: Model) -> Reading:
-        waved = isinstance(model.family, Waves)
-        read = waves(model, nuisance, flows) if waved else cellular(model, nuisance)
-        if nuisance.unknown:
-            read = joined(read, of_vehicle(model, nuisance))
-        return joined(read, entries(model, nuisance)) if waved else read
+        waved, first = isinstance(model.family, Waves), 0
+        read = waves(model, shared, flows) if waved else cellular(model, shared)
+        for nuisance in nuisances:
+            if nuisance.unknown:
+                read = joined(read, of_vehicle(model, nuisance, first))
+            first += len(nuisance.pairs)
+        return joined(read, entries(model, shared)) if waved else read
 
     return read
 
 
-def _of_waves(
-    known: Known, names: tuple[str, ...], count: int, model: Model, vehicle: VehicleEstimate
-) -> Assessment:
+def _of_waves(known: Known, names: tuple[str, ...], count: int, model: Model) -> Assessment:
     """What is known of all flows that waves make, fastest first."""
     every = known.values, known.errors, known.freedom
     own = len(names)
@@ -146,11 +186,7 @@ def _of_waves(
     if CELL[0] in names:
         cells = flows[:, len(MODE) :]
         shapes = tuple(Shape.around(*(array[cell] for array in every)) for cell in cells)
-    if not vehicle.unknown:
-        return Assessment(modes, goodness=goodness, shapes=shapes)
-    values, errors, freedom = (array[count * own :] for array in every)
-    beside = Known(values, errors, freedom)
-    return Assessment(modes, *_vehicle(vehicle, beside), goodness, shapes)
+    return Assessment(modes, goodness=goodness, shapes=shapes)
 
 
 def _as_found(
@@ -182,10 +218,15 @@ def _vehicle(vehicle: VehicleEstimate, known: Known) -> tuple[VehicleEstimate, V
     parts: list[dict[str, tuple[float, ...]]] = [{}, {}, {}]
     first = 0
     for name in vehicle.unknown:
-        part = slice(first, first + (1 if name in NUMBERS else 2))
+        part = slice(first, first + _entries(name))
         for own, array in zip(parts, (known.values, known.errors, known.freedom), strict=True):
             own[name] = tuple(array[part].tolist())
         first = part.stop
     values = parts[0]
     read: dict[str, Any] = {n: v[0] if n in NUMBERS else v for n, v in values.items()}
     return replace(vehicle, **read), VehicleUncertainty.around(*parts)
+
+
+def _entries(name: str) -> int:
+    """How many numbers an unknown of the vehicle is."""
+    return 1 if name in NUMBERS else 2

@@ -30,6 +30,7 @@ Quadratic drag: tau is the response dr/dF of each sample (`filtered`), (w - v)/t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,45 +119,67 @@ class Truncated:
     """A fit less what its filters took.
 
     Args:
-        model: the fit, moved by the truncation that it implies.
-        errors: what is then left of the rows, (q, 2) [m/s].
-        at_samples: what a fit of the samples leaves of their Phi, (m, 2) [m/s].
+        model: the fit, moved by the truncation that it implies, of all flights.
+        errors: what is then left of the rows of a flight, (q, 2) [m/s].
+        at_samples: what a fit of the flight's samples leaves of their Phi, (m, 2) [m/s].
+        together: what the fit of all flights leaves of it.
     """
 
     model: Model
     errors: Array
     at_samples: Array
+    together: Array
 
 
 def without_truncation(fit: Filtered) -> Truncated:
-    """Take the truncation from a fit; nothing is known of it where steps are uneven."""
-    samples, model = fit.samples, fit.model
-    position, velocity = model.rows.position[:, :2], samples.velocity
-    distortion = Distortion.of(position, velocity, fit.filters)
-    if distortion is None:
-        plain = fit.plain
-        left = model.residual if model is plain else _refitted(plain, plain.residual)
-        return Truncated(model, model.residual, left)
-    moved = model
-    for _ in range(PASSES):
-        base = moved
-        if samples.weak is None:
-            lost, share = distortion.of_samples(base, fit), distortion.share
-        else:
-            lost, share = distortion.of_weak(base, samples.weak, fit.response_time), 1.0
-        moved = model.moved(-share * model.jacobian.score(lost))
-    errors = at_samples = base.residual - lost
-    if samples.weak is not None:
-        plain = fit.as_samples(base)
-        at_samples = _refitted(plain, plain.residual - distortion.of_samples(plain, fit))
-    return Truncated(moved, errors, at_samples)
+    """Take the truncation from the fit of one flight; where steps are uneven none is known."""
+    return every_without_truncation([fit], fit.model)[0]
+
+
+def every_without_truncation(fits: Sequence[Filtered], whole: Model) -> list[Truncated]:
+    """Take the truncation from a fit of several flights."""
+    distortions = [_distortion(fit) for fit in fits]
+    base = moved = whole
+    losses = [np.zeros_like(fit.model.rows.target) for fit in fits]
+    for _ in range(PASSES if any(distortions) else 0):
+        base, score = moved, np.zeros(whole.jacobian.size)
+        for i, (fit, distortion) in enumerate(zip(fits, distortions, strict=True)):
+            if distortion is not None:
+                losses[i], share = _lost(fit, distortion, fit.at(base))
+                score -= fit.weight**2 * share * fit.model.jacobian.score(losses[i])
+        moved = whole.moved(score)
+    cleared = []
+    for fit, distortion, lost in zip(fits, distortions, losses, strict=True):
+        own = fit.at(base)
+        errors = at_samples = own.residual - lost
+        plain = fit.as_samples(own)
+        if fit.samples.weak is not None:
+            at_samples = plain.residual
+            if distortion is not None:
+                at_samples = at_samples - distortion.of_samples(plain, fit)
+            at_samples = _refitted(plain, at_samples)
+        alone = at_samples if len(fits) == 1 else _refitted(plain, at_samples)
+        cleared.append(Truncated(moved, errors, alone, at_samples))
+    return cleared
+
+
+def _distortion(fit: Filtered) -> Distortion | None:
+    position = fit.model.rows.position[:, :2]
+    return Distortion.of(position, fit.samples.velocity, fit.filters)
+
+
+def _lost(fit: Filtered, distortion: Distortion, model: Model) -> tuple[Array, float]:
+    """What the rows of a flight lose (q, 2) [m/s], and of how many times as many it is known."""
+    if fit.samples.weak is not None:
+        return distortion.of_weak(model, fit.samples.weak, fit.response_time), 1.0
+    return distortion.of_samples(model, fit), distortion.share
 
 
 def _refitted(plain: Model, errors: Array) -> Array:
-    """What a fit of the samples themselves leaves of errors (m, 2), of which weak rows leave more.
+    """What a fit of a flight's own samples leaves of errors (m, 2).
 
-    Left in, what the two fits differ by would be taken for kicks, and the intervals be twice as
-    wide.
+    Weak rows leave more of them, and so does a fit of several flights. Left in, what the two fits
+    differ by would be taken for kicks, and the intervals be twice as wide.
     """
     left: Array = plain.freed(errors.T[None])[0].T
     return left
@@ -176,7 +199,7 @@ def noisy_columns(fit: Filtered) -> Array:
         pair = through, velocity
         if weak is not None:
             pair = _averaged_velocity(weak, velocity, fit.response_time)
-        score += _in_velocity(model, float(np.sum(variances * pair[0] * pair[1])))
+        score += _in_velocity(fit, float(np.sum(variances * pair[0] * pair[1])))
     if weak is not None:
         return score
     load = -square * model.gradient
@@ -192,7 +215,7 @@ def kicked_velocity(fit: Filtered, kicks: float) -> Array:
     """E J'e (n,) of kicks in the column of the velocity; kicks: the variance of tau times them."""
     held = kicks_through(fit.filters.raw[1], float(np.mean(np.diff(fit.samples.time))))
     by_row = kicks * fit.evenness / fit.response_time * float(np.sum(fit.filters.kicks * held))
-    return _in_velocity(fit.model, by_row)
+    return _in_velocity(fit, by_row)
 
 
 def curved(fit: Filtered) -> Array:
@@ -208,10 +231,12 @@ def curved(fit: Filtered) -> Array:
     return model.jacobian.score(mean - vehicle.relative_of(drags))
 
 
-def _in_velocity(model: Model, by_row: float) -> Array:
-    """J'e (n,) where every row of either component gives the column of v, the first of N, its e."""
+def _in_velocity(fit: Filtered, by_row: float) -> Array:
+    """J'e (n,) where every row of either component gives the column of v its e."""
+    model = fit.model
     score = np.zeros(model.jacobian.size)
-    score[-len(model.coefficients)] = model.rows.nuisance[..., 0].size * by_row
+    first = fit.place - len(model.coefficients)
+    score[first] = model.rows.nuisance[..., fit.place].size * by_row
     return score
 
 

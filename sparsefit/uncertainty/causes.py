@@ -95,10 +95,11 @@ def columns(fit: Filtered) -> dict[Cause, Array]:
     }
 
 
-def suspected(left: Turbulence, mean_velocity: float) -> Suspect | None:
+def suspected(left: Turbulence, mean_velocity: float, flights: int = 1) -> Suspect | None:
     """What the flow seems to be instead of what was fitted; None where noise explains what is left.
 
-    mean_velocity: U0 of the fastest cells that were fitted [m/s].
+    mean_velocity: U0 of the fastest cells that were fitted [m/s]. flights: that are looked at, of
+    which any may be suspected by chance.
     """
     observed = left.observed
     if observed.unexplained <= TRUNCATION:
@@ -107,7 +108,7 @@ def suspected(left: Turbulence, mean_velocity: float) -> Suspect | None:
     flow, square = _square(plain.flow), _square(observed.errors)
     truncated = _square(plain.residual - observed.errors) / flow if flow else 0.0
     slight = max(SLIGHT, truncated) ** 2 * flow
-    tried = [(one, freed) for one, freed in _tested(left) if one.share * square > slight]
+    tried = [(one, own) for one, own in _tested(left, flights) if one.share * square > slight]
     guilty = [suspect for suspect, freed in tried if _guilty(left, suspect, freed)]
     nearest = sorted(guilty, key=lambda one: one.p_value)[: len(Cause) if left.found else BEST]
     if not nearest and left.speed > MOST * mean_velocity:
@@ -136,7 +137,7 @@ def relieved(left: Turbulence, freed: Array) -> Turbulence:
     return Turbulence(replace(observed, errors=observed.errors - taken.reshape(2, -1).T))
 
 
-def _tested(left: Turbulence) -> list[tuple[Suspect, Array]]:
+def _tested(left: Turbulence, flights: int) -> list[tuple[Suspect, Array]]:
     """Each cause that the fit has not freed, and what is left of its columns."""
     from scipy.special import gammaincc
 
@@ -157,6 +158,7 @@ def _tested(left: Turbulence) -> list[tuple[Suspect, Array]]:
         size = np.linalg.pinv(gram[part, part], hermitian=True) @ scores[part]
         statistic = scores[part] @ np.linalg.pinv(covariance[part, part], hermitian=True)
         chance = float(gammaincc(len(each) / 2, float(statistic @ scores[part]) / 2))
+        chance = min(1.0, flights * chance)
         share = float(scores[part] @ size) / square
         tried.append((Suspect(cause, _told(cause, size), chance, share), freed[part]))
     return tried

@@ -6,23 +6,26 @@ move, if they are corrected at all, by a step of generalised least squares. Of b
 that is corrected, what is doubtful counts as a standard error; of bias that is left in, all of it.
 Where residuals are no noise at all, the truncation that is left has one sign over many samples:
 half of what it could add up to is added.
+
+Several flights have noise of their own each: their variances add up, each flight's through its own
+filters and with the levels that a fit of its own leaves.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.derivative import Samples
-from sparsefit.library.nuisance import Nuisance
+from sparsefit.modes.stack import Part
 from sparsefit.uncertainty import bias, lags, noise
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.influence import Influence
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import Reader
-from sparsefit.uncertainty.turbulence import Turbulence, jackknifed
+from sparsefit.uncertainty.turbulence import FEWEST, Turbulence, generalised_step, jackknifed
 
 # Of a correction, what counts as a standard error: terms of second order are left out.
 DOUBT_OF_TRUNCATION, DOUBT_OF_NOISE = 0.2, 0.5
@@ -40,91 +43,142 @@ class Known:
         values: (f,).
         errors: their standard errors (f,), inf where not told.
         freedom: the degrees of freedom of these (f,), inf where they are certain.
-        left: what the fit leaves, against noise; None where no filters are known.
+        left: what the fit leaves of each flight, against noise; none where no filters are known.
     """
 
     values: Array
     errors: Array
     freedom: Array
-    left: Turbulence | None = None
+    left: tuple[Turbulence, ...] = ()
 
 
-def corrected(
-    samples: Samples, model: Model, nuisance: Nuisance, read: Reader, *, correct: bool
-) -> Known | None:
-    """What is read of a model of the rows of a flight's samples, less its bias if asked.
+def corrected(parts: Sequence[Part], model: Model, read: Reader, *, correct: bool) -> Known | None:
+    """What is read of a model of the rows of flights' samples, less its bias if asked.
 
     The nuisance columns are those of the vehicle that fits best: the coefficient of the velocity
-    is 0, and noise in its column no error to first order. None below 21 samples, or with fewer
-    rows than parameters of a velocity component.
+    is 0, and noise in its column no error to first order. None below 21 samples of a flight, or
+    with fewer rows than parameters of a velocity component.
     """
-    rows, used = len(model.rows.target), model.jacobian.size / 2
-    if len(samples.time) <= lags.LAGS or rows <= used:
+    used = model.jacobian.size / 2
+    fewest = min(len(part.samples.time) for part in parts)
+    if fewest <= lags.LAGS or len(model.rows.target) <= used:
         return None
-    fit, reading = Filtered.of(samples, model, nuisance), read(model)
+    fits, reading = Filtered.of_parts(parts, model), read(model)
     information = model.information
     lost = information.lost(reading.gradients) | (reading.norms & (not information.whole))
-    if fit is not None:
-        known = _through_filters(fit, read, correct=correct)
+    if fits is not None:
+        known = _through_filters(fits, model, read, correct=correct)
     else:
-        reach = lags.overlap(samples)
-        if rows <= reach:
+        variance = _by_lags(parts, model, reading.gradients)
+        if variance is None:
             return None
-        influence = model.influence(reading.gradients)
-        variance = lags.lagged(influence, model.residual, reach, used)
         known = Known(reading.values, np.sqrt(variance), np.full(len(variance), np.inf))
     return replace(known, errors=np.where(lost, np.inf, known.errors))
 
 
-def _through_filters(fit: Filtered, read: Reader, *, correct: bool) -> Known:
+def _by_lags(parts: Sequence[Part], model: Model, gradients: Array) -> Array | None:
+    """Variances (f,) from what the fit leaves of each flight; None where one is too short."""
+    by_theta, every = model.information.solved(gradients.T), len(model.rows.target)
+    variance = np.zeros(len(gradients))
+    for part, rows in zip(parts, model.rows.flights, strict=True):
+        own, reach = replace(model, rows=rows), lags.overlap(part.samples)
+        if len(rows.target) <= reach:
+            return None
+        influence = part.weight**2 * own.jacobian.times(by_theta)
+        used = 0.5 * model.jacobian.size * len(rows.target) / every
+        variance = variance + lags.lagged(influence, own.residual, reach, used)
+    return variance
+
+
+def _through_filters(
+    fits: Sequence[Filtered], model: Model, read: Reader, *, correct: bool
+) -> Known:
     """Values and standard errors where the filters are known."""
-    reading, less = read(fit.model), bias.without_truncation(fit)
-    observed = noise.Observed(fit, less.at_samples)
-    by_theta = fit.model.information.solved(reading.gradients.T)
-    influence, levels = Influence.of(observed, by_theta), observed.levels
-    freedom = np.full(len(reading.values), np.inf)
-    variance = observed.amounts @ influence.by_source(observed.squares)
-    left = Turbulence(observed)
-    if left.found:
-        coloured, freedom = left.variances(influence)
-        apart = jackknifed(fit.model, reading.gradients)
-        variance = np.maximum(variance, 0.5 * (coloured + apart))
-    variance = variance + _coherent(fit, reading.gradients, less.errors)
+    reading, every = read(model), bias.every_without_truncation(fits, model)
+    by_theta = model.information.solved(reading.gradients.T)
+    seen = [
+        _Seen.of(fit, less, fit.weight**2 * by_theta) for fit, less in zip(fits, every, strict=True)
+    ]
+    each = [one.variances(model, reading.gradients) for one in seen]
+    variance = np.sum([own for own, _ in each], axis=0)
+    freedom = _freedom(each, variance)
     spread = np.sqrt(variance)
-    step = read(less.model).values - reading.values
+    moved_model = every[0].model
+    step = read(moved_model).values - reading.values
     correcting = correct & ~reading.stay
     moved = np.zeros(len(step))
-    if correct and left.found:
-        better = read(less.model.shifted(left.generalised_step))
-        moved = np.clip(better.values - read(less.model).values, -MOST * spread, MOST * spread)
+    if correct and any(one.left.found for one in seen):
+        left, together = [one.left for one in seen], [one.less.together for one in seen]
+        better = read(moved_model.shifted(generalised_step(left, together)))
+        moved = np.clip(better.values - read(moved_model).values, -MOST * spread, MOST * spread)
     correction = np.clip(step, -reading.limits, reading.limits)
     doubt = np.where(correcting, DOUBT_OF_TRUNCATION, 1.0) * correction
-    for score in _scores_of_noise(fit, float(levels[2])):
-        step = read(fit.model.moved(-score)).values - reading.values
+    for score in _scores_of_noise(seen):
+        step = read(model.moved(-score)).values - reading.values
         doubt = np.hypot(doubt, np.where(correcting, DOUBT_OF_NOISE, 1.0) * step)
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     errors = np.hypot(spread, doubt)
-    return Known(reading.values + correcting * (correction + moved), errors, freedom, left)
+    values = reading.values + correcting * (correction + moved)
+    return Known(values, errors, freedom, tuple(one.left for one in seen))
 
 
-def _coherent(fit: Filtered, gradients: Array, errors: Array) -> Array:
-    """The square (f,) of what residuals (q, 2) without noise may add up to; 0 with noise."""
-    square = float(np.sum(errors**2))
-    if square > EXACT**2 * float(np.sum(fit.model.flow**2)):
-        return np.zeros(len(gradients))
-    share = COHERENT if fit.samples.weak is None else QUADRATURE
-    influence = fit.model.influence(gradients)
-    added: Array = share**2 * square * np.sum(influence**2, axis=(1, 2))
-    return added
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a fit leaves of one flight, and what the errors of its rows do to what is read."""
+
+    fit: Filtered
+    less: bias.Truncated
+    left: Turbulence
+    influence: Influence
+
+    @classmethod
+    def of(cls, fit: Filtered, less: bias.Truncated, by_theta: Array) -> _Seen:
+        observed = noise.Observed(fit, less.at_samples)
+        return cls(fit, less, Turbulence(observed), Influence.of(observed, by_theta))
+
+    def variances(self, model: Model, gradients: Array) -> tuple[Array, Array]:
+        """What the flight adds to the variances (f,), and the degrees of freedom of that."""
+        observed = self.left.observed
+        variance = observed.amounts @ self.influence.by_source(observed.squares)
+        freedom = np.full(len(gradients), np.inf)
+        if self.left.found:
+            coloured, freedom = self.left.variances(self.influence)
+            gram, weight = model.jacobian.gram, self.fit.weight
+            apart = jackknifed(self.fit.model, gradients, gram, weight)
+            variance = np.maximum(variance, 0.5 * (coloured + apart))
+        return variance + self._coherent(), freedom
+
+    def _coherent(self) -> Array:
+        """The square (f,) of what residuals without noise may add up to; 0 with noise."""
+        square, rows = float(np.sum(self.less.errors**2)), self.influence.rows
+        if square > EXACT**2 * float(np.sum(self.fit.model.flow**2)):
+            return np.zeros(len(rows))
+        share = COHERENT if self.fit.samples.weak is None else QUADRATURE
+        added: Array = share**2 * square * np.sum(rows**2, axis=(1, 2))
+        return added
 
 
-def _scores_of_noise(fit: Filtered, kicks: float) -> list[Array]:
+def _freedom(each: Sequence[tuple[Array, Array]], variance: Array) -> Array:
+    """Degrees of freedom (f,) of a sum of variances (Satterthwaite, 1946)."""
+    if len(each) == 1:
+        return each[0][1]
+    doubt = np.sum([own**2 / free for own, free in each], axis=0)
+    certain = np.full_like(variance, np.inf)
+    freedom: Array = np.divide(variance**2, doubt, out=certain, where=doubt > 0)
+    return np.maximum(freedom, FEWEST)
+
+
+def _scores_of_noise(seen: Sequence[_Seen]) -> list[Array]:
     """J'e (n,) of the noise in what the columns are taken at, one for each source of it."""
-    scores = []
-    if noise.measured_noise_known(fit.filters):
-        scores.append(bias.noisy_columns(fit))
-    if fit.shared:
-        scores.append(bias.kicked_velocity(fit, kicks))
-    if fit.stretch is not None:
-        scores.append(bias.curved(fit))
-    return scores
+    scores: dict[str, Array] = {}
+    for one in seen:
+        fit, own = one.fit, {}
+        if noise.measured_noise_known(fit.filters):
+            own["columns"] = bias.noisy_columns(fit)
+        if fit.shared:
+            own["kicks"] = bias.kicked_velocity(fit, float(one.left.observed.levels[2]))
+        if fit.stretch is not None:
+            own["drag"] = bias.curved(fit)
+        for source, score in own.items():
+            scores[source] = scores.get(source, 0.0) + fit.weight**2 * score
+    return list(scores.values())

@@ -7,6 +7,7 @@ flow. It grows without bound where nothing drags; what noise is there bounds it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from sparsefit.derivative.filters import Filters
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.stack import Part
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.wander import Wander
 
@@ -35,9 +37,11 @@ class Filtered:
         plain: the same fit as a model of the samples: other than `model` for weak rows only.
         vehicle: that fits best.
         response_time: its tau [s]; of quadratic drag, the root mean square of its response.
-        shared: whether the velocity has a column, the first of the nuisance columns.
+        shared: whether the velocity has a column, the first of the flight's nuisance columns.
         stretch: the response of quadratic drag over `response_time`, (2, 2, m); None: 1.
         roughness: of quadratic drag, the rms of the noise in |v' - a| [m/s^2].
+        weight: of the flight's rows among those of several; `model` and `plain` are without it.
+        place: of its first coefficient among those of several flights.
     """
 
     samples: Samples
@@ -49,21 +53,33 @@ class Filtered:
     shared: bool
     stretch: Array | None = None
     roughness: float = 0.0
+    weight: float = 1.0
+    place: int = 0
 
     @classmethod
-    def of(cls, samples: Samples, model: Model, nuisance: Nuisance) -> Filtered | None:
+    def of(
+        cls,
+        samples: Samples,
+        model: Model,
+        nuisance: Nuisance,
+        *,
+        weight: float = 1.0,
+        place: int = 0,
+    ) -> Filtered | None:
         """A model of the samples' rows; None where no filter of this package made them."""
         filters, plain = Filters.of(samples), model
         if filters is None or len(samples.time) != len(model.rows.position):
             return None  # or weak rows of the states as they were measured
         if samples.weak is not None:
-            single = replace(samples, weak=None)
-            rows = Rows.of(single, nuisance.believed, nuisance.unknown)
-            timed = model.rows.position.shape[1] > 2
-            plain = replace(model, rows=rows.timed(samples.time) if timed else rows)
-        vehicle, shared = nuisance.believed, nuisance.shared
+            own = nuisance.columns(samples.velocity, samples.thrust)
+            after = len(model.coefficients) - place - own.shape[2]
+            every = np.pad(own, ((0, 0), (0, 0), (place, after)))
+            target = samples.flow_velocity(nuisance.believed)
+            plain = replace(model, rows=Rows(model.rows.position, target, every))
+        vehicle, shared, here = nuisance.believed, nuisance.shared, (weight, place)
         if not vehicle.drag:
-            return cls(samples, filters, model, plain, vehicle, vehicle.response_time, shared)
+            tau = vehicle.response_time
+            return cls(samples, filters, model, plain, vehicle, tau, shared, None, 0.0, *here)
         drags = vehicle.drag_of(plain.fitted - samples.velocity)
         seen = samples.flow_velocity(vehicle) - samples.velocity
         size = float(np.sqrt(np.mean(np.sum(drags**2, axis=1))))
@@ -72,7 +88,20 @@ class Filtered:
         response = vehicle.response(drags, noise)
         tau = float(np.sqrt(0.5 * np.mean(np.sum(response**2, axis=(0, 1)))))
         stretch = response / tau
-        return cls(samples, filters, model, plain, vehicle, tau, shared, stretch, noise)
+        return cls(samples, filters, model, plain, vehicle, tau, shared, stretch, noise, *here)
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[Part], model: Model) -> list[Filtered] | None:
+        """Each flight of a model of several; None where no filter made the samples of one."""
+        first, fits = 0, []
+        for part, rows in zip(parts, model.rows.flights, strict=True):
+            own = model if rows is model.rows else replace(model, rows=rows)
+            known = cls.of(part.samples, own, part.nuisance, weight=part.weight, place=first)
+            if known is None:
+                return None
+            fits.append(known)
+            first += len(part.nuisance.pairs)
+        return fits
 
     @cached_property
     def wander(self) -> Wander:
@@ -96,3 +125,7 @@ class Filtered:
     def as_samples(self, model: Model) -> Model:
         """A model of the rows, as one of the samples."""
         return model if self.model is self.plain else replace(model, rows=self.plain.rows)
+
+    def at(self, whole: Model) -> Model:
+        """A model of all flights, as one of the rows of this one."""
+        return whole if self.model.rows is whole.rows else replace(whole, rows=self.model.rows)

@@ -8,6 +8,7 @@ an empirical distribution does (Kolmogorov's statistic).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,8 @@ class Goodness:
             sensors and kicks explains what is left.
         turbulence_share: the same over the mean velocity U0 of the fastest flow.
         suspect: what the flow seems to be instead, where it seems so.
+        flight: of several flights the number of the one that says so, from 1; else 0.
+        flights: the same of each of several flights.
     """
 
     r_squared: float
@@ -38,6 +41,8 @@ class Goodness:
     turbulence: float = math.nan
     turbulence_share: float = math.nan
     suspect: Suspect | None = None
+    flight: int = 0
+    flights: tuple[Goodness, ...] = ()
 
     @property
     def exact(self) -> bool:
@@ -45,20 +50,53 @@ class Goodness:
         return 1 - self.r_squared <= TRUNCATION
 
 
-def goodness_of(model: Model, left: Turbulence | None, mean_velocity: float) -> Goodness:
-    """The goodness of a fit, of what it leaves; mean_velocity U0 [m/s] of the fastest flow."""
-    if left is None:
-        target = model.rows.target
-        spread = float(np.sum((target - target.mean(axis=0)) ** 2))
-        return Goodness(1 - float(np.sum(model.residual**2)) / spread if spread else math.nan)
+def goodness_of(model: Model, left: Sequence[Turbulence], mean_velocity: float) -> Goodness:
+    """The goodness of a fit, of what it leaves; mean_velocity U0 [m/s] of the fastest flow.
+
+    Of several flights R^2 is that of all weighted rows, turbulence the root mean square over all
+    samples, the whiteness the least of a flight for as many as there are, the ratio the largest;
+    and a cause must be as unlikely for as many.
+    """
+    if not left:
+        return Goodness(_r_squared(model))
+    if len(left) == 1:
+        return _of_flight(left[0], mean_velocity)
+    each = [_of_flight(one, mean_velocity, len(left)) for one in left]
+    samples = [len(one.observed.errors) for one in left]
+    squares = [one.turbulence**2 for one in each]
+    turbulence = math.sqrt(float(np.average(squares, weights=samples)))
+    suspects = [(one.suspect, i + 1) for i, one in enumerate(each) if one.suspect]
+    suspects.sort(key=lambda pair: pair[0].p_value)
+    suspect, flight = suspects[0] if suspects else (None, 0)
+    return Goodness(
+        _r_squared(model),
+        1 - (1 - min(one.whiteness for one in each)) ** len(each),
+        max(one.likelihood_ratio for one in each),
+        turbulence,
+        turbulence / mean_velocity,
+        suspect,
+        flight,
+        tuple(each),
+    )
+
+
+def _of_flight(left: Turbulence, mean_velocity: float, flights: int = 1) -> Goodness:
     return Goodness(
         1 - left.observed.unexplained,
         whiteness(left),
         left.ratio,
         left.speed,
         left.speed / mean_velocity,
-        suspected(left, mean_velocity),
+        suspected(left, mean_velocity, flights),
     )
+
+
+def _r_squared(model: Model) -> float:
+    """The share of the variance of all rows that a model explains, each flight about its mean."""
+    rows, spread = model.rows, 0.0
+    for weight, own in zip(rows.weights, rows.flights, strict=True):
+        spread += weight**2 * float(np.sum((own.target - own.target.mean(axis=0)) ** 2))
+    return 1 - float(np.sum(model.residual**2)) / spread if spread else math.nan
 
 
 def whiteness(left: Turbulence) -> float:

@@ -92,15 +92,19 @@ def cellular(model: Model, nuisance: Nuisance) -> Reading:
     return Reading(names, read, np.array(gradients), FIRST_ORDER * np.abs(read), norms)
 
 
-def vehicle(model: Model, nuisance: Nuisance) -> Reading:
-    """What is unknown of the vehicle and the wind, in the order of `Nuisance.unknown`."""
-    found = nuisance.read(model.coefficients)
-    ratio = nuisance.ratio(model.coefficients)
-    first = model.parameters.size + model.weights.size
+def vehicle(model: Model, nuisance: Nuisance, place: int = 0) -> Reading:
+    """What is unknown of the vehicle and the wind, in the order of `Nuisance.unknown`.
+
+    place: of the first coefficient of its flight.
+    """
+    coefficients = model.coefficients[place : place + len(nuisance.pairs)]
+    found, ratio = nuisance.read(coefficients), nuisance.ratio(coefficients)
+    first = model.parameters.size + model.weights.size + place
+    constants = slice(first + len(coefficients) - 2, first + len(coefficients))
     names, values, gradients = [], [], []
     for name in nuisance.unknown:
         value = np.atleast_1d(getattr(found, name))
-        by_theta = np.zeros((len(value), first + len(model.coefficients)))
+        by_theta = np.zeros((len(value), first - place + len(model.coefficients)))
         if name == "response_time":
             by_theta[0, first] = found.response_time / ratio
         elif name == "drag":
@@ -109,7 +113,7 @@ def vehicle(model: Model, nuisance: Nuisance) -> Reading:
             by_theta[0, first + nuisance.shared] = 1 / nuisance.believed.response_time
         else:
             step = 1 / ratio if name == "wind" else 1 / nuisance.believed.response_time
-            by_theta[:, -2:] = step * np.eye(2)
+            by_theta[:, constants] = step * np.eye(2)
             if nuisance.shared and name == "wind":
                 by_theta[:, first] = value / ratio
         names += [name] * len(value)

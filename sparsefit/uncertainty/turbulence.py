@@ -24,6 +24,7 @@ left is more than a filter's truncation.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,21 +135,19 @@ class Turbulence:
 
     @property
     def generalised_step(self) -> Array:
-        """The step (n,) of theta from least squares to generalised least squares in the band.
+        """The step (n,) of theta from least squares to generalised least squares in the band."""
+        return generalised_step([self], [self.observed.errors])
 
-        (J'S^-1 J)^+ J'S^-1 e of the frequencies in the band, S the likeliest spectrum: what is
-        seen where turbulence has less power counts for more.
-        """
+    def generalised_equations(self, errors: Array) -> tuple[Array, Array]:
+        """J'S^-1 J (n, n) and J'S^-1 e (n,) of the frequencies in the band, of errors (m, 2)."""
         passage, model = self.observed.passage, self.observed.fit.plain
         inside = slice(0, self.band.stop)
         weight = (frequency_weights(passage.size) / self.spectrum)[inside]
-        errors = np.ascontiguousarray(self.observed.errors.T)
-        seen = np.fft.rfft(errors, passage.size)[:, inside]
+        seen = np.fft.rfft(np.ascontiguousarray(errors.T), passage.size)[:, inside]
         parts = self.observed.spectra[:, inside]
         heavy, jacobian = parts * weight, model.jacobian
         gram = jacobian.onto_theta((heavy @ parts.conj().T).real)
-        score = jacobian.placed((heavy @ seen.conj().T).real)
-        return Information.of(gram, model.tangent).solved(score)
+        return gram, jacobian.placed((heavy @ seen.conj().T).real)
 
     def variances(self, influence: Influence) -> tuple[Array, Array]:
         """Variances (f,) of functions with an influence, and their degrees of freedom (f,)."""
@@ -165,14 +164,31 @@ class Turbulence:
         return variance, np.maximum(freedom, FEWEST)
 
 
-def jackknifed(model: Model, gradients: Array) -> Array:
-    """Variances (f,) of functions, gradients (f, n), read without a tenth of the rows each time."""
+def generalised_step(lefts: Sequence[Turbulence], errors: Sequence[Array]) -> Array:
+    """The step (n,) of theta from least squares to generalised least squares in the band.
+
+    (J'S^-1 J)^+ J'S^-1 e of the frequencies in the band, S the likeliest spectrum, summed over the
+    flights, errors (m, 2) of each: what is seen where turbulence has less power counts for more.
+    """
+    pairs = zip(lefts, errors, strict=True)
+    equations = [left.generalised_equations(own) for left, own in pairs]
+    gram, score = (np.sum(parts, axis=0) for parts in zip(*equations, strict=True))
+    return Information.of(gram, lefts[0].observed.fit.plain.tangent).solved(score)
+
+
+def jackknifed(
+    model: Model, gradients: Array, gram: Array | None = None, weight: float = 1.0
+) -> Array:
+    """Variances (f,) of functions, gradients (f, n), read without a tenth of the rows each time.
+
+    Of several flights what one of them adds: gram: J'J (n, n) of all, and the weight of its rows.
+    """
     jacobian, residual = model.jacobian, model.residual
-    gram, moved = jacobian.gram, []
+    whole, square, moved = jacobian.gram if gram is None else gram, weight**2, []
     for block in np.array_split(np.arange(len(residual)), BLOCKS):
         part = replace(jacobian, columns=jacobian.columns[:, block])
-        rest = Information.of(gram - part.gram)
-        moved.append(-gradients @ rest.solved(part.score(residual[block])))
+        rest = Information.of(whole - square * part.gram)
+        moved.append(-gradients @ rest.solved(square * part.score(residual[block])))
     away = np.array(moved)
     variance: Array = (BLOCKS - 1) * np.var(away, axis=0)
     return variance

@@ -14,6 +14,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows
+from sparsefit.modes.stack import Part
 from sparsefit.uncertainty import bias
 from sparsefit.uncertainty.assessment import assess, reader
 from sparsefit.uncertainty.corrected import corrected
@@ -72,7 +73,7 @@ def test_white_noise_pays_nothing():
     gradients = reader(KNOWN)(fit.model).gradients
     influence = Influence.of(left.observed, fit.model.information.solved(gradients.T))
     plain = np.sqrt(left.observed.levels @ influence.by_noise)
-    known = corrected(fit.samples, fit.model, KNOWN, reader(KNOWN), correct=True)
+    known = corrected([Part(fit.samples, KNOWN)], fit.model, reader(KNOWN), correct=True)
     assert np.isinf(known.freedom).all()
     np.testing.assert_allclose(known.errors, plain, rtol=0.02)  # bias, in quadrature
     assert whiteness(left) > 0.01
