@@ -113,7 +113,7 @@ def _of_ladder(
     best, nuisance = ladder.best, common(prepared.nuisances)
     if not len(best.phases):
         return Reading((NOTHING,), assessed=True)
-    plain = samples.weak is None and not prepared.library.unknown
+    plain = not prepared.weak and not prepared.library.unknown
     correct = plain and readout.correction != "none"
 
     def assessed() -> Assessment | None:
@@ -205,7 +205,9 @@ def _mean_velocity(
             return math.nan
         each = [
             vehicle.flow_velocity(own.velocity, own.acceleration, own.thrust)
-            for vehicle, own in zip(vehicles, (part.samples for part in prepared.parts), strict=True)
+            for vehicle, own in zip(
+                vehicles, (part.samples for part in prepared.parts), strict=True
+            )
         ]
         phi = target = np.concatenate(each)
     plain = not vehicles and not prepared.weak

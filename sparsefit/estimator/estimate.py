@@ -57,6 +57,35 @@ class RungEstimate:
 
 
 @dataclass(frozen=True)
+class FlightEstimate:
+    """What is of one flight of several through one flow.
+
+    Args:
+        samples: that were fitted.
+        noise: the level of its noise where the flow acts, over that of all flights together: its
+            rows count for one over the square of it.
+        response_time: [s], drag [1/m], thrust_scale, thrust_acceleration [m/s^2] and wind [m/s]:
+            estimated where the library says they are unknown.
+        vehicle_uncertainty: how sure these are.
+        goodness: how well the one flow explains this flight, where that was assessed.
+        repairs: what was mended in it before.
+        agreement: of its logged position and velocity.
+    """
+
+    samples: int
+    noise: float
+    response_time: float = math.nan
+    drag: float = math.nan
+    thrust_scale: float = math.nan
+    thrust_acceleration: tuple[float, float] | None = None
+    wind: tuple[float, float] | None = None
+    vehicle_uncertainty: VehicleUncertainty | None = None
+    goodness: Goodness | None = None
+    repairs: Repairs = Repairs()
+    agreement: Agreement | None = None
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
 
@@ -82,7 +111,8 @@ class Estimate:
     shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,
     ``rectangle``, ``pair`` or ``several``; length_scales: (L_x, L_y) [m] in the cells' own axes;
     drift: at which they move [m/s], (x, y); shape_uncertainty: how sure these are; rungs: every
-    shape that was tried.
+    shape that was tried. flights: of several flights through one flow what is of each; what is
+    estimated of a vehicle, repairs and agreement stand there alone.
     """
 
     mean_velocity: float
@@ -117,6 +147,7 @@ class Estimate:
     shape_uncertainty: ShapeUncertainty | None = None
     rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
     flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
+    flights: tuple[FlightEstimate, ...] = ()
     drag: float = math.nan
     thrust_scale: float = math.nan
 

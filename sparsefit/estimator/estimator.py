@@ -1,6 +1,7 @@
 """From a flight to U0, L_w and tau_w: derivative, library, back-end and readout in one record."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from time import perf_counter
 
@@ -13,10 +14,11 @@ from sparsefit.estimator import saved
 from sparsefit.estimator.assess import NOTHING, Reading, read_place
 from sparsefit.estimator.candidate_flow import flow_of
 from sparsefit.estimator.doubt import Doubt, Verdict
+from sparsefit.estimator.each_flight import told_of
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.judge import imprecise, judge, judge_shape, rivalled
 from sparsefit.estimator.locate import Place, locate
-from sparsefit.estimator.prepare import Prepared, prepare
+from sparsefit.estimator.prepare import Prepared, prepare, together
 from sparsefit.estimator.waves import strengths_by_scale
 from sparsefit.flight import Flight
 from sparsefit.library.builder import Library
@@ -55,21 +57,23 @@ class Estimator:
                 )
         number_setting("estimator", "tolerance", self.tolerance, low=0.0)
 
-    def estimate(self, flight: Flight) -> Estimate:
-        """Estimate the flow's parameters from a flight.
+    def estimate(self, flights: Flight | Sequence[Flight]) -> Estimate:
+        """Estimate the flow's parameters from a flight, or from several through the same flow.
 
-        Raises InputError where the flight does not suit the settings (too few samples for the
-        derivative, say); a flight that cannot tell the parameters has status ``unidentifiable``,
-        one through another flow than was fitted ``misfit``.
+        Several flights have one flow, one frame and one clock; each has a vehicle, unknowns and
+        noise of its own, any length and any sample rate. Raises InputError where a flight does not
+        suit the settings (too few samples for the derivative, say); flights that cannot tell the
+        parameters have status ``unidentifiable``, those through another flow than was fitted
+        ``misfit``.
         """
         assert isinstance(self.derivative, Derivative)
-        prepared = prepare(flight, self.derivative, self.library, shared=False)
+        prepared = prepare(together(flights), self.derivative, self.library, shared=False)
         return self.read(prepared, self.fit(prepared))
 
-    def prepare(self, flight: Flight) -> Prepared:
-        """Derivatives, flow velocity and regression problem of a flight."""
+    def prepare(self, flights: Flight | Sequence[Flight]) -> Prepared:
+        """Derivatives, flow velocity and regression problem of a flight, or of several."""
         assert isinstance(self.derivative, Derivative)
-        return prepare(flight, self.derivative, self.library)
+        return prepare(together(flights), self.derivative, self.library)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""
@@ -120,6 +124,7 @@ class Estimator:
             repairs=prepared.samples.repairs,
             agreement=prepared.samples.agreement,
             goodness=reading.goodness,
+            flights=told_of(prepared, reading),
             **(shaped.fields if shaped else {}),
             **unknown,
         )
@@ -128,12 +133,12 @@ class Estimator:
         self, prepared: Prepared, place: Place, reading: Reading, verdict: Verdict
     ) -> Verdict:
         """The verdict of a fit, unless the flight gives a reason to doubt its modes."""
-        first, vehicle = reading.scales[0], reading.vehicle
-        if vehicle is not None and reading.impossible:
-            words = f"the response time that fits best is {vehicle.response_time:.3g} s"
+        first, wrong = reading.scales[0], reading.impossible
+        if wrong is not None:
+            words = f"the response time that fits best is {wrong.response_time:.3g} s"
             reason = f"{words}; fly longer, or give the response time"
             return Verdict.against(Doubt.VEHICLE, reason)
-        samples, scales = prepared.samples, reading.scales
+        flights, scales = [part.samples for part in prepared.parts], reading.scales
         precision = self.readout.precision if reading.assessed else None
         waves = reading.shaped is not None or self.library.family == "waves"
         if place.ladder is not None and waves and not place.ladder.steady_cells:
@@ -141,7 +146,7 @@ class Estimator:
                 place.ladder,
                 reading,
                 prepared.space,
-                samples,
+                flights,
                 self.readout.precision,
                 prepared.library.unknown,
             )
@@ -153,7 +158,7 @@ class Estimator:
             doubts = judge(
                 place.located,
                 scales,
-                samples,
+                flights,
                 reading.goodness,
                 precision=precision,
                 climbed=place.ladder is not None,

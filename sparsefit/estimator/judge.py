@@ -260,9 +260,7 @@ def _swept(flights: Sequence[Samples], reading: Reading) -> float:
     return extent_of(np.concatenate(every))
 
 
-def _no_waves(
-    ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]
-) -> Verdict | None:
+def _no_waves(ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
     still = _still(space, flights)
     if still is not None:
         return replace(still, reason="no flow detected: the air is still")
@@ -272,9 +270,7 @@ def _no_waves(
     return None
 
 
-def _unresolved(
-    ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]
-) -> Verdict | None:
+def _unresolved(ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
     """Whether a wave is out of the bounds of the search, or too short for the samples."""
     edge, lower = outside(ladder, space.bounds), math.pi / space.bounds[1]
     if not math.isnan(edge):

@@ -116,6 +116,13 @@ def prepare(
     whichever of them happens to come first. Raises InputError where a flight does not suit the
     settings.
     """
+    scaling = [name for name in ("response_time", "drag") if name in library.unknown]
+    if len(flights) > 1 and scaling:
+        raise InputError(
+            f"unknown {scaling[0]!r} scales the flow of every flight by itself, and several flights "
+            "have one: give it, or estimate from each flight alone; of several flights "
+            "thrust_acceleration, thrust_scale and wind can be unknown"
+        )
     start, samples = perf_counter(), []
     for number, flight in enumerate(flights, 1):
         with told_with(f"flight {number}") if len(flights) > 1 else nullcontext():
@@ -135,6 +142,29 @@ def prepare(
     return Prepared(tuple(parts), library, problem, target, seconds)
 
 
+def together(flights: Flight | Sequence[Flight]) -> tuple[Flight, ...]:
+    """One flight or several, as several. Raises InputError where they are none, or no flights."""
+    if isinstance(flights, Flight):
+        return (flights,)
+    if not isinstance(flights, Sequence) or isinstance(flights, str) or not flights:
+        raise InputError(
+            f"give a Flight, or a list of flights through one flow, not {_named(flights)}"
+        )
+    for number, flight in enumerate(flights, 1):
+        if not isinstance(flight, Flight):
+            raise InputError(f"flight {number} of the list must be a Flight, not {_named(flight)}")
+        if flight in flights[: number - 1]:
+            first = flights.index(flight) + 1
+            raise InputError(f"flights {first} and {number} are one and the same; give it once")
+    return tuple(flights)
+
+
+def _named(given: object) -> str:
+    if isinstance(given, Sequence) and not given:
+        return "an empty list"
+    return f"a {type(given).__name__}"
+
+
 def _bounds(library: Library) -> Bounds:
     """Of the wavenumber [1/m]."""
     return math.pi / library.grid.upper, math.pi / library.grid.lower
@@ -152,5 +182,12 @@ def _refuse_short(samples: Samples) -> None:
 
 def _joined(flights: Sequence[Samples]) -> Samples:
     """Samples of several flights one after another, without what is known of one flight only."""
-    names = ("time", "position", "velocity", "position_rate", "acceleration")
-    return Samples(*(np.concatenate([getattr(own, name) for own in flights]) for name in names))
+    pushed = [own.thrust for own in flights if own.thrust is not None]
+    return Samples(
+        np.concatenate([own.time for own in flights]),
+        np.concatenate([own.position for own in flights]),
+        np.concatenate([own.velocity for own in flights]),
+        np.concatenate([own.position_rate for own in flights]),
+        np.concatenate([own.acceleration for own in flights]),
+        thrust=np.concatenate(pushed) if len(pushed) == len(flights) else None,
+    )

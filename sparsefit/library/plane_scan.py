@@ -73,7 +73,7 @@ class PlaneScan:
             moved = weight[:, None] * (rest - np.outer(weight, constant))
         count = float(np.sum(weight**2))
         both = self._sums(moved[:, 0] + 1j * moved[:, 1], 1)
-        once, twice = (self._sums(weight**2 + 0j, times) / count for times in (1, 2))
+        once, twice = (self._sums((weight**2).astype(complex), times) / count for times in (1, 2))
         load = across(both, self.axis)
         # The Gram matrix over m: of cos^2, sin cos and sin^2, less what constants take.
         first = 0.5 + 0.5 * twice.real - once.real**2
