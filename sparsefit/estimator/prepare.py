@@ -153,9 +153,9 @@ def together(flights: Flight | Sequence[Flight]) -> tuple[Flight, ...]:
     for number, flight in enumerate(flights, 1):
         if not isinstance(flight, Flight):
             raise InputError(f"flight {number} of the list must be a Flight, not {_named(flight)}")
-        if flight in flights[: number - 1]:
-            first = flights.index(flight) + 1
-            raise InputError(f"flights {first} and {number} are one and the same; give it once")
+        for first, other in enumerate(flights[: number - 1], 1):
+            if np.array_equal(flight.position, other.position):
+                raise InputError(f"flights {first} and {number} are one and the same; give it once")
     return tuple(flights)
 
 

@@ -1,0 +1,124 @@
+"""Several flights through one flow: one answer, that of one flight for a list of one."""
+
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+
+FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
+REFINED = sf.Readout(refine="variable-projection")
+
+
+@cache
+def flown(seed, duration=6.0, rate=100.0, tau=0.5, noise=0.2):
+    return sf.simulate_flight(
+        FLOW,
+        sf.PointMassVehicle(tau, (5.0, 3.0)),
+        duration=duration,
+        sample_rate=rate,
+        seed=seed,
+        velocity_noise=noise,
+        position_noise=0.1 * noise,
+    )
+
+
+FLEET = (flown(1), flown(2, 5.0, 50.0, 0.3, 0.1), flown(3, 8.0, noise=1.0))
+
+
+def told(estimate):
+    return [getattr(estimate, item.name) for item in fields(estimate) if item.name != "seconds"]
+
+
+@pytest.mark.parametrize("readout", [REFINED, sf.Readout()], ids=["refined", "ladder"])
+def test_a_list_of_one_flight_is_that_flight(readout):
+    estimator = sf.Estimator(readout=readout)
+    alone, listed = estimator.estimate(FLEET[0]), estimator.estimate([FLEET[0]])
+    assert listed.flights == ()
+    for one, other in zip(told(alone), told(listed), strict=True):
+        assert repr(one) == repr(other)
+
+
+@pytest.mark.parametrize("readout", [REFINED, sf.Readout()], ids=["refined", "ladder"])
+def test_several_flights_know_more_than_the_best_of_them_whatever_their_order(readout):
+    estimator = sf.Estimator(readout=readout)
+    both, turned = estimator.estimate(list(FLEET)), estimator.estimate(FLEET[::-1])
+    alone = [estimator.estimate(flight).uncertainty for flight in FLEET]
+    assert both.status == "ok"
+    for name in ("mean_velocity", "length_scale"):
+        known = getattr(both.uncertainty, name)
+        assert known < min(getattr(one, name) for one in alone)
+        assert abs(getattr(both, name) - getattr(FLOW, name)) < 4 * known
+        assert getattr(turned, name) == pytest.approx(getattr(both, name), rel=1e-9)
+        assert getattr(turned.uncertainty, name) == pytest.approx(known, rel=1e-6)
+    noise = [flight.noise for flight in both.flights]
+    assert noise[1] < noise[0] < noise[2]  # the quiet one counts for most
+    assert [flight.noise for flight in turned.flights] == pytest.approx(noise[::-1])
+
+
+def test_a_flight_in_two_halves_is_the_flight_where_nothing_is_noise():
+    whole = flown(5, 8.0, noise=0.0)
+    halves = [
+        sf.Flight(whole.time[part], whole.position[part], whole.velocity[part], whole.vehicle)
+        for part in (slice(0, 401), slice(400, None))
+    ]
+    both = sf.Estimator(readout=REFINED).estimate(halves)
+    assert both.mean_velocity == pytest.approx(FLOW.mean_velocity, rel=1e-8)
+    assert both.length_scale == pytest.approx(FLOW.length_scale, rel=1e-8)
+
+
+def test_equal_flights_stack_to_the_sum_of_their_gram_matrices():
+    estimator = sf.Estimator(readout=REFINED)
+    first = FLEET[0]
+    again = sf.Flight(first.time, first.position + 1e-12, first.velocity, first.vehicle)
+    one, two = estimator.prepare(FLEET[0]), estimator.prepare([FLEET[0], again])
+    assert [part.weight for part in two.parts] == pytest.approx([1.0, 1.0])
+    np.testing.assert_allclose(
+        two.problem.theta.T @ two.problem.theta,
+        2 * one.problem.theta.T @ one.problem.theta,
+        rtol=1e-9,
+        atol=1e-6,
+    )
+    single, double = (estimator.read(own, estimator.fit(own)) for own in (one, two))
+    assert double.mean_velocity == pytest.approx(single.mean_velocity, rel=1e-9)
+    ratio = single.uncertainty.length_scale / double.uncertainty.length_scale
+    assert ratio == pytest.approx(np.sqrt(2), rel=0.01)  # bias is no noise
+
+
+def test_every_flight_has_a_wind_of_its_own():
+    calm, windy = FLEET[0], flown(7, 6.0)
+    shifted = sf.PointMassVehicle(0.5, (5.0 - 2.0 / 0.5, 3.0))  # of which a wind of 2 m/s makes up
+    pushed = sf.Flight(windy.time, windy.position, windy.velocity, shifted)
+    estimator = sf.Estimator(library=sf.Library(unknown=("wind",)), readout=REFINED)
+    found = estimator.estimate([calm, pushed])
+    assert found.wind is None
+    for flight, wind in zip(found.flights, ((0.0, 0.0), (2.0, 0.0)), strict=True):
+        np.testing.assert_allclose(flight.wind, wind, atol=0.1)
+        assert max(flight.vehicle_uncertainty.wind) < 0.1
+
+
+@pytest.mark.parametrize("name", ["best-scale", "lasso", "stlsq", "gridless-group-lasso"])
+def test_back_ends_take_the_stacked_problem(name):
+    found = sf.Estimator(backend=name, readout=REFINED).estimate(FLEET[:2])
+    assert found.status == "ok"
+    assert found.length_scale == pytest.approx(FLOW.length_scale, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("flights", "words"),
+    [
+        ([], "an empty list"),
+        ("a.csv", "a str"),
+        ([FLEET[0], "a.csv"], "flight 2 of the list must be a Flight, not a str"),
+        ([FLEET[0], FLEET[1], FLEET[0]], "flights 1 and 3 are one and the same"),
+        ([FLEET[0], replace(FLEET[0])], "flights 1 and 2 are one and the same"),
+        ([FLEET[0], flown(4, 0.2)], "flight 2: 20 rows are too few to tell its noise"),
+    ],
+)
+def test_what_is_no_list_of_flights_is_told_in_one_line(flights, words):
+    with pytest.raises(InputError, match=words) as caught:
+        sf.Estimator().estimate(flights)
+    assert "\n" not in str(caught.value)
