@@ -119,8 +119,8 @@ def prepare(
     scaling = [name for name in ("response_time", "drag") if name in library.unknown]
     if len(flights) > 1 and scaling:
         raise InputError(
-            f"unknown {scaling[0]!r} scales the flow of every flight by itself, and several flights "
-            "have one: give it, or estimate from each flight alone; of several flights "
+            f"unknown {scaling[0]!r} scales the flow of every flight by itself, and several "
+            "flights have one: give it, or estimate from each flight alone; of several flights "
             "thrust_acceleration, thrust_scale and wind can be unknown"
         )
     start, samples = perf_counter(), []

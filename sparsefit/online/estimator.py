@@ -19,6 +19,8 @@ from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
 from sparsefit.flight.record import LARGEST, SMALLEST_STEP
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.library.nuisance import Nuisance
+from sparsefit.modes.stack import Part
 from sparsefit.online.settings import Settings
 from sparsefit.online.window import Window
 from sparsefit.regression.backend import settings_of
@@ -151,7 +153,8 @@ class OnlineEstimator:
             held.samples.position, held.theta, held.target, window.columns, held.statistics
         )
         seconds = perf_counter() - start
-        return Prepared(held.samples, settings.vehicle, library, problem, held.target, seconds)
+        part = Part(held.samples, Nuisance(library.unknown, settings.vehicle))
+        return Prepared((part,), library, problem, held.target, seconds)
 
     def estimate(self) -> Estimate:
         """The flow's parameters from the window, as `Estimator.estimate` gives them of `flight`.
