@@ -20,7 +20,8 @@ extensions = [
     "sphinx.ext.napoleon",
     *("contents", "mathml", "results", "study_keys", "commands", "pictures", "public_names"),
 ]
-exclude_patterns = ["_ext", "_static", "pictures"]
+exclude_patterns = ["_ext", "_static", "_templates", "pictures"]
+templates_path = ["_templates"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 
@@ -40,12 +41,13 @@ html_css_files = ["sparsefit.css"]
 html_show_sphinx = False
 html_copy_source = False
 html_math_renderer = "mathml"
+html_sidebars = {"**": ["contents.html"]}
 html_theme_options = {
     "navigation_with_keys": False,
     "show_prev_next": True,
     "secondary_sidebar_items": ["page-toc"],
-    "navbar_align": "left",
-    "header_links_before_dropdown": 6,
+    "navbar_center": [],
+    "primary_sidebar_end": [],
     "footer_start": ["copyright"],
     "footer_end": [],
     "pygments_light_style": "tango",
