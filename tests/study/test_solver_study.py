@@ -195,13 +195,13 @@ def test_the_shipped_study_plans_every_kind_of_problem_and_the_exact_paths():
     assert study.hash == SolverStudy.load(ROOT / "studies" / "solvers.toml").hash
 
 
-def test_the_example_of_the_readme_is_a_study(tmp_path):
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    example = text.partition('kind = "solvers"')[2].partition("```")[0]
+def test_the_example_of_the_documentation_is_a_study_of_twenty_lines(tmp_path):
+    text = (ROOT / "docs" / "your-problems.md").read_text(encoding="utf-8")
+    example = text.partition('kind = "solvers"\n')[2].partition("```")[0]
     write_data(tmp_path, "first")
-    study = loaded(tmp_path, HEAD.partition("kind")[0] + 'kind = "solvers"' + example)
+    study = loaded(tmp_path, HEAD.partition("kind")[0] + 'kind = "solvers"\n' + example)
     assert study.planned == 2 * (1 + 3 * 4)
-    assert len(text.partition("```toml")[2].partition("```")[0].splitlines()) <= 20
+    assert len(example.splitlines()) <= 20
 
 
 def test_a_study_of_flights_is_no_study_of_solvers(tmp_path):
