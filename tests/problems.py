@@ -23,6 +23,7 @@ GENERAL = (
     "elastic-net",
     "square-root-lasso",
     "ridge",
+    "best-subset",
     "best-scale",
     "group-omp",
 )

@@ -1,11 +1,16 @@
 """Least squares on a few groups of columns, safe where they are rank deficient."""
 
+import math
+from typing import Literal
+
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.problem import RegressionProblem
 
 UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
+Stop = Literal["decrease", "bic"]
+"""The rules by which one more group is worth its weights."""
 DOUBT = 1e-6  # of |Y|^2: residuals this close in Gram space are settled on the rows
 
 
@@ -71,3 +76,21 @@ def residual_square(problem: RegressionProblem, weights: Array) -> float:
     """|R|^2 / m."""
     residual = residual_of(problem, weights)
     return float(np.sum(residual * residual)) / problem.samples
+
+
+def is_worth(
+    problem: RegressionProblem, weights: Array, larger: Array, stop: Stop, tolerance: float
+) -> bool:
+    """Whether ``larger`` weights lower the residual sum of squares by more than they cost.
+
+    ``decrease``: by tolerance * |Y|^2; ``bic``: m n ln(RSS) by ln(m n) for each weight more.
+    """
+    before, after = residual_square(problem, weights), residual_square(problem, larger)
+    total = float(problem.statistics.target_square.sum())
+    if stop == "decrease":
+        return before - after > tolerance * total
+    if before <= 1e-28 * total:
+        return False  # rounding
+    added = int(np.sum(larger != 0) - np.sum(weights != 0))
+    count = problem.samples * problem.targets
+    return count * math.log(before / max(after, 1e-300)) > added * math.log(count)

@@ -7,20 +7,18 @@ Source: Lozano, Swirszcz and Abe, "Group orthogonal matching pursuit for variabl
 prediction" (NeurIPS 2009).
 """
 
-import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.backends.group_fit import explained, fit_on, residual_square
+from sparsefit.backends.group_fit import Stop, explained, fit_on, is_worth
 from sparsefit.errors import integer_setting, number_setting, one_of
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-Stop = Literal["decrease", "bic"]
 MOST = 64  # groups, whatever the rule says
 
 
@@ -72,15 +70,5 @@ class GroupOMP:
         if len(used) and len(taken) >= problem.samples:
             return None  # no freedom is left: the next fit would be exact
         larger = fit_on(problem, taken)
-        return larger if not len(used) or self._worth(problem, weights, larger) else None
-
-    def _worth(self, problem: RegressionProblem, weights: Array, larger: Array) -> bool:
-        before, after = residual_square(problem, weights), residual_square(problem, larger)
-        total = float(problem.statistics.target_square.sum())
-        if self.stop == "decrease":
-            return before - after > self.tolerance * total
-        if before <= 1e-28 * total:
-            return False  # rounding
-        added = int(np.sum(larger != 0) - np.sum(weights != 0))
-        count = problem.samples * problem.targets
-        return count * math.log(before / max(after, 1e-300)) > added * math.log(count)
+        worth = not len(used) or is_worth(problem, weights, larger, self.stop, self.tolerance)
+        return larger if worth else None
