@@ -25,6 +25,7 @@ from sparsefit.cached import cached_property
 from sparsefit.derivative.filters import Filters
 from sparsefit.derivative.transform import fast_length
 from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.lags import products
 from sparsefit.uncertainty.wander import modulated
 
 PASSED = 0.05  # of the power: below it the spectrum is leakage
@@ -118,11 +119,29 @@ class Observed:
         steep = float(np.mean(np.sum(self.fit.plain.gradient**2, axis=0)))  # along an axis
         tau, even = self.fit.response_time, self.fit.evenness
         through = passage.of_flow_velocity(even * tau)
-        measured = np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2
-        if even < 1.0:
-            measured += (1.0 - even**2) * tau**2 * np.abs(passage.acceleration) ** 2
-        wandered = modulated(self.fit.wander, self.fit.plain.gradient, passage.size)
-        return np.array([self.squares @ measured + wandered, np.abs(passage.kicks) ** 2])
+        measured = self.squares @ (np.abs(through) ** 2 + steep * np.abs(passage.place) ** 2)
+        measured += modulated(self.fit.wander, self.fit.plain.gradient, passage.size)
+        kicks = np.abs(passage.kicks) ** 2
+        if self.fit.stretch is not None:
+            by_raw = self.squares @ np.abs(passage.acceleration) ** 2
+            measured += tau**2 * (self._stretched(by_raw) - even**2 * by_raw)
+            kicks = self._stretched(kicks)
+        return np.array([np.maximum(measured, 0.0), kicks])
+
+    def _stretched(self, spectrum: Array) -> Array:
+        """The spectrum (size/2 + 1,) of noise of the acceleration that quadratic drag stretches.
+
+        By lags: the autocovariance of A n is that of A times that of n, which ends with the filter.
+        """
+        stretch, size = self.fit.stretch, self.passage.size
+        assert stretch is not None
+        reach = min(self.fit.filters.raw.shape[2], stretch.shape[2] - 1)
+        alike = products(stretch.reshape(4, -1), reach).sum(axis=0) / (2 * stretch.shape[2])
+        covariance = np.fft.irfft(spectrum, size)
+        folded = np.zeros(size)
+        folded[: reach + 1] = alike * covariance[: reach + 1]
+        folded[-np.arange(1, reach + 1)] = folded[1 : reach + 1]
+        return np.fft.rfft(folded).real
 
     def left(self, shapes: Array, inside: slice = slice(None)) -> Array:
         """What the fit leaves of errors of these spectra, as many, inside some frequencies."""
