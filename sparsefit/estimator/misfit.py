@@ -41,6 +41,10 @@ def _words(suspect: Suspect, goodness: Goodness) -> str:
         case Cause.RESPONSE_TIME:
             longer = "longer" if size[0] > 0 else "shorter"
             return f"the response time seems {abs(size[0]):.2g} s {longer} than it is believed"
+        case Cause.DRAG:
+            more = "more" if size[0] > 0 else "less"
+            amount = f"{more} quadratic than it is believed, by about {abs(size[0]):.2g} 1/m"
+            return f"the drag seems {amount}; give the vehicle another drag"
         case Cause.SWELLING:
             return f"the mean velocity seems to change in time, by {100 * size[0]:.2g} % rms"
         case Cause.DRIFT:

@@ -5,6 +5,7 @@ steady cells leaves to first order c.z of what it does not know:
 
     wind        z = (1, 0), (0, 1)                                      c [m/s]
     response    z = (v - w)/tau, as Phi = v + tau (v' - a)              c [s]
+    drag        z = dr/dF |w - v| (w - v), F drag (`filtered`)          c [1/m]
     swelling    z = w cos(j pi (t/T + 1/2)), j = 1..4                   c relative
     drift       z = -t d_x w, -t d_y w                                  c [m/s]
     turn        z = e x w - ((e x r).grad) w, e the third axis          c [rad]
@@ -14,7 +15,7 @@ Less what the fit has freed of them, the scores z'e are normal with the covarian
 of the sensors and of kicks (Rao, 1948), and s'(Z'SZ)^-1 s is chi^2 of as many degrees. What is left
 of turbulence has large scores as well. What tells a cause from it is the share of the squares that
 the cause takes away, or that nothing coloured is left without it. Turbulence moves the vehicle, so
-that the share of a response time says nothing of either.
+that the share of a response time or of drag says nothing of either.
 
 What a derivative's own rule does to a flow without noise is coloured too, and scores. A cause that
 explains less than a thousandth of the flow velocity is none, therefore: it moves no answer. Nor is
@@ -37,7 +38,7 @@ from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.spectra import frequency_weights
 from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
 
-CHANCE = 1e-4  # of a score as large, at most: six causes are tried
+CHANCE = 1e-4  # of a score as large, at most: seven causes are tried
 TAKEN = 0.25  # of the squares that are left, under turbulence, that a cause takes away
 RELIEVED = 5.0  # the likelihood ratio of turbulence where a cause has taken it all away
 SLIGHT = 1e-3  # of the flow velocity, rms, that a cause explains: less moves no answer by 0.1 %
@@ -52,6 +53,7 @@ class Cause(StrEnum):
 
     WIND = "wind"
     RESPONSE_TIME = "response-time"
+    DRAG = "drag"
     SWELLING = "swelling"
     DRIFT = "drift"
     TURN = "turn"
@@ -66,6 +68,7 @@ class Suspect:
     Args:
         cause: what it is.
         size: to first order: wind and drift (x, y) [m/s], response time less the believed [s],
+            quadratic drag less the believed [1/m],
             turn [rad], swelling (rms) and stretch of x over y as shares; turbulence, rms [m/s].
         p_value: of a score as large by chance.
         share: of the squares that are left, what freeing the cause takes away.
@@ -85,9 +88,13 @@ def columns(fit: Filtered) -> dict[Cause, Array]:
     time = fit.samples.time - 0.5 * (fit.samples.time[0] + fit.samples.time[-1])
     phase = math.pi * (time / (time[-1] - time[0]) + 0.5)
     one, none = np.ones_like(time), np.zeros_like(time)
+    dragged = np.hypot(*(flow - velocity)) * (flow - velocity)
+    linear = fit.stretch is None  # quadratic drag has no response time
+    response = {Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time} if linear else {}
     return {
         Cause.WIND: np.array([[one, none], [none, one]]),
-        Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time,
+        **response,
+        Cause.DRAG: fit.response_time * fit.stretched(dragged)[None],
         Cause.SWELLING: np.array([flow * np.cos(j * phase) for j in range(1, SWELLINGS + 1)]),
         Cause.DRIFT: np.array([-time * along_x, -time * along_y]),
         Cause.TURN: (np.array([-flow[1], flow[0]]) - x * along_y + y * along_x)[None],
@@ -125,7 +132,7 @@ def _guilty(left: Turbulence, suspect: Suspect, freed: Array) -> bool:
         return False
     if not left.found:
         return True
-    if suspect.share > TAKEN and suspect.cause is not Cause.RESPONSE_TIME:
+    if suspect.share > TAKEN and suspect.cause not in (Cause.RESPONSE_TIME, Cause.DRAG):
         return True
     return relieved(left, freed).ratio < RELIEVED
 

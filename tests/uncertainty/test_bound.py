@@ -48,6 +48,34 @@ def test_parametric_jacobian_is_the_finite_difference():
     np.testing.assert_allclose(jacobian, np.column_stack([by_speed, by_scale]), atol=1e-6)
 
 
+def test_the_bound_under_quadratic_drag_by_hand():
+    # Against r = (3, 0) an error of v' is one of Phi by 1/(2 c |r|) along x, 1/(c |r|) along y.
+    position = wander()
+    velocity = FLOW.velocity(*position.T) - np.array([3.0, 0.0])
+    quadratic = PointMassVehicle(math.inf, drag=0.25)
+    jacobian = parametric_jacobian(position, FLOW) * np.repeat([1.5, 0.75], len(position))[:, None]
+    expected = np.sqrt(np.diagonal(np.linalg.inv(jacobian.T @ jacobian)))
+    bounds = {
+        model: cramer_rao(
+            position, FLOW, quadratic, process_noise=1.0, model=model, velocity=velocity
+        )
+        for model in ("parametric", "semiparametric")
+    }
+    found = bounds["parametric"]
+    assert [found.mean_velocity, found.length_scale] == pytest.approx(expected, rel=1e-9)
+    assert bounds["semiparametric"].length_scale >= found.length_scale
+    # Without quadratic drag to speak of, the bound is the linear one's.
+    for model in ("parametric", "semiparametric"):
+        slight = PointMassVehicle(0.5, drag=1e-12)
+        bound = cramer_rao(
+            position, FLOW, slight, process_noise=1.0, model=model, velocity=velocity
+        )
+        linear = cramer_rao(position, FLOW, VEHICLE, process_noise=1.0, model=model)
+        assert bound.length_scale == pytest.approx(linear.length_scale, rel=1e-6)
+    with pytest.raises(InputError, match="needs the velocities"):
+        cramer_rao(position, FLOW, quadratic, process_noise=1.0)
+
+
 def test_the_bound_is_that_of_the_full_jacobian():
     # By QR and singular values, which square no condition number.
     model = semiparametric(wander(), FLOW)

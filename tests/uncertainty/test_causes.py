@@ -55,6 +55,27 @@ def test_columns_are_the_derivatives_of_the_flow(fit, cause):
     np.testing.assert_allclose(columns(fit)[cause][0], expected, atol=1e-3 * U0)
 
 
+@pytest.mark.parametrize("drag", [0.0, 0.2])
+def test_the_column_of_drag_is_the_derivative_of_phi(drag):
+    believed = PointMassVehicle(math.inf if drag else 0.5, (5.0, 3.0), drag)
+    flight = sf.simulate_flight(FLOW, believed, duration=4.0, sample_rate=100.0, seed=2)
+    samples = Derivative("savgol", 11, 4)(flight)
+    exact = replace(Rows.of(samples, believed), target=FLOW.velocity(*samples.position.T))
+    model = cells_at(exact, FLOW.wavenumber)
+    own = Filtered.of(samples, model, Nuisance((), believed))
+    # What the believed vehicle would have read, had the true one a little more quadratic drag.
+    read = [
+        believed.flow_velocity(
+            samples.velocity,
+            replace(believed, drag=drag + size).acceleration(samples.velocity, model.flow),
+        )
+        for size in (STEP, 0.0)
+    ]
+    found, expected = columns(own)[Cause.DRAG][0], (read[0] - read[1]).T / STEP
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max())
+    assert (Cause.RESPONSE_TIME in columns(own)) == (drag == 0.0)
+
+
 def test_the_column_of_the_response_time_is_the_derivative_of_phi(fit):
     longer = PointMassVehicle(0.5 + STEP, (5.0, 3.0))
     # What the vehicle would have read, were its response time believed too short by a step.

@@ -45,7 +45,12 @@ def yardstick(draw: Draw, flown: Flight, others: tuple[Flight, ...] = ()) -> Yar
         return Yardstick(flown.extent, others=others)
     noise = draw.process_noise
     bound = cramer_rao(
-        flown.position, draw.flow, draw.vehicle, process_noise=noise, model="semiparametric"
+        flown.position,
+        draw.flow,
+        draw.vehicle,
+        process_noise=noise,
+        model="semiparametric",
+        velocity=flown.velocity,
     )
     return Yardstick(flown.extent, bound, others)
 

@@ -12,12 +12,14 @@ from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, Flow, SuperposedFlow
 from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.thrust import ThrustSeries, turning
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.study.spec.quantities import (
     BESIDE,
     COUNTS,
     FAULTS,
+    LAW_KEYS,
     RATIO_KEYS,
     SHAPE_STREAMS,
     SUPERPOSED,
@@ -38,7 +40,8 @@ class Draw:
     """One flight to fly: SI units (m/s, m, s, m/s^2, Hz).
 
     flow: the cells that are sought, None where there are none; turbulence and wind are beside
-    them. believed: the vehicle that the pilot believes in, where it is not the true one.
+    them. believed: the vehicle that the pilot believes in, where it is not the true one. thrust:
+    that turns, of which the constant is a part; thrust_logged: whether the pilot has measured it.
     """
 
     flow: Flow | None
@@ -55,6 +58,9 @@ class Draw:
     turbulence: Turbulence | None = None
     time_jitter: float = 0.0
     faults: LogFaults = field(default_factory=LogFaults)
+    thrust: ThrustSeries | None = None
+    thrust_noise: float = 0.0
+    thrust_logged: bool = True
 
     @classmethod
     def from_values(
@@ -64,16 +70,18 @@ class Draw:
         cells: bool = True,
         spectrum: str = "dryden",
         turbulence_seed: int = 0,
+        thrust_logged: bool = True,
     ) -> Draw:
         """From one number per stream name; what is not named takes its default.
 
-        cells: whether there are any, beside the turbulence.
+        cells: whether there are any, beside the turbulence; thrust_logged: whether a thrust that
+        turns is measured, or only its constant part known.
         """
         thrust = (values.get("thrust_x", 0.0), values.get("thrust_y", 0.0))
         position = (values["position_x"], values["position_y"]) if "position_x" in values else None
         return cls(
             flow=_flow(values) if cells and "mean_velocity" in values else None,
-            vehicle=PointMassVehicle(values["response_time"], thrust),
+            vehicle=_vehicle(values, (0.0, 0.0) if "thrust_turn" in values else thrust, told=False),
             duration=values["duration"],
             sample_rate=values["sample_rate"],
             initial_position=position,
@@ -82,10 +90,13 @@ class Draw:
             position_noise=values.get("position_noise", 0.0),
             velocity_noise=values.get("velocity_noise", 0.0),
             wind=_wind(values),
-            believed=_believed(values, thrust),
+            believed=_believed(values, thrust, logged=thrust_logged),
             turbulence=_turbulence(values, spectrum, turbulence_seed),
             time_jitter=values.get("time_jitter", 0.0),
             faults=_faults(values),
+            thrust=_turning(values, thrust),
+            thrust_noise=values.get("thrust_noise", 0.0),
+            thrust_logged=thrust_logged,
         )
 
     @property
@@ -110,7 +121,11 @@ class Draw:
             position_noise=self.position_noise,
             velocity_noise=self.velocity_noise,
             time_jitter=self.time_jitter,
+            thrust=self.thrust,
+            thrust_noise=self.thrust_noise,
         )
+        if not self.thrust_logged:
+            flight = replace(flight, thrust=None)
         if self.faults != LogFaults():
             flight = self.faults.spoil(flight, _child(seed, FAULTY))
         return flight if self.believed is None else replace(flight, vehicle=self.believed)
@@ -125,6 +140,7 @@ class Draw:
             velocity_noise=0.0,
             believed=None,
             time_jitter=0.0,
+            thrust_noise=0.0,
             faults=LogFaults(),
         )
         return tuple(clean.fly(_child(seed, OTHERS + number)) for number in range(count))
@@ -134,12 +150,45 @@ def _child(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, number))
 
 
-def _believed(values: dict[str, float], thrust: tuple[float, float]) -> PointMassVehicle | None:
-    if not any(key in values for key in RATIO_KEYS):
+def _vehicle(
+    values: dict[str, float], thrust: tuple[float, float], *, told: bool
+) -> PointMassVehicle:
+    """The true vehicle, or the one that the estimator is told of, with a constant thrust."""
+    response, drag = values.get("response_time", math.inf), values.get("drag", 0.0)
+    if told:
+        by_response, push, by_drag = (values.get(key, 1.0) for key in RATIO_KEYS)
+        response, drag = by_response * response, by_drag * drag
+        if any(key in values for key in LAW_KEYS):
+            response = values.get("believed_response_time", math.inf)
+            drag = values.get("believed_drag", 0.0)
+        thrust = (push * thrust[0], push * thrust[1])
+    return PointMassVehicle(response, thrust, drag)
+
+
+def _believed(
+    values: dict[str, float], thrust: tuple[float, float], *, logged: bool
+) -> PointMassVehicle | None:
+    turns = "thrust_turn" in values
+    if not any(key in values for key in (*RATIO_KEYS, *LAW_KEYS)) and (logged or not turns):
         return None
-    response, push = (values.get(key, 1.0) for key in RATIO_KEYS)
-    x, y = thrust
-    return PointMassVehicle(response * values["response_time"], (push * x, push * y))
+    believed = _vehicle(values, thrust, told=True)
+    if turns and logged:
+        scale = values.get("believed_thrust_ratio", 1.0)
+        return replace(believed, thrust_acceleration=(0.0, 0.0), thrust_scale=scale)
+    return believed
+
+
+def _turning(values: dict[str, float], constant: tuple[float, float]) -> ThrustSeries | None:
+    if "thrust_turn" not in values:
+        return None
+    return turning(
+        values["duration"],
+        values["sample_rate"],
+        constant=constant,
+        size=values["thrust_turn"],
+        period=values["thrust_period"],
+        phase=values.get("thrust_phase", 0.0),
+    )
 
 
 def _flow(values: dict[str, float]) -> Flow:

@@ -14,6 +14,7 @@ from sparsefit.study.spec.draw import Draw, stream
 from sparsefit.study.spec.entry import Entry, read_entry
 from sparsefit.study.spec.logs import FILES, Logs, read_logs
 from sparsefit.study.spec.quantities import (
+    DRAG_KEYS,
     FLOW_KEYS,
     NEEDS,
     OF_FLOW,
@@ -29,7 +30,8 @@ from sparsefit.study.spec.quantities import (
 
 # none: still air; turbulence: no cells in it. Any flow found in these is a false alarm.
 FLOWS = ("cellular", "none", "turbulence")
-WORDS = {"flow": FLOWS, "turbulence_spectrum": tuple(SPECTRA)}
+THRUST_LOGS = ("measured", "none")  # none: of a thrust that turns only its constant part is known
+WORDS = {"flow": FLOWS, "turbulence_spectrum": tuple(SPECTRA), "thrust_log": THRUST_LOGS}
 KEYS = (*WORDS, *QUANTITIES)
 
 
@@ -43,6 +45,7 @@ class FlightRules:
     entries: tuple[tuple[str, Entry], ...]
     cells: bool = True
     spectrum: str = "dryden"
+    thrust_log: str = "measured"
 
     def draw(self, flight: int, count: int, seed: int) -> Draw:
         """Flight `flight` of `count`: depends on the seed, its index and these rules only."""
@@ -56,6 +59,7 @@ class FlightRules:
             cells=self.cells,
             spectrum=self.spectrum,
             turbulence_seed=int(field.generate_state(1)[0]),
+            thrust_logged=self.thrust_log == "measured",
         )
 
 
@@ -99,6 +103,7 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
         tuple((name, entries[name]) for name in kept),
         cells=words["flow"] == "cellular",
         spectrum=words["turbulence_spectrum"],
+        thrust_log=words["thrust_log"],
     )
 
 
@@ -119,6 +124,8 @@ def _check_keys(section: Section, place: Place, *, calm: bool) -> None:
     for key in REQUIRED:
         if key not in section:
             raise place.at(key).error("missing: every flight needs it")
+    if not set(DRAG_KEYS) & set(section):
+        raise place.at(DRAG_KEYS[0]).error("missing: every flight needs it, or drag")
     if "measurement_noise" in section and {"velocity_noise", "position_noise"} & set(section):
         raise place.at("measurement_noise").error(
             "is [velocity_noise, position_noise]: drop those two"

@@ -67,7 +67,8 @@ def _flights(flights: FlightRules | Logs, count: int) -> str:
         return canonical_json([pieces, _content(flights.vehicle)])
     spaced = any(entry.rule == SPACED for _, entry in flights.entries)
     rules = (f"{name} {entry.rule} {entry.values!r}" for name, entry in flights.entries)
-    return f"{count if spaced else 0} {flights.cells} {flights.spectrum} {'; '.join(rules)}"
+    log = "" if flights.thrust_log == "measured" else f" {flights.thrust_log}"
+    return f"{count if spaced else 0} {flights.cells} {flights.spectrum}{log} {'; '.join(rules)}"
 
 
 def _settings(cell: Cell, defaults: Mapping[str, object]) -> str:

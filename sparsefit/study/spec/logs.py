@@ -3,7 +3,7 @@
     [flights]
     files = ["logs/*.csv"]            # relative to the study file, in order of name
     windows = [432000, 864000]        # [s] each log in pieces of so long; without, the whole of it
-    response_time = 60.0              # [s] replaces the vehicle in the files, as does the thrust
+    response_time = 60.0              # [s] replaces the vehicle in the files, as do thrust and drag
 
 Nobody knows the flow of a log: its cases have a status and an estimate, and no error.
 """
@@ -11,6 +11,7 @@ Nobody knows the flow of a log: its cases have a status and an estimate, and no 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,7 +29,7 @@ from sparsefit.study.spec.document import Section, items, positive
 from sparsefit.whole_file import read_whole
 
 FILES, WINDOWS = "files", "windows"
-KEYS = (FILES, WINDOWS, "response_time", "thrust_acceleration")
+KEYS = (FILES, WINDOWS, "response_time", "drag", "thrust_acceleration")
 MOST = 1000  # files
 OPEN = 4  # logs that are kept while their pieces are flown
 
@@ -143,7 +144,7 @@ def _windows(given: object, place: Place) -> tuple[float, ...]:
 
 
 def _vehicle(section: Section, place: Place) -> PointMassVehicle | None:
-    if "response_time" not in section:
+    if not {"response_time", "drag"} & set(section):
         if "thrust_acceleration" in section:
             raise place.at("response_time").error("missing: a vehicle has it beside its thrust")
         return None
@@ -151,7 +152,12 @@ def _vehicle(section: Section, place: Place) -> PointMassVehicle | None:
     if not isinstance(thrust, list) or len(thrust) != 2:
         raise place.at("thrust_acceleration").error("must be a pair [x, y]")
     x, y = (number(item, place.at("thrust_acceleration")) for item in thrust)
-    return PointMassVehicle(positive(section["response_time"], place.at("response_time")), (x, y))
+    response, drag = math.inf, 0.0
+    if "response_time" in section:
+        response = positive(section["response_time"], place.at("response_time"))
+    if "drag" in section:
+        drag = positive(section["drag"], place.at("drag"))
+    return PointMassVehicle(response, (x, y), drag)
 
 
 def _pieces(

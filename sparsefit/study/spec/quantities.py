@@ -56,12 +56,21 @@ STREAMS = (
     "jump_size",
     "gaps",
     "gap_duration",
+    "drag",
+    "thrust_turn",
+    "thrust_period",
+    "thrust_phase",
+    "thrust_noise",
+    "believed_drag_ratio",
+    "believed_response_time",
+    "believed_drag",
 )
 # The field of turbulence is drawn from a stream of this name; no key fills it.
 TURBULENCE_FIELD = "turbulence_field"
 FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
 # Believed over true: what the estimator is told of the vehicle.
-RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio")
+RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio", "believed_drag_ratio")
+LAW_KEYS = ("believed_response_time", "believed_drag")  # the law of drag that it is told instead
 NOISE_KEYS = ("process_noise", "position_noise", "velocity_noise")
 SUPERPOSED = (
     ("second_scale_ratio", "second_velocity_ratio"),
@@ -89,13 +98,16 @@ FAULTS = {
     "gap_duration": "gap_duration",
 }  # key: the field of `LogFaults` that it is
 COUNTS = ("jumps", "gaps")
-REQUIRED = ("response_time", "duration", "sample_rate")
+REQUIRED = ("duration", "sample_rate")
+DRAG_KEYS = ("response_time", "drag")  # at least one
 # A key, and the one that it says nothing without.
 NEEDS = {
     "drift_ratio": "drift_direction",
     "turbulence_ratio": "turbulence_length",
     "wind_ratio": "wind_direction",
     "second_heading": "second_scale_ratio",
+    "thrust_turn": "thrust_period",
+    "thrust_noise": "thrust_turn",
 }
 RATIOS = (0.01, 100.0)
 
@@ -119,10 +131,12 @@ def _of(*keys: str, least: float | None = None, most: float | None = None,
 
 
 QUANTITIES = {
-    **_of(*FLOW_KEYS, *REQUIRED, RATIO_KEYS[0], least=0.0, open_end=True),
-    **_of(*NOISE_KEYS, RATIO_KEYS[1], least=0.0),
+    **_of(*FLOW_KEYS, *REQUIRED, *DRAG_KEYS, RATIO_KEYS[0], RATIO_KEYS[2], *LAW_KEYS,
+          "thrust_period", least=0.0, open_end=True),
+    **_of(*NOISE_KEYS, RATIO_KEYS[1], "thrust_turn", "thrust_noise", least=0.0),
     **_of(*SUPERPOSED_KEYS, "aspect", least=RATIOS[0], most=RATIOS[1]),
-    **_of("heading", "second_heading", "drift_direction", "wind_direction", "swell_phase"),
+    **_of("heading", "second_heading", "drift_direction", "wind_direction", "swell_phase",
+          "thrust_phase"),
     **_of("angle", least=0.0, most=math.pi, open_end=True),
     **_of("swell", least=0.0, most=0.99),
     **_of("turbulence_length", "turbulence_memory", "swell_period", "position_wander_time",
