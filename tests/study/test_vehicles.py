@@ -43,7 +43,7 @@ def test_a_thrust_that_turns_is_measured_or_not():
     _, flight = believed(TURNING)
     turn = 2 * np.pi * flight.time / 4.0
     circle = 6.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    np.testing.assert_allclose(flight.thrust, circle + [5.0, 3.0], atol=1e-12)
+    np.testing.assert_allclose(flight.thrust, np.add(circle, (5.0, 3.0)), atol=1e-12)
     assert flight.vehicle == PointMassVehicle(0.5)
     scaled = believed(TURNING | {"believed_thrust_ratio": 1.2})[1].vehicle
     assert scaled == PointMassVehicle(0.5, thrust_scale=1.2)
