@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimate_lines import lines
 from sparsefit.cli.estimate_log import add_log, log_record, log_rows, quality_of_log, read_log
+from sparsefit.cli.estimate_plot import add_plot, check_plot, write_plot
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Verbs, add_setting, collected, number, verb, whole
 
@@ -26,6 +27,7 @@ EXAMPLE = """\
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
   sparsefit estimate flight.csv --family waves --grid-lower 3 --json
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
+  sparsefit estimate flight.csv --plot flight.svg
   sparsefit estimate log.ulg --unknown response_time --from 60 --to 300
   sparsefit estimate glider.igc --response-time 2 --grid-lower 100 --grid-upper 2000 --grid-step 20
   sparsefit estimate drifters.csv --only id=7 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"
@@ -71,6 +73,7 @@ def add(verbs: Verbs) -> None:
         help="flight log: .csv or .parquet, .ulg of PX4, .igc of a glider",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_plot(parser)
     add_log(parser)
     _add_estimator(parser)
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
@@ -150,11 +153,14 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Estimate, print, and tell by the exit code whether the status is ok."""
+    check_plot(args)
     estimator = _estimator(args)
     table = read_log(args, args.flight)
     flight = _flight(args, table, estimator.library.unknown)
     quality = quality_of_log(args, args.flight, flight, estimator.library.grid.lower)
     estimate = estimator.estimate(flight)
+    if args.plot is not None:
+        write_plot(args.plot, args.flight, estimator, flight, estimate)
     if args.json:
         log = log_record(quality, estimate, flight, table.notes)
         print_json(estimate.to_dict() | {"log": log})

@@ -19,6 +19,7 @@ from sparsefit.flight.units import LENGTHS, SPEEDS, TIMES, named
 
 LONGEST_GAP = 60.0  # s
 LONGEST_STEPS = 20.0  # median steps: of slow logs a gap is longer
+RESTING = 5.0  # s: who goes no farther in that time rests; shorter logs are only short
 TOGETHER = 8  # steps that are held against the velocity as one: the position's noise counts less
 EXPLAINED = 0.95  # of the motion, by whatever A fits best
 UNLIKE = 0.1  # of the entries of A against those of a named one
@@ -66,9 +67,11 @@ def _time(seconds: float) -> str:
 
 
 def _check_still(flight: Flight, smallest: float) -> None:
-    if flight.extent > 0 and flight.extent >= smallest:
+    long = flight.duration >= RESTING
+    if flight.extent > 0 and not (long and flight.extent < smallest):
         return
-    where = f"stays within {flight.extent:.3g} m" if flight.extent else "never leaves its place"
+    where = f"stays within {flight.extent:.3g} m in {flight.duration:.3g} s"
+    where = where if flight.extent else "never leaves its place"
     least = f", less than the smallest length scale sought, {smallest:g} m" if smallest else ""
     raise InputError(f"the vehicle stands still: it {where}{least}; give a log of a flight")
 

@@ -74,7 +74,7 @@ def test_a_log_in_other_columns_units_and_degrees_gives_the_same_flow(capsys, fl
 
 
 def test_the_log_is_told_before_the_estimate(capsys):
-    code, out, _ = run(capsys, "flight.csv", *GRID, "--from", "1", "--to", "4")
+    code, out, _ = run(capsys, "flight.csv", *GRID, "--from", "1", "--to", "4", "--plot", "a.png")
     lines = {line[:20].strip(): (place, line[22:]) for place, line in enumerate(out.splitlines())}
     assert code == 0
     assert lines["flight"][1].endswith("301 samples over 3 s")
@@ -82,6 +82,11 @@ def test_the_log_is_told_before_the_estimate(capsys):
     assert lines["log"][1].startswith("100 Hz, even steps; no gaps; ")
     assert lines["log"][1].endswith(" cells crossed")
     assert lines["frame"][1] == "not told: x and y as in the file"
+    with open("a.png", "rb") as file:
+        assert file.read(4) == b"\x89PNG"
+    assert "a.png exists; add --force" in refused(capsys, "flight.csv", "--plot", "a.png")
+    assert "must end in .png, .svg, .pdf" in refused(capsys, "flight.csv", "--plot", "a.jpg")
+    assert "there is no folder no" in refused(capsys, "flight.csv", "--plot", "no/a.png")
 
 
 LOGS = {

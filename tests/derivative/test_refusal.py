@@ -67,7 +67,9 @@ def test_a_vehicle_that_stands_still(flight):
     assert "never leaves its place" in refused(replace(flight, position=0 * flight.position))
     near = replace(flight, position=0.01 * flight.position, velocity=0.01 * flight.velocity)
     check_log(near)
-    assert "stands still: it stays within 0.4" in refused(near, smallest=1.0)
+    assert "stands still: it stays within 0.433 m in 10 s" in refused(near, smallest=1.0)
+    brief = replace(near, time=0.1 * near.time, velocity=10 * near.velocity)
+    check_log(brief, smallest=1.0)  # moves, and is only short
 
 
 UNITS = [

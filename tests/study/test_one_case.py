@@ -10,7 +10,8 @@ import pytest
 from sparsefit.errors import InputError, SparsefitError
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.study import Study
-from sparsefit.study.report.case import case_figure, case_table, left_to_explain, row_of, vorticity
+from sparsefit.study.report.case import case_figure, case_table, left_to_explain, row_of
+from sparsefit.study.report.flown import vorticity
 from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.one_case import find_case, run_again
 from sparsefit.study.run.outcome import Outcome

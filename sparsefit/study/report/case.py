@@ -16,20 +16,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.flight.flow import FlowField
 from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.objective import alpha_max
 from sparsefit.study.evidence.cases import PARAMETERS, SYMBOLS, UNITS
 from sparsefit.study.evidence.table import Column, Table, plain
 from sparsefit.study.report.drawing import COLOURS, GREY, laid_out, logarithmic, panels
+from sparsefit.study.report.flown import (
+    Flown,
+    draw_residual,
+    draw_scales,
+    draw_track,
+    draw_weights,
+)
 from sparsefit.study.run.one_case import OneCase
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
-POINTS = 160  # of the map, along its longer side
-MARGIN = 0.06  # of the extent, around the track
 DIGITS = 6
 CAPTION = (
     "The vorticity of the flow found, and the track over it; the weight of each candidate scale; "
@@ -48,86 +52,20 @@ def case_figure(again: OneCase) -> Figure:
 
 def _drawn(again: OneCase) -> Figure:
     figure, ((track, weights), (residual, certificate)) = panels(2, 2, height=5.6)
-    _track(track, again)
-    _weights(weights, again)
-    _residual(residual, again)
+    flown = flown_of(again)
+    draw_track(track, flown)
+    draw_weights(weights, flown)
+    draw_residual(residual, flown)
     _certificate(certificate, again)
     return figure
 
 
-def _track(axes: Axes, again: OneCase) -> None:
-    x, y = again.flown.position.T
-    flow = again.estimate.flow
-    axes.set_title("no flow was found" if flow is None else "track over the vorticity found")
-    if flow is not None:
-        middle = float(np.median(again.flown.time))
-        edges, turning = vorticity(flow, again.flown.position, middle)
-        most = float(np.quantile(np.abs(turning), 0.99)) or 1.0
-        axes.imshow(
-            turning, origin="lower", extent=edges, cmap="RdBu", vmin=-most, vmax=most, alpha=0.7,
-            interpolation="bilinear", aspect="equal",
-        )  # fmt: skip
-    axes.plot(x, y, color="black", lw=0.9)
-    axes.plot(x[0], y[0], "o", color="black", ms=4)
-    axes.set_aspect("equal", adjustable="datalim" if flow is None else "box")
-    axes.grid(False)
-    axes.set_xlabel("x [m], the flight begins at the dot")
-    axes.set_ylabel("y [m]")
-
-
-def vorticity(
-    flow: FlowField, position: Array, time: float
-) -> tuple[tuple[float, float, float, float], Array]:
-    """Return the edges (left, right, bottom, top) [m] of a map around positions (m, 2) [m], and
-    there dv_y/dx - dv_x/dy [1/s] of the flow at a time [s], rows along y."""
-    low, high = position.min(axis=0), position.max(axis=0)
-    room = MARGIN * float((high - low).max()) or 1.0
-    low, high = low - room, high + room
-    step = float((high - low).max()) / POINTS
-    x, y = (np.arange(one, other + step, step) for one, other in zip(low, high, strict=True))
-    velocity = flow.velocity(*np.meshgrid(x, y), time)
-    turning = np.gradient(velocity[..., 1], step, axis=1) - np.gradient(
-        velocity[..., 0], step, axis=0
+def flown_of(again: OneCase) -> Flown:
+    """Return what was flown and found in a case that was run again."""
+    truth = tuple(part.length_scale for part in again.flow.cells) if again.flow else ()
+    return Flown(
+        again.flown, again.prepared.samples, again.prepared.flow_velocity, again.estimate, truth
     )
-    return (float(x[0]), float(x[-1]), float(y[0]), float(y[-1])), turning
-
-
-def _weights(axes: Axes, again: OneCase) -> None:
-    by_scale = again.estimate.weights_by_scale
-    axes.set_title("weight of each candidate length scale" if by_scale else "no weights")
-    axes.vlines(list(by_scale), 0.0, list(by_scale.values()), color=COLOURS[0], lw=1.2)
-    axes.axhline(0.0, color=GREY, lw=0.5)
-    _scales(axes, again)
-    axes.set_ylabel("weight")
-    axes.set_xlabel("length scale [m]")
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(loc="best")
-
-
-def _scales(axes: Axes, again: OneCase) -> None:
-    for place, part in enumerate(again.flow.cells if again.flow else ()):
-        axes.axvline(part.length_scale, color=COLOURS[1], ls=(0, (4, 2)), lw=1.2,
-                     label=None if place else "truth")  # fmt: skip
-    if np.isfinite(again.estimate.length_scale):
-        axes.axvline(again.estimate.length_scale, color=COLOURS[2], ls=":", lw=1.6,
-                     label="estimate")  # fmt: skip
-
-
-def _residual(axes: Axes, again: OneCase) -> None:
-    samples, flow = again.prepared.samples, again.estimate.flow
-    measured = again.prepared.flow_velocity
-    axes.set_title("velocity of the air less that of the flow found")
-    if flow is None:
-        axes.set_title("no flow was found: the velocity of the air")
-        left = measured
-    else:
-        x, y = samples.position.T
-        left = measured - flow.velocity(x, y, samples.time)
-    for place, name in enumerate("xy"):
-        axes.plot(samples.time, left[:, place], color=COLOURS[place], lw=0.7, label=name)
-    axes.legend(loc="upper right", ncols=2)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("residual [m/s]")
 
 
 def _certificate(axes: Axes, again: OneCase) -> None:
@@ -148,7 +86,7 @@ def _certificate(axes: Axes, again: OneCase) -> None:
     elif (values > 0).all():
         axes.set_yscale("log")
         logarithmic(axes.yaxis, *axes.get_ylim())
-    _scales(axes, again)
+    draw_scales(axes, flown_of(again))
 
 
 def left_to_explain(fit: Fit) -> tuple[Array, str]:

@@ -147,6 +147,11 @@ def to_png(figure: Figure) -> bytes:
     return _saved(figure, "png", {"Software": None})
 
 
+def to_pdf(figure: Figure) -> bytes:
+    """Return the figure as PDF, without date or version."""
+    return _saved(figure, "pdf", {"CreationDate": None, "Creator": None, "Producer": None})
+
+
 def _saved(
     figure: Figure, kind: str, metadata: dict[str, None], more: dict[Any, Any] | None = None
 ) -> bytes:

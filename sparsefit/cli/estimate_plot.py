@@ -1,0 +1,52 @@
+"""`sparsefit estimate --plot FILE`: the estimate as a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sparsefit.cli.output import refuse_existing
+
+if TYPE_CHECKING:
+    from sparsefit.estimator import Estimate, Estimator
+    from sparsefit.flight import Flight
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """Declare `--plot FILE` and `--force`."""
+    parser.add_argument(
+        "--plot",
+        metavar="FILE",
+        help="draw track, cells, weights, residual and its spectrum: .png, .svg or .pdf",
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite the picture")
+
+
+def check_plot(args: argparse.Namespace) -> None:
+    """Raise InputError, before any work, where the picture could not be written."""
+    from sparsefit.errors import InputError
+
+    if args.plot is None:
+        return
+    if Path(args.plot).suffix.lower() not in SUFFIXES:
+        raise InputError(f"--plot: {args.plot} must end in {', '.join(SUFFIXES)}")
+    if not Path(args.plot).resolve().parent.is_dir():
+        raise InputError(f"--plot: there is no folder {Path(args.plot).parent}; make it first")
+    refuse_existing(args.plot, force=args.force)
+
+
+def write_plot(path: str, name: str, estimator: Estimator, flight: Flight, found: Estimate) -> None:
+    """Write the picture of what was found; name: of the log, for its title."""
+    from sparsefit.derivative import Derivative
+    from sparsefit.study.report.drawing import to_pdf, to_png, to_svg
+    from sparsefit.study.report.estimate_figure import estimate_figure
+    from sparsefit.study.report.flown import flown_by
+    from sparsefit.whole_file import write_whole
+
+    assert isinstance(estimator.derivative, Derivative)
+    figure = estimate_figure(flown_by(flight, estimator.derivative(flight), found), name)
+    encode = dict(zip(SUFFIXES, (to_png, to_svg, to_pdf), strict=True))[Path(path).suffix.lower()]
+    write_whole(path, encode(figure))
