@@ -37,6 +37,22 @@ def tree_of(path):
 
 
 @cache
+def nodes_of(path):
+    return tuple(ast.walk(tree_of(path)))
+
+
+@cache
+def calls():
+    """(path, node, name) of every call in the package."""
+    return tuple(
+        (path, node, ast.unparse(node.func))
+        for path in FILES
+        for node in nodes_of(path)
+        if isinstance(node, ast.Call)
+    )
+
+
+@cache
 def imports_of(path):
     """(module, line) of every import, wherever it stands: for type checkers and by name too."""
     return tuple(_imports_of(path))
@@ -45,7 +61,7 @@ def imports_of(path):
 def _imports_of(path):
     package = name_of(path).removesuffix(".__init__").split(".")
     package = package if path.stem == "__init__" else package[:-1]
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -77,14 +93,15 @@ def test_contributing_names_the_rooms_in_this_order():
     assert tuple(re.findall(r"`(\w+)`", order)) == ROOMS
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_imports_only_rooms_above_it(room):
-    allowed = set(ROOMS[: ROOMS.index(room) + 1])
-    for path in sources(room):
-        for module, line in imports_of(path):
-            found = room_of(module)
-            if found in ROOMS:
-                assert found in allowed, f"{name_of(path)}:{line} imports {module}"
+def test_a_room_imports_only_rooms_above_it():
+    wrong = [
+        f"{name_of(path)}:{line} imports {module}"
+        for place, room in enumerate(ROOMS)
+        for path in sources(room)
+        for module, line in imports_of(path)
+        if room_of(module) in ROOMS[place + 1 :]
+    ]
+    assert not wrong
 
 
 @pytest.mark.parametrize("room", STUDY_ROOMS)
@@ -94,7 +111,7 @@ def test_a_study_room_imports_only_study_rooms_above_it(room):
     paths = sorted((PACKAGE / "study" / room).glob("*.py"))
     assert paths
     for path in paths:
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             named = isinstance(node, ast.Import | ast.ImportFrom | ast.Constant)
             said = ast.unparse(node).replace(" import ", ".") if named else ""
             for other in below:
@@ -137,45 +154,60 @@ def test_back_ends_never_import_each_other():
                 assert parts[2] not in BACKEND_ROOMS, f"{stem}:{line} imports {module}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_solvers_are_imported_by_back_ends_only_and_peers_by_their_bridges(path):
-    for module, line in imports_of(path):
-        top = module.split(".")[0]
-        if top in SOLVERS:
-            assert room_of(name_of(path)) == "backends", f"line {line} imports {module}"
-        bridged = BRIDGES.get(room_of(name_of(path)), set())
-        assert top not in PEERS - bridged, f"line {line} imports {module}"
+def test_solvers_are_imported_by_back_ends_only_and_peers_by_their_bridges():
+    wrong = [
+        f"{name_of(path)}:{line} imports {module}"
+        for path in FILES
+        for module, line in imports_of(path)
+        if (top := module.split(".")[0]) in PEERS - BRIDGES.get(room_of(name_of(path)), set())
+        or (top in SOLVERS and room_of(name_of(path)) != "backends")
+    ]
+    assert not wrong
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_nothing_runs_text_or_pickles_or_opens_a_shell(path):
-    for module, line in imports_of(path):
-        top = module.split(".")[0]
-        assert top not in {"pickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}, line
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, ast.Call):
-            called = ast.unparse(node.func)
-            assert called not in {"eval", "exec", "os.system", "os.popen"}, node.lineno
-            assert not called.endswith((".read_pickle", ".to_pickle")), node.lineno
-            for keyword in node.keywords:
-                forbidden = (keyword.arg, ast.unparse(keyword.value)) in {
-                    ("shell", "True"),
-                    ("allow_pickle", "True"),
-                }
-                assert not forbidden, node.lineno
+def test_nothing_pickles():
+    pickling = {"pickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+    wrong = [
+        f"{name_of(path)}:{line} imports {module}"
+        for path in FILES
+        for module, line in imports_of(path)
+        if module.split(".")[0] in pickling
+    ]
+    assert not wrong
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_files_are_written_whole_or_not_at_all(path):
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-            assert node.func.attr not in {"write_text", "write_bytes"}, f"line {node.lineno}"
+def test_nothing_runs_text_or_pickles_or_opens_a_shell():
+    forbidden = {"eval", "exec", "os.system", "os.popen"}
+    wrong = [
+        f"{name_of(path)}:{node.lineno} calls {called}"
+        for path, node, called in calls()
+        if called in forbidden
+        or called.endswith((".read_pickle", ".to_pickle"))
+        or any(
+            keyword.arg in {"shell", "allow_pickle"} and ast.unparse(keyword.value) == "True"
+            for keyword in node.keywords
+        )
+    ]
+    assert not wrong
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_modules_and_what_is_public_in_them_have_docstrings(path):
+def test_files_are_written_whole_or_not_at_all():
+    wrong = [
+        f"{name_of(path)}:{node.lineno}"
+        for path, node, called in calls()
+        if called.endswith((".write_text", ".write_bytes"))
+    ]
+    assert not wrong
+
+
+def test_modules_and_what_is_public_in_them_have_docstrings():
+    assert not [missing for path in FILES for missing in undocumented(path)]
+
+
+def undocumented(path):
     tree = tree_of(path)
-    assert ast.get_docstring(tree), "the module"
+    if not ast.get_docstring(tree):
+        yield name_of(path)
     if path.name == "__init__.py" and len(tree.body) == 1:
         return
     places = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
@@ -184,26 +216,29 @@ def test_modules_and_what_is_public_in_them_have_docstrings(path):
             continue
         for node in place.body:
             named = isinstance(node, ast.FunctionDef | ast.ClassDef)
-            if named and not node.name.startswith("_"):
-                assert ast.get_docstring(node), f"{node.name} in line {node.lineno}"
+            if named and not node.name.startswith("_") and not ast.get_docstring(node):
+                yield f"{name_of(path)}:{node.lineno} {node.name}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_files_stay_readable_and_records_frozen(path):
-    assert len(path.read_text().splitlines()) <= 400
-    if room_of(name_of(path)) in {"study", "cli"}:
-        return  # a pool of workers or a progress bar is no record
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, ast.ClassDef):
-            for decorator in node.decorator_list:
-                text = ast.unparse(decorator)
-                if text.startswith("dataclass"):
-                    assert "frozen=True" in text, f"{node.name} in line {node.lineno}"
+def test_files_stay_readable():
+    assert not [path for path in FILES if len(path.read_text().splitlines()) > 400]
 
 
-@pytest.mark.parametrize("name", sparsefit.__all__)
-def test_every_public_name_is_there(name):
-    assert getattr(sparsefit, name) is not None
+def test_records_are_frozen():
+    wrong = [
+        f"{name_of(path)}:{node.lineno} {node.name}"
+        for path in FILES
+        if room_of(name_of(path)) not in {"study", "cli"}  # a pool of workers is no record
+        for node in nodes_of(path)
+        if isinstance(node, ast.ClassDef)
+        for text in map(ast.unparse, node.decorator_list)
+        if text.startswith("dataclass") and "frozen=True" not in text
+    ]
+    assert not wrong
+
+
+def test_every_public_name_is_there():
+    assert not [name for name in sparsefit.__all__ if getattr(sparsefit, name, None) is None]
 
 
 def test_no_room_is_a_drawer_for_odds_and_ends():
@@ -211,13 +246,23 @@ def test_no_room_is_a_drawer_for_odds_and_ends():
 
 
 def test_random_numbers_come_from_seeds():
-    for path in FILES:
-        for node in ast.walk(tree_of(path)):
-            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("default_rng"):
-                assert node.args or node.keywords, f"{name_of(path)}:{node.lineno}"
-            if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "np.random":
-                seeded = {"default_rng", "SeedSequence", "Generator"}
-                assert node.attr in seeded, f"{name_of(path)}:{node.lineno}"
+    seeded = {"default_rng", "SeedSequence", "Generator"}
+    wrong = [
+        f"{name_of(path)}:{node.lineno} {called}"
+        for path, node, called in calls()
+        if called.endswith("default_rng") and not node.args and not node.keywords
+    ]
+    assert not wrong
+    wrong = [
+        f"{name_of(path)}:{node.lineno} {node.attr}"
+        for path in FILES
+        for node in nodes_of(path)
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Attribute)
+        and (node.value.attr, getattr(node.value.value, "id", "")) == ("random", "np")
+        and node.attr not in seeded
+    ]
+    assert not wrong
 
 
 def test_an_estimator_needs_none_of_the_rooms_below_it():
