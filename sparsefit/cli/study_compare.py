@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from sparsefit.study.evidence.compared import Compared
+    from sparsefit.study.evidence.table import Table
 
 COMPARE = """\
   sparsefit study compare results-0.2/table2 results/table2
@@ -70,15 +71,17 @@ def compare(args: argparse.Namespace) -> int:
     first, second = (_cases(name, args.results) for name in names)
     both = compared(first, second, names, tolerance)
     tables = (effects_table(both), changes_table(both))
-    written = write_comparison(both, Path(args.output)) if args.output else []
+    written = write_comparison(both, tables, Path(args.output)) if args.output else []
     if args.json:
-        print_json(_record(both, [str(path) for path in written]))
+        print_json(_record(both, tables, [str(path) for path in written]))
     else:
         shown = [table for table in tables if table.visible_rows]
         print("\n".join(to_text(table, width=terminal_width()) for table in shown))
         print("\n".join([both.sentence, *(f"written: {path}" for path in written[-1:])]))
     differs = bool(both.changed.any()) or any(both.only)
-    return int({"changed": differs, "worse": worse(both), "never": False}[args.fail_on])
+    if args.fail_on == "worse":
+        return int(worse(both, tables[0]))
+    return int(differs and args.fail_on == "changed")
 
 
 def _cases(name: str, results: str) -> pd.DataFrame:
@@ -91,9 +94,8 @@ def _cases(name: str, results: str) -> pd.DataFrame:
     return read_cases(Path(results) / Study.load(name).name)
 
 
-def _record(both: Compared, written: list[str]) -> dict[str, object]:
+def _record(both: Compared, tables: tuple[Table, Table], written: list[str]) -> dict[str, object]:
     from sparsefit.codec import finite_or_none
-    from sparsefit.study.evidence.compared import changes_table, effects_table
 
     record: dict[str, object] = {
         "first": both.names[0],
@@ -104,8 +106,8 @@ def _record(both: Compared, written: list[str]) -> dict[str, object]:
         "only_first": both.only[0],
         "only_second": both.only[1],
         "largest_change": float(both.change.max(initial=0.0)),
-        "effects": table_record(effects_table(both)),
-        "changes": table_record(changes_table(both)),
+        "effects": table_record(tables[0]),
+        "changes": table_record(tables[1]),
         "written": written,
     }
     cleaned: dict[str, object] = finite_or_none(record)

@@ -56,7 +56,7 @@ validate = 2
 evaluate = 2
 [outputs]
 tables = ["errors", "times"]
-figures = ["scatter"]
+figures = ["errors"]
 answers = ["completeness"]
 """
 CONTRAST = f"""{STUDY}
@@ -157,7 +157,7 @@ def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
     assert f"\n\n{ANSWER}\n\n" in Path("results/small/README.md").read_text()
     assert f"nothing to run: all {PLANNED} cases were there (64 ok, 32 unidentifiable)" in out
     assert "start with results/small/README.md" in out
-    for name in ("README.md", "errors.tex", "scatter.svg", "cases.parquet", "manifest.json"):
+    for name in ("README.md", "errors.tex", "errors.svg", "cases.parquet", "manifest.json"):
         assert Path("results/small", name).is_file()
 
 
@@ -304,6 +304,7 @@ def test_select_times_what_keeps_the_constraints_once(capsys, finished, monkeypa
     assert asked[2:] == [(json.loads(out)["eligible"], 7)]
 
 
+@pytest.mark.usefixtures("in_process")
 def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
     options = (*UNTIMED, "--max-failure", "0.5", "--processes", "1", "--force", "--check")
     code, out, err = run(capsys, "select", finished, *options, "3")
@@ -320,6 +321,7 @@ def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
     assert (again, err) == (out, "")
 
 
+@pytest.mark.usefixtures("in_process")
 def test_a_choice_is_known_where_one_level_of_a_factor_is_left(finished):
     study = Study.load(finished)
     selection = select(study, store.read_cases("results/small"))
@@ -421,10 +423,13 @@ class TestCompare:
 
     def test_what_changed_fails(self, capsys, finished):
         cases = store.read_cases("results/small")
-        cases.loc[cases["case_id"] == cases["case_id"][0], "est_length_scale"] *= 1.001
-        os.mkdir("other")
+        cases = cases[cases["settings"].str.contains("0.01")]
+        for name in ("first", "other"):
+            os.mkdir(name)
+        cases.to_parquet("first/cases.parquet")
+        cases.loc[cases["case_id"] == cases["case_id"].iloc[0], "est_length_scale"] *= 1.001
         cases[1:].to_parquet("other/cases.parquet")
-        both = ("study", "compare", "results/small", "other")
+        both = ("study", "compare", "first", "other")
         code, out, _ = run(capsys, *both, "-o", "told", "--json")
         found = json.loads(out)
         assert (code, found["changed"], found["only_first"]) == (1, 0, 1)
@@ -433,7 +438,7 @@ class TestCompare:
         assert run(capsys, *both, "--fail-on", "worse")[0] == 0
         code, out, _ = run(capsys, *both)
         assert code == 1
-        assert out.splitlines()[-1].startswith("1 of 96 cases changed, 0 of them in status")
+        assert out.splitlines()[-1].startswith("1 of 32 cases changed, 0 of them in status")
 
     def test_refusals(self, capsys, finished):
         assert "no such file" in refused(capsys, "study", "compare", "nowhere", finished)
@@ -443,6 +448,7 @@ class TestCompare:
 
 
 class TestMerge:
+    @pytest.mark.usefixtures("in_process")
     def test_parts_make_the_whole(self, capsys, finished):
         whole = store.read_cases("results/small")
         for name in ("lasso", "stlsq"):

@@ -27,17 +27,16 @@ def estimate(flight, lower=1.0, upper=12.0):
     return sf.Estimator(library=library).estimate(flight)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "noise"), [(0, 0.0), (1, 0.3)])
 @pytest.mark.parametrize(
     ("lower", "upper"),
     [(1.0, 3.0), (1.0, 4.0), (1.9, 2.3), (5.0, 12.0), (4.4, 12.0), (8.0, 9.0)],
 )
-def test_bounds_that_exclude_the_truth_are_flagged(lower, upper, seed):
+def test_bounds_that_exclude_the_truth_are_flagged(lower, upper, seed, noise):
     # L/2 = 2.105 m and 2L = 8.42 m, the harmonics, are within some of them.
-    for noise in (0.0, 0.3):
-        found = estimate(flown(seed=seed, velocity_noise=noise), lower, upper)
-        assert found.status in ("unidentifiable", "misfit")
-        assert found.reason
+    found = estimate(flown(seed=seed, velocity_noise=noise), lower, upper)
+    assert found.status in ("unidentifiable", "misfit")
+    assert found.reason
 
 
 def test_samples_too_far_apart_are_named_with_the_remedy():
@@ -56,7 +55,7 @@ def test_sampling_as_the_reason_says_is_enough():
 
 
 def test_low_rates_are_right_or_flagged():
-    for seed in range(12):
+    for seed in range(8):
         rate = (4.0, 8.0, 16.0, 32.0)[seed % 4]
         found = estimate(flown(rate=rate, duration=20.0, seed=seed))
         if found.status == "ok":
@@ -113,7 +112,7 @@ def test_still_air_flown_slowly_with_noisy_instruments_is_no_flow():
     time = np.arange(2001) * 0.01
     vehicle = sf.PointMassVehicle(0.5, (1.0, 0.6))
     end, decay = 0.5 * np.array([1.0, 0.6]), np.exp(-time / 0.5)[:, None]
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         position = end * (time[:, None] - 0.5 * (1 - decay)) + 1.0
         flight = sf.Flight(

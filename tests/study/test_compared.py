@@ -35,7 +35,7 @@ def test_the_same_is_the_same():
     )
     assert effects_table(both).rows[0][-1] == "tie"
     assert changes_table(both).rows == ()
-    assert not worse(both)
+    assert not worse(both, effects_table(both))
 
 
 def test_changes_by_hand():
@@ -48,7 +48,7 @@ def test_changes_by_hand():
     assert [row[0] for row in rows] == ["0003-lasso", "0002-lasso"]
     assert rows[0][2:5] == ("ok", "timeout", math.inf)
     assert rows[1][-2:] == pytest.approx((0.0, 10.0), abs=1e-9)
-    assert worse(both)  # an answer was lost
+    assert worse(both, effects_table(both))  # an answer was lost
 
 
 def test_what_only_one_has_is_counted():
@@ -75,15 +75,18 @@ def test_a_setting_is_worse_only_beyond_its_interval(sign, verdict):
     errors = np.random.default_rng(2).uniform(0.02, 0.1, 20)
     first, second = cases(0.5 * (1 + errors)), cases(0.5 * (1 + errors * (1 + 0.2 * sign)))
     both = compared(first, second, NAMES, 1e-6)
-    (row,) = effects_table(both).rows
+    effects = effects_table(both)
+    (row,) = effects.rows
     assert row[-4] == pytest.approx(20.0 * sign * errors.mean())
     assert row[-1] == verdict
-    assert worse(both) == (verdict == "worse")
+    assert worse(both, effects) == (verdict == "worse")
 
 
 def test_pages(tmp_path):
     both = compared(cases([0.5, 0.6]), cases([0.5, math.nan]), ("old|run", "new"), 1e-6)
-    written = write_comparison(both, tmp_path / "deep" / "folder")
+    written = write_comparison(
+        both, (effects_table(both), changes_table(both)), tmp_path / "deep" / "folder"
+    )
     page = written[-1].read_text()
     assert page.startswith("# old\\|run and new\n\n1 of 2 cases changed, 1 of them in status")
     assert (tmp_path / "deep" / "folder" / "comparison.svg").read_text().startswith("<?xml")

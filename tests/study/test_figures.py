@@ -1,4 +1,3 @@
-import io
 import json
 import math
 from pathlib import Path
@@ -195,15 +194,15 @@ def flown(folder, text):
 # What each figure is drawn of.
 GIVEN = {
     "weights": lambda: synthetic(1),
-    "scatter": lambda: synthetic(4),
+    "scatter": lambda: synthetic(4).query("backend != 'least-squares'"),
     "dual-certificate": lambda: synthetic(1),
     "plane-certificate": lambda: synthetic(1),
     "errors": lambda: synthetic(4),
     "coverage": lambda: bounded(synthetic(4)),
-    "sweep": lambda: synthetic(4, LEVELS),
+    "sweep": lambda: synthetic(2, LEVELS, ("paper",)),
     "methods": lambda: synthetic(4, NOISES),
     "scales": lambda: with_scales(synthetic(4, LEVELS)),
-    "efficiency": lambda: bounded(synthetic(4, PROCESS_NOISES)),
+    "efficiency": lambda: bounded(synthetic(2, PROCESS_NOISES, ("paper",))),
     "windows": lambda: synthetic(4, DURATIONS),
     "grids": lambda: synthetic(4, REFINES),
     "profiles": lambda: synthetic(4),
@@ -220,12 +219,11 @@ def test_a_figure_is_the_same_each_time_and_nothing_in_it_is_cut_or_covered(name
     weights = weights_of(cases) if name == "weights" else None
     of = flown(tmp_path, FLOWN[name]) if name in FLOWN else study()
     first = FIGURES.make(name, of, cases, weights)
-    svg, png = to_svg(first), to_png(first)
+    svg = to_svg(first)
     if name in DRAWN.values():
         assert to_svg(FIGURES.make(name, of, cases, weights)) == svg
     assert b"<dc:date>" not in svg
     assert b"Matplotlib v" not in svg
-    assert b"tEXt" not in png
     assert caption(FIGURES.read(name))
     panels = [axes.get_tightbbox() for axes in first.axes if axes.get_visible()]
     assert_apart(panels)
@@ -252,7 +250,9 @@ def assert_apart(boxes):
 
 def test_the_users_own_style_changes_nothing_and_is_left_alone():
     cases = synthetic(1, protocols=("paper",))
-    plain = to_svg(FIGURES.make("errors", study(), cases, None))
+    figure = FIGURES.make("errors", study(), cases, None)
+    plain = to_svg(figure)
+    assert b"tEXt" not in to_png(figure)
     with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "lines.linewidth": 9}):
         assert to_svg(FIGURES.make("errors", study(), cases, None)) == plain
         assert mpl.rcParams["font.size"] == 20.0
@@ -344,7 +344,8 @@ def test_figures_that_apply():
 class TestReport:
     def test_every_file_is_there_and_linked(self, tmp_path: Path):
         cases = synthetic(6)
-        chosen = study(planned=len(cases), tables=("errors", "times"), figures=("errors",))
+        tables = ("errors", "errors-absolute", "times")
+        chosen = study(planned=len(cases), tables=tables, figures=("errors",))
         written = write_report(chosen, tmp_path, cases)
         folder = tmp_path / "demo"
         assert sorted(path.name for path in written) == sorted(p.name for p in folder.iterdir())
@@ -360,18 +361,12 @@ class TestReport:
         assert "- flights.response_time: `0.5`" in text
         assert '- flights.length_scale: `{"uniform":[2,10]}`' in text
         assert "72 of 72 planned cases: 66 ok, 6 error." in text
+        back = pd.read_csv(folder / "errors-absolute.csv")
+        assert len(back) == 2 * 2 * len(BACKENDS)
+        assert (back["n"] == 6).all()
         first = {path.name: path.read_bytes() for path in written}
         write_report(chosen, tmp_path, cases)
         assert first == {path.name: path.read_bytes() for path in folder.iterdir()}
-
-    def test_csv_of_the_report_reads_back(self, tmp_path: Path):
-        write_report(
-            study(tables=("errors-absolute",), figures=("errors",)), tmp_path, synthetic(6)
-        )
-        text = (tmp_path / "demo" / "errors-absolute.csv").read_text("utf-8")
-        back = pd.read_csv(io.StringIO(text))
-        assert len(back) == 2 * 2 * len(BACKENDS)
-        assert (back["n"] == 6).all()
 
     def test_no_cases_are_refused(self, tmp_path: Path):
         empty = synthetic(1).iloc[:0]

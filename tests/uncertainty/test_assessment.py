@@ -208,7 +208,7 @@ def test_uneven_steps_are_read_from_the_residuals():
     assert low < found.length_scale < high
 
 
-FLIGHTS = 40
+FLIGHTS = 30
 
 
 @cache

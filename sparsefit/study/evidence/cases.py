@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.estimator.doubt import Doubt
@@ -66,13 +67,35 @@ class Group:
 
 def groups_by(cases: pd.DataFrame, names: Sequence[str]) -> list[Group]:
     """Groups in the order in which they first appear; an absent value is a value."""
-    places: dict[tuple[Value, ...], list[int]] = {}
-    columns = [[plain(value) for value in cases[name]] for name in names]
-    for place, key in enumerate(zip(*columns, strict=True)):
-        places.setdefault(key, []).append(place)
+    keyed = _rows_by(cases, names)
+    if not keyed:
+        return []
+    ordered = cases.iloc[np.concatenate([rows for _, rows in keyed])]
+    ends = np.cumsum([len(rows) for _, rows in keyed]).tolist()
     return [
-        Group(dict(zip(names, key, strict=True)), cases.iloc[rows]) for key, rows in places.items()
+        Group(dict(zip(names, key, strict=True)), ordered.iloc[end - len(rows) : end])
+        for (key, rows), end in zip(keyed, ends, strict=True)
     ]
+
+
+def _rows_by(
+    cases: pd.DataFrame, names: Sequence[str]
+) -> list[tuple[tuple[Value, ...], NDArray[np.intp]]]:
+    """The values of each group and the places of its rows, as `groups_by` has them."""
+    if not len(cases):
+        return []
+    coded = [pd.factorize(cases[name], use_na_sentinel=False) for name in names]
+    values = [[plain(value) for value in uniques] for _, uniques in coded]
+    group = np.zeros(len(cases), dtype=np.int64)
+    for codes, uniques in coded:  # numbered anew each time, so that no product grows too large
+        group = pd.factorize(group * len(uniques) + codes)[0]
+    order = np.argsort(group, kind="stable")
+    rows = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+    keys = [
+        tuple(known[codes[at[0]]] for known, (codes, _) in zip(values, coded, strict=True))
+        for at in rows
+    ]
+    return list(zip(keys, rows, strict=True))
 
 
 def by_setting(cases: pd.DataFrame, *more: str) -> list[Group]:
@@ -104,16 +127,16 @@ def by_level(cases: pd.DataFrame, factor: str) -> list[Group]:
 
 
 def _setting_names(cases: pd.DataFrame) -> dict[tuple[Value, ...], str]:
-    every = groups_by(cases, SETTING[1:])
-    varied = varied_settings(cases)
+    every = [key for key, _ in _rows_by(cases, SETTING[1:])]
+    varied, labels = varied_settings(cases), [label for _, label, _ in every]
     names = {}
-    for group in every:
-        backend, settings = str(group.key["backend"]), parsed(group.key["settings"])
-        label = str(group.key["label"]).removeprefix(backend).strip(" ,:")
-        shown = [f"{key}={settings[key]}" for key in varied[backend] if key in settings]
+    for key in every:
+        backend, settings = str(key[0]), parsed(key[2])
+        label = str(key[1]).removeprefix(backend).strip(" ,:")
+        shown = [f"{name}={settings[name]}" for name in varied[backend] if name in settings]
         # A label that was given for one setting alone says enough.
-        alone = sum(other.key["label"] == group.key["label"] for other in every) == 1
-        names[_identity(group)] = " ".join([label, *([] if label and alone else shown)]).strip()
+        alone = labels.count(key[1]) == 1
+        names[key] = " ".join([label, *([] if label and alone else shown)]).strip()
     return {key: name or DEFAULT for key, name in names.items()}
 
 
@@ -123,14 +146,15 @@ def _identity(group: Group) -> tuple[Value, ...]:
 
 def varied_settings(cases: pd.DataFrame) -> dict[str, list[str]]:
     """For each back-end, the names of its settings that take at least two values."""
-    varied: dict[str, list[str]] = {}
-    for backend in groups_by(cases, ["backend"]):
-        every = [parsed(group.key["settings"]) for group in groups_by(backend.cases, ["settings"])]
-        names = dict.fromkeys(name for settings in every for name in settings)
-        varied[str(backend.key["backend"])] = [
-            name for name in names if len({str(settings.get(name)) for settings in every}) > 1
-        ]
-    return varied
+    every: dict[str, list[dict[str, Value]]] = {}
+    for (backend, settings), _ in _rows_by(cases, ("backend", "settings")):
+        every.setdefault(str(backend), []).append(parsed(settings))
+    return {backend: _varied(settings) for backend, settings in every.items()}
+
+
+def _varied(every: Sequence[dict[str, Value]]) -> list[str]:
+    names = dict.fromkeys(name for settings in every for name in settings)
+    return [name for name in names if len({repr(one.get(name)) for one in every}) > 1]
 
 
 def parsed(settings: Value) -> dict[str, Value]:
@@ -145,7 +169,7 @@ def parsed(settings: Value) -> dict[str, Value]:
 def factors(cases: pd.DataFrame) -> list[str]:
     """The swept factors: columns with a dotted name that take at least two values."""
     dotted = [name for name in cases.columns if "." in name]
-    return [name for name in dotted if len({plain(value) for value in cases[name]}) > 1]
+    return [name for name in dotted if cases[name].nunique(dropna=False) > 1]
 
 
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
@@ -173,7 +197,7 @@ def level_text(level: Value) -> str:
 
 def estimated(cases: pd.DataFrame) -> BoolArray:
     """(rows,) whether a case has an estimate: status `ok` or `inaccurate`, all three finite."""
-    known = cases["status"].isin(ESTIMATED).to_numpy(dtype=bool)
+    known = np.isin(cases["status"].to_numpy(dtype=object), ESTIMATED)
     both: BoolArray = known & np.isfinite(three_of(cases, "est")).all(axis=1)
     return both
 

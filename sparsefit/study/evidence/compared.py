@@ -133,7 +133,7 @@ def effects_table(both: Compared) -> Table:
         at = group.cases.index.to_numpy()
         change = both.change[at]
         finite = change[np.isfinite(change)]
-        made = contrast(JUDGED, both.second.loc[at], both.first.loc[at])
+        made = contrast(JUDGED, both.second.loc[at], both.first.loc[at], test=False)
         rows.append(
             (
                 *setting_values(group, swept), len(at), int(both.changed[at].sum()),
@@ -198,7 +198,10 @@ def changes_table(both: Compared) -> Table:
     return Table("Cases that changed", columns, rows, (), SHOWN)
 
 
-def worse(both: Compared) -> bool:
-    """Whether a setting became worse: its error, beyond the interval, or a case lost its answer."""
+def worse(both: Compared, effects: Table) -> bool:
+    """Whether a setting became worse: its error, beyond the interval, or a case lost its answer.
+
+    effects: the table of `effects_table`.
+    """
     lost = np.isnan(both.sizes[1]) & ~np.isnan(both.sizes[0])
-    return bool(lost.any()) or any(row[-1] == "worse" for row in effects_table(both).rows)
+    return bool(lost.any()) or any(row[-1] == "worse" for row in effects.rows)

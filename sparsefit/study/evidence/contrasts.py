@@ -8,6 +8,7 @@ pairs), and those of one table are adjusted together (Holm, 1979).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -53,7 +54,7 @@ class Contrast:
     """One comparison of two over the same flights.
 
     ok: cases with an estimate of either; values: their summaries; low, high: the interval of
-    their difference; p: before Holm's correction.
+    their difference; p: before Holm's correction, NaN where none was asked for.
     """
 
     flights: int
@@ -70,8 +71,10 @@ class Contrast:
         return self.values[0] - self.values[1]
 
 
-def contrast(measure: Measure, first: pd.DataFrame, second: pd.DataFrame) -> Contrast:
-    """Compare two sets of cases on the flights that both have."""
+def contrast(
+    measure: Measure, first: pd.DataFrame, second: pd.DataFrame, *, test: bool = True
+) -> Contrast:
+    """Compare two sets of cases on the flights that both have, also by a `test` of exchanges."""
     flights = pd.Index(first["flight"].unique()).intersection(pd.Index(second["flight"].unique()))
     sides = [cases[cases["flight"].isin(flights)] for cases in (first, second)]
     grids = _alike([by_flight(per_case(measure, one), one, flights) for one in sides])
@@ -85,7 +88,7 @@ def contrast(measure: Measure, first: pd.DataFrame, second: pd.DataFrame) -> Con
     ok = [int(estimated(cases).sum()) for cases in sides]
     return Contrast(
         len(flights), (ok[0], ok[1]), (len(sides[0]), len(sides[1])), (told[0], told[1]),
-        float(low), float(high), exchanged(measure.summary, one, other),
+        float(low), float(high), exchanged(measure.summary, one, other) if test else math.nan,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
@@ -36,7 +37,7 @@ from sparsefit.study.evidence.measures import MEASURES, three
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
 from sparsefit.study.spec.outputs import Reference
 
-Contexts: TypeAlias = list[list[pd.DataFrame]]
+Contexts: TypeAlias = list[list[int]]  # the places of what differs, the rest being equal
 CLOSEST_SHOWN = 15
 DISTANCE_NOTE = (
     "Distance: root mean square, over U0, L_w and τ_w, of the difference between the signed mean "
@@ -137,21 +138,30 @@ def sensitivity(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
 
 def sensitivity_rows(cases: pd.DataFrame) -> list[tuple[Value, ...]]:
     """Return the rows of `sensitivity`, what moves tau_w most first."""
+    swept = factors(cases)
+    # What all of them name together is summarised once, and compared in every way after.
+    every = groups_by(cases, ["protocol", "backend", "settings", *swept])
+    told = np.array(
+        [[one.summarise(group.cases) for one in (*SIZES, *SIGNED)] for group in every]
+    ).reshape(len(every), -1)
+    failed = np.array([failures(group.cases) for group in every])
+    keys = pd.DataFrame([group.key for group in every])
     rows = [
-        _factor_row(name, levels, contexts)
-        for name, levels, contexts in _varied(cases, factors(cases))
+        _factor_row(name, levels, contexts, told, failed)
+        for name, levels, contexts in _varied(keys, swept)
         if contexts
     ]
     return sorted(rows, key=lambda row: -float(row[5] or 0.0))
 
 
-def _factor_row(name: str, levels: int, contexts: Contexts) -> tuple[Value, ...]:
-    sizes, means = (
-        np.array([_ranges(one, measures) for one in contexts]) for measures in (SIZES, SIGNED)
-    )
-    failed = max(int(np.ptp([failures(level) for level in one])) for one in contexts)
-    told = [*_over(sizes, 0.5), *_over(sizes, 1.0), *_over(means, 0.5)]
-    return (name, levels, len(contexts), *told, failed)
+def _factor_row(
+    name: str, levels: int, contexts: Contexts, told: Array, failed: NDArray[np.int64]
+) -> tuple[Value, ...]:
+    ranges = np.array([_ranges(told[one, :3]) for one in contexts])
+    means = np.array([_ranges(told[one, 3:]) for one in contexts])
+    lost = max(int(np.ptp(failed[one])) for one in contexts)
+    moved = [*_over(ranges, 0.5), *_over(ranges, 1.0), *_over(means, 0.5)]
+    return (name, levels, len(contexts), *moved, lost)
 
 
 def _over(values: Array, share: float) -> list[float]:
@@ -160,22 +170,21 @@ def _over(values: Array, share: float) -> list[float]:
     return [float(np.quantile(one, share)) if one.size else np.nan for one in finite]
 
 
-def _ranges(levels: list[pd.DataFrame], measures: Sequence[Measure]) -> Array:
+def _ranges(values: Array) -> Array:
     """(3,) largest minus smallest over the levels that have estimates; NaN below two of them."""
-    values = np.array([[one.summarise(level) for one in measures] for level in levels])
-    values = values[np.isfinite(values).all(axis=1)]
-    spread: Array = np.ptp(values, axis=0) if len(values) > 1 else np.full(3, np.nan)
+    known = values[np.isfinite(values).all(axis=1)]
+    spread: Array = np.ptp(known, axis=0) if len(known) > 1 else np.full(3, np.nan)
     return spread
 
 
-def _varied(cases: pd.DataFrame, swept: list[str]) -> Iterator[tuple[str, int, Contexts]]:
+def _varied(keys: pd.DataFrame, swept: list[str]) -> Iterator[tuple[str, int, Contexts]]:
     """(factor, number of its levels, comparisons): what sweeps, protocols and settings vary."""
     every = ["protocol", "backend", "settings", *swept]
     for name in ("protocol", *swept):
-        yield name, *_contexts(cases, [name], [other for other in every if other != name])
+        yield name, *_contexts(keys, [name], [other for other in every if other != name])
     setting = ["backend", "settings"]
-    yield "back-end and setting", *_contexts(cases, setting, ["protocol", *swept])
-    for backend in groups_by(cases, ["backend"]):
+    yield "back-end and setting", *_contexts(keys, setting, ["protocol", *swept])
+    for backend in groups_by(keys, ["backend"]):
         spread, names = _with_settings(backend)
         for name in names:
             fixed = ["protocol", *swept, *(other for other in names if other != name)]
@@ -184,15 +193,18 @@ def _varied(cases: pd.DataFrame, swept: list[str]) -> Iterator[tuple[str, int, C
 
 
 def _with_settings(backend: Group) -> tuple[pd.DataFrame, list[str]]:
-    """The cases of one back-end with a column, `setting NAME`, per setting that varies."""
+    """The keys of one back-end with a column, `setting NAME`, per setting that varies."""
     ((_, names),) = varied_settings(backend.cases).items()
     settings = [parsed(text) for text in backend.cases["settings"]]
-    columns = {f"setting {name}": [str(one.get(name)) for one in settings] for name in names}
+    columns = {f"setting {name}": [repr(one.get(name)) for one in settings] for name in names}
     return backend.cases.assign(**columns), list(columns)
 
 
-def _contexts(cases: pd.DataFrame, varied: list[str], fixed: list[str]) -> tuple[int, Contexts]:
-    """Number of levels, and per fixed rest the cases of each level where at least two differ."""
-    split = [groups_by(group.cases, varied) for group in groups_by(cases, fixed)]
-    contexts = [[level.cases for level in levels] for levels in split if len(levels) > 1]
-    return len(groups_by(cases, varied)), contexts
+def _contexts(keys: pd.DataFrame, varied: list[str], fixed: list[str]) -> tuple[int, Contexts]:
+    """Number of levels, and per fixed rest the place of each level where at least two differ.
+
+    What varies and what is fixed name one row of the keys together.
+    """
+    split = [groups_by(group.cases, varied) for group in groups_by(keys, fixed)]
+    contexts = [[level.cases.index[0] for level in levels] for levels in split if len(levels) > 1]
+    return len(groups_by(keys, varied)), contexts

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.compared import Compared, changes_table, effects_table
+from sparsefit.study.evidence.compared import Compared
+from sparsefit.study.evidence.table import Table
 from sparsefit.study.report.drawing import (
     COLOURS,
     GREY,
@@ -32,10 +33,13 @@ CAPTION = (
 )
 
 
-def write_comparison(both: Compared, folder: Path) -> list[Path]:
-    """Write `comparison.md`, its tables as CSV and its picture into a folder, made if need be."""
+def write_comparison(both: Compared, made: tuple[Table, Table], folder: Path) -> list[Path]:
+    """Write `comparison.md`, its tables as CSV and its picture into a folder, made if need be.
+
+    made: the tables of effects and of changed cases.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    tables = {"effects": effects_table(both), "changes": changes_table(both)}
+    tables = dict(zip(("effects", "changes"), made, strict=True))
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(STYLE)
