@@ -247,6 +247,13 @@ def test_what_is_left_out_of_the_json_is_the_default():
     [
         ({"format": "other/1"}, "not an estimator"),
         ({"format": None}, "not an estimator"),
+        ({"format": "sparsefit-estimator/2"}, "format '2', and this version of sparsefit reads"),
+        ({"tolerance": math.nan}, "not an estimator: tolerance is nan, no number"),
+        ({"library": {"grid": {"lower": -math.inf}}}, "library.grid.lower is -inf"),
+        ({"provenance": {"scores": [1.0, math.nan]}}, "provenance.scores.1 is nan"),
+        ({"backend": {"name": "../../lasso"}}, "a back-end, and no path: '../../lasso'"),
+        ({"backend": {"name": "sparsefit.backends:lasso"}}, "and no path"),
+        ({"backend": {"name": "la\nsso"}}, "and no path"),
         ({"backends": {}}, 'did you mean "backend"'),
         ({"backend": "lasso"}, "must be an object"),
         ({"backend": {"name": "laso"}}, 'did you mean "lasso"'),
@@ -282,6 +289,12 @@ def test_bad_json_is_refused_in_one_line(change, words):
         Estimator.from_json(text)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_key_that_stands_twice_is_refused():
+    text = f'{{"format": "{FORMAT}", "tolerance": 1e-3, "tolerance": 1e-6}}'
+    with pytest.raises(InputError, match="key 'tolerance' stands twice"):
+        Estimator.from_json(text)
 
 
 @pytest.mark.parametrize(
