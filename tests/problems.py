@@ -23,6 +23,7 @@ GENERAL = (
     "elastic-net",
     "square-root-lasso",
     "ridge",
+    "ensemble",
     "best-subset",
     "best-scale",
     "group-omp",

@@ -44,6 +44,7 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "ridge": "sparsefit.backends.ridge:Ridge",
         "gridless-group-lasso": "sparsefit.backends.gridless:GridlessGroupLasso",
         "group-omp": "sparsefit.backends.group_omp:GroupOMP",
+        "ensemble": "sparsefit.backends.ensemble:Ensemble",
         "best-subset": "sparsefit.backends.best_subset:BestSubset",
         "best-scale": "sparsefit.backends.best_scale:BestScale",
         "parametric-nls": "sparsefit.backends.parametric_nls:ParametricNLS",
