@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from sparsefit.derivative.pieces import GAP
 from sparsefit.derivative.smoothing import Channels, Smoothing
 from sparsefit.derivative.steps import nearly_even
 
+KEPT = 32  # filters
+DIGITS = 12  # of a time step: beyond them is the rounding of the clock
 DEGREE = 10  # of the polynomials that the weights on samples keep exact: the smoother's own
 PLAIN = {  # state and difference on neighbouring samples, and where the first one is, in steps
     "forward": ((1.0, 0.0), (-1.0, 1.0), 0.0),
@@ -55,16 +58,21 @@ class Filters:
         if samples.smoothing is None or len(samples.time) < 2:
             return None
         steps = np.diff(samples.time)
-        step = _step(samples.smoothing, steps)
-        kernels = _kernels(samples.smoothing, step)
-        if kernels is None:
-            return None
-        raw, first = kernels
-        kicks, path, mean = kicks_through(raw[2], step), None, None
-        if nearly_even(steps, step):
-            path, mean = _on_samples(raw, kicks, first, step)
-        noise = samples.smoothing.sigma_position, samples.smoothing.sigma_velocity
-        return cls(raw, kicks, path, mean, *noise)
+        step = float(f"{_step(samples.smoothing, steps):.{DIGITS}g}")
+        return _filters(samples.smoothing, step, nearly_even(steps, step))
+
+
+@lru_cache(maxsize=KEPT)
+def _filters(smoothing: Smoothing, step: float, even: bool) -> Filters | None:
+    """The filters of a rule at a time step [s]; those of a stream are asked for again and again."""
+    kernels = _kernels(smoothing, step)
+    if kernels is None:
+        return None
+    raw, first = kernels
+    kicks, path, mean = kicks_through(raw[2], step), None, None
+    if even:
+        path, mean = _on_samples(raw, kicks, first, step)
+    return Filters(raw, kicks, path, mean, smoothing.sigma_position, smoothing.sigma_velocity)
 
 
 def _step(smoothing: Smoothing, steps: Array) -> float:

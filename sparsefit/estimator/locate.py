@@ -78,8 +78,7 @@ def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> 
         return _several(prepared, fit, readout, refined)
     if not refined:
         return Place(np.array([math.pi / candidate]), (candidate,))
-    space = prepared.space
-    located = prepared.once(("one", candidate), lambda: locate_one(space, math.pi / candidate))
+    space, located = prepared.space, located_one(prepared, candidate)
     ladder = None
     if _climbable(prepared, readout):
         key = ("ladder", float(located.wavenumbers[0]))
@@ -89,6 +88,12 @@ def locate(prepared: Prepared, fit: Fit, readout: Readout, candidate: float) -> 
         key = ("stream", float(located.wavenumbers[0]))
         ladder = prepared.once(key, lambda: lowest(space, prepared.samples.time, located.fit))
     return Place(located.wavenumbers, (candidate,), located, located.fit, ladder)
+
+
+def located_one(prepared: Prepared, candidate: float) -> Located:
+    """The one mode off the grid, and its rival, from the lobe of a candidate [m] and the others."""
+    space = prepared.space
+    return prepared.once(("one", candidate), lambda: locate_one(space, math.pi / candidate))
 
 
 def _waves(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
@@ -41,6 +41,8 @@ class Prepared:
         target: what the columns are regressed on, a row per sample (m, n), where the problem's own
             rows may be compressed, averages or weighted.
         seconds: what all this took.
+        lobes: wavenumbers (l,) [1/m] where one mode may be, deepest first, as an earlier scan
+            found them; None: the search scans for them.
     """
 
     parts: tuple[Part, ...]
@@ -48,6 +50,7 @@ class Prepared:
     problem: RegressionProblem
     target: Array
     seconds: float
+    lobes: Array | None = None
     _answers: dict[tuple[Any, ...], Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -90,7 +93,8 @@ class Prepared:
     @cached_property
     def space(self) -> SearchSpace:
         """Where modes are searched off the grid. Raises InputError where nothing can be found."""
-        return SearchSpace.of_flights(self.parts, _bounds(self.library))
+        space = SearchSpace.of_flights(self.parts, _bounds(self.library))
+        return space if self.lobes is None else replace(space, known=self.lobes)
 
     @property
     def origin(self) -> Array:

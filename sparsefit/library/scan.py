@@ -25,6 +25,7 @@ SLACK = 0.02  # grid peaks this close to the highest may hold the supremum: thre
 ACCURACY = 1e-9  # of the Fourier sums, relative to the number of rows
 RIDGE = 1e-6  # of the Gram matrix: above the error of its sums, and 2e-6 of |w|^2 at most
 UNKNOWN_RMS = 1e-6  # the square below which a column's mean square is lost in the sums' error
+OF_GRAM = [(i // 5 - 2, i % 5 - 2) for i in range(12)]  # waves; (-p, -q) is the conjugate of (p, q)
 Bounds = tuple[float, float]
 
 # The 8 candidates from cos k s, then sin k s, of s = x, y, x + y, x - y.
@@ -125,6 +126,16 @@ class CellScan:
         sums = sums.reshape(len(loads), -1)
         return sums * (self._shifts[0][p] * self._shifts[1][q]) if self.centre.any() else sums
 
+    def ones(self, wave: tuple[int, int]) -> ComplexArray:
+        """Sums (q,) of exp(i k s) for a wave, taken once: what the Gram matrix is made of."""
+        if wave not in self._ones:
+            self._ones[wave] = self.sums(wave, self.squares)[0]
+        return self._ones[wave]
+
+    @cached_property
+    def _ones(self) -> dict[tuple[int, int], ComplexArray]:
+        return {}
+
     @cached_property
     def factor(self) -> Array:
         """Cholesky factors (8, 8, q) of the Gram matrices of the waves, with a ridge."""
@@ -142,12 +153,10 @@ class CellScan:
 
         Products of two waves a and b are waves of a + b and a - b.
         """
-        ones = self.squares
         sums = np.empty((25, len(self.wavenumbers)), complex)  # (p, q) = divmod(i, 5) - 2
         sums[12] = self.mass
-        for i in range(12):
-            p, q = divmod(i, 5)
-            sums[i] = self.sums((p - 2, q - 2), ones)[0]
+        for i, wave in enumerate(OF_GRAM):
+            sums[i] = self.ones(wave)
             sums[24 - i] = sums[i].conj()
         minus, plus = (sums[(WAVES[:, None] + sign * WAVES + 2) @ (5, 1)] for sign in (-1, 1))
         gram = np.empty((2, 4, 2, 4, len(self.wavenumbers)))
@@ -174,9 +183,8 @@ class CellScan:
     @cached_property
     def rms(self) -> Array:
         """The rms of each candidate (q, 8); a thousandth where the sums cannot tell it from 0."""
-        ones = self.squares
         waves = (2 * WAVES).tolist()
-        doubled = (self.sums((p, q), ones)[0].real / self.mass for p, q in waves)
+        doubled = (self.ones((p, q)).real / self.mass for p, q in waves)
         c_x, c_y, c_plus, c_minus = doubled
         pair, cross = c_x + c_y, 0.5 * (c_plus + c_minus)
         squares = [(1 - c_x) / 2, (1 - c_y) / 2, (1 + c_x) / 2, (1 + c_y) / 2]

@@ -31,6 +31,7 @@ from sparsefit.modes.proposals import Window
 from sparsefit.modes.space import SIGNIFICANCE, WIND, SearchSpace, concentration
 
 DESCENDED = 5  # lobes of the whole interval; the rest are too shallow to be best or rival
+LOOKED_AT = 3  # lobes that were known before: the best, its rival, and another one every time
 MOST = 6  # modes
 SLOWEST = 0.05  # of the fastest mode's velocity: systematic errors of a derivative reach 2 %
 APART = 0.5  # in lobes: modes nearer than this are one
@@ -59,6 +60,8 @@ class Located:
         rival: the best other lobe; None where there is no other.
         left_over: the wavenumber of a flow that is left and was not proposed [1/m], or NaN.
         correlation: rows over which errors correlate, residuals considered.
+        ends: where the descents of one mode ended [1/m], the deepest first: the lobes of a flight
+            that goes on are near them.
     """
 
     space: SearchSpace
@@ -67,6 +70,7 @@ class Located:
     rival: Rival | None = None
     left_over: float = math.nan
     correlation: float = math.nan
+    ends: tuple[float, ...] = ()
 
     @property
     def wavenumbers(self) -> Array:
@@ -125,7 +129,7 @@ def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
     candidate: a back-end's wavenumber [1/m], whose lobe is descended into whatever its depth.
     """
     lobes = space.minima
-    starts = lobes[:DESCENDED].tolist()
+    starts = lobes[: DESCENDED if space.known is None else LOOKED_AT].tolist()
     if candidate is not None:
         starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
     fits = [space.descend(np.array([k]), rough=True) for k in dict.fromkeys(starts)]
@@ -135,7 +139,8 @@ def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
     other = [fit for fit in fits if abs(fit.parameters[0, 0] - k) > SAME * space.scan.step]
     rival = Rival(k, float(other[0].parameters[0, 0]), other[0].residual) if other else None
     proposed = (k if candidate is None else candidate,)
-    return Located(space, best, proposed, rival, math.nan, _correlation(space, best))
+    ends = tuple(float(fit.parameters[0, 0]) for fit in (best, *fits[1:]))
+    return Located(space, best, proposed, rival, math.nan, _correlation(space, best), ends)
 
 
 def locate_several(

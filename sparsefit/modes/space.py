@@ -36,6 +36,7 @@ from sparsefit.modes.stack import (
 
 MAX_STEPS = 500_000  # of a scan, 0.5 GB
 ITERATIONS, HALVINGS = 60, 12  # of a descent, and of one of its moves
+FOLLOWED = 2  # moves of a lobe that was known: what it has not reached is left to the next answer
 END = 1e-15  # of a parameter: moves below it are rounding
 ROUNDING = 8 * float(np.finfo(float).eps)  # of |Phi| |E|: falls of RSS below it are rounding
 FLOOR = 1e-15  # of |Phi|^2: residuals below it are rounding
@@ -58,6 +59,8 @@ class SearchSpace:
         correlation: rows over which the errors of Phi correlate, at least.
         pairs: which series each coefficient of the nuisance columns multiplies, in x and in y.
         series: that these are made of, at the scanned samples (j, m).
+        known: wavenumbers (l,) [1/m] of the lobes of one mode, deepest first, where an earlier scan
+            has found them; None: they are scanned for.
     """
 
     family: Family
@@ -67,6 +70,7 @@ class SearchSpace:
     correlation: float = CORRELATION
     pairs: tuple[Pair, ...] = ()
     series: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    known: Array | None = None
 
     def __post_init__(self) -> None:
         if not self.extent > 0:
@@ -146,7 +150,7 @@ class SearchSpace:
     @cached_property
     def minima(self) -> Array:
         """Wavenumbers (l,) [1/m] of the lobes of one mode's residual, the deepest first."""
-        return self.lobes(self.empty)
+        return self.lobes(self.empty) if self.known is None else self.known
 
     def lobes(self, fit: Projection) -> Array:
         """Wavenumbers (l,) [1/m] where one mode more explains most of what a fit leaves."""
@@ -203,12 +207,13 @@ class SearchSpace:
         """All modes moved from (s,) [1/m] to the least RSS in reach, within the bounds.
 
         A wavenumber moves at most a scan step at a time: within its lobe. ``rough`` ends where no
-        move is longer than a hundredth of a scan step.
+        move is longer than a hundredth of a scan step, or, of a lobe that was known before, after a
+        few.
         """
         reach, tolerance = self.scan.step, ROUGH * self.scan.step if rough else 0.0
         here = self.at(np.clip(wavenumbers, *self.bounds))
         size, damping = math.sqrt(float(np.sum(self.rows.target**2))), 1.0
-        for _ in range(ITERATIONS):
+        for _ in range(FOLLOWED if rough and self.known is not None else ITERATIONS):
             longest = float(np.abs(here.moves).max(initial=0.0))
             moves = here.moves * min(damping, reach / longest) if longest > 0 else here.moves
             slack = ROUNDING * size * math.sqrt(here.residual)

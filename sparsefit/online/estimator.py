@@ -15,12 +15,14 @@ from sparsefit.derivative.pieces import GAP
 from sparsefit.derivative.steps import ONE_STEP
 from sparsefit.errors import InputError, finite, pair
 from sparsefit.estimator import Doubt, Estimate, Estimator
+from sparsefit.estimator.locate import located_one
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
 from sparsefit.flight.record import LARGEST, SMALLEST_STEP
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.stack import Part
+from sparsefit.online.lobes import Lobes
 from sparsefit.online.settings import Settings
 from sparsefit.online.window import Window
 from sparsefit.regression.backend import settings_of
@@ -53,9 +55,8 @@ class OnlineEstimator:
         memory: float | None = None,
     ) -> None:
         self.settings = Settings.of(estimator, vehicle, window, memory)
-        self._window = Window(self.settings)
-        self._last = -math.inf
         self.restarts = 0
+        self.restart()
 
     def update(self, time: float, position: object, velocity: object) -> None:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
@@ -84,6 +85,8 @@ class OnlineEstimator:
             self.restarts += 1
         self._window.push(sample)
         self._last = t
+        if self._lobes is not None:
+            self._lobes.advance()
 
     def _gap(self, step: float, time: float) -> bool:
         """Whether a step is a gap; InputError where it is uneven and must not be."""
@@ -105,6 +108,8 @@ class OnlineEstimator:
     def restart(self) -> None:
         """Forget all samples; the next may have any time."""
         self._window = Window(self.settings)
+        searched = self.settings.searched
+        self._lobes = Lobes(self.settings, self._window) if searched else None
         self._last = -math.inf
 
     @property
@@ -138,11 +143,13 @@ class OnlineEstimator:
         """Bytes of memory that samples, rows and sums take: no more once the window is full."""
         return self._window.nbytes
 
-    def prepared(self) -> Prepared:
+    def prepared(self, *, scan: bool = False) -> Prepared:
         """The window as back-ends see it, for `Estimator.fit` and `Estimator.read`.
 
-        It holds views of memory that later samples overwrite. Raises InputError where the window
-        has too few samples for a row, or candidates of zeros.
+        scan: whether all length scales are scanned for now, which takes milliseconds, instead of
+        taking the lobes that the last scan along the stream has found. It holds views of memory
+        that later samples overwrite. Raises InputError where the window has too few samples for a
+        row, or candidates of zeros.
         """
         start = perf_counter()
         window, settings = self._window, self.settings
@@ -153,12 +160,15 @@ class OnlineEstimator:
             held.samples.position, held.theta, held.target, window.columns, held.statistics
         )
         seconds = perf_counter() - start
+        lobes = self._lobes.places() if self._lobes and not scan else None
         part = Part(held.samples, Nuisance(library.unknown, settings.vehicle))
-        return Prepared((part,), library, problem, held.target, seconds)
+        return Prepared((part,), library, problem, held.target, seconds, lobes)
 
-    def estimate(self) -> Estimate:
+    def estimate(self, *, scan: bool = False) -> Estimate:
         """The flow's parameters from the window, as `Estimator.estimate` gives them of `flight`.
 
+        scan: whether all length scales are scanned for now, as the batch does, instead of searching
+        the lobes of the last scan along the stream, at most half a window old.
         With too few samples, or none that a length scale could be told from, the status is
         ``unidentifiable``.
         """
@@ -167,10 +177,14 @@ class OnlineEstimator:
             return self._nothing(Doubt.FEW_SAMPLES, words)
         estimator = self.settings.estimator
         try:
-            prepared = self.prepared()
-            return estimator.read(prepared, estimator.fit(prepared))
+            prepared = self.prepared(scan=scan)
+            estimate = estimator.read(prepared, estimator.fit(prepared))
         except InputError as error:  # a flight along an axis, or one that stands still
             return self._nothing(Doubt.SHORT_TRACK, str(error))
+        if self._lobes is not None and math.isfinite(estimate.grid_length_scale):
+            located = located_one(prepared, estimate.grid_length_scale)
+            self._lobes.moved(located.ends, located.space.scan.step)
+        return estimate
 
     def _nothing(self, doubt: Doubt, reason: str) -> Estimate:
         backend = self.settings.estimator.backend

@@ -89,6 +89,12 @@ class Settings:
         return SPANS.get(self.derivative.method) or self.derivative.window or 0
 
     @property
+    def searched(self) -> bool:
+        """Whether one mode is looked for off the grid."""
+        readout, grid = self.estimator.readout, self.library.grid
+        return readout.refine != "none" and readout.scales == "one" and grid.lower < grid.upper
+
+    @property
     def behind(self) -> float:
         """Steps from the middle of a row's samples to the newest of them."""
         if self.derivative.method == "forward":

@@ -3,7 +3,7 @@
     G <- lambda G + B'B - O'O,    B the rows that enter, O those that leave, lambda the decay.
 
 The products of one block are spread over as many slices of G as there are samples until the next,
-so that no sample pays for a block; of the symmetric G only the upper triangle is summed.
+so that no sample pays for a block.
 
 Rounding. What is added and taken away again leaves its rounding behind. A second sum, F, is begun
 anew with some block and only ever added to; once the window has left the blocks before that one, F
@@ -15,9 +15,6 @@ however long the flight. Where |Z| <= 1 a product errs by BLOCK^2 eps and a sum 
 """
 
 from __future__ import annotations
-
-import math
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -41,7 +38,7 @@ class Sums:
         self.cross, self._fresh_cross = np.zeros((2, columns, targets))
         self.square, self._fresh_square = np.zeros((2, targets))
         self.low = self.high = self._fresh_low = 0  # blocks: in G those of [low, high)
-        self._edges = slice_edges(columns, SLICES)
+        self._edges = np.linspace(0, columns, SLICES + 1).astype(int).tolist()
         self._entering = self._leaving = np.zeros((0, columns))
         self._decay, self._next = 1.0, SLICES
 
@@ -103,15 +100,13 @@ class Sums:
             return False
         rows = slice(self._edges[self._next], self._edges[self._next + 1])
         self._next += 1
-        added = self._entering[:, rows].T @ self._entering[:, rows.start :]
+        added = self._entering[:, rows].T @ self._entering
         for values in (self.gram, self._fresh):
-            part = values[rows, rows.start :]
             if self._decay != 1.0:
-                part *= self._decay
-            part += added
+                values[rows] *= self._decay
+            values[rows] += added
         if len(self._leaving):
-            taken = self._leaving[:, rows].T @ self._leaving[:, rows.start :]
-            self.gram[rows, rows.start :] -= taken
+            self.gram[rows] -= self._leaving[:, rows].T @ self._leaving
         return True
 
     def finish(self) -> None:
@@ -120,26 +115,17 @@ class Sums:
             pass
 
     def total(
-        self,
-        more: Iterable[tuple[Array, Array]],
-        less: Iterable[tuple[Array, Array]],
-        decay: float = 1.0,
+        self, more: tuple[Array, Array], less: tuple[Array, Array], decay: float = 1.0
     ) -> tuple[Array, Array, Array]:
-        """Z'Z (k, k), Z'Y (k, n) and |Y|^2 (n,), with some rows more and some less."""
+        """Z'Z (k, k), Z'Y (k, n) and |Y|^2 (n,), with some rows (theta, target) more and some less.
+
+        decay: of what was summed before.
+        """
         self.finish()
-        gram = decay * self.gram
-        cross, square = decay * self.cross, decay * self.square
-        for sign, blocks in ((1.0, more), (-1.0, less)):
-            for theta, target in blocks:
-                gram += sign * (theta.T @ theta)
-                cross += sign * (theta.T @ target)
-                square += sign * np.sum(target * target, axis=0)
-        below = np.tril_indices(len(gram), -1)
-        gram[below] = gram.T[below]
-        return gram, cross, square
-
-
-def slice_edges(columns: int, slices: int) -> list[int]:
-    """Edges (slices + 1,) of rows of an upper triangle that hold about equally many entries."""
-    shares = np.arange(slices + 1) / slices
-    return [math.ceil(columns * (1 - math.sqrt(1 - share))) for share in shares.tolist()]
+        theta = np.concatenate([more[0], less[0]])
+        signed = np.concatenate([more[0], -less[0]])
+        target = np.concatenate([more[1], less[1]])
+        gram = theta.T @ signed
+        gram += self.gram if decay == 1.0 else decay * self.gram
+        square = decay * self.square + np.sum(more[1] ** 2, axis=0) - np.sum(less[1] ** 2, axis=0)
+        return gram, decay * self.cross + signed.T @ target, square

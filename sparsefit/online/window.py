@@ -176,6 +176,10 @@ class Window:
         """The weights of rows at a time [s]."""
         return self.settings.weight(now - self._state.rows(start, stop)[:, 0])
 
+    def complete(self) -> Array:
+        """A copy of states (m, 9) and times of the rows that whole blocks have made."""
+        return self._state.rows(min(self.first, self._done), self._done).copy()
+
     def contents(self) -> Contents:
         """The rows that the window holds now; there must be one at least."""
         self._finish()
@@ -185,12 +189,9 @@ class Window:
             self._evaluate(self._done, stop)
         state = self._state.rows(start, stop)
         now = float(state[-1, 0])
-        more, less = [], []
         low, high = self._sums.low * BLOCK, self._done
-        if low < min(start, high):
-            less.append(self._weighted(low, min(start, high), now))
-        if max(start, high) < stop:
-            more.append(self._weighted(max(start, high), stop, now))
+        less = self._weighted(low, max(low, min(start, high)), now)
+        more = self._weighted(min(max(start, high), stop), stop, now)
         decay = float(self.settings.weight(now - self._reference)) if high > low else 1.0
         gram, cross, square = self._sums.total(more, less, decay)
         theta, target = self._weighted(start, stop, now)

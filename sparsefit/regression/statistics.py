@@ -66,7 +66,7 @@ class Statistics:
 
         count: the number m of samples; rows: that were summed, where they are not as many.
         """
-        rms = np.sqrt(np.diagonal(gram) / count)
+        rms = np.sqrt(np.maximum(np.diagonal(gram), 0.0) / count)
         scale = np.where(rms > 0, rms, 1.0)
         gram /= scale[:, None] * count
         gram /= scale

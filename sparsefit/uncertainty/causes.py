@@ -43,6 +43,7 @@ TAKEN = 0.25  # of the squares that are left, under turbulence, that a cause tak
 RELIEVED = 5.0  # the likelihood ratio of turbulence where a cause has taken it all away
 SLIGHT = 1e-3  # of the flow velocity, rms, that a cause explains: less moves no answer by 0.1 %
 FREED = 1e-6  # of a column, less of it is left: the fit has it already
+ROUNDING = 1e-15  # of an eigenvalue: what is below is none
 BEST = 3  # causes that are compared by what they leave
 SWELLINGS = 4  # cosines
 MOST = 0.4  # of U0: with more turbulence than this there are hardly any steady cells
@@ -162,13 +163,22 @@ def _tested(left: Turbulence, flights: int) -> list[tuple[Suspect, Array]]:
         first = part.stop
         if np.trace(gram[part, part]) <= FREED**2 * np.sum(whole[part]):
             continue
-        size = np.linalg.pinv(gram[part, part], hermitian=True) @ scores[part]
-        statistic = scores[part] @ np.linalg.pinv(covariance[part, part], hermitian=True)
-        chance = float(gammaincc(len(each) / 2, float(statistic @ scores[part]) / 2))
-        chance = min(1.0, flights * chance)
+        size = _solved(gram[part, part], scores[part])
+        statistic = float(scores[part] @ _solved(covariance[part, part], scores[part]))
+        chance = min(1.0, flights * float(gammaincc(len(each) / 2, statistic / 2)))
         share = float(scores[part] @ size) / square
         tried.append((Suspect(cause, _told(cause, size), chance, share), freed[part]))
     return tried
+
+
+def _solved(gram: Array, scores: Array) -> Array:
+    """G^+ s; half of the causes have one column, and a decomposition is a detour there."""
+    if len(scores) == 1:
+        return np.divide(scores, gram[0], out=np.zeros(1), where=gram[0] > 0)
+    roots, vectors = np.linalg.eigh(gram)
+    kept = roots > ROUNDING * roots[-1]
+    solved: Array = vectors[:, kept] @ ((vectors[:, kept].T @ scores) / roots[kept])
+    return solved
 
 
 def _told(cause: Cause, size: Array) -> tuple[float, ...]:

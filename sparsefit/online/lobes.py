@@ -1,0 +1,88 @@
+"""Where a length scale may be: the lobes of the residual, scanned for a little with every sample.
+
+A scan of all wavenumbers takes some milliseconds; it is made of Fourier sums, of which a sample
+takes one. Its lobes are where the next answers are sought, by descents on the rows of their own
+moment: a lobe that has moved since by less than its width leads to the same minimum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError
+from sparsefit.library.scan import OF_GRAM
+from sparsefit.modes.search import LOOKED_AT, SAME
+from sparsefit.modes.space import SearchSpace
+from sparsefit.online.settings import Settings
+from sparsefit.online.window import Window
+
+FIRST = 64  # samples, of the first scan
+BESIDE = 10.0  # scan steps: lobes are some 30 apart, and move less than this between two answers
+SHARE = 0.5  # of the window is new when it is scanned again
+
+
+class Lobes:
+    """The lobes of the last scan that is complete.
+
+    Args:
+        settings: whose grid bounds the wavenumbers.
+        window: that is scanned.
+    """
+
+    def __init__(self, settings: Settings, window: Window) -> None:
+        self._settings, self._window = settings, window
+        grid = settings.library.grid
+        self._bounds = math.pi / grid.upper, math.pi / grid.lower
+        self._work: Iterator[None] = iter(())
+        self._due = FIRST
+        self._turn = 0
+        self._places: Array | None = None
+
+    def advance(self) -> None:
+        """Take one step of a scan, where one is due."""
+        if self._due <= self._window.count:
+            self._due = self._window.count + max(FIRST, math.ceil(SHARE * self._window.rows))
+            self._work = self._scan()
+        next(self._work, None)
+
+    def _scan(self) -> Iterator[None]:
+        state, vehicle = self._window.complete(), self._settings.vehicle
+        if len(state) < 2:
+            return
+        phi = vehicle.flow_velocity(state[:, 3:5], state[:, 7:9])
+        try:
+            space = SearchSpace.plain(state[:, 1:3], phi, self._bounds)
+        except InputError:  # it stands still
+            return
+        for wave in OF_GRAM:
+            space.scan.ones(wave)
+            yield
+        _ = space.scan.factor
+        yield
+        self._places = space.minima
+
+    def places(self) -> Array | None:
+        """Wavenumbers (l,) [1/m]: the deepest two, one of the others in turn, then the rest.
+
+        None before the first scan is complete.
+        """
+        if self._places is None or len(self._places) <= LOOKED_AT:
+            return self._places
+        self._turn += 1
+        best, others = np.split(self._places, [LOOKED_AT - 1])
+        return np.concatenate([best, np.roll(others, -self._turn)])
+
+    def moved(self, ends: tuple[float, ...], step: float) -> None:
+        """Take the ends of an answer's descents [1/m], best first, for the lobes near them."""
+        if self._places is None:
+            return
+        kept: list[float] = []
+        for places, apart in ((ends, SAME), (self._places.tolist(), BESIDE)):
+            for place in places:
+                if all(abs(place - other) > apart * step for other in kept):
+                    kept.append(place)
+        self._places = np.array(kept)
