@@ -56,7 +56,9 @@ class OnlineEstimator:
     ) -> None:
         self.settings = Settings.of(estimator, vehicle, window, memory)
         self.restarts = 0
-        self.restart()
+        self._last = -math.inf
+        self._window = Window(self.settings)
+        self._lobes = Lobes.of(self._window)
 
     def update(self, time: float, position: object, velocity: object) -> None:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
@@ -107,10 +109,9 @@ class OnlineEstimator:
 
     def restart(self) -> None:
         """Forget all samples; the next may have any time."""
-        self._window = Window(self.settings)
-        searched = self.settings.searched
-        self._lobes = Lobes(self.settings, self._window) if searched else None
         self._last = -math.inf
+        self._window = Window(self.settings)
+        self._lobes = Lobes.of(self._window)
 
     @property
     def samples(self) -> int:

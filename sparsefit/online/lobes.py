@@ -17,7 +17,6 @@ from sparsefit.errors import InputError
 from sparsefit.library.scan import OF_GRAM
 from sparsefit.modes.search import LOOKED_AT, SAME
 from sparsefit.modes.space import SearchSpace
-from sparsefit.online.settings import Settings
 from sparsefit.online.window import Window
 
 FIRST = 64  # samples, of the first scan
@@ -29,18 +28,22 @@ class Lobes:
     """The lobes of the last scan that is complete.
 
     Args:
-        settings: whose grid bounds the wavenumbers.
-        window: that is scanned.
+        window: that is scanned, between the bounds of its grid.
     """
 
-    def __init__(self, settings: Settings, window: Window) -> None:
-        self._settings, self._window = settings, window
-        grid = settings.library.grid
+    def __init__(self, window: Window) -> None:
+        self._window = window
+        grid = window.settings.library.grid
         self._bounds = math.pi / grid.upper, math.pi / grid.lower
         self._work: Iterator[None] = iter(())
         self._due = FIRST
         self._turn = 0
         self._places: Array | None = None
+
+    @classmethod
+    def of(cls, window: Window) -> Lobes | None:
+        """The lobes of a window, where the estimator's readout looks for one mode off the grid."""
+        return cls(window) if window.settings.searched else None
 
     def advance(self) -> None:
         """Take one step of a scan, where one is due."""
@@ -50,7 +53,7 @@ class Lobes:
         next(self._work, None)
 
     def _scan(self) -> Iterator[None]:
-        state, vehicle = self._window.complete(), self._settings.vehicle
+        state, vehicle = self._window.complete(), self._window.settings.vehicle
         if len(state) < 2:
             return
         phi = vehicle.flow_velocity(state[:, 3:5], state[:, 7:9])

@@ -174,7 +174,7 @@ def _tested(left: Turbulence, flights: int) -> list[tuple[Suspect, Array]]:
 def _solved(gram: Array, scores: Array) -> Array:
     """G^+ s; half of the causes have one column, and a decomposition is a detour there."""
     if len(scores) == 1:
-        return np.divide(scores, gram[0], out=np.zeros(1), where=gram[0] > 0)
+        return scores / gram[0, 0] if gram[0, 0] > 0 else np.zeros(1)
     roots, vectors = np.linalg.eigh(gram)
     kept = roots > ROUNDING * roots[-1]
     solved: Array = vectors[:, kept] @ ((vectors[:, kept].T @ scores) / roots[kept])
