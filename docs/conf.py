@@ -18,7 +18,8 @@ extensions = [
     "sphinx_design",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    *("contents", "mathml", "results", "study_keys", "commands", "pictures", "public_names"),
+    *("contents", "mathml", "results", "study_keys", "commands", "pictures"),
+    *("public_names", "import_cost"),
 ]
 exclude_patterns = ["_ext", "_static", "_templates", "pictures"]
 templates_path = ["_templates"]

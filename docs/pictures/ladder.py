@@ -1,7 +1,7 @@
 """The ladder of shapes: which flow is it?
-From square cells along the axes the estimate climbs over cells of other headings, sides and motions.
-The shape of least BIC wins; here the cells are rectangular and drift. Any two drifting waves fit them
-as well, with more parameters, and lose.
+From square cells along the axes the estimate climbs over cells of other headings, sides and
+motions. The shape of least BIC wins; here the cells are rectangular and drift. Any two drifting
+waves fit them as well, with more parameters, and lose.
 """
 
 import matplotlib.pyplot as plt
@@ -22,6 +22,8 @@ names = [f"{rung.shape}{', drifting' if rung.drifting else ''}" for rung in rung
 figure, axes = plt.subplots(figsize=(8.0, 0.42 * len(rungs) + 1.2))
 colours = ["#d55e00" if rung.bic == 0.0 else "#0072b2" for rung in rungs]
 bars = axes.barh(names, [100.0 * rung.residual for rung in rungs], color=colours)
-axes.bar_label(bars, [f"BIC +{rung.bic:.0f}" if rung.bic else "chosen" for rung in rungs], padding=4)
+axes.bar_label(
+    bars, [f"BIC +{rung.bic:.0f}" if rung.bic else "chosen" for rung in rungs], padding=4
+)
 axes.set(xlabel="left of the flow velocity's squares [%]", xscale="log")
 axes.set_xlim(right=1000.0)

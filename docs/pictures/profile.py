@@ -1,7 +1,8 @@
 """How often is the error at most so large?
-95 flights of the paper's Table 2, read on its grid (better readouts, one setting each): the share of
-flights whose length scale is off by at most x. A flight without an estimate never gets there. Drawn
-from results/table2/cases.parquet. Half a grid step is about 1 %; plain least squares chooses other scales.
+95 flights of the paper's Table 2, read on its grid (better readouts, one setting each): the share
+of flights whose length scale is off by at most x. A flight without an estimate never gets there.
+Drawn from results/table2/cases.parquet. Half a grid step is about 1 %; plain least squares chooses
+other scales.
 """
 
 from pathlib import Path

@@ -16,7 +16,6 @@ Source: Denoyelle, Duval, Peyre and Soubies, "The sliding Frank-Wolfe algorithm"
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.continuum import Bounds, Continuum, Jet
@@ -140,6 +139,8 @@ def _free(atoms: Atoms, gradient: Array, bounds: Bounds) -> IntArray:
 
 def _descent(gradient: Array, hessian: Array) -> Array:
     """Newton's step, with the curvatures' absolute values where they are not all positive."""
+    from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # loading an estimator needs none of it
+
     scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1e-300))
     scaled = hessian * scale[:, None] * scale
     factor, failed = dpotrf(scaled, lower=1)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
-from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, flag_setting, is_integer, number_setting, one_of
@@ -159,6 +158,8 @@ def _square(gram: Array, on: IntArray) -> Array:
 def _ridge_solve(
     problem: RegressionProblem, system: _System, on: IntArray, targets: list[int]
 ) -> Array:
+    from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # loading an estimator needs none of it
+
     full = len(on) == len(system.gram)
     block = system.gram.copy() if full else _square(system.gram, on)
     block.flat[:: len(on) + 1] += system.ridge
@@ -183,6 +184,8 @@ def _least_squares_on(problem: RegressionProblem, system: _System, support: Bool
     Singular values below UNBIAS_RCOND of the largest count as zero, as scikit-learn's
     LinearRegression (which PySINDy calls) has them.
     """
+    from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # loading an estimator needs none of it
+
     s = problem.statistics
     weights = np.zeros(support.shape)
     for t in range(support.shape[1]):
