@@ -178,7 +178,7 @@ class _Named(SparseRegressor):
         return get(self._name, **settings)
 
 
-def __getattr__(name: str) -> type[SparseRegressor]:
+def __getattr__(name: str) -> Any:
     """The regressor of a back-end, made when first asked for: a back-end is imported no sooner."""
     if name not in NAMED:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -195,7 +195,7 @@ def __getattr__(name: str) -> type[SparseRegressor]:
         kw_only=True,
     )
     globals()[name] = made
-    return cast(type[SparseRegressor], made)
+    return made
 
 
 def __dir__() -> list[str]:

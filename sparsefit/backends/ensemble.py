@@ -124,8 +124,9 @@ class Ensemble:
         if self.base == "group-lasso":
             items = np.array([shares[problem.groups == g].max() for g in np.unique(problem.groups)])
             names = [f"group {g}" for g in range(len(items))]
-            if problem.group_scales is not None:
-                names = [f"{scale:g} m" for scale in problem.group_scales]
+            scales = problem.group_scales
+            if scales is not None and len(np.unique(scales)) == len(scales):
+                names = [f"{scale:.4g} m" for scale in scales]
         else:
             items, names = shares.max(axis=1), list(problem.names)
         false = float(items.sum()) ** 2 / ((2.0 * self.threshold - 1.0) * len(items))
