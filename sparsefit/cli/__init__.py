@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from sparsefit.cli import backends, estimate, select, simulate, study
+from sparsefit.cli import backends, estimate, export, select, simulate, study
 from sparsefit.cli.parser import Parser
 
 INTERRUPTED = 130
@@ -38,7 +38,7 @@ def parser() -> Parser:
     )
     top.add_argument("--version", action="version", version=f"sparsefit {__version__}")
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb", required=True)
-    for verb in (simulate, estimate, study, select, backends):
+    for verb in (simulate, estimate, study, select, export, backends):
         verb.add(verbs)
     return top
 

@@ -180,7 +180,7 @@ def _estimator(args: argparse.Namespace) -> Estimator:
         return _built(args, given)
     if given:
         raise InputError(f"{_typed(given[0])} and --estimator cannot both be given; drop one")
-    return _read_estimator(args.estimator)
+    return read_estimator(args.estimator)
 
 
 def _built(args: argparse.Namespace, given: list[str]) -> Estimator:
@@ -221,7 +221,8 @@ def _typed(option: str) -> str:
 LONGEST = 16_000_000  # bytes of an estimator file
 
 
-def _read_estimator(path: str) -> Estimator:
+def read_estimator(path: str) -> Estimator:
+    """The estimator of a file. Raises InputError, which names the file, on anything else."""
     from sparsefit.errors import InputError, told_with
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.whole_file import read_whole

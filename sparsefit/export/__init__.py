@@ -4,6 +4,7 @@ A `Plan` says what of an estimator fits, or why not; `package` makes the files; 
 same recurrence in Python, which a test of the C compares with.
 """
 
+from sparsefit.export.layout import refuse_large as refuse_large
 from sparsefit.export.model import Tuning as Tuning
 from sparsefit.export.model_answer import Answer as Answer
 from sparsefit.export.model_answer import answers as answers

@@ -47,6 +47,10 @@ class Tuning:
     sweeps: int = 20
 
 
+GENERATED = Tuning()
+"""The tunables as they stand in the C that is exported."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sums:
     """What the C holds of the rows so far.
@@ -148,7 +152,7 @@ def sums_of(plan: Plan, place: Array, phi: Array) -> Sums:
 
 
 def summed(
-    plan: Plan, rows: Iterable[Row], at: IntArray, tuning: Tuning = Tuning()
+    plan: Plan, rows: Iterable[Row], at: IntArray, tuning: Tuning = GENERATED
 ) -> Iterator[tuple[int, Sums]]:
     """Samples at which an answer is asked for, in order, each with the sums of all rows to there.
 
@@ -172,7 +176,7 @@ def sums_at(
     plan: Plan,
     flight: Flight,
     at: IntArray,
-    tuning: Tuning = Tuning(),
+    tuning: Tuning = GENERATED,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Iterator[tuple[int, Sums]]:
     """The sums after each of some samples of a flight, as the C has them."""
@@ -193,4 +197,4 @@ def breaks_of(plan: Plan, flight: Flight, tuning: Tuning) -> IntArray:
 
 def nominal_step(time_us: IntArray) -> int:
     """The nominal time from sample to sample [us]: the median."""
-    return max(1, int(math.floor(float(np.median(np.diff(time_us))) + 0.5)))
+    return max(1, math.floor(float(np.median(np.diff(time_us))) + 0.5))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.export.model import Sums, Tuning, sums_at
+from sparsefit.export.model import GENERATED, Sums, Tuning, sums_at
 from sparsefit.export.model_choice import Choice, heaviest, lasso, stlsq
 from sparsefit.export.model_scale import ScaleFit, ScalePlace, descend, least_squares, left_of
 from sparsefit.export.plan import Plan
@@ -19,7 +19,7 @@ LOBES = 3  # minima of the residual on the grid that are descended into
 STATUS = ("ok", "unidentifiable")
 DOUBTS = (
     *("", "few-samples", "no-flow", "edge", "coarse", "rival", "short-track", "dependent"),
-    "no-weights",
+    *("no-weights", "imprecise"),
 )
 """The doubts of the C, in the order of its enumeration."""
 
@@ -29,8 +29,9 @@ class Answer:
     """What `sf_estimate` tells after a sample (counted from 0).
 
     rows: taken so far; doubt: one of `DOUBTS`, empty where the status is ok; the length scales [m]
-    and U0 [m/s] are NaN where there are none, the rival 0; unexplained: the share of |Phi|^2 that
-    is left; certificate: of the back-end, NaN where it has none.
+    and U0 [m/s] are NaN where there are none, the rival 0; length_scale_error: the standard error
+    of a length scale off the grid [m]; unexplained: the share of |Phi|^2 that is left;
+    certificate: of the back-end, NaN where it has none.
     """
 
     sample: int
@@ -41,6 +42,7 @@ class Answer:
     length_scale: float = math.nan
     grid_length_scale: float = math.nan
     rival: float = 0.0
+    length_scale_error: float = math.nan
     unexplained: float = math.nan
     certificate: float = math.nan
 
@@ -59,7 +61,7 @@ def answers(
     plan: Plan,
     flight: Flight,
     at: IntArray,
-    tuning: Tuning = Tuning(),
+    tuning: Tuning = GENERATED,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Iterator[Answer]:
     """The answers after each of some samples of a flight, ascending, asked for in this order."""
@@ -162,6 +164,7 @@ def _refined(plan: Plan, sums: Sums, answer: Answer) -> Answer:
         length_scale=scale,
         grid_length_scale=float(plan.scales[lobe]),
         rival=math.pi / below[0].k if below else 0.0,
+        length_scale_error=scale * best.error / best.k,
     )
     answer = _told(plan, sums, best.fit, answer)
     if answer.doubt:
@@ -175,4 +178,6 @@ def _doubt(plan: Plan, sums: Sums, best: ScalePlace, others: list[ScalePlace]) -
         return best.doubt
     if not exceeds(plan, rival, best.left, sums.weight, plan.distinct):
         return "rival"
+    if 2.0 * best.error > plan.precision * best.k:
+        return "imprecise"
     return _short(sums, best.fit, math.pi / best.k)

@@ -25,7 +25,8 @@ class Row:
 
 def microseconds(time: Array) -> IntArray:
     """Time stamps (m,) [us] of a log in seconds, counted from its first sample."""
-    return np.rint((time - time[0]) / MICROSECOND).astype(np.intp)
+    stamps: IntArray = np.rint((time - time[0]) / MICROSECOND).astype(np.intp)
+    return stamps
 
 
 def rows_of(

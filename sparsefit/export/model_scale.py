@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.export.layout import TERMS
 from sparsefit.export.model import ALONG_X, ALONG_Y, CROSS, CROSS_SIDE, SIDE, Sums, harmonics
 from sparsefit.export.plan import COARSE, STEPS, Plan
 
@@ -49,23 +50,28 @@ class ScaleFit:
 
 @dataclass(frozen=True, eq=False)
 class ScalePlace:
-    """Where a descent ended: k [1/m], its fit, what it leaves of |Phi|^2, and a doubt or none."""
+    """Where a descent ended: k [1/m], its fit, what it leaves of |Phi|^2, and a doubt or none.
+
+    error: the standard error of k [1/m], by the curvature of the residual; NaN on the grid.
+    """
 
     k: float
     fit: ScaleFit
     left: float
     doubt: str = ""
+    error: float = math.nan
 
 
 def gram_of(terms: Array) -> Array:
     """theta'theta (8, 8) from the sums (43,) of a scale."""
-    return (_GRAM @ terms[:CROSS]).reshape(8, 8)
+    gram: Array = (_GRAM @ terms[:CROSS]).reshape(8, 8)
+    return gram
 
 
 def cross_of(terms: Array) -> Array:
     """theta'Phi (8, 2) from the sums (43,) of a scale."""
-    parts: Array = terms[CROSS:].reshape(2, CROSS_SIDE, CROSS_SIDE)
-    return parts[:, ALONG_X, ALONG_Y].T
+    cross: Array = terms[CROSS:].reshape(2, CROSS_SIDE, CROSS_SIDE)[:, ALONG_X, ALONG_Y].T
+    return cross
 
 
 def least_squares(terms: Array, floor: float) -> ScaleFit:
@@ -105,10 +111,9 @@ def left_of(plan: Plan, square: float, explained: float) -> float:
 
 def centred(plan: Plan, sums: Sums, scale: int) -> Array:
     """The sums (orders, 43) of a scale with positions counted from the middle of the flight."""
-    terms = sums.scales[scale].copy()
+    terms: Array = sums.scales[scale].copy()
     middle, k = 0.5 * (sums.lowest + sums.highest), plan.wavenumbers[scale : scale + 1]
-    ends = (CROSS, CROSS + CROSS_SIDE**2, len(terms[0]))
-    parts = np.split(np.arange(len(terms[0])), ends[:2])
+    parts = np.split(np.arange(TERMS), (CROSS, CROSS + CROSS_SIDE**2))
     for axis in range(2):
         h = harmonics(k, middle[axis : axis + 1], plan.orders)[:, 0, 0]
         for part, side in zip(parts, (SIDE, CROSS_SIDE, CROSS_SIDE), strict=True):
@@ -121,7 +126,7 @@ def centred(plan: Plan, sums: Sums, scale: int) -> Array:
 
 
 def _turned(table: Array, h: Array) -> Array:
-    """Harmonics along the first axis of (orders, s, s), counted from the origin of h (orders, 5)."""
+    """Harmonics along the first axis of (orders, s, s), from the origin of h (orders, 5)."""
     turned = table.copy()
     for p in range(1, table.shape[1], 2):
         for d in range(len(table)):
@@ -185,6 +190,7 @@ def descend(plan: Plan, sums: Sums, scale: int) -> ScalePlace:
     low, high = at(0.0)[1], at(1.0)[1]
     if low > 0 or high < 0:
         return unresolved
+    bend = (high - low) / width**2
     t_low, t_high, moved = 0.0, 1.0, 0
     for _ in range(STEPS[plan.real]):
         rise = high - low
@@ -199,4 +205,6 @@ def descend(plan: Plan, sums: Sums, scale: int) -> ScalePlace:
             low *= 0.5 if moved == 2 else 1.0
             moved, high, t_high = 2, slope, t
     off = float(k[lower]) + t * width
-    return ScalePlace(off, fit, left_of(plan, square, fit.explained))
+    left = left_of(plan, square, fit.explained)
+    error = math.sqrt(left * plan.correlation / (sums.weight * bend)) if bend > 0 else math.inf
+    return ScalePlace(off, fit, left, "", error)

@@ -1,13 +1,12 @@
-"""Everything that is exported, file by file: the C, how to build it, and a flight to test it with."""
+"""What is exported, file by file: the C, how to build it, and a flight to test it with."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 
 import sparsefit
 from sparsefit.arrays import IntArray
+from sparsefit.errors import InputError
 from sparsefit.export.model import nominal_step
 from sparsefit.export.model_answer import DOUBTS, STATUS, Answer, answers
 from sparsefit.export.model_rows import microseconds
@@ -20,11 +19,11 @@ TOLERANCE = {"double": 1e-9, "float": 1e-5}  # relative, of the C to its model i
 ANSWERS = 20  # of a reference, over the flight
 VALUES = (
     *("mean_velocity", "length_scale", "timescale", "grid_length_scale", "rival"),
-    *("unexplained", "certificate"),
+    *("length_scale_error", "unexplained", "certificate"),
 )
 
 
-def package(plan: Plan, flight: Flight, told: Mapping[str, str]) -> dict[str, bytes]:
+def package(plan: Plan, flight: Flight, told: dict[str, str]) -> dict[str, bytes]:
     """The files of an export by their paths within its folder.
 
     flight: recorded, or simulated, which the test replays; its time stamps are whole microseconds
@@ -38,12 +37,30 @@ def package(plan: Plan, flight: Flight, told: Mapping[str, str]) -> dict[str, by
         "sf_flow.h": header(plan, told),
         "sf_flow.c": body(plan),
         "CMakeLists.txt": filled("CMakeLists.txt", values),
-        "README.md": filled("README.md", values | dict(told)),
+        "README.md": filled("README.md", values | told),
         "test/replay.c": filled("replay.c", {}),
         "test/reference.csv": reference,
     }
     recorded = csv_file.encode(FlightTable.from_flight(flight))
     return {path: text.encode() for path, text in texts.items()} | {"test/flight.csv": recorded}
+
+
+def refuse_unlike(plan: Plan, flight: Flight) -> None:
+    """Raise InputError where a flight is not one that the C can replay."""
+    vehicle = flight.vehicle
+    if flight.thrust is not None or vehicle.drag:
+        raise InputError(
+            "its vehicle has quadratic drag or a measured thrust, which the C does not; record a "
+            "flight with linear drag and constant thrust, or leave --flight out"
+        )
+    if not flight.velocity_measured:
+        raise InputError("it has no velocities, which the C needs; leave --flight out")
+    if flight.samples < plan.window:
+        raise InputError(
+            f"its {flight.samples} samples are fewer than the window of {plan.window}; use another"
+        )
+    if int(np.diff(microseconds(flight.time)).min()) < 1:
+        raise InputError("two samples are less than a microsecond apart, the clock of the C")
 
 
 def asked_at(flight: Flight, count: int = ANSWERS) -> IntArray:

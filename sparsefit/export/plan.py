@@ -1,4 +1,4 @@
-"""What of an estimator can run on board: the sizes and settings that its C is made from, or why not.
+"""What of an estimator can run on board: sizes and settings that its C is made from, or why not.
 
 What fits: sums of one flight in memory that does not grow, and answers in time that is bounded.
 A derivative from a few samples, columns of cells on a fixed grid, a back-end that needs nothing but
@@ -24,7 +24,8 @@ from sparsefit.derivative.kernels import polynomial_kernels
 from sparsefit.errors import InputError, one_of
 from sparsefit.estimator import Estimator
 from sparsefit.library.cells import CANDIDATES
-from sparsefit.modes.space import CORRELATION, FALSE_ALARM, SIGNIFICANCE, WIND
+from sparsefit.modes.space import FALSE_ALARM, SIGNIFICANCE, WIND
+from sparsefit.modes.stack import CORRELATION
 
 Real = Literal["double", "float"]
 BACKENDS = (BestScale, STLSQ, Lasso)
@@ -132,6 +133,11 @@ class Plan:
         from scipy.special import chdtri
 
         return float(chdtri(FREEDOM, FALSE_ALARM / len(self.scales)))
+
+    @property
+    def precision(self) -> float:
+        """The share of a length scale that twice its standard error may be."""
+        return self.estimator.readout.precision
 
     @property
     def distinct(self) -> float:

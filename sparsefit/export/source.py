@@ -13,7 +13,7 @@ from sparsefit.backends.lasso import Lasso
 from sparsefit.backends.stlsq import STLSQ
 from sparsefit.codec import plain
 from sparsefit.export.layout import constants, ram
-from sparsefit.export.model import Tuning
+from sparsefit.export.model import GENERATED
 from sparsefit.export.pieces import COLUMNS, ESTIMATE, STEP_TEST, STEP_TUNABLE, SWEEPS, UNBIAS
 from sparsefit.export.plan import COARSE, STEPS, Plan
 
@@ -56,24 +56,25 @@ def _lines(items: Iterable[str]) -> list[str]:
     return lines
 
 
-def header(plan: Plan, told: Mapping[str, str]) -> str:
+def header(plan: Plan, told: dict[str, str]) -> str:
     """sf_flow.h.
 
     told: ``source``, ``flash``, ``stack``, ``work`` and ``budget``, in words for its first comment.
     """
-    library, tuning = plan.estimator.library, Tuning()
+    library, tuning = plan.estimator.library, GENERATED
     grid = {key: value for key, value in plain(library.grid).items() if key != "fraction"}
     step = STEP_TUNABLE["savgol" if plan.derivative.method == "savgol" else "gap"]
     sizes = COLUMNS if plan.columns else dict.fromkeys(COLUMNS, "")
-    settings = {
+    settings: dict[str, str] = {
         "derivative": _settings(plan.derivative.method, plain(plan.derivative)),
         "library": _settings("cells", grid | {"every": library.every}),
         "backend": _settings(plan.backend.name, plain(plan.backend)),
         "readout": _settings("", plain(plan.estimator.readout)),
     }
+    values: dict[str, object] = {name: in_comment(words) for name, words in settings.items()}
     return filled(
         "sf_flow.h",
-        {name: in_comment(words) for name, words in settings.items()}
+        values
         | {
             "version": sparsefit.__version__,
             "scales": len(plan.scales),
@@ -98,6 +99,7 @@ def header(plan: Plan, told: Mapping[str, str]) -> str:
             "column_sizes": sizes["column_sizes"],
             "column_state": sizes["column_state"],
             "certificate": _certificate(plan),
+            "precision": f"{plan.precision:g}",
             "estimate_const": "" if plan.columns else "const ",
         }
         | told,
@@ -123,7 +125,7 @@ def functions(plan: Plan) -> dict[str, str]:
 
 
 def _numbers(plan: Plan) -> dict[str, str]:
-    names = ("floor", "rounding", "settled", "correlation", "detection", "distinct")
+    names = ("floor", "rounding", "settled", "correlation", "detection", "distinct", "precision")
     return {name: repr(float(getattr(plan, name))) for name in names} | {
         "version": sparsefit.__version__,
         "wavenumbers": table(plan.wavenumbers),
@@ -136,7 +138,7 @@ def _numbers(plan: Plan) -> dict[str, str]:
 
 def _settings_of(plan: Plan) -> dict[str, str]:
     """The numbers of the derivative and of the back-end."""
-    values, backend = {}, plan.backend
+    backend, values = plan.backend, dict[str, str]()
     if plan.derivative.method == "savgol":
         value, slope = plan.kernels
         order = str(plan.derivative.order)
@@ -162,15 +164,19 @@ def _hooks(plan: Plan) -> dict[str, str]:
     own, math = bool(plan.columns), functions(plan)
     grid = own and not plan.refined
     estimate = Template(ESTIMATE["columns" if own else "scales"])
-    return (COLUMNS if own else dict.fromkeys(COLUMNS, "")) | math | {
-        "readout_words": words,
-        "readout_sum": Template(summed).substitute(math),
-        "least_weight": least,
-        "step_test": Template(step).substitute(math),
-        "estimate_const": "" if own else "const ",
-        "candidate_parameter": "uint32_t best, " if grid else "",
-        "estimate_body": estimate.substitute(candidate="scale, " if grid else ""),
-    }
+    return (
+        (COLUMNS if own else dict.fromkeys(COLUMNS, ""))
+        | math
+        | {
+            "readout_words": words,
+            "readout_sum": Template(summed).substitute(math),
+            "least_weight": least,
+            "step_test": Template(step).substitute(math),
+            "estimate_const": "" if own else "const ",
+            "candidate_parameter": "uint32_t best, " if grid else "",
+            "estimate_body": estimate.substitute(candidate="scale, " if grid else ""),
+        }
+    )
 
 
 def _certificate(plan: Plan) -> str:

@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass
 
 from sparsefit.backends.stlsq import STLSQ
 from sparsefit.export.layout import TERMS
-from sparsefit.export.model import Tuning
+from sparsefit.export.model import GENERATED, Tuning
 from sparsefit.export.model_answer import LOBES
 from sparsefit.export.plan import STEPS, Plan
 
@@ -52,7 +52,7 @@ def update(plan: Plan, *, fold: bool = True) -> Work:
     return row + FOLD * _sums(plan) if fold else row
 
 
-def estimate(plan: Plan, tuning: Tuning = Tuning()) -> Work:
+def estimate(plan: Plan, tuning: Tuning = GENERATED) -> Work:
     """sf_estimate at most."""
     read = _read_refined(plan) if plan.refined else _read_grid(plan)
     if plan.columns:
@@ -138,14 +138,15 @@ def _descend(plan: Plan) -> Work:
     grid = PHI_SQUARE + _load_centred(plan) + _least_squares() + LEFT + _slope()
     ends = Work(1, 1) + EXTENT + _load_centred(plan) * 2 + _fit_between(plan) * 2
     step = _fit_between(plan) + Work(3, 4, 1)
-    return grid + ends + step * STEPS[plan.real] + LEFT
+    error = Work(1, 1, 1) + Work(0, 2, 1, 1) + ROWS
+    return grid + ends + step * STEPS[plan.real] + LEFT + error
 
 
 def _read_refined(plan: Plan) -> Work:
     scale = _load(plan) + _least_squares() + LEFT
     deepest = PHI_SQUARE + scale * len(plan.scales)
     places = _descend(plan) * LOBES + Work(0, 0, 2) * LOBES
-    rival = ROWS + EXCEEDS
+    rival = ROWS + EXCEEDS + Work(0, 3, 1)
     return PHI_SQUARE + deepest + places + _tell() + rival + _short()
 
 

@@ -32,6 +32,7 @@ static void sf_read(const sf_flow *flow, ${candidate_parameter}sf_answer *answer
     }
     answer->refined = (best.doubt == SF_NO_DOUBT) ? 1u : 0u;
     answer->length_scale = SF_PI / best.k;
+    answer->length_scale_error = answer->length_scale * best.error / best.k;
     sf_tell(flow, &best.fit, answer);
     if (answer->doubt != SF_NO_DOUBT) {
         return;
@@ -40,6 +41,8 @@ static void sf_read(const sf_flow *flow, ${candidate_parameter}sf_answer *answer
         answer->doubt = best.doubt;
     } else if (!sf_exceeds(rival_left, best.left, sf_rows(flow), SF_DISTINCT)) {
         answer->doubt = SF_RIVAL;
+    } else if (SF_R(2) * answer->length_scale_error > SF_PRECISION * answer->length_scale) {
+        answer->doubt = SF_IMPRECISE;
     } else {
         answer->doubt = sf_short(flow, &best.fit, answer);
     }

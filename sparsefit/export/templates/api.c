@@ -192,6 +192,7 @@ sf_status sf_estimate(${estimate_const}sf_flow *flow, sf_answer *answer)
     answer->timescale = SF_R(NAN);
     answer->grid_length_scale = SF_R(NAN);
     answer->rival = SF_R(0);
+    answer->length_scale_error = SF_R(NAN);
     answer->unexplained = SF_R(NAN);
     answer->certificate = SF_R(NAN);
     if (flow->ready != SF_READY) {

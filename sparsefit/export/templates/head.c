@@ -16,6 +16,7 @@
 #define SF_CORRELATION SF_R(${correlation}) /* rows over which errors of Phi correlate, at least */
 #define SF_DETECTION SF_R(${detection})   /* 2 ln(likelihood ratio) that chance reaches in 1 of 1000 */
 #define SF_DISTINCT SF_R(${distinct})    /* the same of a false lobe, in 1 of 100 */
+#define SF_PRECISION SF_R(${precision})  /* of the length scale: twice its error is at most this share */
 
 /* The size that the header states; C99 has no static assertion but this. */
 typedef char sf_ram_is_as_stated[(sizeof(sf_flow) <= SF_RAM_BYTES) ? 1 : -1];

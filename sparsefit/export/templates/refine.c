@@ -17,6 +17,7 @@
 typedef struct {
     sf_fit fit;
     sf_real k;
+    sf_real error;  /* standard error of k; NaN on the grid */
     sf_real left;   /* |Phi - theta W|^2 */
     sf_doubt doubt; /* SF_EDGE, SF_COARSE or none */
 } sf_place;
@@ -137,6 +138,7 @@ static void sf_descend(const sf_flow *flow, uint32_t scale, sf_place *place)
     const sf_real square = sf_phi_square(flow);
     sf_interval interval;
     sf_fit end;
+    sf_real bend;
     sf_real left_end;
     sf_real right_end;
     sf_real t_left = SF_R(0);
@@ -146,6 +148,7 @@ static void sf_descend(const sf_flow *flow, uint32_t scale, sf_place *place)
     uint32_t lower; /* the scale of the smaller wavenumber: scales ascend, wavenumbers descend */
 
     place->k = SF_WAVENUMBER[scale];
+    place->error = SF_R(NAN);
     place->doubt = SF_EDGE;
     sf_load_centred(flow, scale, interval.nodes[0]);
     sf_least_squares(interval.nodes[0][0], &place->fit);
@@ -168,6 +171,7 @@ static void sf_descend(const sf_flow *flow, uint32_t scale, sf_place *place)
         return;
     }
     place->doubt = SF_NO_DOUBT;
+    bend = (right_end - left_end) / (interval.width * interval.width);
     for (step = 0u; step < SF_STEPS; step++) {
         const sf_real rise = right_end - left_end;
         const sf_real t = (rise > SF_R(0)) ? ((t_left * right_end - t_right * left_end) / rise)
@@ -191,6 +195,8 @@ static void sf_descend(const sf_flow *flow, uint32_t scale, sf_place *place)
         }
     }
     place->left = sf_left(square, place->fit.explained);
+    /* R grows by R/(2m) x rows that correlate at one standard error: R''/2 error^2. */
+    place->error = ${sqrt}(place->left * SF_CORRELATION / (sf_rows(flow) * bend));
 }
 
 /* The deepest minima of the residual on the grid, deepest first; returns how many there are. */

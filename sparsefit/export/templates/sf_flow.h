@@ -84,7 +84,8 @@ typedef enum {
     SF_RIVAL = 5,       /* another length scale fits too nearly as well */
     SF_SHORT_TRACK = 6, /* less than one period, 2 L, was flown across */
     SF_DEPENDENT = 7,   /* the track, a line say, does not tell the 8 candidates apart */
-    SF_NO_WEIGHTS = 8   /* the back-end gave every column the weight zero */
+    SF_NO_WEIGHTS = 8,  /* the back-end gave every column the weight zero */
+    SF_IMPRECISE = 9    /* twice the error of L is more than ${precision} L */
 } sf_doubt;
 
 typedef struct {
@@ -106,6 +107,7 @@ typedef struct {
     sf_real timescale;         /* L/U0 [s] */
     sf_real grid_length_scale; /* the candidate that it comes from [m] */
     sf_real rival;             /* the next best length scale [m], 0 without one */
+    sf_real length_scale_error; /* standard error [m], by the curvature; NaN on the grid */
     sf_real unexplained;       /* share of |Phi|^2 that the fit leaves */
     sf_real certificate;       /* ${certificate} */
 } sf_answer;
