@@ -126,10 +126,10 @@ def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
     record = json.loads(saved.read_text())
     path = tmp_path / "odd.json"
     for change, words in (
-        ({"format": "sparsefit-estimator/2"}, "a later version of sparsefit"),
-        ({"library": {"grid": {"lower": float("nan")}}}, "finite"),
-        ({"backend": {"name": "../../etc/passwd"}}, "unknown back-end"),
-        ({"backend": {"name": "*/ int x; /*"}}, "unknown back-end"),
+        ({"format": "sparsefit-estimator/2"}, "update sparsefit"),
+        ({"library": {"grid": {"lower": float("nan")}}}, "is nan"),
+        ({"backend": {"name": "../../etc/passwd"}}, "no path"),
+        ({"backend": {"name": "*/ int x; /*"}}, "no path"),
     ):
         path.write_text(json.dumps(record | change))
         assert words in refused(capsys, path, "--c", tmp_path / "flow", *CHANGES)
