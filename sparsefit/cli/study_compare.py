@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from sparsefit.study.evidence.compared import Compared
     from sparsefit.study.evidence.table import Table
+    from sparsefit.study.run.merge import Part
 
 COMPARE = """\
   sparsefit study compare results-0.2/table2 results/table2
@@ -56,6 +57,10 @@ def add(actions: Verbs) -> None:
     merge_.add_argument("study", metavar="STUDY", help="study file, .toml")
     merge_.add_argument("parts", metavar="FOLDER", nargs="+", help="results folder of a part")
     add_results(merge_)
+    merge_.add_argument(
+        "--keep-first", action="store_true",
+        help="where parts differ in a case keep the row that is there, or the first part's",
+    )  # fmt: skip
     merge_.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -124,22 +129,34 @@ def merge(args: argparse.Namespace) -> int:
 
     study = Study.load(args.study)
     check_outputs(study)
-    merged = merged_of(study, args.results, args.parts)
+    merged = merged_of(study, args.results, args.parts, keep_first=args.keep_first)
     if merged.finished:
         write_pages(study, args.results, read_cases(merged.folder))
     if args.json:
         told = [
-            {"folder": str(part.folder), "rows": part.rows, "taken": part.taken}
+            {
+                "folder": str(part.folder),
+                "rows": part.rows,
+                "taken": part.taken,
+                "alike": part.alike,
+                "other": part.other,
+            }
             for part in merged.parts
         ]
         counted = {"planned": merged.planned, "done": merged.done, "parts": told}
         print_json({"study": study.name, "folder": str(merged.folder), **counted})
         return 0
     for part in merged.parts:
-        print(f"{part.folder}: {part.taken} of its {part.rows} rows were new")
+        print(f"{part.folder}: {part.taken} of its {part.rows} rows were new{_beside(part)}")
     left = merged.planned - merged.done
     state = (
         "finished" if merged.finished else f"{left} left to run: sparsefit study run {args.study}"
     )
     print(f"{merged.folder}: {merged.done} of {merged.planned} cases, {state}")
     return 0
+
+
+def _beside(part: Part) -> str:
+    """How many rows were there already, and said the same or not."""
+    counts = ((part.alike, "alike"), (part.other, "different and left out"))
+    return "".join(f", {count} {words}" for count, words in counts if count)

@@ -379,6 +379,7 @@ def test_what_needs_a_finished_study_refuses_another(capsys, half):
             CONTRAST.replace('"paper"],', '"papre"],'),
             'contrasts: "papre" is unknown: did you mean "paper"?',
         ),
+        (f'{STUDY}[select]\nover = "velocity noise 0.2 m/s"', "unknown regime in over ="),
         (f"{STUDY}[select]\nmax_failur = 0.1", 'did you mean "max_failure"?'),
         (STUDY.replace("sample_rate", "sampling_rate"), 'did you mean "sample_rate"?'),
         (STUDY.replace("duration = 2.0", 'duration = "2 s"'), 'key "duration"'),
@@ -459,13 +460,32 @@ class TestMerge:
         assert code == 0
         assert "64 of 96 cases, 32 left to run" in out
         code, out, _ = run(capsys, "study", "merge", finished, "lasso", "stlsq/small")
-        assert "lasso/small: 0 of its 64 rows were new" in out
+        assert "lasso/small: 0 of its 64 rows were new, 64 alike\n" in out
         assert "stlsq/small: 32 of its 32 rows were new" in out
         assert "96 of 96 cases, finished" in out
         assert Path("results/small/README.md").exists()
         merged = store.read_cases("results/small")
         same = [name for name in whole if name not in ("seconds", "version")]
         assert merged[same].equals(whole[same])
+
+    def test_rows_that_say_different_things_are_refused_by_name(self, capsys, finished):
+        shutil.copytree("results", "other")
+        os.rename("results", "mine")
+        where = Path("other/small/cases.parquet")
+        cases = store.read_cases(where.parent)
+        case = cases["case_id"].iloc[1]
+        cases.loc[1, "est_length_scale"] *= 1.001
+        cases.loc[:, "seconds"] += 1.0
+        cases.to_parquet(where)
+        Path("other/small/manifest.json").unlink()  # which would find the change
+        err = refused(capsys, "study", "merge", finished, "mine", "other")
+        assert f"case {case} differs between mine/small (" in err
+        assert "add --keep-first" in err
+        parts = ("mine", "other", "--keep-first", "--json")
+        told = json.loads(run(capsys, "study", "merge", finished, *parts)[1])["parts"]
+        assert [(one["taken"], one["alike"], one["other"]) for one in told] == [
+            (PLANNED, 0, 0), (0, PLANNED - 1, 1)
+        ]  # fmt: skip
 
     def test_refusals(self, capsys, finished):
         os.mkdir("empty")

@@ -361,6 +361,9 @@ class TestReport:
         assert "- flights.response_time: `0.5`" in text
         assert '- flights.length_scale: `{"uniform":[2,10]}`' in text
         assert "72 of 72 planned cases: 66 ok, 6 error." in text
+        rows = text.partition("How cases ended (demo)")[2].partition("###")[0].splitlines()
+        counts = [[int(cell) for cell in row.split("|")[-4:-1]] for row in rows if "alpha=" in row]
+        assert np.sum(counts, axis=0).tolist() == [72, 66, 6]
         back = pd.read_csv(folder / "errors-absolute.csv")
         assert len(back) == 2 * 2 * len(BACKENDS)
         assert (back["n"] == 6).all()

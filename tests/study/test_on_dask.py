@@ -123,4 +123,6 @@ def test_what_is_missing_or_does_not_fit_is_told(
         run(study, tmp_path, executor="slurm")
     asked = ["study", "run", study.path, "--results", str(tmp_path), "--executor", "dask"]
     assert main(asked) == 2
-    assert "leave --executor out" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "leave --executor out" in told.err
+    assert (told.out, told.err.count("\n")) == ("", 1)

@@ -102,6 +102,14 @@ def times(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     return table_of(asked, study, setting_columns(), by_levels(cases), shown, limit=None)
 
 
+def statuses(study: Study, cases: pd.DataFrame) -> Table:
+    """Return how many cases of each setting ended in each status that occurs."""
+    ended = [status for status in STATUSES if has_status(cases, status).any()]
+    shown = (PLANNED, *(with_status(status) for status in ended))
+    asked = Asked(title="How cases ended")
+    return table_of(asked, study, setting_columns(), by_levels(cases), shown)
+
+
 def _kinds(cases: pd.DataFrame) -> str | None:
     kinds = {str(kind) for kind in map(plain, cases["certificate_kind"][estimated(cases)]) if kind}
     return ", ".join(sorted(kinds)) or None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from sparsefit.errors import is_real
 from sparsefit.study.evidence.along import unit_of, words_of
 from sparsefit.study.evidence.cases import DEFAULT, factors, is_condition, level_text
 from sparsefit.study.evidence.sentence import gathered
@@ -20,7 +21,7 @@ from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.selection import WORLD, regime_factors
 
 if TYPE_CHECKING:
-    from sparsefit.study.spec.design import Protocol
+    from sparsefit.study.spec.design import Factor, Protocol
     from sparsefit.study.spec.study import Study
 
 REGIME = "regime"
@@ -84,6 +85,23 @@ def in_regimes(study: Study, cases: pd.DataFrame) -> pd.DataFrame:
         world=[worlds.get(str(name), DEFAULT) for name in known],
         regime=regimes or EVERYWHERE,
     )
+
+
+def planned_regimes(study: Study) -> list[str]:
+    """The regimes that the cases of a study will belong to, known from its plan."""
+    names = ["protocol", *(factor.key for factor in study.sweep)]
+    rows = dict.fromkeys(
+        (cell.protocol, *(_stored(factor, cell.levels[factor.key]) for factor in study.sweep))
+        for cell in study.cells
+    )
+    return regime_names(in_regimes(study, pd.DataFrame(list(rows), columns=names)))
+
+
+def _stored(factor: Factor, level: object) -> object:
+    """A level as it stands in the rows: where all are numbers a number, else text."""
+    if all(map(is_real, factor.levels)) or isinstance(level, str):
+        return level
+    return canonical_json(level)
 
 
 def _varied(study: Study, cases: pd.DataFrame) -> list[str]:

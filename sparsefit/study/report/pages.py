@@ -11,12 +11,13 @@ import pandas as pd
 
 from sparsefit.errors import InputError, told_with
 from sparsefit.study.evidence.answers import ANSWERS, sentences
-from sparsefit.study.evidence.candidates import measure_of
+from sparsefit.study.evidence.candidates import Criterion, measure_of
 from sparsefit.study.evidence.cases import STATUSES
 from sparsefit.study.evidence.contrasts import check_contrasts
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.table import Table
-from sparsefit.study.evidence.tables import TABLES, tables_of
+from sparsefit.study.evidence.tables import TABLES, statuses, tables_of
+from sparsefit.study.evidence.worlds import planned_regimes
 from sparsefit.study.report.drawing import to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import FIGURES, caption, figures_for
@@ -26,6 +27,7 @@ from sparsefit.study.report.study_page import study_page
 from sparsefit.study.run.folder import CASES, made_folder
 from sparsefit.study.run.manifest import MANIFEST
 from sparsefit.study.spec.outputs import Entry
+from sparsefit.study.spec.selection import AVERAGE, WORST
 from sparsefit.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -88,7 +90,11 @@ def check_outputs(study: Study) -> None:
             for entry in entries:
                 check_contrasts(study, kind.read(entry))
     with told_with(f"{study.path}: [select]"):
-        measure_of(study.selection)
+        rule = study.selection
+        if rule.over in (AVERAGE, WORST):
+            measure_of(rule)
+        else:
+            Criterion.of(rule, planned_regimes(study))
 
 
 def write_table(study: Study, folder: Path, name: str, table: Table) -> list[Path]:
@@ -121,10 +127,16 @@ def readme(
         "Written by `sparsefit study report`; do not edit.",
         *(f"![{name}]({name}.svg)\n\n*{words}*" for name, words in captions.items()),
         *(_section(name, table) for name, table in tables.items() if not table.varies),
+        *_statuses(study, cases),
         *_of_this_run(tables),
         *_settings(study),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _statuses(study: Study, cases: pd.DataFrame) -> list[str]:
+    """How the cases of each setting ended, where not all ended alike."""
+    return [to_markdown(statuses(study, cases))] if cases["status"].nunique() > 1 else []
 
 
 def _of_this_run(tables: dict[str, Table]) -> list[str]:

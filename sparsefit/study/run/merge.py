@@ -2,12 +2,14 @@
 
 Each place ran the same study file, with `--only` say, and holds a part of its rows, finished or
 not. A row counts by what determines its numbers, so that no part needs to know of the others.
+Two rows of one case must say the same: their status, and U0, L_w and tau_w to 6 digits.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sparsefit.errors import InputError, told_with
@@ -18,18 +20,28 @@ from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import sparsefit_version
 from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.reading import PARAMETERS
 from sparsefit.study.run.runner import run
 from sparsefit.study.run.summary import RunSummary
+from sparsefit.study.spec.plan import Case
 from sparsefit.study.spec.study import Study
+
+JUDGED = tuple(f"est_{name}" for name in PARAMETERS)
+ALIKE = 1e-6  # relative: what another machine's rounding may change
 
 
 @dataclass(frozen=True)
 class Part:
-    """One folder that rows were taken from: how many it had, and how many were new."""
+    """One folder that rows were taken from: how many it had, and how many were new.
+
+    alike: how many say what a row that was there says; other: how many say something else.
+    """
 
     folder: Path
     rows: int
     taken: int
+    alike: int = 0
+    other: int = 0
 
 
 @dataclass(frozen=True)
@@ -47,7 +59,13 @@ class Merged:
         return self.done == self.planned
 
 
-def merge(study: Study, results_dir: str | Path, parts: Sequence[str | Path]) -> Merged:
+def merge(
+    study: Study,
+    results_dir: str | Path,
+    parts: Sequence[str | Path],
+    *,
+    keep_first: bool = False,
+) -> Merged:
     """Take into `results_dir/<name>` the rows of the study that the parts hold.
 
     A case that is there, or in an earlier part, keeps its row. Once all are there the study is
@@ -55,21 +73,28 @@ def merge(study: Study, results_dir: str | Path, parts: Sequence[str | Path]) ->
 
     Args:
         parts: results folders of the study, or folders that hold one under its name.
+        keep_first: where rows of one case differ, keep the first instead of refusing them.
 
     Raises:
-        InputError: if a part is no results folder or is of another study, or the folder is in use.
+        InputError: if a part is no results folder or is of another study, if two rows of one case
+            say different things (nothing is taken then), or the folder is in use.
     """
     folders = [_folder(study, Path(part)) for part in parts]
     target = Path(results_dir) / study.name
     if target.resolve() in {one.resolve() for one in folders}:
         raise InputError(f"{target}: merges into itself: give the other parts, or other --results")
     told = [(part, _held(study, part)) for part in folders]
+    here = (target, found(study, target))
+    counts = _compared(study, [here, *told], keep_first=keep_first)
     folder = made_folder(study, results_dir)
     with locked(folder):
         ledger = found(study, folder)
         header = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
         partial.begin(folder, header | {"study": study.name, "planned": study.planned})
-        merged = tuple(_take(ledger, folder, part, held) for part, held in told)
+        merged = tuple(
+            replace(_take(ledger, folder, part, held), alike=alike, other=other)
+            for (part, held), (alike, other) in zip(told, counts, strict=True)
+        )
         done = int(ledger.done.sum())
     if done == study.planned:
         _finish(study, results_dir)
@@ -91,6 +116,47 @@ def _folder(study: Study, part: Path) -> Path:
 def _held(study: Study, part: Path) -> Ledger:
     with told_with(part):
         return found(study, part)
+
+
+Said = tuple[Path, str, tuple[float, ...]]  # where a row stands, its status and its numbers
+
+
+def _compared(
+    study: Study, held: Sequence[tuple[Path, Ledger]], *, keep_first: bool
+) -> list[tuple[int, int]]:
+    """Of every part, the first folder being ours: rows that say the same as before, and others."""
+    said: dict[tuple[int, int], Said] = {}
+    counts, clashes = [], []
+    for folder, ledger in held:
+        alike = other = 0
+        for row in _rows(ledger, folder):
+            own = (folder, row.status, tuple(float(row[name]) for name in JUDGED))
+            first = said.setdefault((row.flight, row.cell), own)
+            if _same(first, own):
+                alike += first is not own
+            else:
+                other += 1
+                clashes.append((Case(row.flight, study.cells[row.cell]).case_id, first, own))
+        counts.append((alike, other))
+    if clashes and not keep_first:
+        raise InputError(_clash(*clashes[0], len(clashes)))
+    return counts[1:]
+
+
+def _same(one: Said, other: Said) -> bool:
+    return one[1] == other[1] and all(
+        math.isclose(a, b, rel_tol=ALIKE) or (math.isnan(a) and math.isnan(b))
+        for a, b in zip(one[2], other[2], strict=True)
+    )
+
+
+def _clash(case: str, one: Said, other: Said, count: int) -> str:
+    more = f" (and {count - 1} more)" if count > 1 else ""
+    sides = " and ".join(
+        f"{folder} ({status}: U0 {values[0]:.7g} m/s, L_w {values[1]:.7g} m)"
+        for folder, status, values in (one, other)
+    )
+    return f"case {case}{more} differs between {sides}: leave one out, or add --keep-first"
 
 
 def _take(ledger: Ledger, folder: Path, part: Path, held: Ledger) -> Part:

@@ -49,7 +49,7 @@ def outcomes_on_dask(
         MissingExtra: dask is not installed.
         InputError: the scheduler cannot be reached, or has no workers.
     """
-    dask = _distributed()
+    dask = distributed()
     with ExitStack() as stack:
         client = _client(dask, scheduler, processes, stack)
         hands = sum(client.nthreads().values())
@@ -128,7 +128,8 @@ def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) 
         raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None
 
 
-def _distributed() -> Any:
+def distributed() -> Any:
+    """The package of dask's scheduler; MissingExtra where it is not installed."""
     try:
         return import_module("distributed")
     except ImportError:

@@ -17,6 +17,7 @@ from sparsefit.study.spec.study import Study
 
 START_SECONDS = 180.0
 MAX_DEATHS = 3
+MAX_KILLED = 30  # while they started, in a row: who is killed from outside starts anew
 TICK = 0.5  # seconds between looks at the clock, at most
 ASLEEP = 3.0  # seconds between them after which this process itself must have been stopped
 GARBLED = "the message channel of the worker process was written into"
@@ -55,7 +56,8 @@ def _never() -> bool:
 class _Pool:
     """jobs: those never begun; queue: those to do next, among them what lost workers left.
 
-    looked: when the clock was looked at last; stillborn: workers in a row that did not start.
+    looked: when the clock was looked at last; of workers in a row that did not start, stillborn
+    ended by themselves, and killed by a signal.
     """
 
     study: Study
@@ -66,6 +68,7 @@ class _Pool:
     crew: list[Worker] = field(default_factory=list)
     looked: float = field(default_factory=time.monotonic)
     stillborn: int = 0
+    killed: int = 0
 
     @property
     def busy(self) -> bool:
@@ -145,7 +148,7 @@ class _Pool:
                 if timed:
                     yield timed
                 if isinstance(message, Ready):
-                    self.stillborn = 0
+                    self.stillborn = self.killed = 0
                     self._give(worker)
         except (EOFError, OSError):
             return False
@@ -153,16 +156,12 @@ class _Pool:
 
     def _lost(self, worker: Worker, status: str, cause: str) -> Generator[Timed, None, None]:
         """End a worker; rows for the cells it takes along, and the others back to the queue."""
+        died_of_signal = (worker.process.exitcode or 0) < 0
         self.crew.remove(worker)
         worker.kill()
         if not worker.ready:
-            self.stillborn += 1
-            if self.stillborn < MAX_DEATHS:
-                return
-            raise SparsefitError(
-                f"a worker process could not start ({cause}): in a script, call run() under "
-                'if __name__ == "__main__"'
-            )
+            self._not_started(cause, by_signal=died_of_signal)
+            return
         if worker.job is None:
             return
         victims, rest = _sorted_out(worker, worker.job)
@@ -172,6 +171,21 @@ class _Pool:
         for cell in victims:
             reason = f"{stage} {cause}" if status == "timeout" else f"{stage}: {cause}"
             yield Outcome(worker.job.flight, cell, status, reason), time.monotonic() - worker.since
+
+    def _not_started(self, cause: str, *, by_signal: bool) -> None:
+        """Another worker is started for it, unless that never helps."""
+        self.killed += by_signal
+        self.stillborn += not by_signal
+        if self.killed >= MAX_KILLED:
+            raise SparsefitError(
+                f"{self.killed} worker processes in a row were killed while they started ({cause}):"
+                " free memory, or take fewer --processes, and run again to continue"
+            )
+        if self.stillborn >= MAX_DEATHS:
+            raise SparsefitError(
+                f"a worker process could not start ({cause}): in a script, call run() under "
+                'if __name__ == "__main__"'
+            )
 
 
 def _sorted_out(worker: Worker, job: Job) -> tuple[list[int], Job]:

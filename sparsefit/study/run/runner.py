@@ -83,6 +83,10 @@ def run(
     one_of("executor", executor, EXECUTORS)
     if scheduler is not None and executor != "dask":
         raise InputError(f"a scheduler is of dask, not of {executor}: add --executor dask")
+    if executor == "dask":
+        from sparsefit.study.run.on_dask import distributed
+
+        distributed()
     again = Again(retry_failed, renew_stale, tuple(only))
     folder = made_folder(study, results_dir)
     with locked(folder):
