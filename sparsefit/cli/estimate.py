@@ -1,4 +1,4 @@
-"""`sparsefit estimate`: the flow's parameters from the log of one flight."""
+"""`sparsefit estimate`: the flow's parameters from the log of a flight, or of several."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimate_lines import lines
-from sparsefit.cli.estimate_log import add_log, log_record, log_rows, quality_of_log, read_log
+from sparsefit.cli.estimate_log import Log, add_log, quality_of_log, read_log, refuse_planes
 from sparsefit.cli.estimate_plot import add_plot, check_plot, write_plot
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Verbs, add_setting, collected, number, verb, whole
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = """\
   sparsefit estimate flight.csv
+  sparsefit estimate monday.csv tuesday.csv
   sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
   sparsefit estimate flight.csv --estimator estimator.json
   sparsefit estimate flight.csv --scales several --backend gridless-group-lasso
@@ -64,13 +65,15 @@ def add(verbs: Verbs) -> None:
         verbs,
         "estimate",
         run,
-        summary="estimate mean velocity, length scale and timescale from a flight",
+        summary="estimate mean velocity, length scale and timescale from a flight, or several",
         example=EXAMPLE,
     )
     parser.add_argument(
         "flight",
         metavar="FLIGHT",
-        help="flight log: .csv or .parquet, .ulg of PX4, .igc of a glider",
+        nargs="+",
+        help="flight log: .csv or .parquet, .ulg of PX4, .igc of a glider; several are flights "
+        "through one flow, in one frame and by one clock",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_plot(parser)
@@ -155,21 +158,29 @@ def run(args: argparse.Namespace) -> int:
     """Estimate, print, and tell by the exit code whether the status is ok."""
     check_plot(args)
     estimator = _estimator(args)
-    table = read_log(args, args.flight)
-    flight = _flight(args, table, estimator.library.unknown)
-    quality = quality_of_log(args, args.flight, flight, estimator.library.grid.lower)
-    estimate = estimator.estimate(flight)
+    logs = [_log(args, path, estimator) for path in args.flight]
+    refuse_planes(logs)
+    flights = [log.flight for log in logs]
+    estimate = estimator.estimate(flights[0] if len(flights) == 1 else flights)
     if args.plot is not None:
-        write_plot(args.plot, args.flight, estimator, flight, estimate)
+        write_plot(args.plot, args.flight[0], estimator, flights[0], estimate)
     if args.json:
-        log = log_record(quality, estimate, flight, table.notes)
-        print_json(estimate.to_dict() | {"log": log})
+        records = [log.record(estimate) for log in logs]
+        told = {"log": records[0]} if len(logs) == 1 else {"logs": records}
+        print_json(estimate.to_dict() | told)
     else:
-        log_lines = log_rows(quality, estimate, flight, table.notes)
-        print("\n".join(lines(args.flight, flight, estimate, estimator.library.unknown, log_lines)))
+        print("\n".join(lines(logs, estimate, estimator.library.unknown)))
     if estimate.status != "ok":
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
     return 0 if estimate.status == "ok" else 1
+
+
+def _log(args: argparse.Namespace, path: str, estimator: Estimator) -> Log:
+    """One log, its quality looked at."""
+    table = read_log(args, path)
+    flight = _flight(args, path, table, estimator.library.unknown)
+    quality = quality_of_log(args, path, flight, estimator.library.grid.lower)
+    return Log(path, flight, quality, table.notes)
 
 
 def _estimator(args: argparse.Namespace) -> Estimator:
@@ -235,7 +246,9 @@ def read_estimator(path: str) -> Estimator:
         return Estimator.from_json(text)
 
 
-def _flight(args: argparse.Namespace, table: FlightTable, unknown: tuple[str, ...]) -> Flight:
+def _flight(
+    args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
+) -> Flight:
     """The flight, its vehicle as in the file unless the command line says otherwise."""
     from sparsefit.errors import InputError, told_with
     from sparsefit.flight.table import vehicle_of
@@ -254,7 +267,7 @@ def _flight(args: argparse.Namespace, table: FlightTable, unknown: tuple[str, ..
             told = "the file has none; give --response-time too"
         elif table.notes:  # no line of ours can be added to a log of others
             told = "the log does not tell; give --response-time, or --unknown response_time"
-        raise InputError(f"{args.flight}: no vehicle: {told}")
+        raise InputError(f"{path}: no vehicle: {told}")
     vehicle = vehicle_of(settings)
-    with told_with(args.flight):
+    with told_with(path):
         return table.flight(vehicle)

@@ -10,7 +10,8 @@ from sparsefit.cli.output import duration, proof
 from sparsefit.cli.parser import shown
 
 if TYPE_CHECKING:
-    from sparsefit.estimator.estimate import Estimate, ScaleEstimate
+    from sparsefit.cli.estimate_log import Log
+    from sparsefit.estimator.estimate import Estimate, FlightEstimate, ScaleEstimate
     from sparsefit.flight import Flight
 
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
@@ -29,32 +30,24 @@ SHAPES = {
 }
 
 
-def lines(
-    name: str,
-    flight: Flight,
-    estimate: Estimate,
-    unknown: tuple[str, ...],
-    log: Sequence[tuple[str, str]] = (),
-) -> list[str]:
-    """The lines of the answer: flight and vehicle, the parameters, the status and its proof.
+def lines(logs: Sequence[Log], estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:
+    """The lines of the answer: flights and vehicles, the parameters, the status and its proof.
 
-    Of the vehicle only what was not ``unknown`` is told as given; log: rows on the log's quality.
+    Of a vehicle only what was not ``unknown`` is told as given.
     """
-    vehicle = [words for key, words in _known(flight).items() if key not in unknown]
     certificate = estimate.certificate
     meaning = (
         f"  ({MEANINGS[certificate.kind]})" if certificate and certificate.kind in MEANINGS else ""
     )
+    alone = not estimate.flights
     rows = [
-        ("flight", f"{name}: {_measured(flight)}"),
-        *log,
-        *([("repaired", estimate.repairs.words)] if estimate.repairs.words else []),
-        *_wander(estimate),
-        ("vehicle", ", ".join(vehicle) or "unknown"),
+        *(_flight(logs[0], estimate, estimate, unknown) if alone else []),
+        *([] if alone else _flights(logs, estimate, unknown)),
         ("", ""),
         *_parameters(estimate),
         *_shape(estimate),
         *_estimated(estimate),
+        *_constancy(estimate),
         *_goodness(estimate),
         ("", ""),
         *_scales(estimate),
@@ -65,6 +58,42 @@ def lines(
         ("time", duration(estimate.seconds)),
     ]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+
+
+def _flight(
+    log: Log, estimate: Estimate, own: Estimate | FlightEstimate, unknown: tuple[str, ...]
+) -> list[tuple[str, str]]:
+    """What was flown, logged and mended; own: what is estimated of the flight."""
+    vehicle = [words for key, words in _known(log.flight).items() if key not in unknown]
+    return [
+        ("flight", f"{log.path}: {_measured(log.flight)}"),
+        *log.rows(estimate),
+        *([("repaired", own.repairs.words)] if own.repairs.words else []),
+        *_wander(own),
+        ("vehicle", ", ".join(vehicle) or "unknown"),
+    ]
+
+
+def _flights(
+    logs: Sequence[Log], estimate: Estimate, unknown: tuple[str, ...]
+) -> list[tuple[str, str]]:
+    """The same of several flights, by number, and what is estimated of each."""
+    rows: list[tuple[str, str]] = []
+    for number, (log, own) in enumerate(zip(logs, estimate.flights, strict=True), 1):
+        (_, first), *others = _flight(log, estimate, own, unknown)
+        rows += [(f"flight {number}", first), *others]
+        noise = f"{own.noise:.3g} of the mean, so that a sample counts for {own.noise**-2:.2g}"
+        rows += [("noise", noise), *_estimated(own), ("", "")]
+    return rows[:-1]
+
+
+def _constancy(estimate: Estimate) -> list[tuple[str, str]]:
+    """How fast the mean velocity changes, where that is told."""
+    known = estimate.constancy
+    if known is None or not math.isfinite(known.standard_error):
+        return []
+    words = f"{known.rate:+.2g} m/s^2  ± {known.standard_error:.2g}"
+    return [("change of U0", f"{words}; p = {known.p_value:.2g} if it is constant")]
 
 
 def _known(flight: Flight) -> dict[str, str]:
@@ -128,7 +157,7 @@ def _structure(whiteness: float) -> str:
     return f"; whiteness of the rest: p = {whiteness:.2g}"
 
 
-def _wander(estimate: Estimate) -> list[tuple[str, str]]:
+def _wander(estimate: Estimate | FlightEstimate) -> list[tuple[str, str]]:
     """What the position errs with a memory, where that is seen."""
     agreement = estimate.agreement
     if agreement is None or not agreement.wanders or agreement.broken:
@@ -137,7 +166,7 @@ def _wander(estimate: Estimate) -> list[tuple[str, str]]:
     return [("position wanders", f"{words}which the intervals hold")]
 
 
-def _estimated(estimate: Estimate) -> list[tuple[str, str]]:
+def _estimated(estimate: Estimate | FlightEstimate) -> list[tuple[str, str]]:
     """What was unknown beside the flow."""
     rows, known = [], estimate.vehicle_uncertainty
     if estimate.response_time == estimate.response_time:

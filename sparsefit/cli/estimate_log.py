@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.parser import number
@@ -66,29 +67,51 @@ def quality_of_log(args: argparse.Namespace, path: str, flight: Flight, lower: f
     return quality_of(flight, Derivative()(flight).smoothing)
 
 
-def log_rows(
-    quality: LogQuality, estimate: Estimate, flight: Flight, notes: tuple[str, ...]
-) -> list[tuple[str, str]]:
-    """Lines on the log: its quality, its frame, and how a foreign one was read."""
-    from sparsefit.flight.record import FRAMES
+@dataclass(frozen=True)
+class Log:
+    """A log that was read.
 
-    crossed = _crossed(estimate, flight)
-    words = quality.words + (f"; {crossed} cells crossed" if crossed else "")
-    frame = (
-        f"{quality.frame}: {FRAMES[quality.frame]}" if quality.frame else f"not told: {FRAMES['']}"
-    )
-    rows = [("log", words), ("frame", frame)]
-    return rows + [("read as" if not place else "", note) for place, note in enumerate(notes)]
+    Args:
+        path: of its file.
+        flight: that it holds.
+        quality: what it is like.
+        notes: how a foreign log was read.
+    """
+
+    path: str
+    flight: Flight
+    quality: LogQuality
+    notes: tuple[str, ...]
+
+    def rows(self, estimate: Estimate) -> list[tuple[str, str]]:
+        """Lines on the log: its quality, its frame, and how a foreign one was read."""
+        from sparsefit.flight.record import FRAMES
+
+        crossed, frame = _crossed(estimate, self.flight), self.quality.frame
+        words = self.quality.words + (f"; {crossed} cells crossed" if crossed else "")
+        told = f"{frame}: {FRAMES[frame]}" if frame else f"not told: {FRAMES['']}"
+        read = [("read as" if not place else "", note) for place, note in enumerate(self.notes)]
+        return [("log", words), ("frame", told), *read]
+
+    def record(self, estimate: Estimate) -> dict[str, Any]:
+        """The same for programs; what is not known is None."""
+        from sparsefit.codec import finite_or_none
+
+        record: dict[str, Any] = finite_or_none(asdict(self.quality))
+        crossed = _crossed(estimate, self.flight)
+        return record | {"cells_crossed": crossed, "read_as": list(self.notes)}
 
 
-def log_record(
-    quality: LogQuality, estimate: Estimate, flight: Flight, notes: tuple[str, ...]
-) -> dict[str, Any]:
-    """The same for programs; what is not known is None."""
-    from sparsefit.codec import finite_or_none
+def refuse_planes(logs: Sequence[Log]) -> None:
+    """InputError where several logs in degrees would each lie on a plane of its own."""
+    from sparsefit.errors import InputError
 
-    record: dict[str, Any] = finite_or_none(asdict(quality))
-    return record | {"cells_crossed": _crossed(estimate, flight), "read_as": list(notes)}
+    own = [log.path for log in logs if any(note.startswith("local plane") for note in log.notes)]
+    if len(logs) > 1 and own:
+        raise InputError(
+            f"{own[0]}: degrees become metres about the middle of each log, and several flights "
+            "need one frame: give x and y in metres"
+        )
 
 
 def _crossed(estimate: Estimate, flight: Flight) -> int | None:

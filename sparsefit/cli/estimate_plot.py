@@ -31,6 +31,8 @@ def check_plot(args: argparse.Namespace) -> None:
 
     if args.plot is None:
         return
+    if len(args.flight) > 1:
+        raise InputError(f"--plot draws one flight, not {len(args.flight)}; leave it out")
     if Path(args.plot).suffix.lower() not in SUFFIXES:
         raise InputError(f"--plot: {args.plot} must end in {', '.join(SUFFIXES)}")
     if not Path(args.plot).resolve().parent.is_dir():

@@ -20,6 +20,7 @@ from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.readout import Readout, mean_velocity_of
 from sparsefit.uncertainty import (
     Assessment,
+    Constancy,
     Goodness,
     Shape,
     VehicleUncertainty,
@@ -38,7 +39,7 @@ class Reading:
 
     assessed: whether standard errors were sought; goodness: how well the modes fit, where they
     were; shaped: the flow of waves, where it is one; vehicles: of several flights what was unknown
-    of each, and how sure it is.
+    of each, and how sure it is; constancy: whether U0 kept its value.
     """
 
     scales: tuple[ScaleEstimate, ...]
@@ -48,6 +49,7 @@ class Reading:
     goodness: Goodness | None = None
     shaped: Shaped | None = None
     vehicles: tuple[tuple[VehicleEstimate, VehicleUncertainty | None], ...] = ()
+    constancy: Constancy | None = None
 
     @property
     def impossible(self) -> VehicleEstimate | None:
@@ -78,8 +80,8 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
             pairs = zip(known.modes, place.candidates, strict=True)
             scales = [ScaleEstimate(*m.values, own, m.uncertainty) for m, own in pairs]
             beside = known.vehicle, known.vehicle_uncertainty
-            goodness, each = known.goodness, known.vehicles
-            return Reading(_sorted(scales), *beside, True, goodness, None, each)
+            reading = Reading(_sorted(scales), *beside, True, known.goodness)
+            return replace(reading, vehicles=known.vehicles, constancy=known.constancy)
     goodness = None
     if readout.refine != "none" and not assessed and place.fit is not None:
         known = _assessment(prepared, place, False)  # of the same fit: how well it explains
@@ -141,7 +143,8 @@ def _of_ladder(
         for mode, heading in zip(known.modes, headings, strict=True)
     )
     beside = known.vehicle, known.vehicle_uncertainty
-    return Reading(scales, *beside, True, known.goodness, shaped, known.vehicles)
+    reading = Reading(scales, *beside, True, known.goodness, shaped)
+    return replace(reading, vehicles=known.vehicles, constancy=known.constancy)
 
 
 def _shaped(plainly: Reading, ladder: Ladder) -> Shaped | None:

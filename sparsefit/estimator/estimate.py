@@ -10,6 +10,7 @@ from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
 from sparsefit.uncertainty import (
+    Constancy,
     FlowUncertainty,
     Goodness,
     ShapeUncertainty,
@@ -112,7 +113,8 @@ class Estimate:
     ``rectangle``, ``pair`` or ``several``; length_scales: (L_x, L_y) [m] in the cells' own axes;
     drift: at which they move [m/s], (x, y); shape_uncertainty: how sure these are; rungs: every
     shape that was tried. flights: of several flights through one flow what is of each; what is
-    estimated of a vehicle, repairs and agreement stand there alone.
+    estimated of a vehicle, repairs and agreement stand there alone. constancy: how fast U0 changes
+    while it is flown through, with its interval and p-value.
     """
 
     mean_velocity: float
@@ -148,6 +150,7 @@ class Estimate:
     rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
     flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
     flights: tuple[FlightEstimate, ...] = ()
+    constancy: Constancy | None = None
     drag: float = math.nan
     thrust_scale: float = math.nan
 

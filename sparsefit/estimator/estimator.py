@@ -125,6 +125,7 @@ class Estimator:
             agreement=prepared.samples.agreement,
             goodness=reading.goodness,
             flights=told_of(prepared, reading),
+            constancy=reading.constancy,
             **(shaped.fields if shaped else {}),
             **unknown,
         )

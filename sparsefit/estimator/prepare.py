@@ -160,6 +160,11 @@ def together(flights: Flight | Sequence[Flight]) -> tuple[Flight, ...]:
         for first, other in enumerate(flights[: number - 1], 1):
             if np.array_equal(flight.position, other.position):
                 raise InputError(f"flights {first} and {number} are one and the same; give it once")
+        if flight.frame and flights[0].frame not in ("", flight.frame):
+            raise InputError(
+                f"flight {number} is in {flight.frame}, and flight 1 in {flights[0].frame}: turn "
+                "one of them; several flights need one frame"
+            )
     return tuple(flights)
 
 

@@ -9,6 +9,7 @@ from sparsefit.uncertainty.assessment import (
     vehicles_of,
 )
 from sparsefit.uncertainty.causes import Cause, Suspect
+from sparsefit.uncertainty.constancy import Constancy
 from sparsefit.uncertainty.flow import FlowUncertainty
 from sparsefit.uncertainty.goodness import Goodness
 from sparsefit.uncertainty.lags import LAGS
@@ -20,6 +21,7 @@ __all__ = [
     "LAGS",
     "Assessment",
     "Cause",
+    "Constancy",
     "FlowUncertainty",
     "Goodness",
     "ModeAssessment",

@@ -17,6 +17,7 @@ from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import Projection
 from sparsefit.modes.stack import Part
+from sparsefit.uncertainty.constancy import Constancy
 from sparsefit.uncertainty.corrected import Known, corrected
 from sparsefit.uncertainty.flow import FlowUncertainty, entries, flow_of
 from sparsefit.uncertainty.goodness import Goodness, goodness_of
@@ -57,6 +58,7 @@ class Assessment:
             the rows do.
         vehicles: of several flights the vehicle of each, where something beside the flow is
             unknown, and how sure that is.
+        constancy: whether U0 of the fastest flow kept its value, where that can be told.
     """
 
     modes: tuple[ModeAssessment, ...]
@@ -66,6 +68,7 @@ class Assessment:
     shapes: tuple[Shape, ...] = ()
     flow: FlowUncertainty | None = None
     vehicles: tuple[tuple[VehicleEstimate, VehicleUncertainty], ...] = ()
+    constancy: Constancy | None = None
 
     @property
     def white(self) -> bool:
@@ -131,6 +134,9 @@ def assess_flights(
         modes = tuple(_mode(*one) for one in zip(*by_mode, strict=True))
         goodness = goodness_of(model, known.left, modes[0].mean_velocity)
         read = Assessment(modes, goodness=goodness)
+    if known.growth is not None:
+        fastest = max(mode.mean_velocity for mode in read.modes)
+        read = replace(read, constancy=Constancy.of(known.growth, fastest))
     if not vehicles[0].unknown:
         return read
     own, beside = sum(map(_entries, vehicles[0].unknown)), []

@@ -21,6 +21,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.modes.stack import Part
 from sparsefit.uncertainty import bias, lags, noise
+from sparsefit.uncertainty.constancy import Growth, Share
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.influence import Influence
 from sparsefit.uncertainty.model import Model
@@ -30,6 +31,7 @@ from sparsefit.uncertainty.turbulence import FEWEST, Turbulence, generalised_ste
 # Of a correction, what counts as a standard error: terms of second order are left out.
 DOUBT_OF_TRUNCATION, DOUBT_OF_NOISE = 0.2, 0.5
 REACH = 1.0  # standard errors that noisy columns may move a value: beyond, it is ill determined
+SEEN = 2.0  # standard errors of a growth that is taken from what is left
 MOST = 2.0  # standard errors that generalised least squares may move a value
 EXACT = 1e-6  # residuals below this, relative: no noise but truncation, which adds up coherently
 COHERENT, QUADRATURE = 0.5, 2.0  # of what it could add up to; weak rows fit most of theirs
@@ -44,12 +46,14 @@ class Known:
         errors: their standard errors (f,), inf where not told.
         freedom: the degrees of freedom of these (f,), inf where they are certain.
         left: what the fit leaves of each flight, against noise; none where no filters are known.
+        growth: by which share the flow changes in a second, where that can be told.
     """
 
     values: Array
     errors: Array
     freedom: Array
     left: tuple[Turbulence, ...] = ()
+    growth: Share | None = None
 
 
 def corrected(parts: Sequence[Part], model: Model, read: Reader, *, correct: bool) -> Known | None:
@@ -119,7 +123,30 @@ def _through_filters(
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     errors = np.hypot(spread, doubt)
     values = reading.values + correcting * (correction + moved)
-    return Known(values, errors, freedom, tuple(one.left for one in seen))
+    return Known(values, errors, freedom, tuple(one.left for one in seen), _growth(seen))
+
+
+def _growth(seen: Sequence[_Seen]) -> Share | None:
+    """The share [1/s] by which the flow changes, and how sure it is."""
+    fits = [one.fit for one in seen]
+    growth = Growth.of(fits)
+    if growth is None:
+        return None
+    value = growth.share([one.less.together for one in seen], fits)
+    moved = [growth.influence(place, one.left) for place, one in enumerate(seen)]
+    error, freedom = _spread(seen, moved)
+    if abs(value) > SEEN * error:  # noise is then not what the growth itself leaves
+        less = enumerate(seen)
+        beside = [replace(one, left=growth.without(i, one.left, value)) for i, one in less]
+        error, freedom = _spread(beside, moved)
+    return Share(value, float(np.hypot(error, growth.doubt(value))), freedom)
+
+
+def _spread(seen: Sequence[_Seen], moved: Sequence[Influence]) -> tuple[float, float]:
+    """The standard error of a function by its influence in each flight, and its freedom."""
+    each = [one.spread(own) for one, own in zip(seen, moved, strict=True)]
+    variance = np.sum([own for own, _ in each], axis=0)
+    return float(np.sqrt(variance[0])), float(_freedom(each, variance)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,19 +165,28 @@ class _Seen:
 
     def variances(self, model: Model, gradients: Array) -> tuple[Array, Array]:
         """What the flight adds to the variances (f,), and the degrees of freedom of that."""
-        observed = self.left.observed
-        variance = observed.amounts @ self.influence.by_source(observed.squares)
-        freedom = np.full(len(gradients), np.inf)
-        if self.left.found:
-            coloured, freedom = self.left.variances(self.influence)
-            gram, weight = model.jacobian.gram, self.fit.weight
-            apart = jackknifed(self.fit.model, gradients, gram, weight)
-            variance = np.maximum(variance, 0.5 * (coloured + apart))
-        return variance + self._coherent(), freedom
+        if not self.left.found:
+            return self.spread(self.influence)
+        gram, weight = model.jacobian.gram, self.fit.weight
+        return self.spread(self.influence, jackknifed(self.fit.model, gradients, gram, weight))
 
-    def _coherent(self) -> Array:
-        """The square (f,) of what residuals without noise may add up to; 0 with noise."""
-        square, rows = float(np.sum(self.less.errors**2)), self.influence.rows
+    def spread(self, influence: Influence, apart: Array | None = None) -> tuple[Array, Array]:
+        """The same of any influence; apart: what a jackknife says, where there is turbulence."""
+        observed = self.left.observed
+        variance = observed.amounts @ influence.by_source(observed.squares)
+        freedom = np.full(len(variance), np.inf)
+        if self.left.found:
+            coloured, freedom = self.left.variances(influence)
+            both = coloured if apart is None else 0.5 * (coloured + apart)
+            variance = np.maximum(variance, both)
+        return variance + self._coherent(influence.rows), freedom
+
+    def _coherent(self, rows: Array) -> Array:
+        """The square (f,) of what residuals without noise may add up to; 0 with noise.
+
+        rows (f, 2, q): the influence of errors of the rows.
+        """
+        square = float(np.sum(self.less.errors**2))
         if square > EXACT**2 * float(np.sum(self.fit.model.flow**2)):
             return np.zeros(len(rows))
         share = COHERENT if self.fit.samples.weak is None else QUADRATURE

@@ -86,12 +86,15 @@ def test_less_than_one_period_is_told_only_where_it_fits_exactly(noise):
 
 def test_the_command_line_tells_the_goodness_of_fit():
     from sparsefit.cli.estimate_lines import lines
+    from sparsefit.cli.estimate_log import Log
+    from sparsefit.derivative.quality import quality_of
 
     flow = sf.SuperposedFlow((sf.CellularFlow(12.0, 4.0),), (1.5, 0.0))
     flight = sf.simulate_flight(
         flow, VEHICLE, duration=10.0, sample_rate=100.0, seed=5, velocity_noise=0.1
     )
     found = sf.Estimator().estimate(flight)
-    text = "\n".join(lines("flight.csv", flight, found, ()))
+    log = Log("flight.csv", flight, quality_of(flight), ())
+    text = "\n".join(lines([log], found, ()))
     assert f"R² {found.goodness.r_squared:.6f}" in text
     assert "status                misfit: " in text

@@ -122,3 +122,19 @@ def test_what_is_no_list_of_flights_is_told_in_one_line(flights, words):
     with pytest.raises(InputError, match=words) as caught:
         sf.Estimator().estimate(flights)
     assert "\n" not in str(caught.value)
+
+
+def test_the_command_line_reads_several_files(tmp_path, capsys):
+    from sparsefit.cli import main
+
+    paths = [str(tmp_path / f"{place}.csv") for place in range(2)]
+    for path, flight in zip(paths, FLEET, strict=False):
+        sf.write_flight(flight, path)
+    assert main(["estimate", *paths, "--refine", "variable-projection"]) == 0
+    printed = capsys.readouterr().out
+    assert all(
+        f"flight {place + 1}              {path}" in printed for place, path in enumerate(paths)
+    )
+    assert "change of U0" in printed
+    assert main(["estimate", paths[0], paths[0]]) == 2
+    assert "one and the same" in capsys.readouterr().err

@@ -7,6 +7,8 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.cli.estimate_lines import lines
+from sparsefit.cli.estimate_log import Log
+from sparsefit.derivative.quality import quality_of
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.modes.readout import Readout
 
@@ -58,7 +60,7 @@ def test_an_estimate_with_its_shape_is_json(turned):
 
 def test_the_command_line_tells_the_shape(turned):
     _, flight, estimate = turned
-    words = "\n".join(lines("turned", flight, estimate, ()))
+    words = "\n".join(lines([Log("turned", flight, quality_of(flight), ())], estimate, ()))
     assert "shape                 square cells\n" in words
     assert f"heading               {math.degrees(estimate.heading):.4f} degrees" in words
     assert "drift" not in words
@@ -78,7 +80,8 @@ def test_two_flows_are_read_each_by_itself():
         assert abs(read.length_scale - true.length_scale) < 4 * read.uncertainty.length_scale
         assert read.uncertainty.mean_velocity < 0.02 * true.mean_velocity
         assert read.heading == pytest.approx(true.heading, abs=0.01)
-    assert any(line.split()[-1:] == ["heading"] for line in lines("f", flight, found, ()))
+    log = Log("f", flight, quality_of(flight), ())
+    assert any(line.split()[-1:] == ["heading"] for line in lines([log], found, ()))
 
 
 def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():
