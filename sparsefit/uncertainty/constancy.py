@@ -6,8 +6,8 @@ order, c z of the flow velocity, z = t w. Beside all that was fitted, of any fli
     c = z'W (I - P) e / z'W (I - P) z,    P the projection onto what was fitted, W the weights,
 
 is the estimate of least squares, and its rate dU0/dt = c U0. Its variance is that of any other
-function of the errors (`corrected`): noise through the filters, and turbulence where it is found. Terms of
-second order, (c T/2)^2 of c over a time T, are left out, and count as a standard error.
+function of the errors (`corrected`): noise through the filters, and turbulence where it is found.
+Terms of second order, (c T/2)^2 of c over a time T, are left out, and count as a standard error.
 """
 
 from __future__ import annotations
