@@ -13,7 +13,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative.quality import gaps_of
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, positive
 from sparsefit.flight import Flight
 from sparsefit.flight.units import LENGTHS, SPEEDS, TIMES, named
 
@@ -42,7 +42,8 @@ def check_log(flight: Flight, *, smallest: float = 0.0, longest_gap: float | Non
         InputError: naming the first of these: a long gap, a vehicle that stands still, rows of
             two vehicles or flights, velocities in another unit, frame or sign than positions.
     """
-    _check_gap(flight, longest_gap)
+    longest = None if longest_gap is None else positive("longest_gap", longest_gap, "s")
+    _check_gap(flight, longest)
     _check_still(flight, smallest)
     _check_turns(flight)
     _check_one_flight(flight)

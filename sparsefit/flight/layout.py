@@ -170,28 +170,30 @@ def _complete(found: dict[str, Source], names: list[str]) -> dict[str, Source]:
 
 
 def reader_of(name: str, source: Source, first: str) -> Reader:
-    """What makes numbers of the cells of a column, in s, m, m/s or degrees.
+    """What makes numbers of the cells of a column, in SI units or degrees.
 
     Args:
         name: the field.
         source: its column and unit.
         first: the first cell: times are ISO where it is.
     """
-    start = _moment(first) if name == "time" and not source.unit else None
-    if start is not None:
+    if name == "time" and not source.unit and not _is_number(first):
+        start = _moment(first)
         return lambda text, place: _since(start, text, place)
     factor = factor_of(name, source.unit)
     return number if factor == 1.0 else lambda text, place: factor * number(text, place)
 
 
-def _moment(text: str) -> datetime | None:
-    """A time that a calendar names; None of a plain number and of anything else."""
+def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
-        pass
-    else:
-        return None
+        return False
+    return True
+
+
+def _moment(text: str) -> datetime | None:
+    """A time that a calendar names; None of anything else."""
     try:
         moment = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -199,11 +201,13 @@ def _moment(text: str) -> datetime | None:
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
-def _since(start: datetime, text: str, place: str) -> float:
+def _since(start: datetime | None, text: str, place: str) -> float:
     moment = _moment(text)
-    if moment is None:
+    if start is None or moment is None:
         shown = ascii(text.strip()[:40])
-        raise InputError(f"{place}: {shown} is no ISO time as those before; repair or drop it")
+        kind = "a finite number nor an ISO time" if start is None else "an ISO time as those before"
+        word = "is neither" if start is None else "is not"
+        raise InputError(f"{place}: {shown} {word} {kind}; repair or drop it")
     return (moment - start).total_seconds()
 
 

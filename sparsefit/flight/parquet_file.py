@@ -97,7 +97,7 @@ def _values(arrow: ModuleType, name: str, source: Source, column: Any) -> list[f
     if name == "time" and arrow.types.is_timestamp(kind):
         moments = column.cast(arrow.timestamp("ns")).cast(arrow.int64()).to_pylist()
         return [1e-9 * (moment - moments[0]) for moment in moments]
-    if name == "time" and arrow.types.is_string(kind):
+    if name == "time" and (arrow.types.is_string(kind) or arrow.types.is_large_string(kind)):
         texts = column.to_pylist()
         read = reader_of(name, source, texts[0] if texts else "")
         return [read(text, f"row {row}, column {place}") for row, text in enumerate(texts)]

@@ -24,19 +24,19 @@ TOPIC, LANDED = "vehicle_local_position", "vehicle_land_detected"
 FIELDS = ("x", "y", "vx", "vy")
 VALID = ("xy_valid", "v_xy_valid")
 RESETS = "xy_reset_counter"
+CUT = "the log is truncated: it ends within a message; copy it again"
 HEADER = 3  # bytes before each message: a log may end in place of one, and nowhere else
 SHOWN = 8  # topics that a refusal lists
 
 
 class _Content(io.BytesIO):
-    """A log in memory that knows whether it ended within a message."""
-
-    cut = False
+    """A log in memory that is refused where it ends within a message: pyulog would go on."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         found = super().read(size)
         wanted = -1 if size is None else size
-        self.cut |= len(found) < wanted and (wanted != HEADER or len(found) > 0)
+        if len(found) < wanted and (wanted != HEADER or len(found) > 0):
+            raise EOFError  # no ValueError: of those pyulog makes nothing
         return found
 
 
@@ -49,9 +49,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         MissingExtra: without pyulog.
     """
     layout.refuse_any("a PX4 log")
-    log, cut = _parsed(content)
-    if cut:
-        raise InputError("the log is truncated: it ends within a message; copy it again")
+    log = _parsed(content)
     local = _topic(log, TOPIC)
     if local is None:
         topics = sorted({data.name for data in log.data_list})
@@ -60,7 +58,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
             f"no {TOPIC} in this log (it has {shown or 'nothing'}); log it, or export a position "
             "to CSV"
         )
-    lacking = [name for name in FIELDS if name not in local]
+    lacking = [name for name in ("timestamp", *FIELDS) if name not in local]
     if lacking:
         raise InputError(f"{TOPIC} has no {', '.join(lacking)}; is it a log of PX4?")
     kept = _valid(local)
@@ -73,21 +71,18 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
     return FlightTable(columns, {}, "NED", _notes(log, local, kept))
 
 
-def _parsed(content: bytes) -> tuple[Any, bool]:
-    """The log, and whether it was cut off. What pyulog prints is not passed on."""
+def _parsed(content: bytes) -> Any:
+    """The log. What pyulog prints is not passed on."""
     try:
         pyulog = import_module("pyulog")
     except ImportError:
         raise MissingExtra("PX4 logs need pyulog: pip install 'sparsefit[logs]'") from None
-    held = _Content(content)
     try:
         with redirect_stdout(io.StringIO()):
-            return pyulog.ULog(held, [TOPIC, LANDED]), held.cut
+            return pyulog.ULog(_Content(content), [TOPIC, LANDED])
+    except EOFError:
+        raise InputError(CUT) from None
     except Exception as error:  # a damaged log may raise anything
-        if held.cut:
-            raise InputError(
-                "the log is truncated: it ends within a message; copy it again"
-            ) from None
         words = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(f"not a ULog of PX4, or a damaged one: {words}") from None
 
@@ -130,7 +125,7 @@ def _time(local: dict[str, Any]) -> Array:
     stamps = local.get("timestamp_sample")
     stamps = stamps if stamps is not None and np.all(stamps) else local["timestamp"]
     microseconds = np.asarray(stamps).astype(np.int64)
-    time: Array = 1e-6 * (microseconds - microseconds[0])
+    time: Array = (microseconds - microseconds[0]) / 1e6
     return time
 
 

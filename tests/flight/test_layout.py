@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -74,7 +75,7 @@ def test_iso_times_are_seconds_since_the_first_in_any_zone(file):
     rows = [(time, x, x) for time, x in zip(times, (0.0, 1.0, 3.0), strict=True)]
     flight = sf.read_flight(file(csv_text(("time", "x", "y"), rows)), vehicle=VEHICLE)
     assert flight.time.tolist() == [0.0, 0.5, 2.75]
-    with pytest.raises(InputError, match="line 3, column time: '12' is no ISO time"):
+    with pytest.raises(InputError, match="line 3, column time: '12' is not an ISO time"):
         sf.read_flight(file(csv_text(("time", "x", "y"), [rows[0], ("12", 0, 0)])))
 
 
@@ -212,3 +213,20 @@ def test_rows_between_two_times(file):
     assert table.between(None, None) is table
     with pytest.raises(InputError, match=r"no sample from 20 s to inf s; the log has 0 … 8 s"):
         table.between(20.0, None)
+
+
+def test_dates_of_other_kinds_are_named(file):
+    path = file(csv_text(("time", "x", "y"), [("22/07/2012 14:15", 0, 0)]))
+    with pytest.raises(
+        InputError, match="'22/07/2012 14:15' is neither a finite number nor an ISO"
+    ):
+        sf.read_flight(path)
+
+
+def test_a_frame_of_pandas_with_times_as_text_and_names(tmp_path):
+    frame = pd.DataFrame({"Date": ["2012-07-22", "2012-07-23"] * 2, "Id": list("aabb")})
+    frame = frame.assign(x=[0.0, 1.0, 2.0, 3.0], y=0.0)
+    frame.to_parquet(tmp_path / "log.parquet")
+    table = read_table(tmp_path / "log.parquet", columns="time=Date", only="Id=b")
+    assert table.columns["time"] == [0.0, 86400.0]
+    assert table.columns["x"] == [2.0, 3.0]

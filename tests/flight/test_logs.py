@@ -55,7 +55,7 @@ def test_a_public_log_of_a_vehicle_on_the_ground_is_refused():
         sf.read_flight(STANDING, vehicle=VEHICLE)
 
 
-@pytest.mark.parametrize("at", [20, 100, 4000, -1, -40])
+@pytest.mark.parametrize("at", [20, 70, 100, 4000, -1, -40])
 def test_a_truncated_log_is_named(tmp_path, flight, at, capsys):
     path = write(tmp_path, "log.ulg", ulog_of(flight)[:at])
     with pytest.raises(InputError, match=r"the log is truncated: it ends within a message"):
@@ -73,7 +73,10 @@ def position(rows):
         (b"", "truncated"),
         (b"junk" * 99, "not a ULog of PX4"),
         (ulog({"vehicle_attitude": (LANDED, [(1, True)])}), "no vehicle_local_position"),
-        (ulog({"vehicle_local_position": (LANDED, [(1, True)])}), "has no x, y, vx, vy"),
+        (
+            ulog({"vehicle_local_position": (LANDED, [(1, True)])}),
+            "has no x, y, vx, vy; is it a log of PX4",
+        ),
         (
             ulog(position([(i, 0, 0, 0, 0, True, False) for i in range(5)])),
             "5 samples, and stands still",
