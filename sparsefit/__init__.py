@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sparsefit.derivative import Derivative as Derivative
+    from sparsefit.derivative.quality import LogQuality as LogQuality
+    from sparsefit.derivative.quality import quality_of as quality_of
+    from sparsefit.derivative.refusal import check_log as check_log
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
     from sparsefit.estimator import Estimate as Estimate
@@ -62,6 +65,9 @@ _HOMES = {
     "read_flight": "flight",
     "write_flight": "flight",
     "Derivative": "derivative",
+    "LogQuality": "derivative.quality",
+    "quality_of": "derivative.quality",
+    "check_log": "derivative.refusal",
     "LengthScaleGrid": "library",
     "Library": "library",
     "WaveGrid": "library",

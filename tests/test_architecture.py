@@ -22,6 +22,7 @@ BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy", "group_lasso", "spams"}
 BRIDGES = {"sklearn": {"sklearn"}, "pysindy": {"pysindy"}}  # rooms that are for users of a peer
+READERS = {"pyulog", "aerofiles", "pyproj"}  # of logs
 STUDY_ROOMS = ("spec", "run", "evidence", "report")
 NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -281,5 +282,5 @@ def test_an_estimator_needs_none_of_the_rooms_below_it():
     below = ROOMS[ROOMS.index("estimator") + 1 :]
     assert not loaded & {f"sparsefit.{room}" for room in below}
     assert not {name.split(".")[0] for name in loaded} & (
-        {"cvxpy", "clarabel", "osqp", "matplotlib", "pandas", "scipy"} | PEERS
+        {"cvxpy", "clarabel", "osqp", "matplotlib", "pandas", "scipy"} | PEERS | READERS
     )

@@ -31,9 +31,11 @@ def add_log(parser: argparse.ArgumentParser) -> None:
         help="the rows to read, where a table holds several flights",
     )
     group.add_argument(
-        "--from", dest="begin", type=number("s"), metavar="S", help="of the log's time"
+        "--from", dest="begin", type=number("s"), metavar="S", help="first second that is read"
     )
-    group.add_argument("--to", dest="end", type=number("s"), metavar="S", help="of the log's time")
+    group.add_argument(
+        "--to", dest="end", type=number("s"), metavar="S", help="last second that is read"
+    )
     group.add_argument(
         "--longest-gap",
         type=number("s"),
