@@ -49,6 +49,7 @@ def sections() -> dict[str, list[Key]]:
         "library": [key for key in _of(LengthScaleGrid) + _of(Library) if key.name != "grid"],
         "library.waves": _of(WaveGrid),
         "readout": _of(Readout),
+        "online": _of(Stream),
         "backends": [Key("name", "text"), Key("label", "text")],
         "protocols": [Key("name", "text"), Key("SECTION.KEY")],
         "sweep": [Key("SECTION.KEY", "list")],

@@ -55,7 +55,7 @@ class Settings:
             raise InputError(f"online: vehicle must be a PointMassVehicle; got {vehicle!r}")
         if (window is None) == (memory is None):
             raise InputError("online: give window or memory [s], one of the two")
-        _check(estimator)
+        refuse_unfit(estimator)
         if window is not None:
             return cls(estimator, vehicle, positive("window", window, "s"))
         assert memory is not None
@@ -111,7 +111,8 @@ class Settings:
         return np.exp(-np.asarray(ages, dtype=float) / self.memory)
 
 
-def _check(estimator: Estimator) -> None:
+def refuse_unfit(estimator: Estimator) -> None:
+    """Raise InputError where an estimator cannot follow a stream: what stands in the way."""
     derivative, library = estimator.derivative, estimator.library
     assert isinstance(derivative, Derivative)
     if derivative.method not in (*SPANS, "savgol"):

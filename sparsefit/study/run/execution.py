@@ -102,7 +102,8 @@ def _run_problem(context: _Context, cells: tuple[Cell, ...], alone: bool) -> Ite
         return
     left = tuple(cell for task in tasks for cell in task.cells)
     yield Stage("building the library", _indices(left))
-    prepared = _attempt(partial(tasks[0].estimator.prepare, context.flown))
+    online = cells[0].setup.online
+    prepared = _attempt(partial(online.prepare, tasks[0].estimator, context.flown))
     if isinstance(prepared, _Failed):
         yield from _failed(context.flight, left, prepared)
         return

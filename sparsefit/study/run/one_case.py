@@ -67,7 +67,7 @@ def run_again(study: Study, case: Case) -> OneCase:
     try:
         flown, yardstick = fly(study, case.flight, draw)
         estimator = study.estimator(case.cell)
-        prepared = estimator.prepare(flown)
+        prepared = case.cell.setup.online.prepare(estimator, flown)
         fit = estimator.fit(prepared)
         estimate = estimator.read(prepared, fit)
         reading = Reading(estimate, fit, prepared.problem, draw.flow, yardstick)

@@ -58,6 +58,8 @@ def _setup(setup: Setup, count: int, parts: dict[int, str]) -> str:
         if id(part) not in parts:
             parts[id(part)] = canonical_json(_content(part))
         told.append(parts[id(part)])
+    if setup.online.asked:
+        told.append(canonical_json(_content(setup.online)))
     return ",".join(told)
 
 

@@ -70,7 +70,7 @@ def flight_key(cell: Cell) -> Hashable:
 
 def problem_key(cell: Cell) -> Hashable:
     """Cells of equal key solve the same regression problem."""
-    return (cell.setup.flights, cell.setup.derivative, cell.setup.library)
+    return (cell.setup.flights, cell.setup.derivative, cell.setup.library, cell.setup.online)
 
 
 def fit_key(cell: Cell) -> Hashable:

@@ -8,11 +8,12 @@ from typing import Any
 
 from sparsefit.codec import Place, build, made, only
 from sparsefit.derivative import Derivative
-from sparsefit.errors import suggestion
+from sparsefit.errors import suggestion, told_with
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.readout import UNNAMED, Readout
+from sparsefit.online.stream import Stream
 from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.flights import KEYS as FLIGHT_KEYS
 from sparsefit.study.spec.flights import FlightRules, read_flights
@@ -32,7 +33,9 @@ SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "derivative": _names(Derivative),
     "library": GRID_KEYS + LIBRARY_KEYS,
     "readout": _names(Readout),
+    "online": _names(Stream),
 }
+NO_SECTION: Section = {}
 
 
 @dataclass(frozen=True)
@@ -43,10 +46,11 @@ class Setup:
     derivative: Derivative
     library: Library
     readout: Readout
+    online: Stream = Stream()
 
 
 def read_setup(sections: Sections, place: Place) -> Setup:
-    """The setup of the four sections; `InputError` names the section and the key."""
+    """The setup of the sections; `InputError` names the section and the key."""
     return SetupReader(sections).read(sections, place)
 
 
@@ -60,20 +64,30 @@ class SetupReader:
 
     def read(self, sections: Sections, place: Place) -> Setup:
         """The setup of these sections; `InputError` names the section and the key."""
-        setup = Setup(*(self._part(name, sections[name], place) for name in READERS))
-        shared = all(sections[name] is self._shared[name] for name in COMBINED)
+        setup = Setup(*(self._part(name, _section(sections, name), place) for name in READERS))
+        shared = all(
+            _section(sections, name) is _section(self._shared, name)
+            for name in (*COMBINED, "online")
+        )
         if not (shared and self._combined):
             # What no estimator can combine is refused here, not in the first case.
-            made(Estimator, {name: getattr(setup, name) for name in COMBINED}, place)
+            estimator = made(Estimator, {name: getattr(setup, name) for name in COMBINED}, place)
+            with told_with(place.within("online")):
+                setup.online.refuse_unfit(estimator)
             self._combined = self._combined or shared
         return setup
 
     def _part(self, name: str, section: Section, place: Place) -> Any:
-        if section is not self._shared[name]:
+        if section is not _section(self._shared, name):
             return READERS[name](section, place.within(name))
         if name not in self._read:
             self._read[name] = READERS[name](section, place.within(name))
         return self._read[name]
+
+
+def _section(sections: Sections, name: str) -> Section:
+    """A section by its name; one that is not there is empty."""
+    return sections.get(name, NO_SECTION)
 
 
 def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:
@@ -81,7 +95,7 @@ def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:
     changed: dict[str, dict[str, object]] = {}
     for dotted, value in overrides.items():
         section, key = dotted.split(".", 1)
-        changed.setdefault(section, dict(sections[section]))[key] = value
+        changed.setdefault(section, dict(_section(sections, section)))[key] = value
     return {**sections, **changed}
 
 
@@ -114,10 +128,15 @@ def _read_readout(section: Section, place: Place) -> Readout:
     return build(Readout, {"refine": UNNAMED, **section}, place)
 
 
+def _read_online(section: Section, place: Place) -> Stream:
+    return build(Stream, section, place)
+
+
 READERS: dict[str, Callable[[Section, Place], Any]] = {  # in the order of the fields of `Setup`
     "flights": read_flights,
     "derivative": _read_derivative,
     "library": _read_library,
     "readout": _read_readout,
+    "online": _read_online,
 }
 COMBINED = ("derivative", "library", "readout")
