@@ -16,6 +16,7 @@ from sparsefit import backends
 from sparsefit.derivative import Derivative
 from sparsefit.library import LengthScaleGrid, Library, WaveGrid
 from sparsefit.modes import Readout
+from sparsefit.online.stream import Stream
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.spec.flights import WORDS
 from sparsefit.study.spec.logs import KEYS as LOG_KEYS

@@ -213,7 +213,7 @@ def _mean_velocity(
             )
         ]
         phi = target = np.concatenate(each)
-    plain = not vehicles and not prepared.weak
+    plain = not vehicles and not prepared.weak and prepared.parts[0].fading is None
     if plain or readout.mean_velocity == "paper":
         return readout.velocity(samples.position, phi, target, place.length_scales[0])
     fit = place.fit or project(Cells(), prepared.rows, place.wavenumbers[:, None])

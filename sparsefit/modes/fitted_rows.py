@@ -102,6 +102,11 @@ class Rows:
             parts,
         )
 
+    def fading(self, scale: Array) -> Rows:
+        """The rows of one flight, each with a weight (q,) of its own."""
+        target, nuisance = scale[:, None] * self.target, scale[:, None] * self.nuisance
+        return replace(self, target=target, nuisance=nuisance, scale=scale, parts=(self,))
+
     @property
     def flights(self) -> tuple[Rows, ...]:
         """The rows of each flight without its weight; of one flight these are they."""

@@ -33,15 +33,27 @@ class Part:
         samples: states and derivatives.
         nuisance: what is unknown of it beside the flow.
         weight: of its rows.
+        fading: weight of every row (m,), its square of mean 1, where older rows of the one flight
+            count for less; None: all are alike.
     """
 
     samples: Samples
     nuisance: Nuisance
     weight: float = 1.0
+    fading: Array | None = None
 
     @property
     def correlation(self) -> float:
-        """The rows over which errors of Phi correlate, at least."""
+        """The rows over which errors of Phi correlate, at least.
+
+        Rows that fade count as (sum w)^2 / sum w^2 of them do, w their squared weights.
+        """
+        if self.fading is None:
+            return self._correlation
+        return self._correlation * float(np.mean(self.fading**4))
+
+    @property
+    def _correlation(self) -> float:
         weak, smoothing = self.samples.weak, self.samples.smoothing
         if weak is not None:
             return weak.correlation
@@ -64,7 +76,8 @@ def samples_of(parts: Sequence[Part]) -> Rows:
 
 def _joined(parts: Sequence[Part], sources: Sequence[Samples | WeakRows]) -> Rows:
     nuisances, weights = [part.nuisance for part in parts], [part.weight for part in parts]
-    return Rows.of_flights(sources, nuisances, weights)
+    rows = Rows.of_flights(sources, nuisances, weights)
+    return rows if parts[0].fading is None else rows.fading(parts[0].fading)
 
 
 def correlation_of(parts: Sequence[Part], rows: Rows) -> float:

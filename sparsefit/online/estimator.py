@@ -162,7 +162,8 @@ class OnlineEstimator:
         )
         seconds = perf_counter() - start
         lobes = self._lobes.places() if self._lobes and not scan else None
-        part = Part(held.samples, Nuisance(library.unknown, settings.vehicle))
+        nuisance = Nuisance(library.unknown, settings.vehicle)
+        part = Part(held.samples, nuisance, fading=held.fading)
         return Prepared((part,), library, problem, held.target, seconds, lobes)
 
     def estimate(self, *, scan: bool = False) -> Estimate:

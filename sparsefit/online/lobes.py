@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,12 +54,11 @@ class Lobes:
         next(self._work, None)
 
     def _scan(self) -> Iterator[None]:
-        state, vehicle = self._window.complete(), self._window.settings.vehicle
+        state = self._window.complete()
         if len(state) < 2:
             return
-        phi = vehicle.flow_velocity(state[:, 3:5], state[:, 7:9])
         try:
-            space = SearchSpace.plain(state[:, 1:3], phi, self._bounds)
+            space = self._space(state)
         except InputError:  # it stands still
             return
         for wave in OF_GRAM:
@@ -67,6 +67,16 @@ class Lobes:
         _ = space.scan.factor
         yield
         self._places = space.minima
+
+    def _space(self, state: Array) -> SearchSpace:
+        """What is scanned: states (m, 9), weighted as they were when the scan began."""
+        settings = self._window.settings
+        phi = settings.vehicle.flow_velocity(state[:, 3:5], state[:, 7:9])
+        space = SearchSpace.plain(state[:, 1:3], phi, self._bounds)
+        if not settings.fades:
+            return space
+        rows = space.rows.fading(np.sqrt(settings.weight(state[-1, 0] - state[:, 0])))
+        return replace(space, rows=rows, sampled=rows)
 
     def places(self) -> Array | None:
         """Wavenumbers (l,) [1/m]: the deepest two, one of the others in turn, then the rest.

@@ -34,17 +34,17 @@ class Contents:
 
     Args:
         samples: states and their derivatives.
-        theta: (m, k), times the root of each row's weight where older samples weigh less.
+        theta: (m, k), times the row's weight where older samples weigh less.
         target: (m, n), the same.
         statistics: of theta and target, as the sums have them.
-        weights: of the rows (m,), of mean 1; None where all weigh alike.
+        fading: weights of the rows (m,), their squares of mean 1; None where all are alike.
     """
 
     samples: Samples
     theta: Array
     target: Array
     statistics: Statistics
-    weights: Array | None = None
+    fading: Array | None = None
 
 
 class Window:
@@ -194,10 +194,15 @@ class Window:
         more = self._weighted(min(max(start, high), stop), stop, now)
         decay = float(self.settings.weight(now - self._reference)) if high > low else 1.0
         gram, cross, square = self._sums.total(more, less, decay)
-        theta, target = self._weighted(start, stop, now)
+        theta, target = self._theta.rows(start, stop), self._target.rows(start, stop)
+        smoothing, fading = self._smoothing, None
+        if self.settings.fades:
+            weights = self.weights(start, stop, now)
+            mass = float(weights.sum()) / len(weights)
+            gram, cross, square = gram / mass, cross / mass, square / mass
+            fading, smoothing = np.sqrt(weights / mass), None
+            theta, target = fading[:, None] * theta, fading[:, None] * target
         statistics = Statistics.summed(gram, cross, square, count=len(theta))
         position, velocity, position_rate, acceleration = np.split(state[:, 1:], 4, axis=1)
-        samples = Samples(
-            state[:, 0], position, velocity, position_rate, acceleration, self._smoothing
-        )
-        return Contents(samples, theta, target, statistics)
+        samples = Samples(state[:, 0], position, velocity, position_rate, acceleration, smoothing)
+        return Contents(samples, theta, target, statistics, fading)

@@ -88,7 +88,8 @@ def _by_lags(parts: Sequence[Part], model: Model, gradients: Array) -> Array | N
         own, reach = replace(model, rows=rows), lags.overlap(part.samples)
         if len(rows.target) <= reach:
             return None
-        influence = part.weight**2 * own.jacobian.times(by_theta)
+        weight = part.weight if part.fading is None else part.fading
+        influence = weight**2 * own.jacobian.times(by_theta)
         used = 0.5 * model.jacobian.size * len(rows.target) / every
         variance = variance + lags.lagged(influence, own.residual, reach, used)
     return variance
