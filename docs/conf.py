@@ -33,6 +33,8 @@ autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 add_module_names = False
 default_role = "code"
+smartquotes = False  # --option stays what is typed
+toc_object_entries_show_parents = "hide"
 nitpick_ignore_regex = [("py:.*", ".*")]
 
 html_theme = "pydata_sphinx_theme"

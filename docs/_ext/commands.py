@@ -53,7 +53,7 @@ def _told(action: argparse.Action) -> bool:
 
 
 def _usage(one: argparse.ArgumentParser) -> list[str]:
-    formatter = argparse.HelpFormatter(one.prog, width=96)
+    formatter = argparse.HelpFormatter(one.prog, width=84)
     formatter.add_usage(one.usage, one._actions, one._mutually_exclusive_groups, "")
     return formatter.format_help().strip().splitlines()
 

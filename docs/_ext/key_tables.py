@@ -29,6 +29,7 @@ from sparsefit.study.spec.solver_study import KEYS as SOLVER_KEYS
 from sparsefit.study.spec.solver_study import Clock, PathRule
 from sparsefit.study.spec.study import KEYS, SPLITS, Run
 
+NEEDED = "needed"
 MEANINGS = Path(__file__).parents[1] / "study-keys.toml"
 
 
@@ -94,7 +95,8 @@ def table(section: str) -> list[str]:
 
 
 def _row(key: Key, words: str) -> str:
-    beside = [part for part in (key.kind, key.default and f"default {key.default}") if part]
+    default = key.default if key.default in ("", NEEDED) else f"default {key.default}"
+    beside = [part for part in (key.kind, default) if part]
     told = f"<br>*{'; '.join(beside)}*" if beside else ""
     return f"| `{key.name}` | {words}{told} |".replace("|error|", "\\|error\\|")
 
@@ -116,7 +118,7 @@ def _flights() -> Iterator[Key]:
             yield Key(name, " or ".join(f'`"{word}"`' for word in words), f'`"{words[0]}"`')
         elif name in QUANTITIES:
             yield Key(
-                name, _range(QUANTITIES[name]), "" if name not in REQUIRED else "none: needed"
+                name, _range(QUANTITIES[name]), "" if name not in REQUIRED else NEEDED
             )
 
 
@@ -144,7 +146,7 @@ def _of(record: type[Any]) -> list[Key]:
 
 def _default(item: Any) -> str:
     if item.default is MISSING:
-        return "none: needed" if item.default_factory is MISSING else ""
+        return NEEDED if item.default_factory is MISSING else ""
     if item.default in (None, "", ()):
         return ""
     if isinstance(item.default, bool):

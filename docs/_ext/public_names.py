@@ -55,15 +55,28 @@ def _documented(name: str) -> list[str]:
     return [f".. autoclass:: sparsefit.{name}", "   :members:"]
 
 
+_PROPERTIES: dict[str, list[str]] = {}
+
+
+def set_aside(
+    app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
+) -> None:
+    """Keep properties from napoleon, which takes what stands before a colon for a type."""
+    if what == "property":
+        _PROPERTIES[name] = list(lines)
+        lines[:] = [""]
+
+
 def escape(
     app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
 ) -> None:
     """Docstrings have |w| for a size, where reStructuredText sees a substitution."""
-    lines[:] = escaped("\n".join(lines)).split("\n")
+    lines[:] = escaped("\n".join(_PROPERTIES.pop(name, lines))).split("\n")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directive."""
     app.add_directive("public-names", PublicNames)
-    app.connect("autodoc-process-docstring", escape)
+    app.connect("autodoc-process-docstring", set_aside, priority=400)
+    app.connect("autodoc-process-docstring", escape, priority=600)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
