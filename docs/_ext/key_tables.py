@@ -117,9 +117,7 @@ def _flights() -> Iterator[Key]:
             words = WORDS[name]
             yield Key(name, " or ".join(f'`"{word}"`' for word in words), f'`"{words[0]}"`')
         elif name in QUANTITIES:
-            yield Key(
-                name, _range(QUANTITIES[name]), "" if name not in REQUIRED else NEEDED
-            )
+            yield Key(name, _range(QUANTITIES[name]), "" if name not in REQUIRED else NEEDED)
 
 
 def _range(quantity: Quantity) -> str:
