@@ -29,7 +29,6 @@ Quadratic drag: tau is the response dr/dF of each sample (`filtered`), (w - v)/t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,7 +41,6 @@ from sparsefit.derivative.transform import fast_length
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 
-DIRECTIONS = 8  # of noise
 PASSES = 2  # of the truncation: the flow it is computed from moves by it
 
 
@@ -219,16 +217,8 @@ def kicked_velocity(fit: Filtered, kicks: float) -> Array:
 
 
 def curved(fit: Filtered) -> Array:
-    """J'e (n,) of noise in v', of which the relative velocity of quadratic drag is no line.
-
-    The mean of r(F + n) less r(F), n of rms `roughness` in all directions.
-    """
-    vehicle, model = fit.vehicle, fit.plain
-    drags = vehicle.drag_of(model.fitted - fit.samples.velocity)
-    turns = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    around = fit.roughness * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    mean = sum(vehicle.relative_of(drags + one) for one in around) / DIRECTIONS
-    return model.jacobian.score(mean - vehicle.relative_of(drags))
+    """J'e (n,) of noise in v', of which the relative velocity of quadratic drag is no line."""
+    return fit.plain.jacobian.score(fit.bow)
 
 
 def _in_velocity(fit: Filtered, by_row: float) -> Array:

@@ -5,7 +5,7 @@ steady cells leaves to first order c.z of what it does not know:
 
     wind        z = (1, 0), (0, 1)                                      c [m/s]
     response    z = (v - w)/tau, as Phi = v + tau (v' - a)              c [s]
-    drag        z = dr/dF |w - v| (w - v), F drag (`filtered`)          c [1/m]
+    drag        z = |r| r / (1/tau + 2 c |r|), r = w - v                c [1/m]
     swelling    z = w cos(j pi (t/T + 1/2)), j = 1..4                   c relative
     drift       z = -t d_x w, -t d_y w                                  c [m/s]
     turn        z = e x w - ((e x r).grad) w, e the third axis          c [rad]
@@ -89,13 +89,15 @@ def columns(fit: Filtered) -> dict[Cause, Array]:
     time = fit.samples.time - 0.5 * (fit.samples.time[0] + fit.samples.time[-1])
     phase = math.pi * (time / (time[-1] - time[0]) + 0.5)
     one, none = np.ones_like(time), np.zeros_like(time)
-    dragged = np.hypot(*(flow - velocity)) * (flow - velocity)
+    speed, vehicle = np.hypot(*(flow - velocity)), fit.vehicle
+    root = vehicle.rate + 2 * vehicle.drag * speed
+    dragged = speed / np.where(root > 0, root, 1.0) * (flow - velocity)
     linear = fit.stretch is None  # quadratic drag has no response time
     response = {Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time} if linear else {}
     return {
         Cause.WIND: np.array([[one, none], [none, one]]),
         **response,
-        Cause.DRAG: fit.response_time * fit.stretched(dragged)[None],
+        Cause.DRAG: dragged[None],
         Cause.SWELLING: np.array([flow * np.cos(j * phase) for j in range(1, SWELLINGS + 1)]),
         Cause.DRIFT: np.array([-time * along_x, -time * along_y]),
         Cause.TURN: (np.array([-flow[1], flow[0]]) - x * along_y + y * along_x)[None],
@@ -152,7 +154,8 @@ def _tested(left: Turbulence, flights: int) -> list[tuple[Suspect, Array]]:
     observed, named = left.observed, columns(left.observed.fit)
     own = np.concatenate(list(named.values()))
     freed = observed.fit.plain.freed(own)
-    flat, errors = freed.reshape(len(own), -1), observed.errors.T.ravel()
+    flat = freed.reshape(len(own), -1)
+    errors = (observed.errors - observed.fit.bow).T.ravel()
     scores, gram, square = flat @ errors, flat @ flat.T, float(errors @ errors)
     parts = np.fft.rfft(freed, observed.passage.size).view(np.float64).reshape(len(own), -1)
     spectrum = frequency_weights(observed.passage.size) * (observed.amounts @ observed.shapes)

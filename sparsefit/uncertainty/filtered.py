@@ -7,6 +7,7 @@ flow. It grows without bound where nothing drags; what noise is there bounds it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,8 @@ from sparsefit.modes.stack import Part
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.wander import Wander
 
+DIRECTIONS = 8  # of noise
+SLOW = 0.25  # of the samples, where least drags: there an error of v' is most of what is left
 LEAST = 1e-6  # of the rms drag: without noise, what bounds the response
 
 
@@ -82,9 +85,10 @@ class Filtered:
             return cls(samples, filters, model, plain, vehicle, tau, shared, None, 0.0, *here)
         drags = vehicle.drag_of(plain.fitted - samples.velocity)
         seen = samples.flow_velocity(vehicle) - samples.velocity
-        size = float(np.sqrt(np.mean(np.sum(drags**2, axis=1))))
-        away = np.sqrt(np.mean(np.sum((vehicle.drag_of(seen) - drags) ** 2, axis=1)))
-        noise = max(float(away), LEAST * size)
+        squares = np.sum(drags**2, axis=1)
+        slow = squares <= np.quantile(squares, SLOW)
+        away = np.sum((vehicle.drag_of(seen) - drags)[slow] ** 2, axis=1)
+        noise = float(np.sqrt(max(away.mean(), LEAST**2 * squares.mean())))
         response = vehicle.response(drags, noise)
         tau = float(np.sqrt(0.5 * np.mean(np.sum(response**2, axis=(0, 1)))))
         stretch = response / tau
@@ -121,6 +125,21 @@ class Filtered:
             return values
         turned: Array = np.einsum("abm,...bm->...am", self.stretch, values)
         return turned
+
+    @cached_property
+    def bow(self) -> Array:
+        """What noise of the acceleration makes of Phi in the mean (m, 2) [m/s]; 0 of linear drag.
+
+        The mean of r(F + n) less r(F), n of rms `roughness` in all directions.
+        """
+        vehicle, model = self.vehicle, self.plain
+        if self.stretch is None:
+            return np.zeros_like(model.rows.target)
+        drags = vehicle.drag_of(model.fitted - self.samples.velocity)
+        turns = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        around = self.roughness * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        mean: Array = np.mean([vehicle.relative_of(drags + one) for one in around], axis=0)
+        return mean - vehicle.relative_of(drags)
 
     def as_samples(self, model: Model) -> Model:
         """A model of the rows, as one of the samples."""
