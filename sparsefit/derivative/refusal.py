@@ -1,8 +1,9 @@
 """Logs that no estimate should be made of: found in a moment, and refused by name.
 
 Where position and velocity are both logged, the steps of the position against the integral of the
-velocity, d = m A, say what is wrong: A is the identity of one motion in one unit; c times it where
-units are mixed; with exchanged or opposite axes where frames are.
+velocity, d = c m T, say what is wrong: T is the identity of one motion, and c is 1 in one unit; T
+has exchanged or opposite axes where frames are mixed. With noise of the velocity alone the share of
+d that m explains is at most c: a share of 0.8 leaves no c below 0.67 but to units.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sparsefit.arrays import Array
 from sparsefit.derivative.quality import gaps_of
@@ -20,12 +22,28 @@ from sparsefit.flight.units import LENGTHS, SPEEDS, TIMES, named
 LONGEST_GAP = 60.0  # s
 LONGEST_STEPS = 20.0  # median steps: of slow logs a gap is longer
 RESTING = 5.0  # s: who goes no farther in that time rests; shorter logs are only short
-TOGETHER = 8  # steps that are held against the velocity as one: the position's noise counts less
-EXPLAINED = 0.95  # of the motion, by whatever A fits best
-UNLIKE = 0.1  # of the entries of A against those of a named one
+EXPLAINED = 0.8  # of the motion, by whatever T fits best
+MORE = 0.05  # of it than the identity explains
+FEWEST = 12  # steps, as many together as may be, that are held against the velocity
+NOTHING = 1e-300
+FRAMES = {  # T, and what it says
+    ((1, 0), (0, 1)): "",
+    (
+        (0, 1),
+        (1, 0),
+    ): "vx goes with y and vy with x: position and velocity are in different frames, "
+    "NED and ENU, say; exchange vx and vy",
+    ((-1, 0), (0, 1)): "vx has the opposite sign of the position's motion; check the frame",
+    ((1, 0), (0, -1)): "vy has the opposite sign of the position's motion; check the frame",
+    (
+        (-1, 0),
+        (0, -1),
+    ): "vx and vy have the opposite sign of the position's motion; check the frame",
+}
 LEAST, MOST = 0.67, 2.0  # factors between: coarse samples alone do as much
 APART = 20.0  # times what all other steps do: no step of one vehicle
-FAST, SHARP = 5.0, 3.0  # the same of the largest speed, with a turn beyond all others
+FAST, SHARP = 5.0, 2.0  # the same of the largest speed, with a turn beyond all others
+BESIDE = (1, 5)  # samples on either side of a turn
 ALTERNATING = (2, 3, 4)  # vehicles whose rows take turns
 CLOSE = 0.1  # of the steps between them: how little each of these moves
 
@@ -99,15 +117,14 @@ def _check_one_flight(flight: Flight) -> None:
     moved = np.hypot(*np.diff(flight.position, axis=0).T)
     speeds = moved / steps
     row = int(np.argmax(speeds))
-    others = np.delete(np.arange(len(steps)), row)
+    others = np.delete(speeds, row)
     if len(others) < 2:
         return
     if flight.velocity_measured:
-        turned = np.hypot(*np.diff(flight.velocity, axis=0).T)
         known = float(np.hypot(*flight.velocity.T).max())
-        elsewhere = speeds[row] > FAST * known and turned[row] > SHARP * turned[others].max()
+        elsewhere = speeds[row] > FAST * known and _turns(flight.velocity, row)
     else:
-        elsewhere = speeds[row] > APART * speeds[others].max()
+        elsewhere = speeds[row] > APART * others.max()
     if elsewhere:
         raise InputError(
             f"between rows {row} and {row + 1} (t={flight.time[row]:.10g} s) the vehicle jumps by "
@@ -115,52 +132,68 @@ def _check_one_flight(flight: Flight) -> None:
         )
 
 
+def _turns(velocity: Array, row: int) -> bool:
+    """Whether the velocity, too, changes behind a row, as nowhere else.
+
+    From sample to sample, or where these are noisy between medians of a few on either side. A
+    velocity that is far off by itself changes twice, and is no second flight.
+    """
+    return any(_stands_out(velocity, row, width) for width in BESIDE)
+
+
+def _stands_out(velocity: Array, row: int, width: int) -> bool:
+    medians = np.median(sliding_window_view(velocity, width, axis=0), axis=-1)
+    changes = np.hypot(*(medians[width:] - medians[:-width]).T)  # behind row width - 1, ...
+    place = row - width + 1
+    if not 0 <= place < len(changes):
+        return False
+    far = np.abs(np.arange(len(changes)) - place) >= width
+    return bool(changes[place] > SHARP * changes[far].max(initial=0.0))
+
+
 def _check_units(flight: Flight) -> None:
     """Whether position and velocity are of one motion in one unit and one frame."""
-    moved, meant = _motions(flight)
-    if len(moved) < TOGETHER or not meant.any():
-        if flight.velocity.any() or len(moved) < TOGETHER:
-            return
+    moved, meant = _steps(flight)
+    if not meant.any():
         raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
-    found: Array = np.linalg.lstsq(meant, moved, rcond=None)[0].astype(np.float64)
-    left = float(np.sum((moved - meant @ found) ** 2))
-    if left > (1.0 - EXPLAINED) * float(np.sum(moved**2)):
+    shares, factors = _explained(moved, meant)
+    best = int(np.argmax(shares))
+    if shares[best] < EXPLAINED:
         return
-    factor = float(np.sqrt(abs(np.linalg.det(found))))
-    if not factor > 0:
-        return
-    axes: Array = found / factor
-    if _is(axes, [[0, 1], [1, 0]]):
+    if shares[best] > shares[0] + MORE:
+        raise InputError(list(FRAMES.values())[best])
+    if not LEAST < factors[0] < MOST:
         raise InputError(
-            "vx goes with y and vy with x: position and velocity are in different frames, NED and "
-            "ENU, say; exchange vx and vy"
-        )
-    for signs, names in (((-1, 1), "vx has"), ((1, -1), "vy has"), ((-1, -1), "vx and vy have")):
-        if _is(axes, np.diag(signs)):
-            raise InputError(f"{names} the opposite sign of the position's motion; check the frame")
-    if _is(axes, np.eye(2)) and not LEAST < factor < MOST:
-        raise InputError(
-            f"the position moves {factor:.4g} times as far as the velocity says: units are mixed"
-            f"{_likely(factor)}; give all in s, m and m/s, or name their units"
+            f"the position moves {factors[0]:.4g} times as far as the velocity says: units are "
+            f"mixed{_likely(factors[0])}; give all in s, m and m/s, or name their units"
         )
 
 
-def _is(axes: Array, named_axes: object) -> bool:
-    return bool(np.abs(axes - np.asarray(named_axes)).max() < UNLIKE)
-
-
-def _motions(flight: Flight) -> tuple[Array, Array]:
-    """Steps of the position, and of the integral of the velocity, several together [m], (n, 2)."""
-    steps = np.diff(flight.time)[:, None]
-    moved = np.diff(flight.position, axis=0)
+def _steps(flight: Flight) -> tuple[Array, Array]:
+    """Steps of the position, and of the integral of the velocity, gaps aside [m], (n, 2)."""
+    steps, within = np.diff(flight.time)[:, None], ~gaps_of(flight.time)
     meant = steps * (flight.velocity[1:] + flight.velocity[:-1]) / 2.0
-    within = ~gaps_of(flight.time)
-    moved, meant = moved[within], meant[within]
-    starts = np.arange(0, len(moved) - TOGETHER + 1, TOGETHER)
-    if not len(starts):
-        return moved[:0], meant[:0]
-    whole = slice(0, int(starts[-1]) + TOGETHER)
-    return np.add.reduceat(moved[whole], starts), np.add.reduceat(meant[whole], starts)
+    return np.diff(flight.position, axis=0)[within], meant[within]
+
+
+def _explained(moved: Array, meant: Array) -> tuple[list[float], list[float]]:
+    """Of each of `FRAMES` the share of the motion that it explains, and its factor c.
+
+    Over so many steps together as leave the least of the noise: a position's is that of its ends.
+    """
+    found: tuple[list[float], list[float]] = ([0.0] * len(FRAMES), [1.0] * len(FRAMES))
+    together = 1
+    while together * FEWEST <= len(moved):
+        whole = len(moved) // together * together
+        d, m = (one[:whole].reshape(-1, together, 2).sum(axis=1) for one in (moved, meant))
+        turned = [m @ np.array(frame, dtype=np.float64) for frame in FRAMES]
+        along = [float(np.sum(one * d)) for one in turned]
+        own, all_of_it = float(np.sum(m * m)), float(np.sum(d * d))
+        shares = [max(one, 0.0) ** 2 / max(own * all_of_it, NOTHING) for one in along]
+        if max(shares) > max(found[0]):
+            found = shares, [one / max(own, NOTHING) for one in along]
+        together *= 2
+    return found
 
 
 def _likely(factor: float) -> str:
