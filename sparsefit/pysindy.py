@@ -46,7 +46,7 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
     Attributes
     ----------
     coef_ : (n_states, n_library_terms), as of every optimizer.
-    status_, reason_, certificate_ : as of `SparseRegressor`.
+    status_, reason_, certificate_, solver_status_ : as of `SparseRegressor`.
     alpha_fraction_ : the penalty used, where the back-end has one.
     """
 
@@ -73,6 +73,8 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
         ).fit(np.asarray(x), np.asarray(y))
         self.coef_ = regressor.coef_
         self.history_.append(self.coef_)
-        for name in ("status_", "reason_", "certificate_", "alpha_fraction_"):
-            if hasattr(regressor, name):
-                setattr(self, name, getattr(regressor, name))
+        self.status_, self.reason_ = regressor.status_, regressor.reason_
+        self.certificate_ = regressor.certificate_
+        self.solver_status_ = regressor.solver_status_
+        if hasattr(regressor, "alpha_fraction_"):
+            self.alpha_fraction_ = regressor.alpha_fraction_

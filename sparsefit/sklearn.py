@@ -74,6 +74,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     intercept_ : float, or (n_targets,).
     status_, reason_ : ``ok``, or ``inaccurate`` and why.
     certificate_ : what `sparsefit.fit` verified: its kind, value and rounding.
+    solver_status_ : the solver's own word; of ``ensemble`` the inclusion probabilities.
     alpha_fraction_ : the penalty used, where the back-end has one ("auto" is a number here).
     n_features_in_, feature_names_in_ : of X.
     """
@@ -124,7 +125,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
         self.intercept_ = intercept if target.ndim == 2 else float(intercept[0])
         self.status_, self.reason_ = fitted.status, fitted.reason
-        self.certificate_ = fitted.certificate
+        self.certificate_, self.solver_status_ = fitted.certificate, fitted.solver_status
         if hasattr(fitted.backend, "alpha_fraction"):
             self.alpha_fraction_ = fitted.backend.alpha_fraction
         return self
@@ -165,7 +166,8 @@ class _Rows:
         varies: BoolArray = np.abs(theta).max(axis=0) > CONSTANT * size.max(axis=0)
         if not varies.any():
             raise FitFailed("every column of X is constant: there is nothing to choose from")
-        return cls(theta[:, varies], (values[counted] - level) * root, mean, level, varies)
+        used = theta if varies.all() else theta[:, varies]
+        return cls(used, (values[counted] - level) * root, mean, level, varies)
 
 
 class _Named(SparseRegressor):

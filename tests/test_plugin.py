@@ -13,6 +13,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli import child, main
 from sparsefit.errors import InputError
+from sparsefit.sklearn import SparseRegressor
 from tests.problems import regular
 
 PACKAGE = Path(__file__).parent / "plugin"
@@ -46,6 +47,9 @@ def test_it_is_a_back_end_like_any_other(installed):
     target = np.vstack([problem.target, np.zeros((problem.columns, 2))])
     assert found.status == "ok"
     assert found.weights == pytest.approx(np.linalg.lstsq(rows, target)[0], rel=1e-9)
+    regressor = SparseRegressor("damped", fit_intercept=False)
+    regressor.fit(problem.theta, problem.target)
+    assert np.array_equal(regressor.coef_.T, sf.fit(problem, backends.get("damped")).weights)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from sparsefit.backends.penalised import ExactPath, Points
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.statistics import Statistics
 
-NEAREST = 3e-9  # of the largest penalty: the smallest one of the LASSO's that is asked for
+NEAREST = 1e-11  # of the largest penalty: the smallest one of the LASSO's that is asked for
 SETTLED = 1e-11  # relative change of t^2 that ends the search
 ROUNDS = 60
 

@@ -114,8 +114,8 @@ def duality_gaps(
     correlation, square, product = _row_sums(theta, target, weights)
     scaled = weights * rms[:, None]
     target_square = np.einsum("it,it->t", target, target) / m
-    gamma = _gamma(len(theta) + 2 * columns * targets + 20)
-    rho, root = _gamma(columns + 8) * _reach(target_square, scaled), np.sqrt(square / m)
+    gamma = rounding_of(len(theta) + 2 * columns * targets + 20)
+    rho, root = rounding_of(columns + 8) * _reach(target_square, scaled), np.sqrt(square / m)
     error = gamma * root + rho
     residual = _Residual(
         (correlation / (rms[:, None] * m)).reshape(columns, points, targets).transpose(1, 0, 2),
@@ -144,7 +144,7 @@ def gram_gaps(
     correlation = statistics.cross - fitted.reshape(points, targets, columns).transpose(0, 2, 1)
     product = target_square - np.einsum("pkt,kt->pt", scaled, statistics.cross)
     square = product - np.einsum("pkt,pkt->pt", scaled, correlation)
-    gamma = _gamma(statistics.rows + 2 * columns * targets + 20)
+    gamma = rounding_of(statistics.rows + 2 * columns * targets + 20)
     reach = _reach(target_square, scaled)
     residual = _Residual(
         correlation,
@@ -273,8 +273,8 @@ def _dual(
     return (linear - quadratic).sum(axis=1), error.sum(axis=1) + rounding.sum(axis=1)
 
 
-def _gamma(count: int) -> float:
-    """gamma_N = N u / (1 - N u)."""
+def rounding_of(count: int) -> float:
+    """gamma_N = N u / (1 - N u), by how much a sum of N products can be off, relative."""
     return count * UNIT / (1.0 - count * UNIT)
 
 

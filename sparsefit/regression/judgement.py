@@ -10,6 +10,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.regression.answer import Fit
 from sparsefit.regression.backend import Backend, OffGridBackend, Solution
 from sparsefit.regression.certificate import Certificate, duality_gaps, gram_gaps
+from sparsefit.regression.exact_fits import sharpened
 from sparsefit.regression.foreign import asked_support, confirms_anything, is_foreign
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -55,6 +56,9 @@ def _smallest_effort(
         )
         for i, certificate in zip(doubtful, by_rows, strict=True):
             certified[i] = certificate
+            if penalty.root and not certificate.proves(tolerance):
+                alpha = float(alphas[i])
+                certified[i] = sharpened(statistics, weights[i], alpha, certificate)
     return certified
 
 
@@ -120,6 +124,8 @@ def judged(
     elif status in ("ok", "inaccurate"):
         # The certificate decides: a solver's own word is kept beside it, not trusted.
         status = "ok" if certificate.value <= tolerance else "inaccurate"
+        if status == "ok" and solution.status == "inaccurate":
+            reason = ""  # the doubt that it had is settled
         if status == "inaccurate":
             words = f"{certificate.kind} {certificate.value:.1e} above tolerance {tolerance:.1e}"
             if math.isnan(certificate.value):

@@ -79,8 +79,8 @@ def test_degenerate_problems_have_certificates_that_are_proven_bounds(kind):
     problem = degenerate(kind, 2)
     backend = backends.get("square-root-lasso")
     along = sf.path(problem, backend, FRACTIONS)
-    exact = kind in ("wide", "perfect", "one sample")  # a residual of zero is a limit
-    assert along.gaps.max() < (1e-6 if exact else 1e-9)
+    assert along.gaps.max() < 1e-9
+    assert all(fit.certificate.proves(1e-8) for fit in along.fits)
     penalty, s = backend.penalty(problem), problem.statistics
     alphas = along.alpha_max * np.array(FRACTIONS)
     rows = duality_gaps(problem.theta, problem.target, s.rms, along.weights, alphas, penalty)
@@ -107,6 +107,13 @@ def test_the_gap_sees_what_is_not_optimal():
         moved = gram_gaps(s, factor * found.weights[None], np.array([alpha]), penalty)[0]
         assert moved.value >= (moved.primal - least) / s.target_square.sum() - 1e-12
         assert moved.value > 1e-5
+
+
+def test_an_exact_fit_that_is_certified_has_no_reason_for_doubt():
+    found = fitted(flight_problem(4.0), 0.1)
+    assert (found.status, found.reason) == ("ok", "")
+    assert found.solver_status.startswith("no root, ")  # a limit is not reached
+    assert found.certificate.proves(1e-9)
 
 
 def test_a_penalty_is_chosen_and_a_solver_of_squares_refused():
