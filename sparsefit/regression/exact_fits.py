@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.certificate import Certificate, rounding_of
 from sparsefit.regression.statistics import Statistics
 
@@ -56,11 +56,11 @@ def sharpened(
     return replace(known, value=value, dual=dual, rounding=max(most - value, 0.0))
 
 
-def _multipliers(statistics: Statistics, weights: Array) -> tuple[Array, Array]:
+def _multipliers(statistics: Statistics, weights: Array) -> tuple[Array, IntArray]:
     """u (c, n) with G_AA u = s for each target, on the columns (c,) that any of them uses."""
     used = np.flatnonzero(weights.any(axis=1))
     gram, signs = statistics.gram_rows(used)[:, used], np.sign(weights[used])
-    multipliers = np.zeros(signs.shape)
+    multipliers: Array = np.zeros(signs.shape)
     for target, column in enumerate(signs.T):
         on = np.flatnonzero(column)
         if len(on):

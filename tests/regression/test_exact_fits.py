@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import sparsefit as sf
+from sparsefit import backends
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.exact_fits import sharpened
 from sparsefit.regression.objective import Penalty
@@ -37,10 +39,12 @@ def certified(problem, weights, alpha):
 def test_an_exact_fit_at_a_small_penalty_is_proven_to_be_the_optimum(seed):
     problem, truth = exact_problem(seed)
     alpha = 1e-3 * float(np.abs(problem.statistics.cross).max())
-    rows, sharp = certified(problem, truth, alpha)
-    assert sharp.proves(1e-12)
-    assert not rows.proves(1e-12)  # its residual is rounding
-    assert sharp.primal == pytest.approx(objective(problem, truth, alpha), rel=1e-12)
+    limit = sf.fit(problem, backends.get("square-root-lasso", alpha_fraction=1e-3)).weights
+    assert limit == pytest.approx(truth, abs=1e-6)
+    rows, sharp = certified(problem, limit, alpha)  # columns that join at the limit have signs too
+    assert sharp.proves(1e-9)
+    assert not rows.proves(1e-9)  # its residual is rounding
+    assert sharp.primal == pytest.approx(objective(problem, truth, alpha), rel=1e-8)
 
 
 @pytest.mark.parametrize("fraction", [0.9, 0.3, 0.02])
