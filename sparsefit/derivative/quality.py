@@ -79,7 +79,7 @@ class LogQuality:
 
 
 def _extent(sides: tuple[float, float]) -> str:
-    if max(sides) >= 1e4:
+    if max(sides) >= 1e3:
         return f"{sides[0] / 1e3:.3g} × {sides[1] / 1e3:.3g} km"
     return f"{sides[0]:.3g} × {sides[1]:.3g} m"
 
