@@ -11,7 +11,14 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.export.model import GENERATED, Sums, Tuning, sums_at
 from sparsefit.export.model_choice import Choice, heaviest, lasso, stlsq
-from sparsefit.export.model_scale import ScaleFit, ScalePlace, descend, least_squares, left_of
+from sparsefit.export.model_scale import (
+    ScaleFit,
+    ScalePlace,
+    descend,
+    explained,
+    least_squares,
+    left_of,
+)
 from sparsefit.export.plan import Plan
 from sparsefit.flight import Flight
 
@@ -96,8 +103,8 @@ def chosen(plan: Plan, sums: Sums, weights: Array, tuning: Tuning) -> Choice:
 
 def residuals(plan: Plan, sums: Sums) -> Array:
     """What the 8 columns of each scale leave of |Phi|^2 (g,)."""
-    fits = [least_squares(scale[0], plan.floor) for scale in sums.scales]
-    return np.array([left_of(plan, sums.square, fit.explained) for fit in fits])
+    left = sums.square - explained(sums.scales[:, 0], plan.floor)
+    return np.maximum(left, plan.rounding * sums.square)
 
 
 def least_of(plan: Plan, sums: Sums) -> int:

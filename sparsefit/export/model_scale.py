@@ -18,7 +18,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.export.layout import TERMS
 from sparsefit.export.model import ALONG_X, ALONG_Y, CROSS, CROSS_SIDE, SIDE, Sums, harmonics
-from sparsefit.export.plan import COARSE, STEPS, Plan
+from sparsefit.export.plan import COARSE, END, STEPS, Plan
 
 _PRODUCT = np.zeros((3, 3, SIDE))  # h_i h_j = sum over t of _PRODUCT[i, j, t] h_t
 for _i, _j, _t, _weight in (
@@ -63,14 +63,15 @@ class ScalePlace:
 
 
 def gram_of(terms: Array) -> Array:
-    """theta'theta (8, 8) from the sums (43,) of a scale."""
-    gram: Array = (_GRAM @ terms[:CROSS]).reshape(8, 8)
+    """theta'theta (..., 8, 8) from the sums (..., 43) of scales."""
+    gram: Array = (terms[..., :CROSS] @ _GRAM.T).reshape(*terms.shape[:-1], 8, 8)
     return gram
 
 
 def cross_of(terms: Array) -> Array:
-    """theta'Phi (8, 2) from the sums (43,) of a scale."""
-    cross: Array = terms[CROSS:].reshape(2, CROSS_SIDE, CROSS_SIDE)[:, ALONG_X, ALONG_Y].T
+    """theta'Phi (..., 8, 2) from the sums (..., 43) of scales."""
+    parts = terms[..., CROSS:].reshape(*terms.shape[:-1], 2, CROSS_SIDE, CROSS_SIDE)
+    cross: Array = np.swapaxes(parts[..., ALONG_X, ALONG_Y], -1, -2)
     return cross
 
 
@@ -79,29 +80,55 @@ def least_squares(terms: Array, floor: float) -> ScaleFit:
 
     A column whose pivot is at or below the floor depends on those before it: it has no weight.
     """
+    unit, values, z, pivots = _solved_in_unit(terms, floor)
+    weights = values * unit[:, None]
+    return ScaleFit(weights, float(np.sum(z**2)), min(1.0, float(pivots.min())))
+
+
+def explained(terms: Array, floor: float) -> Array:
+    """|theta W|^2 (g,) of each of several scales, from their sums (g, 43)."""
+    z = _solved_in_unit(terms, floor)[2]
+    total: Array = np.sum(z**2, axis=(-1, -2))
+    return total
+
+
+def _solved_in_unit(terms: Array, floor: float) -> tuple[Array, Array, Array, Array]:
+    """1/|theta| (..., 8), and what `solved` gives of columns in unit norm."""
     gram, cross = gram_of(terms), cross_of(terms)
-    squares = np.diagonal(gram)
+    squares = np.diagonal(gram, axis1=-2, axis2=-1)
     unit = np.where(squares > 0, 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0)), 0.0)
-    values, factor, pivots = solved(gram * np.outer(unit, unit), cross * unit[:, None], floor)
-    return ScaleFit(values * unit[:, None], float(np.sum(factor**2)), min(1.0, *pivots))
+    scaled = gram * unit[..., :, None] * unit[..., None, :]
+    return unit, *solved(scaled, cross * unit[..., None], floor)
 
 
-def solved(gram: Array, cross: Array, floor: float) -> tuple[Array, Array, list[float]]:
-    """(G^-1 c (n, t), Z = F^-1 c (n, t), pivots (n,)) with G = F F', dependent columns left out."""
-    size = len(gram)
-    factor, z, kept = np.zeros((size, size)), np.zeros(cross.shape), np.zeros(size)
-    pivots = []
+def solved(gram: Array, cross: Array, floor: float) -> tuple[Array, Array, Array]:
+    """G^-1 c (..., n, t), Z = F^-1 c (..., n, t) and pivots (..., n), with G = F F'.
+
+    gram: (..., n, n), cross: (..., n, t). Columns with pivots at or below the floor are left out:
+    theirs are 0.
+    """
+    size = gram.shape[-1]
+    factor, z, values = np.zeros(gram.shape), np.zeros(cross.shape), np.zeros(cross.shape)
+    pivots, kept = np.zeros(gram.shape[:-1]), np.zeros(gram.shape[:-1])
     for a in range(size):
         for b in range(a):
-            factor[a, b] = (gram[a, b] - factor[a, :b] @ factor[b, :b]) * kept[b]
-        pivot = float(gram[a, a] - factor[a, :a] @ factor[a, :a])
-        pivots.append(pivot if pivot > floor else 0.0)
-        kept[a] = 1.0 / math.sqrt(pivot) if pivot > floor else 0.0
-        z[a] = (cross[a] - factor[a, :a] @ z[:a]) * kept[a]
-    values = np.zeros(cross.shape)
+            left = gram[..., a, b] - _products(factor[..., a, :b], factor[..., b, :b])
+            factor[..., a, b] = left * kept[..., b]
+        row = factor[..., a, :a]
+        pivot = gram[..., a, a] - _products(row, row)
+        pivots[..., a] = np.where(pivot > floor, pivot, 0.0)
+        kept[..., a] = np.where(pivot > floor, 1.0 / np.sqrt(np.maximum(pivot, floor)), 0.0)
+        z[..., a, :] = cross[..., a, :] - np.einsum("...e,...et->...t", row, z[..., :a, :])
+        z[..., a, :] *= kept[..., a, None]
     for a in reversed(range(size)):
-        values[a] = (z[a] - factor[a + 1 :, a] @ values[a + 1 :]) * kept[a]
+        below = np.einsum("...e,...et->...t", factor[..., a + 1 :, a], values[..., a + 1 :, :])
+        values[..., a, :] = (z[..., a, :] - below) * kept[..., a, None]
     return values, z, pivots
+
+
+def _products(left: Array, right: Array) -> Array:
+    total: Array = np.einsum("...e,...e->...", left, right)
+    return total
 
 
 def left_of(plan: Plan, square: float, explained: float) -> float:
@@ -191,13 +218,14 @@ def descend(plan: Plan, sums: Sums, scale: int) -> ScalePlace:
     if low > 0 or high < 0:
         return unresolved
     bend = (high - low) / width**2
-    t_low, t_high, moved = 0.0, 1.0, 0
+    t_low, t_high, moved, last = 0.0, 1.0, 0, 1.0
     for _ in range(STEPS[plan.real]):
         rise = high - low
         t = (t_low * high - t_high * low) / rise if rise > 0 else t_high
         fit, slope = at(t)
-        if not t_low < t < t_high:
+        if abs(t - last) <= END[plan.real] or not t_low < t < t_high:
             break
+        last = t
         if slope < 0:
             high *= 0.5 if moved == 1 else 1.0
             moved, low, t_low = 1, slope, t

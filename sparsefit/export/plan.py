@@ -33,7 +33,8 @@ WINDOWS = {"forward": 2, "midpoint": 2, "central": 3}  # samples of the derivati
 FEWEST_SCALES = 3  # a minimum has two sides
 MOST_RAM = 1 << 20  # bytes: most of what a processor of this class has
 COARSE = 0.3  # of a lobe 2 pi/extent: steps of the grid in k beyond it are not interpolated
-STEPS: dict[Real, int] = {"double": 16, "float": 10}  # of a descent: more than it ever took
+STEPS: dict[Real, int] = {"double": 14, "float": 10}  # of a descent: of 140 none took more than 11
+END: dict[Real, float] = {"double": 1e-12, "float": 1e-6}  # of an interval: a step that is none
 FREEDOM = 2 * len(CANDIDATES) + 1 - WIND  # parameters of a mode beyond those of a wind
 
 

@@ -19,15 +19,14 @@ CYCLES = {  # assumed of an addition, a multiplication, a division, a root, and 
 
 def sheet(plan: Plan, source: str, measured: Footprint | None) -> dict[str, str]:
     """What the header tells: its origin, flash, stack, work and the time that it would take."""
-    flash = "Code: not measured, as there was no compiler here."
+    flash = f"{constants(plan)} bytes of constants; code not measured: no compiler was here"
     stack = "not measured"
     if measured:
-        compiler = in_comment(measured.compiler, 60)
+        stack = f"at most {measured.stack} bytes: the frames of all functions together"
         flash = (
-            f"Code with them: {measured.flash} bytes, without math.h,\n"
-            f" *          as {compiler} -Os has it."
+            f"{measured.flash} bytes, {constants(plan)} of them constants, without math.h; this "
+            f"and the stack as\n *          {in_comment(measured.compiler, 60)} -Os makes them"
         )
-        stack = f"at most {measured.stack} bytes, by the same compiler"
     rows = {"a sample (its block ends)": update(plan), "an answer": estimate(plan)}
     rows = {"a sample": update(plan, fold=False)} | rows
     return {
@@ -60,9 +59,9 @@ def microseconds(plan: Plan, work: Work) -> float:
 
 def _row(name: str, work: Work) -> str:
     counts = astuple(work)
-    widths = (13, 17, 11, 7, 10)
+    widths = (11, 10, 11, 7, 15)
     told = "".join(f"{count:>{width}}" for count, width in zip(counts, widths, strict=True))
-    return f" *          {name:<21}{told}"
+    return f" *          {name:<25}{told}"
 
 
 def _told(work: Work) -> str:

@@ -15,8 +15,9 @@ from sparsefit.codec import plain
 from sparsefit.export.layout import constants, ram
 from sparsefit.export.model import GENERATED
 from sparsefit.export.pieces import COLUMNS, ESTIMATE, STEP_TEST, STEP_TUNABLE, SWEEPS, UNBIAS
-from sparsefit.export.plan import COARSE, STEPS, Plan
+from sparsefit.export.plan import COARSE, END, STEPS, Plan
 
+READ = ("length_scale", "mean_velocity", "refine", "precision")  # of a readout, on board
 WIDTH = 96  # of a table of numbers
 MATH = ("sin", "cos", "sqrt", "fabs", "log")
 READOUTS = {  # of a scale's weights w: in words, as a sum, and what it has to exceed
@@ -63,13 +64,15 @@ def header(plan: Plan, told: dict[str, str]) -> str:
     """
     library, tuning = plan.estimator.library, GENERATED
     grid = {key: value for key, value in plain(library.grid).items() if key != "fraction"}
+    readout, derivative = plain(plan.estimator.readout), plain(plan.derivative)
+    del derivative["repair"]  # there is none on board
     step = STEP_TUNABLE["savgol" if plan.derivative.method == "savgol" else "gap"]
     sizes = COLUMNS if plan.columns else dict.fromkeys(COLUMNS, "")
     settings: dict[str, str] = {
-        "derivative": _settings(plan.derivative.method, plain(plan.derivative)),
+        "derivative": _settings("", derivative),
         "library": _settings("cells", grid | {"every": library.every}),
         "backend": _settings(plan.backend.name, plain(plan.backend)),
-        "readout": _settings("", plain(plan.estimator.readout)),
+        "readout": _settings("", {name: readout[name] for name in READ}),
     }
     values: dict[str, object] = {name: in_comment(words) for name, words in settings.items()}
     return filled(
@@ -89,9 +92,9 @@ def header(plan: Plan, told: dict[str, str]) -> str:
             "step_tunable": Template(step).substitute(
                 step_tolerance=tuning.step_tolerance, longest_step=tuning.longest_step
             ),
-            "sweep_tunable": Template(SWEEPS).substitute(sweeps=tuning.sweeps)
-            if isinstance(plan.backend, Lasso)
-            else "",
+            "sweep_tunable": ""
+            if not isinstance(plan.backend, Lasso)
+            else Template(SWEEPS).substitute(sweeps=tuning.sweeps),
             "orders": plan.orders,
             "orders_why": "to go between the scales" if plan.refined else "values alone",
             "window": plan.window,
@@ -131,6 +134,7 @@ def _numbers(plan: Plan) -> dict[str, str]:
         "wavenumbers": table(plan.wavenumbers),
         "window": str(plan.window),
         "steps": str(STEPS[plan.real]),
+        "end": repr(END[plan.real]),
         "coarse": repr(COARSE),
         "resolved": repr(2 * math.pi * COARSE),
     }

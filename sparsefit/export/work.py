@@ -137,7 +137,7 @@ def _fit_between(plan: Plan) -> Work:
 def _descend(plan: Plan) -> Work:
     grid = PHI_SQUARE + _load_centred(plan) + _least_squares() + LEFT + _slope()
     ends = Work(1, 1) + EXTENT + _load_centred(plan) * 2 + _fit_between(plan) * 2
-    step = _fit_between(plan) + Work(3, 4, 1)
+    step = _fit_between(plan) + Work(4, 4, 1)
     error = Work(1, 1, 1) + Work(0, 2, 1, 1) + ROWS
     return grid + ends + step * STEPS[plan.real] + LEFT + error
 

@@ -16,7 +16,7 @@ VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 
 
-def estimator(backend="best-scale", refine="variable-projection", count=40, **more):
+def estimator(backend="best-scale", refine="variable-projection", count=30, **more):
     """Uniform in wavenumber between 2 m and 8 m; more: derivative, readout, every, settings."""
     library = sf.Library(
         grid=sf.LengthScaleGrid(2.0, 8.0, count=count, spacing="wavenumber"),
@@ -31,7 +31,7 @@ def estimator(backend="best-scale", refine="variable-projection", count=40, **mo
     )
 
 
-def fly(seed=7, noise=0.1, rate=100.0, duration=6.0):
+def fly(seed=7, noise=0.1, rate=50.0, duration=8.0):
     """A flight with steps of whole microseconds."""
     return sf.simulate_flight(
         sf.CellularFlow(mean_velocity=15.43, length_scale=4.21),

@@ -50,7 +50,7 @@ int main(int, char **argv) {
     config.response_time = 0.5;
     config.thrust_x = 5;
     config.thrust_y = 3;
-    config.sample_us = 10000;
+    config.sample_us = 20000;
     sf_init(&flow, &config);
     FILE *file = std::fopen(argv[1], "r");
     char line[512];

@@ -56,9 +56,12 @@ def replayed(plan, folder, flight=FLIGHT, flags=(*STRICT, *SANITIZED)):
 
 
 @needs_cc
-@pytest.mark.parametrize(("real", "settings"), QUICK)
-def test_the_c_says_what_its_model_says(real, settings, tmp_path):
-    assert replayed(plan_of(real, **settings), tmp_path) >= 6
+@pytest.mark.parametrize(
+    ("real", "settings", "flags"),
+    [(*QUICK[0], SANITIZED), (*QUICK[1], ("-O2",)), (*QUICK[2], ("-O2",))],
+)
+def test_the_c_says_what_its_model_says(real, settings, flags, tmp_path):
+    assert replayed(plan_of(real, **settings), tmp_path, flags=(*STRICT, *flags)) >= 6
 
 
 @needs_cc
@@ -102,17 +105,49 @@ def test_a_reference_that_is_not_its_own_fails_the_replay(tmp_path):
 )
 def test_the_state_is_as_large_as_the_header_says(real, settings, tmp_path):
     plan = plan_of(real, **settings)
-    written(plan, FLIGHT, tmp_path)
+    source = header(plan, sheet(plan, "a.json", None))
     size = "#include <sf_flow.h>\ntypedef char exact[(sizeof(sf_flow) == SF_RAM_BYTES) ? 1 : -1];\n"
+    (tmp_path / "sf_flow.h").write_text(source)
     (tmp_path / "size.c").write_text(size)
     compiled(tmp_path, "size.c", flags=("-std=c99", "-fsyntax-only"))
-    assert f"#define SF_RAM_BYTES {ram(plan)}u" in (tmp_path / "sf_flow.h").read_text()
+    assert f"#define SF_RAM_BYTES {ram(plan)}u" in source
+
+
+def beside(plan, folder, program):
+    """The C of a plan, and a program of this folder that uses it."""
+    (folder / "sf_flow.h").write_text(header(plan, sheet(plan, "a.json", None)))
+    (folder / "sf_flow.c").write_text(body(plan))
+    shutil.copy(Path(__file__).parent / program, folder)
+
+
+@needs_cc
+def test_every_status_is_told_and_what_is_refused_changes_nothing(tmp_path):
+    beside(plan_of("float", count=5), tmp_path, "states.c")
+    program = compiled(tmp_path, "sf_flow.c", "states.c", flags=("-std=c99", "-Wall", "-Wextra"))
+    assert ran(program)[0] == 0
+
+
+@needs_cc
+@pytest.mark.slow
+def test_a_million_samples_in_float_are_those_in_double(tmp_path):
+    answers = []
+    for real in ("double", "float"):
+        folder = tmp_path / real
+        folder.mkdir()
+        settings = {"count": 60, "derivative": sf.Derivative("forward")}
+        beside(plan_of(real, **settings), folder, "long_flight.c")
+        program = compiled(folder, "sf_flow.c", "long_flight.c", flags=(*STRICT, "-O2"))
+        answers.append([float(word) for word in ran(program)[1].split()])
+    double, single = answers
+    assert double[:2] == single[:2] == [0, 999_999]
+    assert double[2:] == pytest.approx([15.0, 4.2], rel=1e-3)
+    assert single[2:] == pytest.approx(double[2:], rel=1e-5)
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="there is no C++ compiler here")
 @pytest.mark.parametrize(
     "settings",
-    [{"count": 24}, pytest.param({"backend": "lasso", "refine": "none", "count": 4},
+    [{"count": 40}, pytest.param({"backend": "lasso", "refine": "none", "count": 4},
                                  marks=pytest.mark.slow),
      pytest.param({"backend": "stlsq", "count": 4, "derivative": sf.Derivative("central")},
                   marks=pytest.mark.slow),
@@ -121,11 +156,13 @@ def test_the_state_is_as_large_as_the_header_says(real, settings, tmp_path):
 )  # fmt: skip
 def test_operations_are_counted_right(settings, tmp_path):
     plan = plan_of(**settings)
-    written(plan, FLIGHT, tmp_path)
-    shutil.copy(Path(__file__).parent / "counting.cpp", tmp_path)
+    beside(plan, tmp_path, "counting.cpp")
+    source = tmp_path / "sf_flow.c"  # as if no descent came to its end before its last step
+    source.write_text(re.sub(r"SF_END SF_R\(.*?\)", "SF_END SF_R(-1)", source.read_text()))
+    sf.write_flight(FLIGHT, tmp_path / "flight.csv")
     program = compiled(tmp_path, "counting.cpp", flags=("-w",), compiler="c++")
     counted = {"update": set(), "estimate": set(), "before": set()}
-    for line in ran(program, "test/flight.csv")[1].splitlines():
+    for line in ran(program, "flight.csv")[1].splitlines():
         what, *numbers = line.split()
         counted[what].add(tuple(map(int, numbers)))
     assert counted["before"] == {(0, 0, 0, 0, 0)}

@@ -11,7 +11,8 @@
  */
 
 #define SF_LOBES 3u    /* minima of the residual on the grid that are descended into, deepest first */
-#define SF_STEPS ${steps}u   /* of a descent */
+#define SF_STEPS ${steps}u   /* of a descent, at most */
+#define SF_END SF_R(${end})  /* of an interval of the grid: a shorter step ends a descent */
 #define SF_RESOLVED SF_R(${resolved}) /* ${coarse} lobes: a step in k times the extent is at most this */
 
 typedef struct {
@@ -143,6 +144,7 @@ static void sf_descend(const sf_flow *flow, uint32_t scale, sf_place *place)
     sf_real right_end;
     sf_real t_left = SF_R(0);
     sf_real t_right = SF_R(1);
+    sf_real last = SF_R(1);
     uint32_t moved = 0u;
     uint32_t step;
     uint32_t lower; /* the scale of the smaller wavenumber: scales ascend, wavenumbers descend */
@@ -177,8 +179,10 @@ static void sf_descend(const sf_flow *flow, uint32_t scale, sf_place *place)
         const sf_real t = (rise > SF_R(0)) ? ((t_left * right_end - t_right * left_end) / rise)
                                            : t_right;
         const sf_real slope = sf_fit_between(&interval, t, &place->fit);
+        const sf_real moved_by = ${fabs}(t - last);
+        last = t;
         place->k = interval.k + t * interval.width;
-        if (!((t > t_left) && (t < t_right))) {
+        if ((moved_by <= SF_END) || !((t > t_left) && (t < t_right))) {
             break; /* as near as rounding lets it */
         }
         /* An end that stays twice counts half: the other one moves, too. */

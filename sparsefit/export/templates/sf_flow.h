@@ -13,15 +13,17 @@
  *               products, k = pi/L, for one L of ${scales} candidates, ${lower} m to ${upper} m.
  * U0 = sqrt(2 <|w|^2>) over a cell, tau_w = L/U0.
  *
- * RAM      sizeof(sf_flow) = ${ram} bytes (SF_RAM_BYTES, asserted in sf_flow.c); nothing else is
- *          kept. The stack is beside it: ${stack}.
- * Flash    constants: ${constants} bytes (counted). ${flash}
- * Work     at most, for one sample, and for one answer (counted from the lengths of the loops):
+ * RAM      ${ram} bytes: sizeof(sf_flow), asserted in sf_flow.c. Nothing else is kept.
+ * Stack    ${stack}
+ * Flash    ${flash}
+ * Work     at most, counted from the lengths of the loops:
  *
- *                          additions  multiplications  divisions  roots  sin, cos
+ *                                     additions  products  quotients  roots  sin, cos, log
 ${work}
  *
  *          ${budget}
+ *
+ * sf_update is for every sample; sf_estimate for a slower task, whenever an answer is wanted.
  *
  * On board there is no repair of outliers, no correction of what smoothing takes, no interval and
  * no test of whether the flow is another than was fitted: those are of the batch estimate.
@@ -37,32 +39,32 @@ extern "C" {
 
 typedef ${real} sf_real;
 
-/* ---- what may be tuned: ${tunable_count} values, here or by -D ---------------------------- */
+/* ---- what may be tuned: ${tunable_count} values, here or by -D ------------------------------------------- */
 
 /* Rows before there is an answer. */
 #ifndef SF_MINIMUM_ROWS
 #define SF_MINIMUM_ROWS ${minimum_rows}u
 #endif
 
-/* Rows that are summed by themselves before they join the rest: keeps rounding small. */
+/* Rows that are summed by themselves before they join the rest, which keeps rounding small. */
 #ifndef SF_BLOCK
 #define SF_BLOCK ${block}u
 #endif
 
-/* What is kept of all earlier sums when a block joins them: 1 is the whole flight. */
+/* What is kept of all earlier sums when a block joins them: 1 is the whole flight, to which the extent
+ * always belongs. */
 #ifndef SF_FORGETTING
 #define SF_FORGETTING 1.0
 #endif
 
-${step_tunable}
-${sweep_tunable}
+${step_tunable}${sweep_tunable}
 /* ---- sizes: from the estimator, not to be changed ------------------------------------------- */
 
-#define SF_SCALES ${scales}u  /* candidate length scales */
-#define SF_ORDERS ${orders}u  /* Taylor coefficients in k of every sum: ${orders_why} */
-#define SF_TERMS 43u     /* sums of one scale: 5 x 5 of the columns, 2 x (3 x 3) with Phi */
-#define SF_WINDOW ${window}u  /* samples that a derivative is taken from */
-#define SF_EVERY ${every}u   /* every so many-th of these makes a row */
+#define SF_SCALES ${scales}u /* candidate length scales */
+#define SF_ORDERS ${orders}u /* Taylor coefficients in k of every sum: ${orders_why} */
+#define SF_TERMS 43u /* sums of one scale: 5 x 5 of the columns, 2 x (3 x 3) with Phi */
+#define SF_WINDOW ${window}u /* samples that a derivative is taken from */
+#define SF_EVERY ${every}u /* every so many-th full window makes a row */
 ${column_sizes}#define SF_RAM_BYTES ${ram}u
 
 typedef enum {
