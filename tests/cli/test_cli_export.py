@@ -9,8 +9,9 @@ import pytest
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli import main
+from sparsefit.export import measure
 
-GRID = sf.LengthScaleGrid(2.0, 8.0, count=12, spacing="wavenumber")
+GRID = sf.LengthScaleGrid(2.0, 8.0, count=8, spacing="wavenumber")
 CHANGES = ("--derivative", "savgol", "--refine", "none")
 
 
@@ -20,6 +21,12 @@ def saved(tmp_path):
     path = tmp_path / "estimator.json"
     path.write_text(estimator.to_json())
     return path
+
+
+@pytest.fixture
+def unmeasured(monkeypatch):
+    """As where there is no compiler, which takes half a second to ask."""
+    monkeypatch.setattr(measure, "footprint", lambda files, compiler: None)
 
 
 def refused(capsys, *arguments):
@@ -61,7 +68,7 @@ def test_cmake_builds_and_tests_an_export(saved, tmp_path):
         subprocess.run(command.split(), cwd=folder, check=True, capture_output=True)
 
 
-def test_a_recorded_flight_is_replayed(saved, tmp_path):
+def test_a_recorded_flight_is_replayed(saved, tmp_path, unmeasured, capsys):
     flight = sf.simulate_flight(
         sf.CellularFlow(mean_velocity=15.43, length_scale=4.21),
         sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=3.0, sample_rate=50.0, seed=1,
@@ -73,9 +80,10 @@ def test_a_recorded_flight_is_replayed(saved, tmp_path):
     assert (folder / "test/flight.csv").read_text() == (tmp_path / "flight.csv").read_text()
     last = (folder / "test/reference.csv").read_text().splitlines()[-1]
     assert last.startswith("150,")
+    assert "flash  not measured" in capsys.readouterr().out
 
 
-def test_what_is_in_the_way_is_not_overwritten(saved, tmp_path, capsys):
+def test_what_is_in_the_way_is_not_overwritten(saved, tmp_path, unmeasured, capsys):
     folder = tmp_path / "flow"
     folder.mkdir()
     (folder / "mine.txt").write_text("mine")
@@ -140,7 +148,7 @@ def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
     assert not (tmp_path / "flow").exists()
 
 
-def test_the_name_of_a_file_cannot_leave_its_comment(saved, tmp_path):
+def test_the_name_of_a_file_cannot_leave_its_comment(saved, tmp_path, unmeasured):
     path = tmp_path / "x *" / "int y;"
     path.parent.mkdir()
     odd = path.with_name("a*\\ int x;.json")

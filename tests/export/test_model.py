@@ -42,7 +42,9 @@ def test_rows_are_those_of_the_derivative(derivative):
 
 
 def test_a_central_difference_weighs_uneven_steps_as_the_batch_does():
-    time = microseconds(FLIGHT.time) + np.random.default_rng(3).integers(-2000, 2000, FLIGHT.samples)
+    time = microseconds(FLIGHT.time) + np.random.default_rng(3).integers(
+        -2000, 2000, FLIGHT.samples
+    )
     flight = sf.Flight(time=time * 1e-6, position=FLIGHT.position, velocity=FLIGHT.velocity,
                        vehicle=VEHICLE)  # fmt: skip
     derivative = sf.Derivative("central", repair=False)
@@ -102,7 +104,7 @@ def test_best_scale_on_the_grid_is_the_batch_estimate():
     assert answer.timescale == pytest.approx(batch.timescale, rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", [7, 11, 12])
+@pytest.mark.parametrize("seed", [7, *(pytest.param(s, marks=pytest.mark.slow) for s in (11, 12))])
 def test_the_refined_readout_is_the_batch_estimate_but_for_the_polynomial(seed):
     flight = fly(seed)
     extent = flight.extent
