@@ -45,6 +45,10 @@ def _words(suspect: Suspect, goodness: Goodness) -> str:
             more = "more" if size[0] > 0 else "less"
             amount = f"{more} quadratic than it is believed, by about {abs(size[0]):.2g} 1/m"
             return f"the drag seems {amount}; give the vehicle another drag"
+        case Cause.LINEAR_DRAG:
+            more = "more" if size[0] > 0 else "less"
+            amount = f"{more} linear than it is believed, by about {abs(size[0]):.2g} 1/s"
+            return f"the drag seems {amount}; give the vehicle another drag"
         case Cause.SWELLING:
             return f"the mean velocity seems to change in time, by {100 * size[0]:.2g} % rms"
         case Cause.DRIFT:

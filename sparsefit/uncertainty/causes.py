@@ -6,6 +6,7 @@ steady cells leaves to first order c.z of what it does not know:
     wind        z = (1, 0), (0, 1)                                      c [m/s]
     response    z = (v - w)/tau, as Phi = v + tau (v' - a)              c [s]
     drag        z = |r| r / (1/tau + 2 c |r|), r = w - v                c [1/m]
+    linear      z = r / (1/tau + 2 c |r|), in place of the response     c [1/s]
     swelling    z = w cos(j pi (t/T + 1/2)), j = 1..4                   c relative
     drift       z = -t d_x w, -t d_y w                                  c [m/s]
     turn        z = e x w - ((e x r).grad) w, e the third axis          c [rad]
@@ -55,11 +56,15 @@ class Cause(StrEnum):
     WIND = "wind"
     RESPONSE_TIME = "response-time"
     DRAG = "drag"
+    LINEAR_DRAG = "linear-drag"
     SWELLING = "swelling"
     DRIFT = "drift"
     TURN = "turn"
     STRETCH = "stretch"
     TURBULENCE = "turbulence"
+
+
+OF_DRAG = (Cause.RESPONSE_TIME, Cause.DRAG, Cause.LINEAR_DRAG)
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class Suspect:
     Args:
         cause: what it is.
         size: to first order: wind and drift (x, y) [m/s], response time less the believed [s],
-            quadratic drag less the believed [1/m],
+            quadratic drag less the believed [1/m], linear drag less the believed [1/s],
             turn [rad], swelling (rms) and stretch of x over y as shares; turbulence, rms [m/s].
         p_value: of a score as large by chance.
         share: of the squares that are left, what freeing the cause takes away.
@@ -91,13 +96,14 @@ def columns(fit: Filtered) -> dict[Cause, Array]:
     one, none = np.ones_like(time), np.zeros_like(time)
     speed, vehicle = np.hypot(*(flow - velocity)), fit.vehicle
     root = vehicle.rate + 2 * vehicle.drag * speed
-    dragged = speed / np.where(root > 0, root, 1.0) * (flow - velocity)
-    linear = fit.stretch is None  # quadratic drag has no response time
-    response = {Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time} if linear else {}
+    pushed = (flow - velocity) / np.where(root > 0, root, 1.0)
+    response = {Cause.LINEAR_DRAG: pushed[None]}
+    if not vehicle.drag:
+        response = {Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time}
     return {
         Cause.WIND: np.array([[one, none], [none, one]]),
         **response,
-        Cause.DRAG: dragged[None],
+        Cause.DRAG: (speed * pushed)[None],
         Cause.SWELLING: np.array([flow * np.cos(j * phase) for j in range(1, SWELLINGS + 1)]),
         Cause.DRIFT: np.array([-time * along_x, -time * along_y]),
         Cause.TURN: (np.array([-flow[1], flow[0]]) - x * along_y + y * along_x)[None],
@@ -135,7 +141,7 @@ def _guilty(left: Turbulence, suspect: Suspect, freed: Array) -> bool:
         return False
     if not left.found:
         return True
-    if suspect.share > TAKEN and suspect.cause not in (Cause.RESPONSE_TIME, Cause.DRAG):
+    if suspect.share > TAKEN and suspect.cause not in OF_DRAG:
         return True
     return relieved(left, freed).ratio < RELIEVED
 

@@ -90,3 +90,11 @@ def test_what_cannot_be_sought_is_refused():
         estimated(flown(LINEAR), "thrust_scale")
     with pytest.raises(InputError, match="weak form"):
         estimated(flight, derivative="weak")
+
+
+def test_the_wrong_law_of_drag_is_named():
+    noisy = flown(QUADRATIC, **NOISE)
+    linear = replace(noisy, vehicle=sf.PointMassVehicle(0.5, (5.0, 3.0)))
+    assert "more quadratic" in estimated(linear, "response_time").reason
+    other = flown(replace(LINEAR, thrust_acceleration=(5.0, 3.0)), **NOISE)
+    assert "more linear" in estimated(replace(other, vehicle=QUADRATIC), "drag").reason

@@ -63,16 +63,21 @@ def test_the_column_of_drag_is_the_derivative_of_phi(drag):
     exact = replace(Rows.of(samples, believed), target=FLOW.velocity(*samples.position.T))
     model = cells_at(exact, FLOW.wavenumber)
     own = Filtered.of(samples, model, Nuisance((), believed))
-    # What the believed vehicle would have read, had the true one a little more quadratic drag.
-    read = [
-        believed.flow_velocity(
-            samples.velocity,
-            replace(believed, drag=drag + size).acceleration(samples.velocity, model.flow),
-        )
-        for size in (STEP, 0.0)
-    ]
-    found, expected = columns(own)[Cause.DRAG][0], (read[0] - read[1]).T / STEP
-    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max())
+    # What the believed vehicle would have read, had the true one a little more drag of either kind.
+    true = {
+        Cause.DRAG: replace(believed, drag=drag + STEP),
+        Cause.LINEAR_DRAG: replace(believed, response_time=1 / (believed.rate + STEP)),
+    }
+    for cause in (Cause.DRAG, Cause.LINEAR_DRAG) if drag else (Cause.DRAG,):
+        read = [
+            believed.flow_velocity(
+                samples.velocity, vehicle.acceleration(samples.velocity, model.flow)
+            )
+            for vehicle in (true[cause], believed)
+        ]
+        expected = (read[0] - read[1]).T / STEP
+        close = 2e-3 * np.abs(expected).max()
+        np.testing.assert_allclose(columns(own)[cause][0], expected, rtol=2e-3, atol=close)
     assert (Cause.RESPONSE_TIME in columns(own)) == (drag == 0.0)
 
 
