@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import sparsefit
+from sparsefit.backends import BACKENDS, PUBLIC
 
 EXTENSIONS = Path(__file__).parents[2] / "docs" / "_ext"
 
@@ -41,6 +42,13 @@ def test_types_and_ranges_are_told_as_somebody_who_writes_toml_would(tables):
     flights = {key.name: key for key in tables.sections()["flights"]}
     assert flights["outliers"].kind == "from 0 to 1"
     assert flights["duration"].default == "needed"
+
+
+def test_every_back_end_has_a_line_where_one_chooses():
+    page = (EXTENSIONS.parent / "choosing.md").read_text("utf-8")
+    assert [
+        n for n in (*BACKENDS, *PUBLIC) if f"| `{n}`" not in page and f", `{n}`" not in page
+    ] == []
 
 
 @pytest.mark.parametrize("name", sparsefit.__all__[1:])
