@@ -24,8 +24,8 @@ MARGIN = 0.06  # of the extent, around the track
 ROOM = 1.4  # of the residual's range, for a legend above it
 SEGMENTS = 8  # of a spectrum, half of each in the next: Welch (1967)
 FEWEST = 32  # samples of a segment
-LEAST = 1e-6  # of the largest power
-UNITS = {"m": ((1e4, 1e3, "km"),), "s": ((3e5, 86400.0, "days"), (2e4, 3600.0, "h"))}
+LEAST = 1e-5  # of the largest power that is drawn
+UNITS = {"m": ((5e3, 1e3, "km"),), "s": ((3e5, 86400.0, "days"), (2e4, 3600.0, "h"))}
 AXES = {"": ("x", "y"), "ENU": ("x east", "y north"), "NED": ("x north", "y east")}
 
 
@@ -98,6 +98,7 @@ def draw_track(axes: Axes, flown: Flown) -> AxesImage | None:
     axes.plot(x, y, color="black", lw=0.9)
     axes.plot(x[0], y[0], "o", color="black", ms=4)
     axes.set_aspect("equal", adjustable="datalim" if flow is None else "box")
+    axes.locator_params(nbins=5)
     axes.grid(False)
     east, north = AXES[flown.flight.frame]
     axes.set_xlabel(f"{east} [{unit}], the flight begins at the dot")
@@ -184,8 +185,10 @@ def draw_spectrum(axes: Axes, flown: Flown) -> None:
     axes.set_ylabel("power [(m/s)²/Hz]")
     frequency, whole = spectrum(flown.measured[piece], step)
     axes.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
+    lowest = LEAST * float(whole.max())
     if flown.estimate.flow is not None:
         left = spectrum(flown.left[piece], step)[1]
+        lowest = LEAST * max(float(left.max()), lowest)
         for place, name in enumerate("xy"):
             axes.loglog(
                 frequency, left[:, place], color=COLOURS[place], lw=0.8, label=f"residual {name}"
@@ -194,13 +197,13 @@ def draw_spectrum(axes: Axes, flown: Flown) -> None:
     meets = speed / (2.0 * flown.estimate.length_scale)
     if frequency[0] < meets < frequency[-1]:
         axes.axvline(meets, color=COLOURS[2], ls=":", lw=1.6, label="cells")
-    _decades(axes, frequency, whole.sum(axis=1))
+    _decades(axes, frequency, lowest)
     axes.legend(loc="best")
 
 
-def _decades(axes: Axes, frequency: Array, power: Array) -> None:
+def _decades(axes: Axes, frequency: Array, lowest: float) -> None:
     """Number both axes in plain digits; what a smoother has taken out wholly is not shown."""
-    axes.set_ylim(max(axes.get_ylim()[0], LEAST * float(power.max())))
+    axes.set_ylim(max(axes.get_ylim()[0], lowest))
     axes.set_xlim(frequency[0], frequency[-1])
     logarithmic(axes.xaxis, *axes.get_xlim())
     logarithmic(axes.yaxis, *axes.get_ylim())
