@@ -20,7 +20,13 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends import BACKENDS, get, load
-from sparsefit.errors import InputError, MissingExtra, SparsefitError, flag_setting
+from sparsefit.errors import (
+    InputError,
+    MissingExtra,
+    SparsefitError,
+    flag_setting,
+    number_setting,
+)
 from sparsefit.regression.answer import Fit
 from sparsefit.regression.backend import Backend
 from sparsefit.regression.fit import TOLERANCE
@@ -102,7 +108,9 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         are ValueError.
         """
         backend = self._backend()
-        flag_setting(type(self).__name__, "fit_intercept", self.fit_intercept)
+        owner, tolerance = type(self).__name__, self.certificate_tolerance
+        flag_setting(owner, "fit_intercept", self.fit_intercept)
+        number_setting(owner, "certificate_tolerance", tolerance, low=0.0)
         design, target = validate_data(
             self,
             X,
@@ -116,8 +124,10 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         values = target.astype(np.float64).reshape(len(design), -1)
         rows = _Rows.of(design, values, weight, centred=self.fit_intercept)
         groups = _checked_groups(self.groups, design.shape[1])[rows.varies]
-        problem = RegressionProblem.from_arrays(rows.theta, rows.target, groups)
-        fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
+        numbered = [f"x{i}" for i in range(design.shape[1])]
+        names = np.array(getattr(self, "feature_names_in_", numbered))[rows.varies].tolist()
+        problem = RegressionProblem.from_arrays(rows.theta, rows.target, groups, names)
+        fitted = certified(problem, backend, tolerance=tolerance)
         _tell(fitted)
         coefficients = np.zeros((values.shape[1], design.shape[1]))
         coefficients[:, rows.varies] = fitted.weights.T

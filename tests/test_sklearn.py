@@ -45,12 +45,11 @@ def test_every_back_end_of_any_design_matrix_is_a_regressor():
 
 def test_the_checks_of_scikit_learn_pass():
     assert failures(regressors.Lasso()) == {}
-    assert failures(regressors.SparseRegressor()) == {}
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")  # of exact fits
-@pytest.mark.parametrize("name", sorted(regressors.NAMED))
+@pytest.mark.parametrize("name", ["SparseRegressor", *sorted(regressors.NAMED)])
 def test_the_checks_of_scikit_learn_pass_for_each(name):
     regressor = getattr(regressors, name)
     expected = {EQUIVALENCE} if name in EXPLAINED else set()
@@ -124,6 +123,10 @@ def test_what_is_not_proven_is_warned_of_and_what_failed_raises():
         regressors.STLSQ(threshold=5.0).fit(design, target)
     with pytest.raises(ValueError, match="alpha_fraction must be"):
         regressors.Lasso(alpha_fraction=2.0).fit(design, target)
+    with pytest.raises(InputError, match="Lasso: certificate_tolerance must be a number"):
+        regressors.Lasso(certificate_tolerance="small").fit(design, target)
+    with pytest.raises(InputError, match="groups must have labels of one kind"):
+        regressors.Lasso(groups=[None, 1, 2, 3, 4, 5, 6, 7]).fit(design, target)
 
 
 def test_an_automatic_penalty_is_told():

@@ -228,7 +228,10 @@ def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
             f"{name} must have one label per column: {columns} columns, {name} of shape "
             f"{given.shape}"
         )
-    return np.unique(given, return_inverse=True)[1].astype(np.intp)
+    try:
+        return np.unique(given, return_inverse=True)[1].astype(np.intp)
+    except TypeError:
+        raise InputError(f"{name} must have labels of one kind, such as all numbers") from None
 
 
 def _check_shapes(problem: RegressionProblem) -> None:
