@@ -26,8 +26,10 @@ def misfit(goodness: Goodness | None, unknown: tuple[str, ...] = ()) -> Verdict 
         explained = f"the fit explains only {100 * goodness.r_squared:.0f} % of the flow velocity"
         words = f"{explained}: the flow is another, or hardly steady"
         return Verdict("misfit", words, Doubt.MISFIT)
-    words = f"more than noise is left (R² {goodness.r_squared:.4g}): {_words(suspect, goodness)}"
-    if suspect.cause in FREED:
+    where = f" of flight {goodness.flight}" if goodness.flight else ""
+    left = f"more than noise is left{where} (R² {goodness.r_squared:.4g})"
+    words = f"{left}: {_words(suspect, goodness)}"
+    if suspect.cause in FREED and not (goodness.flight and suspect.cause is Cause.RESPONSE_TIME):
         names = ", ".join(f'"{name}"' for name in (*unknown, FREED[suspect.cause]))
         words += f"; free it: unknown = [{names}]"
     return Verdict("misfit", words, Doubt.MISFIT)
@@ -58,6 +60,12 @@ def _words(suspect: Suspect, goodness: Goodness) -> str:
         case Cause.STRETCH:
             axes = "x than in y" if size[0] > 0 else "y than in x"
             return f"the cells seem longer in {axes}, by about {100 * abs(size[0]):.2g} %"
+        case Cause.ANOTHER_FLOW:
+            others = "flight" if len(goodness.flights) == 2 else "flights"
+            return (
+                f"it tells another flow than the other {others}, by about {100 * size[0]:.2g} %: "
+                "its vehicle, frame or time may be another; leave it out"
+            )
         case Cause.TURBULENCE:
             share = 100 * goodness.turbulence_share
             return (

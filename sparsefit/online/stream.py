@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sparsefit.errors import InputError, positive
@@ -46,11 +47,13 @@ class Stream:
         if self.asked:
             refuse_unfit(estimator)
 
-    def prepare(self, estimator: Estimator, flight: Flight) -> Prepared:
-        """What back-ends see at the end of a flight."""
+    def prepare(self, estimator: Estimator, fleet: Sequence[Flight]) -> Prepared:
+        """What back-ends see at the end of a flight, or of several together."""
         if not self.asked:
-            return estimator.prepare(flight)
-        return self.followed(estimator, flight).prepared()
+            return estimator.prepare(fleet)
+        if len(fleet) > 1:
+            raise InputError(f"online: one flight is followed, not {len(fleet)} together")
+        return self.followed(estimator, fleet[0]).prepared()
 
     def followed(self, estimator: Estimator, flight: Flight) -> OnlineEstimator:
         """An online estimator that was given all samples of a flight, one by one."""

@@ -132,7 +132,7 @@ def assess_flights(
         every = known.values, known.errors, known.freedom
         by_mode = [array[:count].reshape(-1, 3) for array in every]
         modes = tuple(_mode(*one) for one in zip(*by_mode, strict=True))
-        goodness = goodness_of(model, known.left, modes[0].mean_velocity)
+        goodness = goodness_of(model, known, modes[0].mean_velocity, modes[0].length_scale)
         read = Assessment(modes, goodness=goodness)
     if known.growth is not None:
         fastest = max(mode.mean_velocity for mode in read.modes)
@@ -187,7 +187,7 @@ def _of_waves(known: Known, names: tuple[str, ...], count: int, model: Model) ->
     flows = np.arange(count * own).reshape(count, own)
     flows = flows[np.argsort(-known.values[flows[:, 0]], kind="stable")]
     modes = tuple(_mode(*(array[flow[: len(MODE)]] for array in every)) for flow in flows)
-    goodness = goodness_of(model, known.left, modes[0].mean_velocity)
+    goodness = goodness_of(model, known, modes[0].mean_velocity, modes[0].length_scale)
     shapes: tuple[Shape, ...] = ()
     if CELL[0] in names:
         cells = flows[:, len(MODE) :]

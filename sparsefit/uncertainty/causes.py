@@ -62,6 +62,7 @@ class Cause(StrEnum):
     TURN = "turn"
     STRETCH = "stretch"
     TURBULENCE = "turbulence"
+    ANOTHER_FLOW = "another-flow"
 
 
 OF_DRAG = (Cause.RESPONSE_TIME, Cause.DRAG, Cause.LINEAR_DRAG)
@@ -75,7 +76,8 @@ class Suspect:
         cause: what it is.
         size: to first order: wind and drift (x, y) [m/s], response time less the believed [s],
             quadratic drag less the believed [1/m], linear drag less the believed [1/s],
-            turn [rad], swelling (rms) and stretch of x over y as shares; turbulence, rms [m/s].
+            turn [rad], swelling (rms) and stretch of x over y as shares; turbulence, rms [m/s];
+            another flow than other flights', rms as a share.
         p_value: of a score as large by chance.
         share: of the squares that are left, what freeing the cause takes away.
     """

@@ -19,8 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.modes.stack import Part
 from sparsefit.uncertainty import bias, lags, noise
+from sparsefit.uncertainty.concord import Apart, concord
 from sparsefit.uncertainty.constancy import Growth, Share
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.influence import Influence
@@ -47,6 +49,7 @@ class Known:
         freedom: the degrees of freedom of these (f,), inf where they are certain.
         left: what the fit leaves of each flight, against noise; none where no filters are known.
         growth: by which share the flow changes in a second, where that can be told.
+        apart: of several flights, how far each is from the flow that all tell.
     """
 
     values: Array
@@ -54,6 +57,7 @@ class Known:
     freedom: Array
     left: tuple[Turbulence, ...] = ()
     growth: Share | None = None
+    apart: tuple[Apart, ...] = ()
 
 
 def corrected(parts: Sequence[Part], model: Model, read: Reader, *, correct: bool) -> Known | None:
@@ -124,7 +128,17 @@ def _through_filters(
         correction = correction + np.clip(step, -REACH * spread, REACH * spread)
     errors = np.hypot(spread, doubt)
     values = reading.values + correcting * (correction + moved)
-    return Known(values, errors, freedom, tuple(one.left for one in seen), _growth(seen))
+    lefts = tuple(one.left for one in seen)
+    return Known(values, errors, freedom, lefts, _growth(seen), _apart(model, seen))
+
+
+def _apart(model: Model, seen: Sequence[_Seen]) -> tuple[Apart, ...]:
+    """How far every flight of several is from the flow that all tell."""
+    if len(seen) == 1:
+        return ()
+    none = np.zeros(model.jacobian.size)
+    biases = [sum(one.scores.values(), none) for one in seen]
+    return concord(model, [one.left for one in seen], [one.less.together for one in seen], biases)
 
 
 def _growth(seen: Sequence[_Seen]) -> Share | None:
@@ -163,6 +177,18 @@ class _Seen:
     def of(cls, fit: Filtered, less: bias.Truncated, by_theta: Array) -> _Seen:
         observed = noise.Observed(fit, less.at_samples)
         return cls(fit, less, Turbulence(observed), Influence.of(observed, by_theta))
+
+    @cached_property
+    def scores(self) -> dict[str, Array]:
+        """E J'e (n,) of the noise in what the columns are taken at, by its source."""
+        fit, scores = self.fit, {}
+        if noise.measured_noise_known(fit.filters):
+            scores["columns"] = bias.noisy_columns(fit)
+        if fit.shared:
+            scores["kicks"] = bias.kicked_velocity(fit, float(self.left.observed.levels[2]))
+        if fit.stretch is not None:
+            scores["drag"] = bias.curved(fit)
+        return scores
 
     def variances(self, model: Model, gradients: Array) -> tuple[Array, Array]:
         """What the flight adds to the variances (f,), and the degrees of freedom of that."""
@@ -209,13 +235,6 @@ def _scores_of_noise(seen: Sequence[_Seen]) -> list[Array]:
     """J'e (n,) of the noise in what the columns are taken at, one for each source of it."""
     scores: dict[str, Array] = {}
     for one in seen:
-        fit, own = one.fit, {}
-        if noise.measured_noise_known(fit.filters):
-            own["columns"] = bias.noisy_columns(fit)
-        if fit.shared:
-            own["kicks"] = bias.kicked_velocity(fit, float(one.left.observed.levels[2]))
-        if fit.stretch is not None:
-            own["drag"] = bias.curved(fit)
-        for source, score in own.items():
-            scores[source] = scores.get(source, 0.0) + fit.weight**2 * score
+        for source, score in one.scores.items():
+            scores[source] = scores.get(source, 0.0) + one.fit.weight**2 * score
     return list(scores.values())

@@ -13,9 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.uncertainty.causes import Suspect, suspected
+from sparsefit.library.scan import extent_of
+from sparsefit.uncertainty.causes import CHANCE, SLIGHT, Cause, Suspect, suspected
+from sparsefit.uncertainty.concord import Apart
+from sparsefit.uncertainty.corrected import Known
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
+
+LAST = {Cause.ANOTHER_FLOW: 1, Cause.TURBULENCE: 2}  # of causes: what others may look like
 
 
 @dataclass(frozen=True)
@@ -50,13 +55,14 @@ class Goodness:
         return 1 - self.r_squared <= TRUNCATION
 
 
-def goodness_of(model: Model, left: Sequence[Turbulence], mean_velocity: float) -> Goodness:
-    """The goodness of a fit, of what it leaves; mean_velocity U0 [m/s] of the fastest flow.
+def goodness_of(model: Model, known: Known, mean_velocity: float, length_scale: float) -> Goodness:
+    """The goodness of a fit, of what it leaves; U0 [m/s] and L [m] of the fastest flow.
 
     Of several flights R^2 is that of all weighted rows, turbulence the root mean square over all
     samples, the whiteness the least of a flight for as many as there are, the ratio the largest;
-    and a cause must be as unlikely for as many.
+    and a cause must be as unlikely for as many, of those that cover a period of the flow.
     """
+    left = known.left
     if not left:
         return Goodness(_r_squared(model))
     if len(left) == 1:
@@ -65,8 +71,11 @@ def goodness_of(model: Model, left: Sequence[Turbulence], mean_velocity: float) 
     samples = [len(one.observed.errors) for one in left]
     squares = [one.turbulence**2 for one in each]
     turbulence = math.sqrt(float(np.average(squares, weights=samples)))
-    suspects = [(one.suspect, i + 1) for i, one in enumerate(each) if one.suspect]
-    suspects.sort(key=lambda pair: pair[0].p_value)
+    covers = [extent_of(one.observed.fit.samples.position) >= 2 * length_scale for one in left]
+    found = [one.suspect if whole else None for one, whole in zip(each, covers, strict=True)]
+    suspects = [(suspect, number) for number, suspect in enumerate(found, 1) if suspect]
+    suspects += _others(known.apart)
+    suspects.sort(key=lambda pair: (LAST.get(pair[0].cause, 0), pair[0].p_value))
     suspect, flight = suspects[0] if suspects else (None, 0)
     return Goodness(
         _r_squared(model),
@@ -78,6 +87,16 @@ def goodness_of(model: Model, left: Sequence[Turbulence], mean_velocity: float) 
         flight,
         tuple(each),
     )
+
+
+def _others(apart: Sequence[Apart]) -> list[tuple[Suspect, int]]:
+    """The flights, by their number, that tell a flow of their own."""
+    found = []
+    for number, one in enumerate(apart, 1):
+        chance = min(1.0, len(apart) * one.p_value)
+        if one.share > SLIGHT and chance < CHANCE:
+            found.append((Suspect(Cause.ANOTHER_FLOW, (one.share,), chance, one.taken), number))
+    return found
 
 
 def _of_flight(left: Turbulence, mean_velocity: float, flights: int = 1) -> Goodness:

@@ -1,5 +1,6 @@
 """Several flights through one flow: one answer, that of one flight for a list of one."""
 
+import re
 from dataclasses import fields, replace
 from functools import cache
 
@@ -138,3 +139,25 @@ def test_the_command_line_reads_several_files(tmp_path, capsys):
     assert "change of U0" in printed
     assert main(["estimate", paths[0], paths[0]]) == 2
     assert "one and the same" in capsys.readouterr().err
+
+
+OTHER = sf.CellularFlow(mean_velocity=15.43, length_scale=4.5)
+
+
+@pytest.mark.parametrize(
+    ("flow", "tau", "words"),
+    [
+        (OTHER, 0.5, "flight 3 .*: it tells another flow than the other flights"),
+        (FLOW, 0.6, "flight 3 .*: the response time seems"),
+    ],
+)
+def test_a_flight_of_another_flow_or_vehicle_is_named(flow, tau, words):
+    true = sf.PointMassVehicle(tau, (5.0, 3.0))
+    odd = sf.simulate_flight(
+        flow, true, duration=6.0, sample_rate=100.0, seed=9, velocity_noise=0.2, position_noise=0.02
+    )
+    believed = replace(odd, vehicle=sf.PointMassVehicle(0.5, (5.0, 3.0)))
+    found = sf.Estimator(readout=REFINED).estimate([*FLEET[:2], believed])
+    assert found.status == "misfit"
+    assert re.search(words, found.reason), found.reason
+    assert found.goodness.flight == 3

@@ -15,7 +15,7 @@ from sparsefit.backends.continuous_dual import Scanner
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import Flow
-from sparsefit.library.scan import CellScan
+from sparsefit.library.scan import CellScan, extent_of
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, GREY, legend, panels
 from sparsefit.study.spec.design import Cell
@@ -81,11 +81,11 @@ def _chosen(study: Study) -> list[Cell]:
 
 def _curve(study: Study, cell: Cell) -> Curve:
     draw = study.draw(FLIGHT, cell)
-    flown = replace(draw.fly(stream(study.seed, FLIGHT, SIMULATION)), flow=None)
+    fleet = draw.fleet(stream(study.seed, FLIGHT, SIMULATION))
     if draw.flow is None:
         raise InputError(f"{study.name}: no certificate to draw: its first flight has no flow")
     estimator = study.estimator(cell)
-    prepared = estimator.prepare(flown)
+    prepared = estimator.prepare([replace(flown, flow=None) for flown in fleet])
     found = estimator.fit(prepared)
     continuum, target = found.problem.continuum, found.problem.target
     scales = found.problem.group_scales
@@ -106,7 +106,7 @@ def _curve(study: Study, cell: Cell) -> Curve:
         scales[sizes > 0],
         sizes[sizes > 0],
         draw.flow,
-        f"{flown.duration:g} s, {flown.extent / largest:.0f} cells",
+        f"{fleet[0].duration:g} s, {extent_of(prepared.samples.position) / largest:.0f} cells",
     )
 
 

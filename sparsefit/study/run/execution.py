@@ -58,14 +58,18 @@ def run_flight(
             yield from _run_problem(context, same_problem, alone)
 
 
-def fly(study: Study, flight: int, draw: Draw | Logged) -> tuple[Flight, Yardstick]:
-    """The flight without its flow: the truth enters at the score and nowhere before."""
+def fly(study: Study, flight: int, draw: Draw | Logged) -> tuple[tuple[Flight, ...], Yardstick]:
+    """The flights of a case without their flow: the truth enters at the score and nowhere before.
+
+    They are one but where several are estimated together.
+    """
     seed = stream(study.seed, flight, SIMULATION)
-    flown = draw.fly(seed)
+    fleet = draw.fleet(seed)
     if isinstance(draw, Logged):
-        return flown, Yardstick(flown.extent)
+        return fleet, Yardstick(fleet[0].extent)
     others = draw.others(seed, study.prediction_flights) if draw.flown else ()
-    return dataclasses.replace(flown, flow=None), yardstick(draw, flown, others)
+    blind = tuple(dataclasses.replace(flown, flow=None) for flown in fleet)
+    return blind, yardstick(draw, fleet, others)
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ class _Context:
     study: Study
     flight: int
     draw: Draw | Logged
-    flown: Flight
+    fleet: tuple[Flight, ...]
     yardstick: Yardstick
 
 
@@ -103,7 +107,7 @@ def _run_problem(context: _Context, cells: tuple[Cell, ...], alone: bool) -> Ite
     left = tuple(cell for task in tasks for cell in task.cells)
     yield Stage("building the library", _indices(left))
     online = cells[0].setup.online
-    prepared = _attempt(partial(online.prepare, tasks[0].estimator, context.flown))
+    prepared = _attempt(partial(online.prepare, tasks[0].estimator, context.fleet))
     if isinstance(prepared, _Failed):
         yield from _failed(context.flight, left, prepared)
         return

@@ -126,13 +126,13 @@ def _timed(study: Study, flights: int, pipe: Connection) -> None:
         pipe.send(Latency(float(middle), float(late), _peak(), len(times), busy / len(times)))
 
 
-def _flight(study: Study, place: int) -> tuple[Cell, Flight]:
-    """The flight at a place of those to be timed: worlds in turn, then the next flight."""
+def _flight(study: Study, place: int) -> tuple[Cell, list[Flight]]:
+    """The flights at a place of those to be timed: worlds in turn, then the next flight."""
     kept = [one for one in range(study.count) if study.split(one) != "evaluate"]
     cell = study.cells[place % len(study.cells)]
     number = kept[place // len(study.cells) % len(kept)]
-    flown = study.draw(number, cell).fly(stream(study.seed, number, SIMULATION))
-    return cell, replace(flown, flow=None)
+    fleet = study.draw(number, cell).fleet(stream(study.seed, number, SIMULATION))
+    return cell, [replace(flown, flow=None) for flown in fleet]
 
 
 def _clocked(step: Callable[[], object]) -> tuple[float, bool]:

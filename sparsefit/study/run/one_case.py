@@ -23,8 +23,8 @@ from sparsefit.study.spec.study import Study
 class OneCase:
     """A case that was run again: what was flown, fitted and read.
 
-    flow: the true one, None where there is none or nobody knows it; values: what the columns of
-    `cases.parquet` read from the case, by name.
+    flown: the flight, of several together the first; flow: the true one, None where there is none
+    or nobody knows it; values: what the columns of `cases.parquet` read from the case, by name.
     """
 
     case: Case
@@ -65,9 +65,9 @@ def run_again(study: Study, case: Case) -> OneCase:
     """
     draw = study.draw(case.flight, case.cell)
     try:
-        flown, yardstick = fly(study, case.flight, draw)
+        fleet, yardstick = fly(study, case.flight, draw)
         estimator = study.estimator(case.cell)
-        prepared = case.cell.setup.online.prepare(estimator, flown)
+        prepared = case.cell.setup.online.prepare(estimator, fleet)
         fit = estimator.fit(prepared)
         estimate = estimator.read(prepared, fit)
         reading = Reading(estimate, fit, prepared.problem, draw.flow, yardstick)
@@ -77,4 +77,4 @@ def run_again(study: Study, case: Case) -> OneCase:
     except Exception as error:
         words = one_line(f"{type(error).__name__}: {error}")
         raise SparsefitError(f"{case.case_id} ends in an error: {words}") from error
-    return OneCase(case, flown, draw.flow, prepared, fit, estimate, values)
+    return OneCase(case, fleet[0], draw.flow, prepared, fit, estimate, values)

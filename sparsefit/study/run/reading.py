@@ -8,9 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
+from sparsefit.library.scan import extent_of
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
@@ -24,7 +27,7 @@ INTERVAL_BITS = 17  # binary digits, of the width of an interval
 
 @dataclass(frozen=True)
 class Yardstick:
-    """Of one flight: its extent [m], and the Cramér-Rao bound of U0, L and tau_w, if any.
+    """Of the flights of a case: their extent [m], and the Cramér-Rao bound of U0, L and tau_w.
 
     others: flights through the same flow, along which it is predicted.
     """
@@ -34,25 +37,27 @@ class Yardstick:
     others: tuple[Flight, ...] = ()
 
 
-def yardstick(draw: Draw, flown: Flight, others: tuple[Flight, ...] = ()) -> Yardstick:
-    """The extent of a flight, and its semiparametric Cramér-Rao bound under Eq. 7.
+def yardstick(draw: Draw, fleet: tuple[Flight, ...], others: tuple[Flight, ...] = ()) -> Yardstick:
+    """The extent of flights together, and their semiparametric Cramér-Rao bound under Eq. 7.
 
     The bound is that of noise on v' alone at known positions: there is none without process
     noise, with noise of position or velocity, or without a single cellular flow.
     """
+    position = np.concatenate([flown.position for flown in fleet])
+    extent = extent_of(position)
     measured = draw.position_noise > 0 or draw.velocity_noise > 0
     if draw.process_noise <= 0 or measured or not isinstance(draw.flow, CellularFlow):
-        return Yardstick(flown.extent, others=others)
+        return Yardstick(extent, others=others)
     noise = draw.process_noise
     bound = cramer_rao(
-        flown.position,
+        position,
         draw.flow,
         draw.vehicle,
         process_noise=noise,
         model="semiparametric",
-        velocity=flown.velocity,
+        velocity=np.concatenate([flown.velocity for flown in fleet]),
     )
-    return Yardstick(flown.extent, bound, others)
+    return Yardstick(extent, bound, others)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from sparsefit.study.spec.quantities import (
 SIMULATION = 0
 FAULTY = 100  # the child of a flight's stream that its faults are drawn from
 OTHERS = 200  # the first of its children that other flights through the same flow start from
+TOGETHER = 1000  # the same of those that are estimated with it
 
 
 def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
@@ -42,6 +43,7 @@ class Draw:
     flow: the cells that are sought, None where there are none; turbulence and wind are beside
     them. believed: the vehicle that the pilot believes in, where it is not the true one. thrust:
     that turns, of which the constant is a part; thrust_logged: whether the pilot has measured it.
+    together: how many flights through this flow are estimated as one.
     """
 
     flow: Flow | None
@@ -61,6 +63,7 @@ class Draw:
     thrust: ThrustSeries | None = None
     thrust_noise: float = 0.0
     thrust_logged: bool = True
+    together: int = 1
 
     @classmethod
     def from_values(
@@ -97,6 +100,7 @@ class Draw:
             thrust=_turning(values, thrust),
             thrust_noise=values.get("thrust_noise", 0.0),
             thrust_logged=thrust_logged,
+            together=round(values.get("together", 1.0)),
         )
 
     @property
@@ -129,6 +133,12 @@ class Draw:
         if self.faults != LogFaults():
             flight = self.faults.spoil(flight, _child(seed, FAULTY))
         return flight if self.believed is None else replace(flight, vehicle=self.believed)
+
+    def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight, ...]:
+        """The flights that are estimated together: this one, and others from other places."""
+        elsewhere = replace(self, initial_position=None)
+        beside = (elsewhere.fly(_child(seed, TOGETHER + n)) for n in range(1, self.together))
+        return (self.fly(seed), *beside)
 
     def others(self, seed: np.random.SeedSequence, count: int) -> tuple[Flight, ...]:
         """Other flights through the same flow: from other places, without noise or faults."""

@@ -68,6 +68,10 @@ class Logged:
         """
         return _cut(self.piece, self.vehicle)
 
+    def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight]:
+        """The flight alone: what was logged of other flights is of other flows."""
+        return (self.fly(seed),)
+
 
 @dataclass(frozen=True)
 class Logs:

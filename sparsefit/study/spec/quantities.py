@@ -64,6 +64,7 @@ STREAMS = (
     "believed_drag_ratio",
     "believed_response_time",
     "believed_drag",
+    "together",
 )
 # The field of turbulence is drawn from a stream of this name; no key fills it.
 TURBULENCE_FIELD = "turbulence_field"
@@ -98,6 +99,7 @@ FAULTS = {
     "gap_duration": "gap_duration",
 }  # key: the field of `LogFaults` that it is
 COUNTS = ("jumps", "gaps")
+MOST_TOGETHER = 64.0  # flights that are estimated as one
 REQUIRED = ("duration", "sample_rate")
 DRAG_KEYS = ("response_time", "drag")  # at least one
 # A key, and the one that it says nothing without.
@@ -139,6 +141,7 @@ QUANTITIES = {
           "thrust_phase"),
     **_of("angle", least=0.0, most=math.pi, open_end=True),
     **_of("swell", least=0.0, most=0.99),
+    **_of("together", least=1.0, most=MOST_TOGETHER),
     **_of("turbulence_length", "turbulence_memory", "swell_period", "position_wander_time",
           least=0.0, open_end=True),
     **_of("drift_ratio", "wind_ratio", "turbulence_ratio", "position_wander", "outlier_size",

@@ -52,8 +52,9 @@ class FlightOrigin:
         """The regression problem of the flight, as a study of flights would pose it."""
         setup = self.setup
         draw = setup.flights.draw(self.flight, self.count, self.seed)
-        flown = replace(draw.fly(stream(self.seed, self.flight, SIMULATION)), flow=None)
-        return Estimator(setup.derivative, setup.library).prepare(flown).problem
+        fleet = draw.fleet(stream(self.seed, self.flight, SIMULATION))
+        blind = [replace(flown, flow=None) for flown in fleet]
+        return Estimator(setup.derivative, setup.library).prepare(blind).problem
 
 
 @dataclass(frozen=True, eq=False)
