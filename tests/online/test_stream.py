@@ -12,7 +12,7 @@ from tests.online.streams import ESTIMATOR, FLIGHT, VEHICLE, assert_same, online
 
 def test_a_study_sees_what_the_stream_left():
     stream = Stream(window=8.0)
-    prepared = stream.prepare(ESTIMATOR, FLIGHT)
+    prepared = stream.prepare(ESTIMATOR, [FLIGHT])
     estimate = ESTIMATOR.read(prepared, ESTIMATOR.fit(prepared))
     last = FLIGHT.time >= FLIGHT.time[-1] - 8.0 - 1e-9
     held = sf.Flight(FLIGHT.time[last], FLIGHT.position[last], FLIGHT.velocity[last], VEHICLE)
@@ -21,7 +21,7 @@ def test_a_study_sees_what_the_stream_left():
 
 def test_without_a_window_the_whole_flight_counts_at_once():
     assert not Stream().asked
-    assert len(Stream().prepare(ESTIMATOR, FLIGHT).samples.time) == FLIGHT.samples - 6
+    assert len(Stream().prepare(ESTIMATOR, [FLIGHT]).samples.time) == FLIGHT.samples - 6
     Stream().refuse_unfit(sf.Estimator())
     with pytest.raises(sf.InputError, match="savgol, central"):
         Stream(memory=1.0).refuse_unfit(sf.Estimator())
