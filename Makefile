@@ -10,7 +10,11 @@ export OPENBLAS_NUM_THREADS ?= 1
 study: $(VENV)/.installed
 	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/.partial),,--fresh)
 
+# Bytecode is kept, whatever the environment says: every process of the tests would compile the
+# package anew, and pytest rewrite all tests in each of its workers.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/.tests
+	$(BIN)/python -m compileall -q sparsefit
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 check: $(VENV)/.dev

@@ -105,7 +105,7 @@ def test_a_picture_of_ones_own(compare: str) -> None:
 def test_pages_of_a_study_of_ones_own(tmp_path) -> None:  # type: ignore[no-untyped-def]
     entry = {"name": "speed", "measure": ["seconds", "mean-velocity-error"]}
     asked = study(tables=(entry,), figures=("errors",), answers=({"measure": "seconds"},))
-    written = write_report(asked, tmp_path, CASES)
+    written = write_report(asked, tmp_path, SMALL)
     assert {"speed.csv", "speed.tex", "errors.svg"} <= {path.name for path in written}
     # What depends on the machine stands in the page, not in the README.
     assert "Median time of a case" in (tmp_path / "demo" / "report.html").read_text("utf-8")
