@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimate_lines import lines
-from sparsefit.cli.estimate_log import Log, add_log, quality_of_log, read_log, refuse_planes
+from sparsefit.cli.estimate_log import Log, add_log, quality_of_log, read_logs, refuse_frames
 from sparsefit.cli.estimate_plot import add_plot, check_plot, write_plot
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Verbs, add_setting, collected, number, verb, whole
@@ -158,8 +158,10 @@ def run(args: argparse.Namespace) -> int:
     """Estimate, print, and tell by the exit code whether the status is ok."""
     check_plot(args)
     estimator = _estimator(args)
-    logs = [_log(args, path, estimator) for path in args.flight]
-    refuse_planes(logs)
+    tables = read_logs(args)
+    refuse_frames(args.flight, tables)
+    read = zip(args.flight, tables, strict=True)
+    logs = [_log(args, path, table, estimator) for path, table in read]
     flights = [log.flight for log in logs]
     estimate = estimator.estimate(flights[0] if len(flights) == 1 else flights)
     if args.plot is not None:
@@ -175,9 +177,8 @@ def run(args: argparse.Namespace) -> int:
     return 0 if estimate.status == "ok" else 1
 
 
-def _log(args: argparse.Namespace, path: str, estimator: Estimator) -> Log:
+def _log(args: argparse.Namespace, path: str, table: FlightTable, estimator: Estimator) -> Log:
     """One log, its quality looked at."""
-    table = read_log(args, path)
     flight = _flight(args, path, table, estimator.library.unknown)
     quality = quality_of_log(args, path, flight, estimator.library.grid.lower)
     return Log(path, flight, quality, table.notes)

@@ -44,14 +44,18 @@ def add_log(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def read_log(args: argparse.Namespace, path: str) -> FlightTable:
-    """The table of a log, cut to the times that were asked for."""
+def read_logs(args: argparse.Namespace) -> list[FlightTable]:
+    """The tables of all logs, cut to the times that were asked for, in the first one's frame."""
     from sparsefit.errors import told_with
     from sparsefit.flight.files import read_table
 
-    table = read_table(path, columns=args.columns, only=args.only)
-    with told_with(path):
-        return table.between(args.begin, args.end)
+    tables: list[FlightTable] = []
+    for path in args.flight:
+        anchor = tables[0].anchor if tables else None
+        table = read_table(path, columns=args.columns, only=args.only, anchor=anchor)
+        with told_with(path):
+            tables.append(table.between(args.begin, args.end))
+    return tables
 
 
 def quality_of_log(args: argparse.Namespace, path: str, flight: Flight, lower: float) -> LogQuality:
@@ -104,15 +108,16 @@ class Log:
         return record | {"cells_crossed": crossed, "read_as": list(self.notes)}
 
 
-def refuse_planes(logs: Sequence[Log]) -> None:
-    """InputError where several logs in degrees would each lie on a plane of its own."""
+def refuse_frames(paths: Sequence[str], tables: Sequence[FlightTable]) -> None:
+    """InputError where of several logs only some tell where on the Earth they are."""
     from sparsefit.errors import InputError
 
-    own = [log.path for log in logs if any(note.startswith("local plane") for note in log.notes)]
-    if len(logs) > 1 and own:
+    told = [table.anchor.origin is not None for table in tables]
+    if any(told) and not all(told):
+        where, nowhere = paths[told.index(True)], paths[told.index(False)]
         raise InputError(
-            f"{own[0]}: degrees become metres about the middle of each log, and several flights "
-            "need one frame: give x and y in metres"
+            f"{nowhere}: it does not tell where on the Earth it is, and {where} does: several "
+            "flights need one frame; give x and y of all in metres about one place"
         )
 
 

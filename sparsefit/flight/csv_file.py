@@ -6,13 +6,16 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 
 from sparsefit.errors import InputError, unknown
+from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.layout import (
     Layout,
     Reader,
     Source,
     check_one_vehicle,
+    epoch_of,
     reader_of,
     settled,
     vehicle_columns,
@@ -42,9 +45,9 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
     try:
         lines = content.decode("utf-8-sig").splitlines()
         settings, frame = _settings(lines, foreign=layout.foreign)
-        columns, sources = _columns(lines, layout)
-        table = FlightTable(columns, settings, frame)
-        return settled(table, sources) if layout.foreign else table
+        columns, sources, epoch = _columns(lines, layout)
+        table = FlightTable(columns, settings, frame, anchor=Anchor(None, epoch))
+        return settled(table, sources, layout) if layout.foreign else table
     except UnicodeDecodeError:
         raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy") from None
     except csv.Error as error:
@@ -74,7 +77,10 @@ def _settings(lines: list[str], *, foreign: bool) -> tuple[dict[str, float], str
     return settings, frame
 
 
-def _columns(lines: list[str], layout: Layout) -> tuple[dict[str, list[float]], dict[str, Source]]:
+def _columns(
+    lines: list[str], layout: Layout
+) -> tuple[dict[str, list[float]], dict[str, Source], datetime | None]:
+    """The columns in SI units, what they were read from, and when the first row was."""
     rows = _rows(lines, layout)
     _, header = next(rows, (0, []))
     names = [name.strip() for name in header]
@@ -82,12 +88,15 @@ def _columns(lines: list[str], layout: Layout) -> tuple[dict[str, list[float]], 
     places = [(name, names.index(source.column)) for name, source in sources.items()]
     columns: dict[str, list[float]] = {name: [] for name, _ in places}
     readers: dict[str, Reader] = {}
+    epoch: datetime | None = None
     for line, row in _of_one_vehicle(rows, names, sources, layout):
-        readers = readers or {name: reader_of(name, sources[name], row[p]) for name, p in places}
+        if not readers:
+            readers = {name: reader_of(name, sources[name], row[p]) for name, p in places}
+            epoch = epoch_of(sources["time"], row[dict(places)["time"]])
         for name, place in places:
             where = f"line {line}, column {names[place]}"
             columns[name].append(readers[name](row[place], where))
-    return columns, sources
+    return columns, sources, epoch
 
 
 def _of_one_vehicle(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from datetime import datetime
 from pathlib import Path
 from types import ModuleType
 
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight import csv_file, igc_file, parquet_file, ulog_file
+from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.layout import Columns, Layout
 from sparsefit.flight.record import Flight
 from sparsefit.flight.table import FlightTable
@@ -25,6 +27,8 @@ def read_flight(
     vehicle: PointMassVehicle | None = None,
     columns: Columns = None,
     only: str | None = None,
+    origin: tuple[float, float] | None = None,
+    epoch: str | datetime | None = None,
 ) -> Flight:
     """Read a flight from a ``.csv`` or ``.parquet`` table, a PX4 log (``.ulg``) or an IGC file.
 
@@ -45,6 +49,10 @@ def read_flight(
             and latitude, degrees, become metres on a local plane about their middle, x east and y
             north; times may be ISO 8601, and then are seconds since the first.
         only: ``"column=value"``: the rows to read, of a table that holds several vehicles.
+        origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that tells
+            places on the Earth: several logs then have one frame. By default its own middle.
+        epoch: ISO time where t = 0 shall be, of a log that tells times of a calendar. By default
+            its first sample.
 
     Raises:
         InputError: naming file, line and column, if the file is missing, is not a flight, holds
@@ -52,13 +60,18 @@ def read_flight(
         MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj, for
             logs of PX4 without pyulog, for IGC files without aerofiles.
     """
-    table = read_table(path, columns=columns, only=only)
+    anchor = Anchor.of(origin, epoch)
+    table = read_table(path, columns=columns, only=only, anchor=anchor)
     with told_with(Path(path)):
         return table.flight(vehicle)
 
 
 def read_table(
-    path: str | os.PathLike[str], *, columns: Columns = None, only: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    columns: Columns = None,
+    only: str | None = None,
+    anchor: Anchor | None = None,
 ) -> FlightTable:
     """Read the columns and settings of a flight file, which may lack a vehicle.
 
@@ -66,6 +79,7 @@ def read_table(
         path: the file.
         columns: as of `read_flight`.
         only: as of `read_flight`.
+        anchor: where and when the zeros shall be; as the log says where it is None.
 
     Raises:
         InputError: naming file, line and column, if the file is missing or holds no such table.
@@ -73,11 +87,11 @@ def read_table(
     """
     file = Path(path)
     decode = _format(file, FORMATS).decode
-    layout = Layout.of(columns, only)
+    layout = Layout.of(columns, only, anchor)
     content = _content(file)
     with told_with(file):
         table: FlightTable = decode(content, layout)
-        return table
+        return table.since(layout.anchor.epoch)
 
 
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import re
+from datetime import timedelta
 from importlib import import_module
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.layout import Layout
 from sparsefit.flight.plane import plane_of
 from sparsefit.flight.table import POSITIONS, FlightTable
@@ -47,7 +49,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
     for name, extension in (("lon", "LOD"), ("lat", "LAD")):
         whole = np.array([fix[name] for fix in valid])
         degrees.append(whole + np.sign(whole) * _finer(valid, extension, digits, MINUTE) / 60.0)
-    plane = plane_of(degrees[0], degrees[1], ("longitude", "latitude"))
+    plane = plane_of(degrees[0], degrees[1], ("longitude", "latitude"), layout.anchor.origin)
     notes = [f"fixes from {start:%Y-%m-%d %H:%M:%S} UTC", plane.words]
     if "LAD" not in digits:
         notes.append(f"positions are rounded to {GRAIN:.2g} m")
@@ -55,9 +57,11 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         notes.append(f"{len(fixes) - len(valid)} of {len(fixes)} fixes are not valid, and left out")
     if damaged:
         notes.append("some records cannot be read, and are left out")
-    values = (time - time[0], *plane.position.T)
+    first = float(time[0])
+    values = (time - first, *plane.position.T)
     columns = {name: one.tolist() for name, one in zip(POSITIONS, values, strict=True)}
-    return FlightTable(columns, {}, "ENU", tuple(notes))
+    anchor = Anchor(plane.origin, start + timedelta(seconds=first))
+    return FlightTable(columns, {}, "ENU", tuple(notes), anchor)
 
 
 def _fixes(text: str, *, fine: bool) -> tuple[list[dict[str, Any]], bool]:

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from sparsefit.errors import InputError, one_of, suggestion
+from sparsefit.flight.anchor import Anchor, moment_of
 from sparsefit.flight.plane import plane_of
 from sparsefit.flight.table import COLUMNS, POSITIONS, THRUST, FlightTable, columns_of, number
 from sparsefit.flight.units import DEGREES, factor_of
@@ -58,13 +59,18 @@ class Layout:
         sources: the fields that a column map names; none where the table is as this package
             writes it.
         only: a column and the text in it of the rows that are read; None for all rows.
+        anchor: where and when the zeros shall be, of a log that tells places and times; its own
+            middle and its first sample where nothing is said.
     """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
     only: tuple[str, str] | None = None
+    anchor: Anchor = Anchor()
 
     @classmethod
-    def of(cls, columns: Columns = None, only: str | None = None) -> Layout:
+    def of(
+        cls, columns: Columns = None, only: str | None = None, anchor: Anchor | None = None
+    ) -> Layout:
         """Read ``time=t,x=lon[deg],...``, or a mapping, and ``column=value``.
 
         Raises:
@@ -76,7 +82,7 @@ class Layout:
             if name in sources:
                 raise InputError(f"columns: {name} is given twice; keep one")
             sources[name] = _source(name, text)
-        return cls(sources, None if only is None else _only(only))
+        return cls(sources, None if only is None else _only(only), anchor or Anchor())
 
     @property
     def foreign(self) -> bool:
@@ -178,7 +184,7 @@ def reader_of(name: str, source: Source, first: str) -> Reader:
         first: the first cell: times are ISO where it is.
     """
     if name == "time" and not source.unit and not _is_number(first):
-        start = _moment(first)
+        start = moment_of(first)
         return lambda text, place: _since(start, text, place)
     factor = factor_of(name, source.unit)
     return number if factor == 1.0 else lambda text, place: factor * number(text, place)
@@ -192,17 +198,13 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _moment(text: str) -> datetime | None:
-    """A time that a calendar names; None of anything else."""
-    try:
-        moment = datetime.fromisoformat(text.strip())
-    except ValueError:
-        return None
-    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+def epoch_of(source: Source, first: str) -> datetime | None:
+    """The time of the first sample, where its cell names one; None of plain numbers."""
+    return None if source.unit or _is_number(first) else moment_of(first)
 
 
 def _since(start: datetime | None, text: str, place: str) -> float:
-    moment = _moment(text)
+    moment = moment_of(text)
     if start is None or moment is None:
         shown = ascii(text.strip()[:40])
         kind = "a finite number nor an ISO time" if start is None else "an ISO time as those before"
@@ -242,8 +244,13 @@ def check_one_vehicle(column: str, counts: Mapping[Any, int]) -> None:
     )
 
 
-def settled(table: FlightTable, sources: Mapping[str, Source]) -> FlightTable:
+def settled(table: FlightTable, sources: Mapping[str, Source], layout: Layout) -> FlightTable:
     """The table in metres, with a note of what it was read from.
+
+    Args:
+        table: as it was read, degrees as degrees; its anchor knows the time of its first sample.
+        sources: what its columns were read from.
+        layout: by which it was read.
 
     Raises:
         InputError: where degrees are no longitude and latitude.
@@ -251,15 +258,18 @@ def settled(table: FlightTable, sources: Mapping[str, Source]) -> FlightTable:
     """
     notes = [", ".join(f"{name} = {source}" for name, source in sources.items())]
     if sources["x"].unit != DEGREES:
-        return FlightTable(table.columns, table.settings, table.frame, tuple(notes))
+        return replace(table, notes=tuple(notes))
     columns = dict(table.columns)
     degrees = np.array(columns["x"]), np.array(columns["y"])
+    anchor = table.anchor
     if len(degrees[0]):
-        plane = plane_of(*degrees, (sources["x"].column, sources["y"].column))
+        named = sources["x"].column, sources["y"].column
+        plane = plane_of(*degrees, named, layout.anchor.origin)
+        anchor = replace(anchor, origin=plane.origin)
         columns["x"], columns["y"] = plane.position.T.tolist()
         for x, y in (("vx", "vy"), THRUST):
             if x in columns:
                 eastward = np.column_stack([columns[x], columns[y]])
                 columns[x], columns[y] = plane.turned(eastward).T.tolist()
         notes.append(plane.words)
-    return FlightTable(columns, table.settings, "ENU", tuple(notes))
+    return replace(table, columns=columns, frame="ENU", notes=tuple(notes), anchor=anchor)

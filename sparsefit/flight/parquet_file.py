@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.layout import (
     Layout,
     Source,
     check_one_vehicle,
+    epoch_of,
     reader_of,
     settled,
     vehicle_columns,
@@ -63,8 +66,10 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         name: _values(arrow, name, source, read.column(source.column))
         for name, source in sources.items()
     }
-    table = FlightTable(columns, *_settings(read.schema.metadata or {}))
-    return settled(table, sources) if layout.foreign else table
+    epoch = _epoch(arrow, sources["time"], read.column(sources["time"].column))
+    settings, frame = _settings(read.schema.metadata or {})
+    table = FlightTable(columns, settings, frame, anchor=Anchor(None, epoch))
+    return settled(table, sources, layout) if layout.foreign else table
 
 
 def _of_one_vehicle(read: Any, layout: Layout, naming: list[str]) -> Any:
@@ -86,6 +91,15 @@ def _arrow() -> tuple[ModuleType, ModuleType]:
         raise MissingExtra(
             "Parquet files need pyarrow: pip install pyarrow, or use a .csv file"
         ) from None
+
+
+def _epoch(arrow: ModuleType, source: Source, column: Any) -> datetime | None:
+    """The time of the first row, where the column tells times."""
+    if arrow.types.is_timestamp(column.type) and len(column):
+        first = column[0].cast(arrow.timestamp("us")).cast(arrow.int64()).as_py()
+        return datetime.fromtimestamp(0, UTC) + timedelta(microseconds=first)
+    texts = arrow.types.is_string(column.type) or arrow.types.is_large_string(column.type)
+    return epoch_of(source, column[0].as_py()) if texts and len(column) else None
 
 
 def _values(arrow: ModuleType, name: str, source: Source, column: Any) -> list[float]:

@@ -31,11 +31,13 @@ class Plane:
         position: x east and y north of the middle [m], (m, 2).
         convergence: by which true north is turned from y, counter-clockwise [rad], (m,).
         words: where the plane touches, and how true its lengths are.
+        origin: longitude and latitude of that place [degrees].
     """
 
     position: Array
     convergence: Array
     words: str
+    origin: tuple[float, float]
 
     def turned(self, velocity: Array) -> Array:
         """Return velocities (m, 2) along the plane's axes, of those to the east and the north."""
@@ -44,13 +46,19 @@ class Plane:
         return np.column_stack([cos * east - sin * north, cos * north + sin * east])
 
 
-def plane_of(longitude: Array, latitude: Array, named: tuple[str, str]) -> Plane:
-    """Lay a track into the plane that touches the Earth in its middle.
+def plane_of(
+    longitude: Array,
+    latitude: Array,
+    named: tuple[str, str],
+    origin: tuple[float, float] | None = None,
+) -> Plane:
+    """Lay a track into the plane that touches the Earth in its middle, or in an origin.
 
     Args:
         longitude: degrees east, -180 to 360, (m,).
         latitude: degrees north, (m,).
         named: what the two are called in the log.
+        origin: longitude and latitude where x = y = 0 shall be [degrees].
 
     Raises:
         InputError: if a value is no longitude or latitude, both seem exchanged, or the track is
@@ -58,21 +66,21 @@ def plane_of(longitude: Array, latitude: Array, named: tuple[str, str]) -> Plane
         MissingExtra: without pyproj.
     """
     _check(longitude, latitude, named)
-    longitude = (
-        longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
-    )  # past 180 degrees
-    east, north = ((float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude))
+    # In one piece past 180 degrees.
+    longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
+    middle = [(float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude)]
+    east, north = origin or middle
     projection = _pyproj().Proj(proj="aeqd", lon_0=east, lat_0=north, ellps="WGS84")
     position = np.column_stack(projection(longitude, latitude))
     farthest = float(np.hypot(*position.T).max())
     if not farthest < WIDEST:
-        raise InputError(
-            f"the track goes {farthest / 1e3:.0f} km from its middle: no plane; cut it"
-        )
+        middle_of = "the origin" if origin else "its middle"
+        told = f"the track goes {farthest / 1e3:.0f} km from {middle_of}"
+        raise InputError(f"{told}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
     share = 100.0 * (farthest / RADIUS) ** 2 / 6.0
     words = f"local plane about {_place(east, north)}, lengths true to {share:.1g} %"
-    return Plane(position, turned, words)
+    return Plane(position, turned, words, (east, north))
 
 
 def _check(longitude: Array, latitude: Array, named: tuple[str, str]) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 import numpy as np
 
 from sparsefit.errors import InputError, one_of, told_with
+from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.flow_settings import flow_of_settings, is_flow_key, settings_of_flow
 from sparsefit.flight.record import FRAMES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -28,13 +30,15 @@ class FlightTable:
     The parameters of superposed flows are numbered: ``mean_velocity_1``, ``length_scale_1``, ...;
     a steady wind is ``wind_x``, ``wind_y``.
 
-    frame: what the axes are, a key of `FRAMES`; notes: how a foreign log was read, in words.
+    frame: what the axes are, a key of `FRAMES`; notes: how a foreign log was read, in words;
+    anchor: where and when its zeros are, as far as it tells.
     """
 
     columns: dict[str, list[float]]
     settings: dict[str, float]
     frame: str = ""
     notes: tuple[str, ...] = ()
+    anchor: Anchor = Anchor()
 
     @classmethod
     def from_flight(cls, flight: Flight) -> FlightTable:
@@ -63,6 +67,15 @@ class FlightTable:
             return Flight.from_positions(time, position, flown, flow, thrust, self.frame)
         velocity = np.column_stack([self.columns["vx"], self.columns["vy"]])
         return Flight(time, position, velocity, flown, flow, True, thrust, self.frame)
+
+    def since(self, epoch: datetime | None) -> FlightTable:
+        """Return the same rows by a clock that is 0 at ``epoch``, where the log tells its own."""
+        own = self.anchor.epoch
+        if epoch is None or own is None or epoch == own:
+            return self
+        late = (own - epoch).total_seconds()
+        columns = self.columns | {"time": [late + time for time in self.columns["time"]]}
+        return replace(self, columns=columns, anchor=replace(self.anchor, epoch=epoch))
 
     def between(self, start: float | None, end: float | None) -> FlightTable:
         """Return the rows from one time of the log to another [s]; None is its own end.

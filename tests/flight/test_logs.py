@@ -1,6 +1,6 @@
 """Logs of PX4 and of gliders' recorders: what is read of them, and how bad ones are refused."""
 
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import sparsefit as sf
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.flight import igc_file, ulog_file
 from sparsefit.flight.files import read_table
-from tests.flight.log_writers import LANDED, LOCAL, igc, ulog, ulog_of
+from tests.flight.log_writers import LANDED, LOCAL, igc, ulog, ulog_at, ulog_of
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 STANDING = Path(__file__).parent / "logs" / "sample_log_small.ulg"
@@ -47,6 +47,21 @@ def test_samples_that_the_filter_calls_invalid_are_left_out(tmp_path, flight):
     assert len(table.columns["time"]) == flight.samples - 20
     assert table.columns["time"][0] == 0.0
     assert table.notes[1] == f"20 of {flight.samples} samples are not valid, and left out"
+
+
+def test_logs_of_two_boots_share_a_frame_and_a_clock(tmp_path, flight):
+    """The second began 300 m north and 100 m east of the first, an hour later."""
+    earth = Proj(proj="aeqd", lon_0=8, lat_0=47, ellps="WGS84")
+    booted = 1_700_000_000_000_000
+    first = write(tmp_path, "a.ulg", ulog_at(flight, 8.0, 47.0, booted))
+    there = earth(100.0, 300.0, inverse=True)
+    second = write(tmp_path, "b.ulg", ulog_at(flight, *there, booted + 3600 * 10**6))
+    anchor = read_table(first).anchor
+    assert anchor.origin == (8.0, 47.0)
+    assert anchor.epoch == datetime(2023, 11, 14, 22, 13, 40, tzinfo=UTC)
+    moved = sf.read_flight(second, vehicle=VEHICLE, origin=anchor.origin, epoch=anchor.epoch)
+    np.testing.assert_allclose(moved.time, flight.time + 3600.0, atol=1e-6)
+    np.testing.assert_allclose(moved.position, np.add(flight.position, [300, 100]), atol=1e-3)
 
 
 def test_a_public_log_of_a_vehicle_on_the_ground_is_refused():
@@ -135,6 +150,18 @@ def test_southern_and_western_degrees_and_tenths_of_seconds(tmp_path):
     flight = sf.read_flight(write(tmp_path, "log.igc", text), vehicle=VEHICLE)
     np.testing.assert_allclose(flight.time, [0.0, 0.2, 0.4], atol=1e-12)
     np.testing.assert_allclose(np.diff(flight.position[:, 1]), -1109.0, rtol=1e-3)  # north
+
+
+def test_two_recordings_share_a_plane_and_a_clock(tmp_path):
+    time, latitude, longitude, _ = circling()
+    late = datetime(2024, 6, 2, 1, 0, 0)
+    first = read_table(write(tmp_path, "a.igc", igc(time, latitude, longitude, fine=True)))
+    path = write(tmp_path, "b.igc", igc(time, latitude, longitude + 0.01, start=late, fine=True))
+    second = read_table(path, anchor=first.anchor).flight(VEHICLE)
+    np.testing.assert_allclose(second.time, time + 3630.0)
+    east = Proj(proj="aeqd", lon_0=8, lat_0=47, ellps="WGS84")(8.01, 47.0)[0]
+    shift = second.position - first.flight(VEHICLE).position
+    np.testing.assert_allclose(shift, np.tile([east, 0.0], (120, 1)), atol=0.1)
 
 
 @pytest.mark.parametrize(
