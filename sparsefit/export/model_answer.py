@@ -139,8 +139,8 @@ def _told(plan: Plan, sums: Sums, fit: ScaleFit, answer: Answer) -> Answer:
     )
 
 
-def _short(sums: Sums, fit: ScaleFit, length_scale: float) -> str:
-    if not fit.pivot > 0:
+def _short(plan: Plan, sums: Sums, fit: ScaleFit, length_scale: float) -> str:
+    if not fit.pivot > plan.safe:
         return "dependent"
     return "short-track" if sums.extent < 2.0 * length_scale else ""
 
@@ -152,7 +152,7 @@ def _on_grid(plan: Plan, choice: Choice, answer: Answer) -> Answer:
     fit = least_squares(sums.scales[choice.scale, 0], plan.floor)
     answer = replace(answer, length_scale=scale, grid_length_scale=scale)
     answer = _told(plan, sums, fit, answer)
-    return answer if answer.doubt else replace(answer, doubt=_short(sums, fit, scale))
+    return answer if answer.doubt else replace(answer, doubt=_short(plan, sums, fit, scale))
 
 
 def _refined(plan: Plan, sums: Sums, answer: Answer) -> Answer:
@@ -187,4 +187,4 @@ def _doubt(plan: Plan, sums: Sums, best: ScalePlace, others: list[ScalePlace]) -
         return "rival"
     if 2.0 * best.error > plan.precision * best.k:
         return "imprecise"
-    return _short(sums, best.fit, math.pi / best.k)
+    return _short(plan, sums, best.fit, math.pi / best.k)

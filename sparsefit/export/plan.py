@@ -52,9 +52,17 @@ class Plan:
 
     def __post_init__(self) -> None:
         one_of("C type", self.real, get_args(Real))
-        obstacles = tuple(_obstacles(self.estimator))
+        obstacles = (*_obstacles(self.estimator), *self._of_real())
         if obstacles:
             raise InputError(f"this estimator cannot run on board: {'; '.join(obstacles)}")
+
+    def _of_real(self) -> Iterator[str]:
+        backend = self.estimator.backend
+        if self.real == "float" and isinstance(backend, STLSQ) and backend.unbias:
+            yield (
+                "the last least squares of stlsq, on columns that resemble each other, is more "
+                "than float holds (use --double, or unbias false)"
+            )
 
     @property
     def derivative(self) -> Derivative:
@@ -110,6 +118,19 @@ class Plan:
     def floor(self) -> float:
         """Of a pivot of columns in unit norm: below it a column counts as dependent."""
         return 1e-9 if self.real == "double" else 1e-5
+
+    @property
+    def safe(self) -> float:
+        """The least pivot of an answer: below it rounding takes more than is promised.
+
+        In float answers were off by up to 2e-7 / pivot, and 1e-5 is promised.
+        """
+        return 1e-6 if self.real == "double" else 2e-2
+
+    @property
+    def largest(self) -> float:
+        """Of positions [m] and velocities [m/s]; in float a phase has three digits there."""
+        return 1e7 if self.real == "double" else 1e4
 
     @property
     def rounding(self) -> float:

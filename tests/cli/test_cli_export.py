@@ -145,6 +145,9 @@ def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
     assert "no such program" in refused(capsys, saved, *folder, *CHANGES, "--compiler", "ccc-no")
     assert "at most" in refused(capsys, saved, *folder, *CHANGES, "--ram", "5000")
     assert "odd integer" in refused(capsys, saved, *folder, *CHANGES, "--window", "4")
+    stlsq = sf.Estimator(backend="stlsq", library=sf.Library(grid=GRID))
+    path.write_text(stlsq.to_json())
+    assert "use --double" in refused(capsys, path, *folder, *CHANGES, "--float")
     assert not (tmp_path / "flow").exists()
 
 

@@ -28,7 +28,6 @@ inline Counted sin(Counted x) { return x.of(4, std::sin(x.v)); }
 inline Counted cos(Counted x) { return x.of(4, std::cos(x.v)); }
 inline Counted log(Counted x) { return x.of(4, std::log(x.v)); }
 inline Counted fabs(Counted x) { return Counted(std::fabs(x.v)); }
-inline bool isfinite(Counted x) { return std::isfinite(x.v); }
 
 #define double Counted
 #include "sf_flow.c"

@@ -63,6 +63,12 @@ ${columns_added}    flow->rows += (flow->rows < UINT32_MAX) ? 1u : 0u;
     }
 }
 
+/* Whether a number is one, and no larger than any that a flight has: NaN compares as false. */
+static int sf_is_sane(sf_real value)
+{
+    return (value >= SF_R(0) - SF_LARGEST) && (value <= SF_LARGEST);
+}
+
 /* Whether a sample begins a new window: a gap, or a step that the derivative cannot take. */
 static int sf_breaks(const sf_flow *flow, uint64_t time_us)
 {
@@ -86,9 +92,9 @@ sf_status sf_init(sf_flow *flow, const sf_config *config)
         return SF_BAD_ARGUMENT;
     }
     flow->ready = 0u;
-    if (!(config->response_time > SF_R(0)) || !isfinite(config->response_time)
-        || !isfinite(config->thrust_x) || !isfinite(config->thrust_y)
-        || !isfinite(config->origin_x) || !isfinite(config->origin_y)
+    if (!(config->response_time > SF_R(0)) || !sf_is_sane(config->response_time)
+        || !sf_is_sane(config->thrust_x) || !sf_is_sane(config->thrust_y)
+        || !sf_is_sane(config->origin_x) || !sf_is_sane(config->origin_y)
         || (config->sample_us == 0u)) {
         return SF_BAD_ARGUMENT;
     }
@@ -141,7 +147,7 @@ sf_status sf_update(sf_flow *flow, uint64_t time_us, sf_real x, sf_real y, sf_re
     if (flow->ready != SF_READY) {
         return SF_NOT_READY;
     }
-    if (!isfinite(x) || !isfinite(y) || !isfinite(vx) || !isfinite(vy)) {
+    if (!sf_is_sane(x) || !sf_is_sane(y) || !sf_is_sane(vx) || !sf_is_sane(vy)) {
         return SF_BAD_SAMPLE;
     }
     if (flow->held > 0u) {

@@ -8,12 +8,23 @@
 #include <math.h>
 #include <stddef.h>
 
+#ifdef __FAST_MATH__
+#error "-ffast-math would undo the compensated sums and the checks for NaN"
+#endif
+#if SF_BLOCK < 1
+#error "SF_BLOCK must be 1 or more"
+#endif
+
 #define SF_R(x) ((sf_real)(x))
 #define SF_READY 0x5F10F10Fu
 #define SF_PI SF_R(3.14159265358979323846)
 
 /* Pivots of columns in unit norm: one below this counts as zero. */
 #define SF_FLOOR SF_R(${floor})
+/* The least pivot of an answer: below it rounding takes more than the digits that are promised. */
+#define SF_SAFE SF_R(${safe})
+/* Positions [m], velocities [m/s], and settings in SI units: a larger one is a fault of the log. */
+#define SF_LARGEST SF_R(${largest})
 /* Residuals below this share of |Phi|^2 are rounding. */
 #define SF_ROUNDING SF_R(${rounding})
 /* Rows over which the errors of Phi correlate, at least. */

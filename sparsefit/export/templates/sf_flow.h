@@ -71,7 +71,7 @@ typedef enum {
     SF_OK = 0,
     SF_UNIDENTIFIABLE = 1, /* sf_doubt says why */
     SF_GAP = 2,            /* the sample was taken; it begins anew after a gap or an uneven step */
-    SF_BAD_SAMPLE = 3,     /* NaN or infinite: refused */
+    SF_BAD_SAMPLE = 3,     /* NaN, infinite or absurdly large: refused */
     SF_BAD_TIME = 4,       /* not later than the sample before: refused */
     SF_BAD_ARGUMENT = 5,   /* a null pointer, or a setting out of its range */
     SF_NOT_READY = 6       /* sf_init has not been called, or has failed */
@@ -85,7 +85,7 @@ typedef enum {
     SF_COARSE = 4,      /* the flight tells scales finer than the grid has them */
     SF_RIVAL = 5,       /* another length scale fits too nearly as well */
     SF_SHORT_TRACK = 6, /* less than one period, 2 L, was flown across */
-    SF_DEPENDENT = 7,   /* the track, a line say, does not tell the 8 candidates apart */
+    SF_DEPENDENT = 7,   /* the track, a line say, does not tell the 8 candidates apart in sf_real */
     SF_NO_WEIGHTS = 8,  /* the back-end gave every column the weight zero */
     SF_IMPRECISE = 9    /* twice the error of L is more than ${precision} L */
 } sf_doubt;
@@ -102,16 +102,16 @@ typedef struct {
 typedef struct {
     sf_status status;
     sf_doubt doubt;
-    uint32_t rows;             /* taken so far */
-    uint32_t refined;          /* 1 where the length scale is off the grid */
-    sf_real mean_velocity;     /* U0 [m/s]; NaN where there is none, as all below */
-    sf_real length_scale;      /* L [m] */
-    sf_real timescale;         /* L/U0 [s] */
-    sf_real grid_length_scale; /* the candidate that it comes from [m] */
-    sf_real rival;             /* the next best length scale [m], 0 without one */
+    uint32_t rows;              /* taken so far */
+    uint32_t refined;           /* 1 where the length scale is off the grid */
+    sf_real mean_velocity;      /* U0 [m/s]; NaN where there is none, as all below */
+    sf_real length_scale;       /* L [m] */
+    sf_real timescale;          /* L/U0 [s] */
+    sf_real grid_length_scale;  /* the candidate that it comes from [m] */
+    sf_real rival;              /* the next best length scale [m], 0 without one */
     sf_real length_scale_error; /* standard error [m], by the curvature; NaN on the grid */
-    sf_real unexplained;       /* share of |Phi|^2 that the fit leaves */
-    sf_real certificate;       /* ${certificate} */
+    sf_real unexplained;        /* share of |Phi|^2 that the fit leaves */
+    sf_real certificate;        /* ${certificate} */
 } sf_answer;
 
 /* The state of one estimator. Its fields are of sf_flow.c alone. */

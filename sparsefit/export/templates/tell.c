@@ -39,7 +39,7 @@ static void sf_tell(const sf_flow *flow, const sf_fit *fit, sf_answer *answer)
 /* Whether the track is too short, or too straight, for the scale that was found. */
 static sf_doubt sf_short(const sf_flow *flow, const sf_fit *fit, const sf_answer *answer)
 {
-    if (!(fit->pivot > SF_R(0))) {
+    if (!(fit->pivot > SF_SAFE)) {
         return SF_DEPENDENT;
     }
     return (sf_extent(flow) < SF_R(2) * answer->length_scale) ? SF_SHORT_TRACK : SF_NO_DOUBT;
