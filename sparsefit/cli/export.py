@@ -72,14 +72,17 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the C, and say what it takes."""
     from sparsefit.errors import InputError
-    from sparsefit.export import Plan, package, refuse_large
+    from sparsefit.export import Plan, answers, package, refuse_large
     from sparsefit.export.measure import footprint
+    from sparsefit.export.package import asked_at
     from sparsefit.export.plan import MOST_RAM
     from sparsefit.export.sheet import lines, sheet
     from sparsefit.export.source import body, header
     from sparsefit.whole_file import write_whole
 
     folder = Path(args.folder)
+    if not args.folder.strip():
+        raise InputError("--c needs the name of a folder")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; choose another name for the folder")
     if folder.is_dir() and any(folder.iterdir()) and not args.force:
@@ -93,13 +96,16 @@ def run(args: argparse.Namespace) -> int:
         "sf_flow.c": body(plan).encode(),
     }
     measured = footprint(draft, args.compiler)
-    for path, content in package(plan, flight, sheet(plan, source, measured)).items():
+    told = list(answers(plan, flight, asked_at(flight)))
+    for path, content in package(plan, flight, told, sheet(plan, source, measured)).items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / path, content)
     scales = f"{len(plan.scales)} scales, {plan.scales[0]:g} to {plan.scales[-1]:g} m"
     print(f"{folder}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
     print(f"       {plan.backend.name}, {scales}, {plan.real}")
     print("\n".join(lines(plan, measured)))
+    if all(answer.doubt for answer in told):
+        print(f"note   no answer of the test's flight is ok; the last doubt is {told[-1].doubt}")
     return 0
 
 
@@ -108,6 +114,7 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
     from dataclasses import replace
 
     from sparsefit.derivative import Derivative
+    from sparsefit.errors import InputError, positive
 
     derivative, library, readout = estimator.derivative, estimator.library, estimator.readout
     assert isinstance(derivative, Derivative)
@@ -115,7 +122,12 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
     if method != derivative.method or args.window is not None or args.order is not None:
         derivative = Derivative(method, args.window, args.order, derivative.repair)
     if args.extent is not None:
-        library = replace(library, grid=library.grid.resolving(args.extent))
+        if library.grid.spacing != "flight":
+            raise InputError(
+                f"--extent is for a grid of spacing 'flight', not {library.grid.spacing!r}; drop it"
+            )
+        extent = positive("--extent", args.extent, "m")
+        library = replace(library, grid=library.grid.resolving(extent))
     if args.refine is not None:
         readout = replace(readout, refine=args.refine)
     if args.correction is not None:

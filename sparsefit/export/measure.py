@@ -47,7 +47,7 @@ def footprint(files: dict[str, bytes], compiler: str | None) -> Footprint | None
         told = _run([*command, *FLAGS], folder)
         if told.returncode and compiler:
             first = one_line(told.stderr.strip().partition("\n")[0])
-            raise InputError(f"--compiler {compiler}: {first}; is it a C99 compiler?")
+            raise InputError(f"--compiler {compiler}: {first or 'it failed'}; is it for C99?")
         flash, stack = _text_size(command[0], folder), _frames(Path(folder))
     if told.returncode or flash is None:
         return None
@@ -64,7 +64,7 @@ def _run(command: Sequence[str], folder: str | None = None) -> subprocess.Comple
 def _text_size(compiler: str, folder: str) -> int | None:
     """The size of code and constants by the `size` that belongs to a compiler."""
     size = re.sub(r"(gcc|clang|cc)$", "size", compiler)
-    if not shutil.which(size):
+    if size == compiler or not shutil.which(size):
         size = "size"
     if not shutil.which(size):
         return None

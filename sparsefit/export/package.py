@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 import sparsefit
 from sparsefit.arrays import IntArray
 from sparsefit.errors import InputError
 from sparsefit.export.model import nominal_step
-from sparsefit.export.model_answer import DOUBTS, STATUS, Answer, answers
+from sparsefit.export.model_answer import DOUBTS, STATUS, Answer
 from sparsefit.export.model_rows import microseconds
 from sparsefit.export.plan import Plan
 from sparsefit.export.source import body, filled, header
@@ -23,15 +25,16 @@ VALUES = (
 )
 
 
-def package(plan: Plan, flight: Flight, told: dict[str, str]) -> dict[str, bytes]:
+def package(
+    plan: Plan, flight: Flight, tested: Sequence[Answer], told: dict[str, str]
+) -> dict[str, bytes]:
     """The files of an export by their paths within its folder.
 
     flight: recorded, or simulated, which the test replays; its time stamps are whole microseconds
-    from the first. told: of the header (`sparsefit.export.source.header`).
+    from the first. tested: what the model answers on it, after some of its samples. told: of the
+    header (`sparsefit.export.source.header`).
     """
     version, tolerance = sparsefit.__version__, repr(TOLERANCE[plan.real])
-    at = asked_at(flight)
-    reference = reference_text(flight, list(answers(plan, flight, at)))
     values = {"version": version, "tolerance": tolerance, "scales": len(plan.scales)}
     texts = {
         "sf_flow.h": header(plan, told),
@@ -39,7 +42,7 @@ def package(plan: Plan, flight: Flight, told: dict[str, str]) -> dict[str, bytes
         "CMakeLists.txt": filled("CMakeLists.txt", values),
         "README.md": filled("README.md", values | told),
         "test/replay.c": filled("replay.c", {}),
-        "test/reference.csv": reference,
+        "test/reference.csv": reference_text(flight, tested),
     }
     recorded = csv_file.encode(FlightTable.from_flight(flight))
     return {path: text.encode() for path, text in texts.items()} | {"test/flight.csv": recorded}
@@ -69,7 +72,7 @@ def asked_at(flight: Flight, count: int = ANSWERS) -> IntArray:
     return np.unique(np.rint(np.linspace(last / count, last, count)).astype(np.intp))
 
 
-def reference_text(flight: Flight, told: list[Answer]) -> str:
+def reference_text(flight: Flight, told: Sequence[Answer]) -> str:
     """A reference as CSV: what the model answers, in the order of the C's enumerations."""
     lines = [
         f"# sample_us={nominal_step(microseconds(flight.time))}",

@@ -47,8 +47,8 @@ def lines(plan: Plan, measured: Footprint | None) -> list[str]:
         f"RAM    {ram(plan)} bytes{stack}",
         f"flash  {flash} (constants {constants(plan)} bytes)",
         f"work   {_told(update(plan))} a sample, {_told(estimate(plan))} an answer, at most",
-        f"time   {sample:.0f} us a sample, {answer:.0f} us an answer at {CLOCK / 1e6:.0f} MHz, if "
-        + _assumed(plan),
+        f"time   {sample:.0f} us a sample, {answer:.0f} us an answer at {CLOCK / 1e6:.0f} MHz, if",
+        f"       {_assumed(plan)}",
     ]
 
 

@@ -128,8 +128,10 @@ def functions(plan: Plan) -> dict[str, str]:
 
 
 def _numbers(plan: Plan) -> dict[str, str]:
-    names = ("floor", "rounding", "settled", "correlation", "detection", "distinct")
-    names += ("precision", "safe", "largest")
+    names = (
+        *("floor", "rounding", "settled", "correlation", "detection", "distinct"),
+        *("precision", "safe", "largest"),
+    )
     return {name: repr(float(getattr(plan, name))) for name in names} | {
         "version": sparsefit.__version__,
         "wavenumbers": table(plan.wavenumbers),

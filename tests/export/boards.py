@@ -7,7 +7,8 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.export import Plan, package
+from sparsefit.export import Plan, answers, package
+from sparsefit.export.package import asked_at
 from sparsefit.export.sheet import sheet
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
@@ -46,7 +47,8 @@ def fly(seed=7, noise=0.1, rate=50.0, duration=8.0):
 
 def written(plan, flight, folder):
     """The export of a plan in a folder."""
-    for path, content in package(plan, flight, sheet(plan, "estimator.json", None)).items():
+    tested = list(answers(plan, flight, asked_at(flight)))
+    for path, content in package(plan, flight, tested, sheet(plan, "a.json", None)).items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_bytes(content)
     return folder
