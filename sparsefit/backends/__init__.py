@@ -8,13 +8,15 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from sparsefit.errors import InputError, SparsefitError, unknown
 from sparsefit.regression.backend import Backend, Solution, settings_of
 from sparsefit.regression.foreign import quiet
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = [
     "BACKENDS",
@@ -57,7 +59,9 @@ PUBLIC: Mapping[str, str] = MappingProxyType({"pysindy": "sparsefit.backends.sin
 
 
 @cache
-def _plugins() -> Mapping[str, EntryPoint]:
+def _plugins() -> "Mapping[str, EntryPoint]":
+    from importlib.metadata import entry_points  # of no use to our own back-ends, and slow
+
     return MappingProxyType(
         {
             entry.name: entry

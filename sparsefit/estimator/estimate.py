@@ -1,22 +1,26 @@
 """What comes of a flight: the parameters, how sure they are, and how they came about."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sparsefit.codec import finite_or_none
 from sparsefit.derivative import Agreement, Repairs
 from sparsefit.estimator.doubt import Doubt
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
-from sparsefit.uncertainty import (
-    Constancy,
-    FlowUncertainty,
-    Goodness,
-    ShapeUncertainty,
-    Uncertainty,
-    VehicleUncertainty,
-)
+
+if TYPE_CHECKING:  # who reads an estimator need not wait for it
+    from sparsefit.uncertainty import (
+        Constancy,
+        FlowUncertainty,
+        Goodness,
+        ShapeUncertainty,
+        Uncertainty,
+        VehicleUncertainty,
+    )
 
 
 @dataclass(frozen=True)

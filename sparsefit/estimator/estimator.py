@@ -1,9 +1,12 @@
 """From a flight to U0, L_w and tau_w: derivative, library, back-end and readout in one record."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,20 +14,18 @@ from sparsefit import backends
 from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError, number_setting
 from sparsefit.estimator import saved
-from sparsefit.estimator.assess import NOTHING, Reading, read_place
-from sparsefit.estimator.candidate_flow import flow_of
 from sparsefit.estimator.doubt import Doubt, Verdict
-from sparsefit.estimator.each_flight import told_of
 from sparsefit.estimator.estimate import Estimate
-from sparsefit.estimator.judge import imprecise, judge, judge_shape, rivalled
-from sparsefit.estimator.locate import Place, locate
-from sparsefit.estimator.prepare import Prepared, prepare, together
-from sparsefit.estimator.waves import strengths_by_scale
 from sparsefit.flight import Flight
 from sparsefit.library.builder import Library
 from sparsefit.modes.readout import Readout
 from sparsefit.regression.backend import Backend, settings_of
 from sparsefit.regression.fit import TOLERANCE, Fit, fit
+
+if TYPE_CHECKING:
+    from sparsefit.estimator.assess import Reading
+    from sparsefit.estimator.locate import Place
+    from sparsefit.estimator.prepare import Prepared
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,16 @@ class Estimator:
         parameters have status ``unidentifiable``, those through another flow than was fitted
         ``misfit``.
         """
+        from sparsefit.estimator.prepare import prepare, together
+
         assert isinstance(self.derivative, Derivative)
         prepared = prepare(together(flights), self.derivative, self.library, shared=False)
         return self.read(prepared, self.fit(prepared))
 
     def prepare(self, flights: Flight | Sequence[Flight]) -> Prepared:
         """Derivatives, flow velocity and regression problem of a flight, or of several."""
+        from sparsefit.estimator.prepare import prepare, together
+
         assert isinstance(self.derivative, Derivative)
         return prepare(together(flights), self.derivative, self.library)
 
@@ -82,6 +87,11 @@ class Estimator:
 
     def read(self, prepared: Prepared, fit: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25): locate the modes, assess them, judge them."""
+        from sparsefit.estimator.assess import NOTHING, Reading, read_place
+        from sparsefit.estimator.candidate_flow import flow_of
+        from sparsefit.estimator.each_flight import told_of
+        from sparsefit.estimator.locate import locate
+
         start = perf_counter()
         problem = fit.problem
         by_scale: dict[float, float] = {}
@@ -134,6 +144,8 @@ class Estimator:
         self, prepared: Prepared, place: Place, reading: Reading, verdict: Verdict
     ) -> Verdict:
         """The verdict of a fit, unless the flight gives a reason to doubt its modes."""
+        from sparsefit.estimator.judge import imprecise, judge, judge_shape, rivalled
+
         first, wrong = reading.scales[0], reading.impossible
         if wrong is not None:
             words = f"the response time that fits best is {wrong.response_time:.3g} s"
@@ -171,6 +183,8 @@ class Estimator:
     def _by_scale(self, fit: Fit) -> dict[float, float]:
         """The weight of each length scale [m]."""
         if self.library.family == "waves":
+            from sparsefit.estimator.waves import strengths_by_scale
+
             return strengths_by_scale(fit)
         assert fit.problem.group_scales is not None
         weights = self.readout.scale_weights(fit.problem, fit.weights).tolist()
@@ -181,6 +195,6 @@ class Estimator:
         return saved.text_of({item.name: getattr(self, item.name) for item in fields(self)})
 
     @classmethod
-    def from_json(cls, text: str) -> "Estimator":
+    def from_json(cls, text: str) -> Estimator:
         """Read an estimator written by ``to_json``. Raises InputError on anything else."""
         return cls(**saved.parts_of(saved.record_of(text)))
