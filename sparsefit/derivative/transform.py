@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray
+
+KEPT = 256  # lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +44,7 @@ class Transformed:
         return np.fft.irfft(product, self.length)[:, : self.size - kernels.shape[1] + 1]
 
 
+@lru_cache(maxsize=KEPT)
 def fast_length(samples: int) -> int:
     """The least 2^i 3^j 5^l, of few 3 and 5, not below ``samples``: other transforms are slow."""
     best = 1 << math.ceil(math.log2(samples))

@@ -134,13 +134,24 @@ def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
         starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
     fits = [space.descend(np.array([k]), rough=True) for k in dict.fromkeys(starts)]
     fits.sort(key=lambda fit: fit.residual)
-    best = space.descend(fits[0].parameters[:, 0])
+    best = space.descend(fits[0].parameters[:, 0], start=fits[0])
     k = float(best.parameters[0, 0])
-    other = [fit for fit in fits if abs(fit.parameters[0, 0] - k) > SAME * space.scan.step]
-    rival = Rival(k, float(other[0].parameters[0, 0]), other[0].residual) if other else None
+    other = _other(space, fits, k)
+    rival = None if other is None else Rival(k, float(other.parameters[0, 0]), other.residual)
     proposed = (k if candidate is None else candidate,)
     ends = tuple(float(fit.parameters[0, 0]) for fit in (best, *fits[1:]))
     return Located(space, best, proposed, rival, math.nan, _correlation(space, best), ends)
+
+
+def _other(space: SearchSpace, fits: list[Projection], k: float) -> Projection | None:
+    """The best of fits in another lobe than k [1/m]; one that was followed descends to its end."""
+    for fit in fits:
+        if abs(fit.parameters[0, 0] - k) > SAME * space.scan.step:
+            if space.known is not None:
+                fit = space.descend(fit.parameters[:, 0], rough=True, start=fit)
+            if abs(fit.parameters[0, 0] - k) > SAME * space.scan.step:
+                return fit
+    return None
 
 
 def locate_several(

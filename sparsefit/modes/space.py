@@ -203,17 +203,20 @@ class SearchSpace:
         """The fit at wavenumbers (s,) [1/m]."""
         return project(self.family, self.rows, np.asarray(wavenumbers, dtype=float).reshape(-1, 1))
 
-    def descend(self, wavenumbers: Array, *, rough: bool = False) -> Projection:
+    def descend(
+        self, wavenumbers: Array, *, rough: bool = False, start: Projection | None = None
+    ) -> Projection:
         """All modes moved from (s,) [1/m] to the least RSS in reach, within the bounds.
 
         A wavenumber moves at most a scan step at a time: within its lobe. ``rough`` ends where no
         move is longer than a hundredth of a scan step, or, of a lobe that was known before, after a
-        few.
+        few. start: the fit at the wavenumbers, where it is there already: to go on from.
         """
         reach, tolerance = self.scan.step, ROUGH * self.scan.step if rough else 0.0
-        here = self.at(np.clip(wavenumbers, *self.bounds))
+        here = start or self.at(np.clip(wavenumbers, *self.bounds))
         size, damping = math.sqrt(float(np.sum(self.rows.target**2))), 1.0
-        for _ in range(FOLLOWED if rough and self.known is not None else ITERATIONS):
+        followed = rough and self.known is not None and start is None
+        for _ in range(FOLLOWED if followed else ITERATIONS):
             longest = float(np.abs(here.moves).max(initial=0.0))
             moves = here.moves * min(damping, reach / longest) if longest > 0 else here.moves
             slack = ROUNDING * size * math.sqrt(here.residual)

@@ -40,6 +40,7 @@ def main() -> None:
             readout=Readout(refine=asked.refine),
         )
         online = OnlineEstimator(estimator, vehicle=vehicle, window=asked.window)
+        online.rehearse()
         every = max(1, round(asked.every * asked.rate))
         print(f"{name:12} {_told(clocked(online, flight, every, asked.window))}")
 

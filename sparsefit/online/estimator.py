@@ -28,6 +28,8 @@ from sparsefit.online.window import Window
 from sparsefit.regression.backend import settings_of
 from sparsefit.uncertainty import LAGS
 
+REHEARSED = 128  # samples in the window of a rehearsal
+
 
 class OnlineEstimator:
     """Follows the flow from samples as they come: over the last ``window`` seconds, or fading.
@@ -106,6 +108,23 @@ class OnlineEstimator:
                     f"{mean:.6g} s: use central or midpoint"
                 )
         return False
+
+    def rehearse(self) -> None:
+        """Follow a made-up flight once and forget it, and all samples so far.
+
+        Before take-off: else the first samples and the first estimate pay for imports, and for what
+        is worked out once, about a second.
+        """
+        step = self.settings.reach / REHEARSED
+        size, turn = 2.0 * self.settings.library.grid.upper, 0.05 / step
+        self.restart()
+        for number in range(2 * REHEARSED):
+            time = number * step
+            x, y = math.sin(turn * time), math.sin(1.7 * turn * time)
+            vx, vy = math.cos(turn * time), 1.7 * math.cos(1.7 * turn * time)
+            self.update(time, (size * x, size * y), (size * turn * vx, size * turn * vy))
+        self.estimate()
+        self.restart()
 
     def restart(self) -> None:
         """Forget all samples; the next may have any time."""

@@ -23,6 +23,8 @@ from sparsefit.online.window import Window
 FIRST = 64  # samples, of the first scan
 BESIDE = 10.0  # scan steps: lobes are some 30 apart, and move less than this between two answers
 SHARE = 0.5  # of the window is new when it is scanned again
+GROWN = 0.2  # by so much a window that fills has grown
+FRESH = 0.75  # of the window that an answer may take the lobes of
 
 
 class Lobes:
@@ -40,6 +42,7 @@ class Lobes:
         self._due = FIRST
         self._turn = 0
         self._places: Array | None = None
+        self._rows = 0  # of the window when it was scanned
 
     @classmethod
     def of(cls, window: Window) -> Lobes | None:
@@ -48,12 +51,14 @@ class Lobes:
 
     def advance(self) -> None:
         """Take one step of a scan, where one is due."""
-        if self._due <= self._window.count:
-            self._due = self._window.count + max(FIRST, math.ceil(SHARE * self._window.rows))
-            self._work = self._scan()
+        window = self._window
+        if self._due <= window.count:
+            share = SHARE if window.first else GROWN
+            self._due = window.count + max(FIRST, math.ceil(share * window.rows))
+            self._work = self._scan(window.rows)
         next(self._work, None)
 
-    def _scan(self) -> Iterator[None]:
+    def _scan(self, rows: int) -> Iterator[None]:
         state = self._window.complete()
         if len(state) < 2:
             return
@@ -66,7 +71,7 @@ class Lobes:
             yield
         _ = space.scan.factor
         yield
-        self._places = space.minima
+        self._places, self._rows = space.minima, rows
 
     def _space(self, state: Array) -> SearchSpace:
         """What is scanned: states (m, 9), weighted as they were when the scan began."""
@@ -81,9 +86,11 @@ class Lobes:
     def places(self) -> Array | None:
         """Wavenumbers (l,) [1/m]: the deepest two, one of the others in turn, then the rest.
 
-        None before the first scan is complete.
+        None before the first scan is complete, and where the window has outgrown it.
         """
-        if self._places is None or len(self._places) <= LOOKED_AT:
+        if self._places is None or self._rows < FRESH * self._window.rows:
+            return None
+        if len(self._places) <= LOOKED_AT:
             return self._places
         self._turn += 1
         best, others = np.split(self._places, [LOOKED_AT - 1])
