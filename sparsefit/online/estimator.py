@@ -62,8 +62,13 @@ class OnlineEstimator:
         self._window = Window(self.settings)
         self._lobes = Lobes.of(self._window)
 
-    def update(self, time: float, position: object, velocity: object) -> None:
+    def update(
+        self, time: float, position: object, velocity: object, thrust: object = None
+    ) -> None:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
+
+        thrust: the measured thrust acceleration [m/s^2], as `Flight` has it, with every sample or
+        with none.
 
         After a gap, a step of more than four mean steps, the window begins anew, and `restarts`
         counts it.
@@ -73,7 +78,11 @@ class OnlineEstimator:
                 ``savgol``, time steps are not even. The sample is left out, and nothing changes.
         """
         t = finite("time", time, "s")
-        sample = (t, *pair("position", position, "m"), *pair("velocity", velocity, "m/s"))
+        pushed = () if thrust is None else pair("thrust", thrust, "m/s^2")
+        state = *pair("position", position, "m"), *pair("velocity", velocity, "m/s")
+        sample = (t, *state, *pushed)
+        if self._window.count and self._window.pushed is not (thrust is not None):
+            raise InputError("give a thrust with every sample or with none; restart() between")
         if max(map(abs, sample)) > LARGEST:
             raise InputError(f"a sample of {max(map(abs, sample)):g}: no flight; change the unit")
         step = t - self._last
@@ -101,7 +110,9 @@ class OnlineEstimator:
         if step > GAP * mean:
             return True
         if self.settings.derivative.method == "savgol":
-            slack = 0.5 * ONE_STEP * mean + 4.0 * math.ulp(time)
+            slack = 0.45 * ONE_STEP * mean + 3.0 * math.ulp(
+                time
+            )  # those of a block may be less even
             if abs(step - mean) > slack:
                 raise InputError(
                     f"savgol needs uniform time steps; this one is {step:.6g} s, the mean "

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.derivative import Samples
 from sparsefit.errors import InputError
 from sparsefit.library.scan import OF_GRAM
 from sparsefit.modes.search import LOOKED_AT, SAME
@@ -59,11 +60,11 @@ class Lobes:
         next(self._work, None)
 
     def _scan(self, rows: int) -> Iterator[None]:
-        state = self._window.complete()
-        if len(state) < 2:
+        samples = self._window.complete()
+        if len(samples.time) < 2:
             return
         try:
-            space = self._space(state)
+            space = self._space(samples)
         except InputError:  # it stands still
             return
         for wave in OF_GRAM:
@@ -73,14 +74,14 @@ class Lobes:
         yield
         self._places, self._rows = space.minima, rows
 
-    def _space(self, state: Array) -> SearchSpace:
-        """What is scanned: states (m, 9), weighted as they were when the scan began."""
+    def _space(self, samples: Samples) -> SearchSpace:
+        """What is scanned: samples, weighted as they were when the scan began."""
         settings = self._window.settings
-        phi = settings.vehicle.flow_velocity(state[:, 3:5], state[:, 7:9])
-        space = SearchSpace.plain(state[:, 1:3], phi, self._bounds)
+        phi = samples.flow_velocity(settings.vehicle)
+        space = SearchSpace.plain(samples.position, phi, self._bounds)
         if not settings.fades:
             return space
-        rows = space.rows.fading(np.sqrt(settings.weight(state[-1, 0] - state[:, 0])))
+        rows = space.rows.fading(np.sqrt(settings.weight(samples.time[-1] - samples.time)))
         return replace(space, rows=rows, sampled=rows)
 
     def places(self) -> Array | None:

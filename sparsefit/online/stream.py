@@ -57,13 +57,11 @@ class Stream:
 
     def followed(self, estimator: Estimator, flight: Flight) -> OnlineEstimator:
         """An online estimator that was given all samples of a flight, one by one."""
-        if flight.thrust is not None:
-            raise InputError("online: a measured thrust cannot be followed; take the whole flight")
         online = OnlineEstimator(
             estimator, vehicle=flight.vehicle, window=self.window, memory=self.memory
         )
-        for sample in zip(
-            flight.time.tolist(), flight.position.tolist(), flight.velocity.tolist(), strict=True
-        ):
+        series = [flight.time, flight.position, flight.velocity]
+        series += [] if flight.thrust is None else [flight.thrust]
+        for sample in zip(*(one.tolist() for one in series), strict=True):
             online.update(*sample)
         return online

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,12 +59,13 @@ class Window:
         self.columns = settings.columns
         self.targets = settings.targets
         k, n = self.columns.size, self.targets
-        self._raw = Ring(FIRST_CAPACITY, 5)  # t, x, y, vx, vy
-        self._state = Ring(FIRST_CAPACITY, 9)  # t, position, velocity, position rate, acceleration
+        self._raw = Ring(FIRST_CAPACITY, 7)  # t, position, velocity, thrust: x and y of each
+        self._state = Ring(FIRST_CAPACITY, 11)  # the same of a row, and the rates of the first two
         self._theta = Ring(FIRST_CAPACITY, k)
         self._target = Ring(FIRST_CAPACITY, n)
         self._sums = Sums(k, n)
         self.count = self.first = self._done = 0  # samples; the first one in the window; rows
+        self.pushed = False  # whether the samples come with a measured thrust
         self._reference = -math.inf  # the time that weights in the sums refer to
         self._smoothing: Smoothing | None = None
         self._work: Iterator[None] = iter(())
@@ -92,15 +93,24 @@ class Window:
 
     def flight(self) -> Flight:
         """The samples in the window, as one flight. Raises InputError where they are too few."""
-        raw = self._raw.rows(self.first, self.count)
-        return Flight(raw[:, 0], raw[:, 1:3], raw[:, 3:], self.settings.vehicle)
+        return self._flight(self._raw.rows(self.first, self.count))
+
+    def _flight(self, raw: Array) -> Flight:
+        thrust = raw[:, 5:] if self.pushed else None
+        vehicle = self.settings.vehicle
+        return Flight(raw[:, 0], raw[:, 1:3], raw[:, 3:5], vehicle, thrust=thrust)
 
     def push(self, sample: tuple[float, ...]) -> None:
-        """Take one sample (t, x, y, vx, vy), later than the others."""
+        """Take one sample (t, x, y, vx, vy), with the thrust behind it where that is measured.
+
+        It is later than the others.
+        """
+        if not self.count:
+            self.pushed = len(sample) > 5
         held = min(self.first, self._sums.low * BLOCK)
         if self.count - held + SPARE > self._raw.capacity:
             self._grow()
-        self._raw.put(self.count, np.array([sample]))
+        self._raw.put(self.count, np.array([sample if self.pushed else (*sample, 0.0, 0.0)]))
         self.count += 1
         oldest = sample[0] - (1.0 + EDGE) * self.settings.reach
         while self._raw.rows(self.first, self.first + 1)[0, 0] < oldest:
@@ -150,12 +160,12 @@ class Window:
         """Work out states, rates and targets of the rows from ``start`` up to ``stop``."""
         span = self.settings.span
         early = min(start, max(0, MINIMUM_SAMPLES - (stop - start + span - 1)))
-        raw = self._raw.rows(start - early, stop + span - 1)
-        flight = Flight(raw[:, 0], raw[:, 1:3], raw[:, 3:], self.settings.vehicle)
+        flight = self._flight(self._raw.rows(start - early, stop + span - 1))
         samples = self.settings.derivative(flight)
         self._smoothing = samples.smoothing
+        thrust = np.zeros_like(samples.position) if samples.thrust is None else samples.thrust
         pairs = samples.position, samples.velocity, samples.position_rate, samples.acceleration
-        self._state.put(start, np.column_stack([samples.time, *pairs])[early:])
+        self._state.put(start, np.column_stack([samples.time, *pairs, thrust])[early:])
         target = self.settings.library.response(samples, self.settings.vehicle)
         self._target.put(start, target[early:])
 
@@ -176,9 +186,9 @@ class Window:
         """The weights of rows at a time [s]."""
         return self.settings.weight(now - self._state.rows(start, stop)[:, 0])
 
-    def complete(self) -> Array:
-        """A copy of states (m, 9) and times of the rows that whole blocks have made."""
-        return self._state.rows(min(self.first, self._done), self._done).copy()
+    def complete(self) -> Samples:
+        """A copy of the samples that whole blocks have made."""
+        return self._samples(self._state.rows(min(self.first, self._done), self._done).copy())
 
     def contents(self) -> Contents:
         """The rows that the window holds now; there must be one at least."""
@@ -203,6 +213,17 @@ class Window:
             fading, smoothing = np.sqrt(weights / mass), None
             theta, target = fading[:, None] * theta, fading[:, None] * target
         statistics = Statistics.summed(gram, cross, square, count=len(theta))
-        position, velocity, position_rate, acceleration = np.split(state[:, 1:], 4, axis=1)
-        samples = Samples(state[:, 0], position, velocity, position_rate, acceleration, smoothing)
+        samples = replace(self._samples(state), smoothing=smoothing)
         return Contents(samples, theta, target, statistics, fading)
+
+    def _samples(self, state: Array) -> Samples:
+        """The samples of states (m, 11)."""
+        position, velocity, position_rate, acceleration, thrust = np.split(state[:, 1:], 5, axis=1)
+        return Samples(
+            state[:, 0],
+            position,
+            velocity,
+            position_rate,
+            acceleration,
+            thrust=thrust if self.pushed else None,
+        )

@@ -8,6 +8,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.estimator import Doubt
 from sparsefit.library.cells import candidate_columns, rms_mean_velocity
+from sparsefit.online.stream import Stream
 from sparsefit.online.sums import BLOCK
 from tests.online.streams import (
     ESTIMATOR,
@@ -35,6 +36,20 @@ def test_the_answer_is_that_of_the_batch_on_the_same_window(method):
         assert_same(online.estimate(), batch)
         assert_same(scanned, batch)
         np.testing.assert_allclose(scanned.rival_length_scale, batch.rival_length_scale, rtol=1e-9)
+
+
+def test_a_measured_thrust_and_drag_are_followed():
+    vehicle = sf.PointMassVehicle(1.5, (1.0, 0.5), drag=0.02)
+    time = np.arange(501) * 0.04
+    thrust = sf.ThrustSeries(time, np.stack([np.sin(time), 2 * np.cos(0.7 * time)], axis=1))
+    flight = sf.simulate_flight(
+        FLOW, vehicle, duration=20.0, sample_rate=25.0, seed=5, velocity_noise=0.1, thrust=thrust
+    )
+    online = Stream(window=8.0).followed(ESTIMATOR, flight)
+    np.testing.assert_array_equal(online.flight.thrust, flight.thrust[-201:])
+    assert_same(online.estimate(), ESTIMATOR.estimate(online.flight))
+    with pytest.raises(sf.InputError, match="with every sample or with none"):
+        online.update(20.04, (0.0, 0.0), (0.0, 0.0))
 
 
 @pytest.mark.parametrize("backend", ["lasso", "group-lasso", "stlsq"])
