@@ -17,7 +17,9 @@ LOOPS: Mapping[str, str] = MappingProxyType(
         **dict.fromkeys(
             ("lasso", "adaptive-lasso", "elastic-net", "square-root-lasso"), "homotopy_walk"
         ),
-        **dict.fromkeys(("group-lasso", "adaptive-group-lasso", "group-mcp"), "variational_search"),
+        **dict.fromkeys(
+            ("group-lasso", "adaptive-group-lasso", "group-mcp", "ensemble"), "variational_search"
+        ),
     }
 )
 """Back-end -> the module of its loop."""

@@ -16,16 +16,22 @@ Sources: Belloni, Chernozhukov and Wang, Biometrika 98 (2011) 791-806; Sun and Z
 (2012) 879-898.
 """
 
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.backends.homotopy import HomotopyPath, lasso_path
 from sparsefit.backends.penalised import ExactPath, Points
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.statistics import Statistics
 
+Values = TypeVar("Values", Array, BoolArray)
 NEAREST = 1e-11  # of the largest penalty: the smallest one of the LASSO's that is asked for
-SETTLED = 1e-11  # relative change of t^2 that ends the search
+SETTLED = 1e-11  # relative excess of t^2 that ends the search
+ROUNDING = 1e-15  # of (y + |V|_1)^2: what rho^2 from Z'Z may be off by, which ends it too
+STEP = 1e-4  # relative step in t over which h is told from |V|_1, whose slope is -h
 ROUNDS = 60
 
 
@@ -34,50 +40,95 @@ def _root_path(statistics: Statistics, penalty: Penalty, alphas: Array, targets:
     cross, gram = statistics.cross[:, targets], statistics.gram
     square = float(statistics.target_square[targets].sum())
     largest = float(np.abs(cross).max(initial=0.0))
-    slope = alphas**2 / (square or 1.0)  # (a/y)^2: t^2 = slope rho^2
-    high = np.minimum(alphas, largest) ** 2
-    low = np.full(len(alphas), (NEAREST * largest) ** 2)
-    x, steps, settled = np.maximum(high, low), 0, np.zeros(len(alphas), dtype=bool)
+    least = (NEAREST * largest) ** 2
+    high = np.maximum(np.minimum(alphas, largest) ** 2, least)
+    search = _Search.between(least, high, alphas**2 / (square or 1.0))
+    values = np.zeros((len(alphas), *cross.shape))
+    steps, loop = 0, ""
     for _ in range(ROUNDS):
-        values, complete, taken, loop = _lasso(gram, cross, np.sqrt(x))
-        steps += taken
-        misfit, rate = _square(gram, cross, square, values, x)
-        excess = x - slope * misfit
-        high, low = np.where(excess >= 0, x, high), np.where(excess <= 0, x, low)
-        settled = np.abs(excess) <= SETTLED * x
-        if np.all(settled | (high <= low * (1.0 + SETTLED)) | ~complete):
+        at = np.flatnonzero(search.open)
+        if not len(at):
             break
-        bent = 1.0 - slope * rate
+        found, shrink, complete, taken, loop = _lasso(gram, cross, np.sqrt(search.x[at]))
+        steps, values[at] = steps + taken, found
+        size = np.abs(found).sum(axis=(1, 2))
+        misfit = square - np.sum(found * (2.0 * cross - gram @ found), axis=(1, 2))
+        misfit = np.maximum(misfit, shrink * search.x[at])
+        off = ROUNDING * (np.sqrt(square) + size) ** 2
+        search = search.after(at, misfit, shrink, off, complete)
+    return Points(values, search.settled, np.full(len(alphas), steps), loop)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Where the search for each root x = t^2 of x = slope rho^2(x) stands, all (p,).
+
+    low and high hold the root, unless it is below ``least``; floor: whether least was tried.
+    """
+
+    least: float
+    slope: Array
+    x: Array
+    low: Array
+    high: Array
+    floor: BoolArray
+    settled: BoolArray
+    open: BoolArray
+
+    @classmethod
+    def between(cls, least: float, high: Array, slope: Array) -> "_Search":
+        """At the upper ends."""
+        never = np.zeros(len(high), dtype=bool)
+        return cls(least, slope, high, np.full(len(high), least), high, never, never, ~never)
+
+    def after(
+        self, at: IntArray, misfit: Array, rate: Array, off: Array, complete: BoolArray
+    ) -> "_Search":
+        """The search after rho^2, its derivative and its rounding (c,) at the points ``at``."""
+        x, slope = self.x[at], self.slope[at]
+        excess, bent = x - slope * misfit, 1.0 - slope * rate
         newton = np.where(bent > 0, x - excess / np.where(bent > 0, bent, 1.0), 0.0)
+        floor = self.floor[at] | (x <= self.least)
+        high = np.where(excess >= 0, x, self.high[at])
+        low = np.where(excess <= 0, x, self.low[at])
+        near = np.abs(excess) <= SETTLED * x
+        near |= (np.abs(excess) <= slope * off) & (newton > self.least)
+        beyond = (newton <= self.least) & ~floor  # perhaps no residual is left: look there
         inside = (newton > low) & (newton < high)
-        x = np.where(settled, x, np.where(inside, newton, np.sqrt(low * high)))
-        x = np.minimum.accumulate(x)  # as penalties descend, so do the roots
-    return Points(values, complete & settled, np.full(len(alphas), steps), loop)
+        following = np.where(beyond, self.least, np.where(inside, newton, np.sqrt(low * high)))
+        gone = (x <= self.least) & (excess >= 0)
+        narrow = high <= low * (1.0 + SETTLED)
+        return replace(
+            self,
+            x=_put(self.x, at, np.where(near, x, following)),
+            low=_put(self.low, at, low),
+            high=_put(self.high, at, high),
+            floor=_put(self.floor, at, floor),
+            settled=_put(self.settled, at, (near | narrow) & ~gone & complete),
+            open=_put(self.open, at, ~(near | narrow | gone) & complete),
+        )
 
 
-def _lasso(gram: Array, cross: Array, penalties: Array) -> tuple[Array, BoolArray, int, str]:
-    """The LASSO's weights (p, k, n) at descending penalties, which are complete, and the events."""
-    paths: list[HomotopyPath] = [lasso_path(gram, one, penalties) for one in cross.T]
-    values = np.stack([path.weights for path in paths], axis=2)
-    complete: BoolArray = np.all([path.complete for path in paths], axis=0)
-    return values, complete, sum(path.steps for path in paths), paths[0].loop
+def _put(values: Values, at: IntArray, new: Values) -> Values:
+    """A copy of values with others at some places."""
+    changed: Values = values.copy()
+    changed[at] = new
+    return changed
 
 
-def _square(
-    gram: Array, cross: Array, total: float, values: Array, x: Array
-) -> tuple[Array, Array]:
-    """rho^2 (p,) at the LASSO's weights (p, k, n) for t^2 = x, and h, its derivative there."""
-    correlation = cross - gram @ values
-    misfit = total - np.sum(values * (cross + correlation), axis=(1, 2))
-    rate = np.zeros(len(x))
-    for i, point in enumerate(values):
-        for weights in point.T:
-            used = np.flatnonzero(weights)
-            signs = np.sign(weights[used])
-            if len(used):
-                inner = np.linalg.lstsq(gram[np.ix_(used, used)], signs, rcond=None)[0]
-                rate[i] += float(signs @ inner)
-    return np.maximum(misfit, rate * x), rate
+def _lasso(gram: Array, cross: Array, penalties: Array) -> tuple[Array, Array, BoolArray, int, str]:
+    """The LASSO at penalties t (c,): V (c, k, n), h (c,), which are complete, events, the loop."""
+    asked = np.concatenate([penalties, penalties * (1.0 - STEP)])
+    order = np.argsort(-asked, kind="stable")
+    back = np.argsort(order)
+    paths: list[HomotopyPath] = [lasso_path(gram, one, asked[order]) for one in cross.T]
+    values = np.stack([path.weights[back] for path in paths], axis=2)
+    complete: BoolArray = np.all([path.complete[back] for path in paths], axis=0)
+    here, there = np.split(values, 2)
+    grown = np.abs(there).sum(axis=(1, 2)) - np.abs(here).sum(axis=(1, 2))
+    rate = np.maximum(grown / np.where(penalties > 0, STEP * penalties, 1.0), 0.0)
+    steps = sum(path.steps for path in paths)
+    return here, rate, complete[: len(penalties)], steps, paths[0].loop
 
 
 SCALED_HOMOTOPY = ExactPath(
