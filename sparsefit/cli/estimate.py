@@ -165,7 +165,7 @@ def run(args: argparse.Namespace) -> int:
     flights = [log.flight for log in logs]
     estimate = estimator.estimate(flights[0] if len(flights) == 1 else flights)
     if args.plot is not None:
-        write_plot(args.plot, args.flight[0], estimator, flights[0], estimate)
+        write_plot(args.plot, args.flight, estimator, flights, estimate)
     if args.json:
         records = [log.record(estimate) for log in logs]
         told = {"log": records[0]} if len(logs) == 1 else {"logs": records}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,8 +32,6 @@ def check_plot(args: argparse.Namespace) -> None:
 
     if args.plot is None:
         return
-    if len(args.flight) > 1:
-        raise InputError(f"--plot draws one flight, not {len(args.flight)}; leave it out")
     if Path(args.plot).suffix.lower() not in SUFFIXES:
         raise InputError(f"--plot: {args.plot} must end in {', '.join(SUFFIXES)}")
     if not Path(args.plot).resolve().parent.is_dir():
@@ -40,8 +39,17 @@ def check_plot(args: argparse.Namespace) -> None:
     refuse_existing(args.plot, force=args.force)
 
 
-def write_plot(path: str, name: str, estimator: Estimator, flight: Flight, found: Estimate) -> None:
-    """Write the picture of what was found; name: of the log, for its title."""
+def write_plot(
+    path: str,
+    names: Sequence[str],
+    estimator: Estimator,
+    flights: Sequence[Flight],
+    found: Estimate,
+) -> None:
+    """Write the picture of what was found; names: of the logs, for its title.
+
+    Of several flights all tracks are drawn, and the residual of the first.
+    """
     from sparsefit.derivative import Derivative
     from sparsefit.study.report.drawing import to_pdf, to_png, to_svg
     from sparsefit.study.report.estimate_figure import estimate_figure
@@ -49,6 +57,9 @@ def write_plot(path: str, name: str, estimator: Estimator, flight: Flight, found
     from sparsefit.whole_file import write_whole
 
     assert isinstance(estimator.derivative, Derivative)
-    figure = estimate_figure(flown_by(flight, estimator.derivative(flight), found), name)
+    first, *beside = flights
+    flown = flown_by(first, estimator.derivative(first), found, beside)
+    more = f" and {len(beside)} more" if beside else ""
+    figure = estimate_figure(flown, f"{names[0]}{more}")
     encode = dict(zip(SUFFIXES, (to_png, to_svg, to_pdf), strict=True))[Path(path).suffix.lower()]
     write_whole(path, encode(figure))

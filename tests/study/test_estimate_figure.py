@@ -32,6 +32,18 @@ def flown():
     return flown_by(flight, sf.Derivative()(flight), estimator.estimate(flight))
 
 
+def test_other_flights_are_drawn_within_the_map(flown):
+    away = replace(flown.flight, position=flown.flight.position + 30.0)
+    axes = Figure().subplots()
+    draw_track(axes, flown_by(flown.flight, flown.samples, flown.estimate, (away,)))
+    left, right, _, top = axes.images[0].get_extent()
+    x, y = away.position.T
+    assert left < x.min() - 30.0
+    assert x.max() < right
+    assert y.max() < top
+    assert len(axes.lines) == 4  # two tracks and where they begin
+
+
 def no_flow(flown):
     lost = replace(flown.estimate, flow=None, length_scale=np.nan, weights_by_scale={})
     return replace(flown, estimate=lost)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.image import AxesImage
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.derivative.quality import gaps_of
-from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.estimate import Estimate, FlightEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import FlowField
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -39,6 +40,7 @@ class Flown:
         measured: Phi, the velocity of the air at the samples [m/s], (m, 2).
         estimate: what was found.
         truth: the true length scales [m], where anybody knows them.
+        beside: other flights through the same flow, whose tracks are drawn too.
     """
 
     flight: Flight
@@ -46,6 +48,7 @@ class Flown:
     measured: Array
     estimate: Estimate
     truth: tuple[float, ...] = ()
+    beside: tuple[Flight, ...] = ()
 
     @property
     def left(self) -> Array:
@@ -56,14 +59,16 @@ class Flown:
         return self.measured - self.estimate.flow.velocity(x, y, self.samples.time)
 
 
-def flown_by(flight: Flight, samples: Samples, estimate: Estimate) -> Flown:
+def flown_by(
+    flight: Flight, samples: Samples, estimate: Estimate, beside: Sequence[Flight] = ()
+) -> Flown:
     """Return what was flown, by the vehicle as it was believed to be, or as it was estimated."""
-    return Flown(
-        flight, samples, samples.flow_velocity(_vehicle(flight.vehicle, estimate)), estimate
-    )
+    own = estimate.flights[0] if estimate.flights else estimate
+    measured = samples.flow_velocity(_vehicle(flight.vehicle, own))
+    return Flown(flight, samples, measured, estimate, beside=tuple(beside))
 
 
-def _vehicle(believed: PointMassVehicle, estimate: Estimate) -> PointMassVehicle:
+def _vehicle(believed: PointMassVehicle, estimate: Estimate | FlightEstimate) -> PointMassVehicle:
     found: dict[str, float] = {
         name: getattr(estimate, name)
         for name in ("response_time", "drag", "thrust_scale")
@@ -75,10 +80,13 @@ def _vehicle(believed: PointMassVehicle, estimate: Estimate) -> PointMassVehicle
 
 def draw_track(axes: Axes, flown: Flown) -> AxesImage | None:
     """Draw the track over the vorticity of the flow found; in its own frame, where that drifts."""
-    flow, time = flown.estimate.flow, flown.flight.time
-    middle, drift = float(np.median(time)), np.array(flown.estimate.drift or (0.0, 0.0))
-    track = flown.flight.position - (time - middle)[:, None] * drift
-    scale, unit = scaled(float(np.abs(track).max()), "m")
+    flow, drift = flown.estimate.flow, np.array(flown.estimate.drift or (0.0, 0.0))
+    middle = float(np.median(flown.flight.time))
+    tracks = [
+        one.position - (one.time - middle)[:, None] * drift for one in (flown.flight, *flown.beside)
+    ]
+    every = np.concatenate(tracks)
+    scale, unit = scaled(float(np.abs(every).max()), "m")
     moving = ", moving with it" if drift.any() else ""
     axes.set_title(
         "no flow was found" if flow is None else f"track over the vorticity found{moving}"
@@ -86,22 +94,25 @@ def draw_track(axes: Axes, flown: Flown) -> AxesImage | None:
     shades = None
     if flow is not None:
         length = flown.estimate.length_scale
-        points = PER_CELL * flown.flight.extent / length if length > 0 else 0.0
-        edges, turning = vorticity(flow, track, middle, min(max(POINTS, int(points)), MOST_POINTS))
+        extent = float(np.ptp(every, axis=0).max())
+        points = PER_CELL * extent / length if length > 0 else 0.0
+        edges, turning = vorticity(flow, every, middle, min(max(POINTS, int(points)), MOST_POINTS))
         most = float(np.quantile(np.abs(turning), 0.99)) or 1.0
         left, right, bottom, top = (edge / scale for edge in edges)
         shades = axes.imshow(
             turning, origin="lower", extent=(left, right, bottom, top), cmap="RdBu", vmin=-most,
             vmax=most, alpha=0.7, interpolation="bilinear", aspect="equal",
         )  # fmt: skip
-    x, y = track.T / scale
-    axes.plot(x, y, color="black", lw=0.9)
-    axes.plot(x[0], y[0], "o", color="black", ms=4)
+    for place, track in enumerate(tracks):
+        x, y = track.T / scale
+        axes.plot(x, y, color="black", lw=0.6 if place else 0.9)
+        axes.plot(x[0], y[0], "o", color="black", ms=4)
     axes.set_aspect("equal", adjustable="datalim" if flow is None else "box")
     axes.locator_params(nbins=5)
     axes.grid(False)
     east, north = AXES[flown.flight.frame]
-    axes.set_xlabel(f"{east} [{unit}], the flight begins at the dot")
+    begins = "flights begin at the dots" if flown.beside else "the flight begins at the dot"
+    axes.set_xlabel(f"{east} [{unit}], {begins}")
     axes.set_ylabel(f"{north} [{unit}]")
     return shades
 
@@ -156,6 +167,8 @@ def draw_residual(axes: Axes, flown: Flown) -> None:
     none = flown.estimate.flow is None
     axes.set_title("no flow was found: the velocity of the air" if none else
                    "velocity of the air less that of the flow found")  # fmt: skip
+    if flown.beside:
+        axes.set_title("residual of the first flight")
     time, left = flown.samples.time, flown.left
     scale, unit = scaled(float(np.abs(time).max()), "s")
     for place, name in enumerate("xy"):
