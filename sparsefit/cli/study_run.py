@@ -100,7 +100,10 @@ def run(args: argparse.Namespace) -> int:
 def _notes(summary: RunSummary) -> Iterator[str]:
     """What happened to rows that were there before, a line each."""
     if summary.dropped:
-        yield f"{summary.dropped} cases that the study no longer plans are left out"
+        yield (
+            f"{summary.dropped} cases that the study no longer plans are left out, and kept in "
+            f"{summary.folder / 'unplanned.jsonl'} in case it plans them again"
+        )
     if summary.damaged:
         yield f"{summary.damaged} damaged rows were passed over, and their cases computed again"
     if summary.stale:

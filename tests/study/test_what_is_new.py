@@ -122,6 +122,21 @@ def test_a_changed_study_computes_what_is_new_and_drops_what_it_no_longer_plans(
     assert run(study, went.parent, processes=1).nothing_to_do
 
 
+def test_rows_that_are_planned_again_come_back(went: Path, load: Load) -> None:
+    before = by_identity(went)
+    fewer = run(load(NO_LSQ, ("[0.0, 0.2]", "[0.2]")), went.parent, processes=1)
+    assert (fewer.computed, fewer.dropped, fewer.planned) == (0, 8, 4)
+    some = run(load(NO_LSQ), went.parent, processes=1)
+    assert (some.computed, some.resumed) == (0, 8)
+    again = run(load(), went.parent, processes=1)
+    assert (again.computed, again.finished) == (0, True)
+    pd.testing.assert_frame_equal(by_identity(went), before)
+    assert not (went / "unplanned.jsonl").exists()
+    run(load(NO_LSQ), went.parent, processes=1)
+    assert run(load(), went.parent, processes=1, fresh=True).computed == PLANNED
+    assert not (went / "unplanned.jsonl").exists()
+
+
 def test_weights_go_along_with_the_rows_that_are_kept(tmp_path: Path, load: Load) -> None:
     figures = '[outputs]\nfigures = ["weights"]\n'
     run(load(more=figures), tmp_path, processes=1)

@@ -82,6 +82,23 @@ def earlier_rows(ledger: Ledger, folder: Path, keep: BoolArray) -> Iterator[Outc
                 number += 1
 
 
+def unplanned_rows(ledger: Ledger, folder: Path) -> Iterator[tuple[str, Outcome]]:
+    """(identity, row) of the rows of `cases.parquet` that the study does not plan."""
+    if not (folder / CASES).exists():
+        return
+    weights = _Weights(ledger.study, folder)
+    with reading(folder / CASES) as file:
+        known = _known(ledger, folder, set(file.schema_arrow.names))
+        if known.column != "identity":  # the same study, or one from before there were any
+            return
+        for batch in file.iter_batches(batch_size=BATCH):
+            for row in batch.to_pylist():
+                pairs = weights.of(row["case_id"])
+                if _cell(known, ledger, row["flight"], row["identity"]) is None:
+                    row.setdefault("version", known.version)
+                    yield row["identity"], _outcome(row, 0, pairs)
+
+
 def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:
     manifest = read_manifest(folder) or {}
     versions = manifest.get("versions")

@@ -11,6 +11,7 @@ from sparsefit.study.spec.study import Study
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
+UNPLANNED = "unplanned.jsonl"
 
 
 def made_folder(study: Study, results_dir: str | Path) -> Path:
@@ -28,5 +29,5 @@ def made_folder(study: Study, results_dir: str | Path) -> Path:
 def clear(folder: Path) -> None:
     """Remove the rows and the manifest of whatever study was run here."""
     partial.discard(folder)
-    for name in (CASES, WEIGHTS, MANIFEST):
+    for name in (CASES, WEIGHTS, MANIFEST, UNPLANNED):
         (folder / name).unlink(missing_ok=True)

@@ -77,7 +77,11 @@ def discard(folder: Path) -> None:
 
 def lines(folder: Path) -> Iterator[Line | None]:
     """Every line so far, in the order they were written; None for one that is damaged."""
-    path = folder / FOLDER / ROWS
+    return lines_of(folder / FOLDER / ROWS)
+
+
+def lines_of(path: Path) -> Iterator[Line | None]:
+    """Every line of a file of rows, as of `lines`; none where there is no file."""
     if not path.exists():
         return
     if not path.is_file():  # a pipe may have no end

@@ -26,6 +26,7 @@ from sparsefit.study.run.manifest import sparsefit_version, write_manifest
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.pool import Timed, outcomes
 from sparsefit.study.run.summary import RunStatus, RunSummary
+from sparsefit.study.run.unplanned import set_aside, take_back
 from sparsefit.study.run.version import version_of
 from sparsefit.study.run.worker import Job
 from sparsefit.study.spec.study import Study
@@ -59,7 +60,7 @@ def run(
     """Run `study` into `results_dir/<name>`: cases that have a row there are not computed again.
 
     A row counts for any study that plans its case: one that changed computes what is new, and
-    drops what it no longer plans. Interrupted, it goes on from there the next time.
+    keeps aside what it no longer plans. Interrupted, it goes on from there the next time.
 
     Args:
         processes: worker processes; as many as there are processors when None.
@@ -93,6 +94,7 @@ def run(
         if fresh:
             clear(folder)
         ledger = found(study, folder)
+        take_back(ledger, folder)
         wanted = again.wanted(ledger)
         if is_finished(study, folder, ledger) and not wanted.any():
             summary = _summary(folder, ledger, resumed=study.planned)
@@ -187,6 +189,7 @@ class _Run:
     def _write(self, known: int, seconds: float, solving: float) -> None:
         from sparsefit.study.run.store import write_rows  # data frames, as above
 
+        set_aside(self.ledger, self.folder)
         write_rows(self.study, lambda: self.ledger.rows(self.folder), self.folder)
         write_manifest(
             self.study,
