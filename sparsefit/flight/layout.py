@@ -240,7 +240,7 @@ def check_one_vehicle(column: str, counts: Mapping[Any, int]) -> None:
     shown = ", ".join(several[:3]) + (", ..." if len(several) > 3 else "")
     raise InputError(
         f"column {column} names {len(several)} vehicles ({shown}): a flight is of one; "
-        f"read one by only {column}={several[0]}"
+        f"read the rows of one (only {column}={several[0]})"
     )
 
 

@@ -113,7 +113,10 @@ def columns_of(names: list[str]) -> tuple[str, ...]:
     missing = [name for name in wanted if name not in names]
     if missing:
         present = ascii(", ".join(names)[:200])[1:-1] or "nothing"
-        raise InputError(f"no column {', '.join(missing)}; found {present}; rename or add it")
+        raise InputError(
+            f"no column {', '.join(missing)}; found {present}; rename or add it, or "
+            "give columns: time=t,x=lon,..."
+        )
     twice = [name for name in wanted if names.count(name) > 1]
     if twice:
         raise InputError(f"column {', '.join(twice)} appears more than once; keep one of each")
