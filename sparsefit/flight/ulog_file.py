@@ -30,6 +30,7 @@ FIELDS = ("x", "y", "vx", "vy")
 VALID = ("xy_valid", "v_xy_valid")
 RESETS = "xy_reset_counter"
 CUT = "the log is truncated: it ends within a message; copy it again"
+MAGIC = b"ULog\x01\x12\x35"  # how a log begins
 HEADER = 3  # bytes before each message: a log may end in place of one, and nowhere else
 SHOWN = 8  # topics that a refusal lists
 
@@ -54,6 +55,8 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         MissingExtra: without pyulog.
     """
     layout.refuse_any("a PX4 log")
+    if content.find(MAGIC, 1) > 0:
+        raise InputError("two logs in one file, one after the other; split it where another begins")
     log = _parsed(content)
     local = _topic(log, TOPIC)
     if local is None:

@@ -78,6 +78,12 @@ def test_a_truncated_log_is_named(tmp_path, flight, at, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_two_logs_in_one_file_are_named(tmp_path, flight):
+    path = write(tmp_path, "log.ulg", ulog_of(flight) + ulog_of(flight))
+    with pytest.raises(InputError, match="two logs in one file, one after the other"):
+        sf.read_flight(path, vehicle=VEHICLE)
+
+
 def position(rows):
     return {"vehicle_local_position": (LOCAL, rows)}
 
