@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 EXAMPLE = """\
   sparsefit export estimator.json --c flow
-  sparsefit export estimator.json --c flow --float --derivative savgol --window 11 \\
-      --refine variable-projection --correction none --flight flight.csv
+  sparsefit export estimator.json --c flow --float --backend best-scale --derivative savgol \\
+      --window 11 --refine variable-projection --correction none --flight flight.csv
   cmake -S flow -B flow/build && cmake --build flow/build && ctest --test-dir flow/build
 """
 
@@ -54,6 +54,9 @@ def add(verbs: Verbs) -> None:
 
 def _add_changes(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("changes of the estimator, where a part cannot run on board")
+    group.add_argument(
+        "--backend", metavar="NAME", help="best-scale, stlsq or lasso, with its default settings"
+    )
     group.add_argument(
         "--derivative", metavar="NAME", help="savgol, midpoint, central or forward: local rules"
     )
@@ -113,9 +116,11 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
     """The estimator with what the command line changes of it."""
     from dataclasses import replace
 
+    from sparsefit import backends
     from sparsefit.derivative import Derivative
     from sparsefit.errors import InputError, positive
 
+    backend = backends.get(args.backend) if args.backend else estimator.backend
     derivative, library, readout = estimator.derivative, estimator.library, estimator.readout
     assert isinstance(derivative, Derivative)
     method = args.derivative or (derivative.method if args.window is None else "savgol")
@@ -132,7 +137,9 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
         readout = replace(readout, refine=args.refine)
     if args.correction is not None:
         readout = replace(readout, correction=args.correction)
-    return replace(estimator, derivative=derivative, library=library, readout=readout)
+    return replace(
+        estimator, derivative=derivative, library=library, backend=backend, readout=readout
+    )
 
 
 def _flight(args: argparse.Namespace, plan: Plan) -> Flight:

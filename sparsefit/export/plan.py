@@ -198,10 +198,10 @@ def _obstacles(estimator: Estimator) -> Iterator[str]:
 
 def _of_backend(estimator: Estimator) -> Iterator[str]:
     backend = estimator.backend
-    names = ", ".join(kind.name for kind in BACKENDS)
+    names = " or ".join(kind.name for kind in BACKENDS)
     if not isinstance(backend, BACKENDS):
         name = getattr(backend, "name", str(backend))
-        yield f"back-end {name!r} has no solver of bounded work here (those that can: {names})"
+        yield f"back-end {name!r} has no solver of bounded work here (use --backend {names})"
     elif isinstance(backend, Lasso) and not isinstance(backend.alpha_fraction, float | int):
         yield "alpha_fraction 'auto' is chosen from all rows (give a number)"
     elif isinstance(backend, STLSQ) and backend.mode != "scaled":

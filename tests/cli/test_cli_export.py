@@ -83,6 +83,14 @@ def test_a_recorded_flight_is_replayed(saved, tmp_path, unmeasured, capsys):
     assert "flash  not measured" in capsys.readouterr().out
 
 
+def test_the_remedies_make_an_estimator_that_can_run(tmp_path, unmeasured, capsys):
+    path = tmp_path / "default.json"
+    path.write_text(sf.Estimator().to_json())
+    remedies = ["--backend", "best-scale", "--derivative", "central", "--refine", "none"]
+    assert main(["export", str(path), "--c", str(tmp_path / "flow"), *remedies]) == 0
+    assert "best-scale, 56 scales, 1 to 12 m, double" in capsys.readouterr().out
+
+
 def test_what_is_in_the_way_is_not_overwritten(saved, tmp_path, unmeasured, capsys):
     folder = tmp_path / "flow"
     folder.mkdir()
@@ -99,7 +107,7 @@ def test_all_causes_and_remedies_are_told_at_once(tmp_path, capsys):
     told = refused(capsys, path, "--c", tmp_path / "flow")
     for words in (
         "'group-lasso' has no solver of bounded work here",
-        "(those that can: best-scale, stlsq, lasso)",
+        "(use --backend best-scale or stlsq or lasso)",
         "derivative 'auto' needs the whole flight (use --derivative savgol",
         "refine 'ladder' needs all rows (use --refine",
         "correction 'first-order' needs all rows (use --correction none)",

@@ -10,6 +10,7 @@ struct Counted {
     Counted() : v(0) {}
     template <class T> Counted(T x) : v(static_cast<double>(x)) {}
     Counted of(int kind, double value) const { counts[kind]++; return Counted(value); }
+    Counted operator-() const { return Counted(-v); }  // a sign costs nothing
     Counted operator+(const Counted &o) const { return of(0, v + o.v); }
     Counted operator-(const Counted &o) const { return of(0, v - o.v); }
     Counted operator*(const Counted &o) const { return of(1, v * o.v); }

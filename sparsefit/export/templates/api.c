@@ -66,7 +66,7 @@ ${columns_added}    flow->rows += (flow->rows < UINT32_MAX) ? 1u : 0u;
 /* Whether a number is one, and no larger than any that a flight has: NaN compares as false. */
 static int sf_is_sane(sf_real value)
 {
-    return (value >= SF_R(0) - SF_LARGEST) && (value <= SF_LARGEST);
+    return (value >= -SF_LARGEST) && (value <= SF_LARGEST);
 }
 
 /* Whether a sample begins a new window: a gap, or a step that the derivative cannot take. */
