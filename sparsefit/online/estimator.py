@@ -110,9 +110,8 @@ class OnlineEstimator:
         if step > GAP * mean:
             return True
         if self.settings.derivative.method == "savgol":
-            slack = 0.45 * ONE_STEP * mean + 3.0 * math.ulp(
-                time
-            )  # those of a block may be less even
+            # The steps of a block, which its derivative checks, may be less even than these.
+            slack = 0.45 * ONE_STEP * mean + 3.0 * math.ulp(time)
             if abs(step - mean) > slack:
                 raise InputError(
                     f"savgol needs uniform time steps; this one is {step:.6g} s, the mean "
