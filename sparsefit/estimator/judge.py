@@ -16,8 +16,8 @@ from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.shaped import outside
 from sparsefit.library.scan import extent_of
 from sparsefit.modes.choice import Ladder
+from sparsefit.modes.located import Located
 from sparsefit.modes.rung import Rung
-from sparsefit.modes.search import Located
 from sparsefit.modes.space import FALSE_ALARM, SearchSpace
 from sparsefit.uncertainty import LAGS, Goodness
 

@@ -18,10 +18,11 @@ from sparsefit.library.scan import extent_of
 from sparsefit.library.waves import Waves
 from sparsefit.modes.choice import Ladder
 from sparsefit.modes.ladder import climbed, joined, lowest
+from sparsefit.modes.located import Located
 from sparsefit.modes.projection import Projection, project
 from sparsefit.modes.proposals import proposals
 from sparsefit.modes.readout import Readout, mean_velocity_of
-from sparsefit.modes.search import MOST, SLOWEST, Located, locate_one, locate_several
+from sparsefit.modes.search import MOST, SLOWEST, locate_one, locate_several
 from sparsefit.modes.wave_peaks import wave_peaks
 from sparsefit.regression.fit import Fit
 

@@ -26,11 +26,13 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.library.cells import rms_mean_velocity
+from sparsefit.modes.located import Located, Rival, exclusion
 from sparsefit.modes.projection import Projection
 from sparsefit.modes.proposals import Window
-from sparsefit.modes.space import SIGNIFICANCE, WIND, SearchSpace, concentration
+from sparsefit.modes.space import SearchSpace, concentration
 
 DESCENDED = 5  # lobes of the whole interval; the rest are too shallow to be best or rival
+NEAR = 4.0  # times what excludes it: a lobe beyond is no rival, wherever its descent would end
 LOOKED_AT = 3  # lobes that were known before: the best, its rival, and another one every time
 MOST = 6  # modes
 SLOWEST = 0.05  # of the fastest mode's velocity: systematic errors of a derivative reach 2 %
@@ -38,89 +40,6 @@ APART = 0.5  # in lobes: modes nearer than this are one
 TRIED = 2  # lobes of a window, deepest first
 RIVALS = 2  # other lobes of each of several modes
 SAME = 2.0  # in scan steps: descents that end nearer than this are in one lobe
-
-
-@dataclass(frozen=True)
-class Rival:
-    """The best other lobe of a mode at k: its own wavenumber [1/m], and RSS there [m^2/s^2]."""
-
-    mode_wavenumber: float
-    wavenumber: float
-    residual: float
-
-
-@dataclass(frozen=True, eq=False)
-class Located:
-    """The modes of a flight off the grid, and what they could be mistaken for.
-
-    Args:
-        space: that was searched.
-        fit: of the modes, where RSS is least.
-        candidates: the wavenumbers that proposed each mode (s,) [1/m].
-        rival: the best other lobe; None where there is no other.
-        left_over: the wavenumber of a flow that is left and was not proposed [1/m], or NaN.
-        correlation: rows over which errors correlate, residuals considered.
-        ends: where the descents of one mode ended [1/m], the deepest first: the lobes of a flight
-            that goes on are near them.
-    """
-
-    space: SearchSpace
-    fit: Projection
-    candidates: tuple[float, ...]
-    rival: Rival | None = None
-    left_over: float = math.nan
-    correlation: float = math.nan
-    ends: tuple[float, ...] = ()
-
-    @property
-    def wavenumbers(self) -> Array:
-        """k (s,) [1/m]."""
-        return self.fit.parameters[:, 0]
-
-    @property
-    def edge(self) -> float:
-        """The wavenumber of a mode on a bound of the search [1/m], NaN where none is."""
-        at_bound = [k for k in self.wavenumbers.tolist() if k in self.space.bounds]
-        return at_bound[0] if at_bound else math.nan
-
-    @property
-    def freedom(self) -> int:
-        """The number of parameters of all modes beyond those of a uniform wind."""
-        return self.space.parameters * len(self.candidates) - WIND
-
-    @property
-    def detected(self) -> bool:
-        """Whether the modes explain more than chance does beyond a uniform wind.
-
-        With a false alarm in 1000 flights, over all lobes between the bounds.
-        """
-        gain = self.space.evidence(self.space.null_residual, self.fit.residual, self.correlation)
-        return gain > self.space.by_chance(self.freedom)
-
-    @property
-    def beaten(self) -> bool:
-        """Whether the rival fits better than what was proposed."""
-        return self.rival is not None and self.rival.residual < self.fit.residual
-
-    @property
-    def evidence(self) -> float:
-        """2 ln(likelihood ratio) to the rival; inf without one."""
-        other = math.inf if self.rival is None else self.rival.residual
-        return self.space.evidence(other, self.fit.residual, self.correlation)
-
-    @property
-    def distinct(self) -> bool:
-        """Whether the data exclude the rival.
-
-        A false lobe leads by a likelihood ratio c with probability <= 1/c; over all lobes the
-        risk is 1 % at evidence = 2 ln(lobes / 0.01).
-        """
-        return self.evidence > 2 * math.log(self.space.lobe_count / SIGNIFICANCE)
-
-    @property
-    def identifiable(self) -> bool:
-        """Whether there is a flow, within the bounds, and the data exclude its rivals."""
-        return self.detected and math.isnan(self.edge) and self.distinct
 
 
 def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
@@ -136,21 +55,28 @@ def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
     fits.sort(key=lambda fit: fit.residual)
     best = space.descend(fits[0].parameters[:, 0], start=fits[0])
     k = float(best.parameters[0, 0])
-    other = _other(space, fits, k)
+    other = _other(space, fits, best)
     rival = None if other is None else Rival(k, float(other.parameters[0, 0]), other.residual)
     proposed = (k if candidate is None else candidate,)
     ends = tuple(float(fit.parameters[0, 0]) for fit in (best, *fits[1:]))
     return Located(space, best, proposed, rival, math.nan, _correlation(space, best), ends)
 
 
-def _other(space: SearchSpace, fits: list[Projection], k: float) -> Projection | None:
-    """The best of fits in another lobe than k [1/m]; one that was followed descends to its end."""
+def _other(space: SearchSpace, fits: list[Projection], best: Projection) -> Projection | None:
+    """The best of fits in another lobe; one that was followed, and comes near, descends to its end.
+
+    It may end in the lobe of the best.
+    """
+    k, apart = best.parameters[0, 0], SAME * space.scan.step
+    near = NEAR * exclusion(space)
     for fit in fits:
-        if abs(fit.parameters[0, 0] - k) > SAME * space.scan.step:
-            if space.known is not None:
-                fit = space.descend(fit.parameters[:, 0], rough=True, start=fit)
-            if abs(fit.parameters[0, 0] - k) > SAME * space.scan.step:
-                return fit
+        if abs(fit.parameters[0, 0] - k) <= apart:
+            continue
+        if space.known is None or space.evidence(fit.residual, best.residual) > near:
+            return fit
+        fit = space.descend(fit.parameters[:, 0], rough=True, start=fit)
+        if abs(fit.parameters[0, 0] - k) > apart:
+            return fit
     return None
 
 
