@@ -24,7 +24,7 @@ check: $(VENV)/.dev
 
 # The documentation, in build/docs; a warning is an error.
 docs: $(VENV)/.docs
-	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs build/docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -E -b html docs build/docs
 	@echo "open build/docs/index.html"
 
 # Compiled loops of older sources would be tested otherwise.

@@ -1,7 +1,8 @@
 """Pictures that are drawn when the documentation is built: `{picture} track`.
 
 `docs/pictures/NAME.py` draws with Matplotlib what its docstring says; the page shows the picture,
-the docstring and the source. A picture whose source has not changed is not drawn again.
+the docstring and the source. Where neither that nor what sparsefit computes has changed, a picture
+is not drawn again.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from written import parsed
+
+from sparsefit.study.run.version import version_of
 
 SOURCES = Path(__file__).parents[1] / "pictures"
 DRAWN = "_drawn"
@@ -52,7 +55,8 @@ class Picture(SphinxDirective):
 
 def drawn(source: Path, output: Path) -> Path:
     """The SVG file of a picture in the folder `_drawn` of the output, made where it is not."""
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()[:12]
+    told = version_of("group-lasso").encode() + source.read_bytes()
+    digest = hashlib.sha256(told).hexdigest()[:12]
     path = output / DRAWN / f"{source.stem}-{digest}.svg"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
