@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -17,9 +18,9 @@ import pandas as pd
 import pytest
 
 from sparsefit import backends
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, SparsefitError
 from sparsefit.study import Study, read_cases, run, status
-from sparsefit.study.run import partial, runner
+from sparsefit.study.run import partial, pool, runner
 from sparsefit.study.run.lock import LOCK, locked
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.worker import Worker
@@ -239,10 +240,11 @@ def test_same_rows_with_one_process_and_with_two(tmp_path: Path, whole: Whole) -
     pd.testing.assert_frame_equal(stable(whole.folder), stable(two.folder))
 
 
+@pytest.mark.usefixtures("in_process")  # what goes on; what is killed has a worker
 def test_killed_and_resumed_is_as_if_never_killed(
     tmp_path: Path, whole: Whole, plugin: Path
 ) -> None:
-    process = start(whole.path, tmp_path / "killed", plugin)
+    process = start(whole.path, tmp_path / "killed", plugin, processes=1)
     folder = tmp_path / "killed" / "r"
     until(lambda: len(rows(folder)) >= 5)
     process.send_signal(signal.SIGKILL)
@@ -304,24 +306,11 @@ def test_a_fit_that_hangs_is_killed_with_all_its_readouts_and_the_others_go_on(
     assert len(started) == 2  # the second for the others: none was spent on what had hung
 
 
-def test_a_worker_that_dies_takes_one_case_along(tmp_path: Path, write: Write) -> None:
-    study = Study.load(write(deeds("die", "exit", "raise", "work"), count=1))
-    cases = read_cases(run(study, tmp_path, processes=1).folder)
-    by_deed = {json.loads(s)["deed"]: g for s, g in cases.groupby("settings")}
-    assert (by_deed["die"]["status"] == "crashed").all()
-    assert by_deed["die"]["reason"].str.contains("SIGKILL").all()
-    assert (by_deed["exit"]["status"] == "crashed").all()
-    assert by_deed["exit"]["reason"].str.contains("exit code 3").all()
-    assert (by_deed["raise"]["status"] == "error").all()
-    assert (by_deed["raise"]["reason"] == "ZeroDivisionError: one two").all()
-    assert by_deed["work"]["est_length_scale"].notna().all()
-    assert cases["true_length_scale"].between(3.0, 6.0).all()
-
-
 def test_what_a_back_end_breaks_is_its_own_row(
     tmp_path: Path, write: Write, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    names = ("fork", "scribble", "print", "name", "status", "child", "work")
+    ends = ("die", "exit", "raise")
+    names = ("fork", "scribble", "print", "name", "status", "child", *ends, "work")
     late = '[[backends]]\nname = "late"\n[[backends]]\nname = "lasso"\n'
     study = Study.load(write(deeds(*names) + late, count=1, timeout=5.0))
     summary = run(study, tmp_path, processes=1)
@@ -339,6 +328,12 @@ def test_what_a_back_end_breaks_is_its_own_row(
     assert "\\udcff\\x1b" in told["name"].reason
     assert "status 7, which is none of ok" in told["status"].reason
     assert told["child"].status == "timeout"
+    assert (told["die"].status, told["exit"].status) == ("crashed", "crashed")
+    assert "SIGKILL" in told["die"].reason
+    assert "exit code 3" in told["exit"].reason
+    assert (told["raise"].status, told["raise"].reason) == ("error", "ZeroDivisionError: one two")
+    assert cases["true_length_scale"].between(3.0, 6.0).all()
+    assert not math.isnan(told["work"].est_length_scale)
     assert (told["late"].status, told["late"].reason) == ("error", "RuntimeError: not here")
     assert capfd.readouterr().out == ""
     listed = [entry for entry in Path("/proc").iterdir() if entry.name.isdigit()]
@@ -408,6 +403,18 @@ def test_unfinished_rows_that_are_all_of_another_study_are_refused(
         rows.append(Outcome(0, 0, "ok"), "0123456789abcdef")
     with pytest.raises(InputError, match=r"(different|unknown) study.*--fresh to start over"):
         run(study, tmp_path, processes=1)
+
+
+def test_workers_that_are_killed_while_they_start_are_started_again(write: Write) -> None:
+    crew = pool._Pool(Study.load(write(deeds("work"))), iter(()), 1, bool)
+    for _ in range(pool.MAX_KILLED - 1):
+        crew._not_started("SIGKILL", by_signal=True)
+    with pytest.raises(SparsefitError, match="run again to continue"):
+        crew._not_started("SIGKILL", by_signal=True)
+    for _ in range(pool.MAX_DEATHS - 1):
+        crew._not_started("exit code 1", by_signal=False)
+    with pytest.raises(SparsefitError, match="__main__"):
+        crew._not_started("exit code 1", by_signal=False)
 
 
 def test_two_runs_at_once_are_refused(tmp_path: Path, write: Write) -> None:

@@ -176,12 +176,12 @@ class _Pool:
         """Another worker is started for it, unless that never helps."""
         self.killed += by_signal
         self.stillborn += not by_signal
-        if self.killed >= MAX_KILLED:
+        if by_signal and self.killed >= MAX_KILLED:
             raise SparsefitError(
                 f"{self.killed} worker processes in a row were killed while they started ({cause}):"
                 " free memory, or take fewer --processes, and run again to continue"
             )
-        if self.stillborn >= MAX_DEATHS:
+        if not by_signal and self.stillborn >= MAX_DEATHS:
             raise SparsefitError(
                 f"a worker process could not start ({cause}): in a script, call run() under "
                 'if __name__ == "__main__"'
