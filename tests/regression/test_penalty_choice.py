@@ -323,6 +323,7 @@ def test_only_fit_chooses(name):
     assert [f.backend.alpha_fraction for f in along.fits] == [0.3, 0.1]
 
 
+@pytest.mark.usefixtures("in_process")
 def test_a_study_may_ask_for_auto_beside_numbers(tmp_path):
     path = tmp_path / "auto.toml"
     path.write_text(STUDY)
