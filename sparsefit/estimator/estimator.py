@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sparsefit.estimator.assess import Reading
     from sparsefit.estimator.locate import Place
     from sparsefit.estimator.prepare import Prepared
+    from sparsefit.flight.flow import FlowField
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,22 @@ class Estimator:
         parameters have status ``unidentifiable``, those through another flow than was fitted
         ``misfit``.
         """
-        from sparsefit.estimator.prepare import prepare, together
+        from sparsefit.estimator.prepare import prepare, scaling, together
+        from sparsefit.estimator.rounds import in_rounds
 
         assert isinstance(self.derivative, Derivative)
-        prepared = prepare(together(flights), self.derivative, self.library, shared=False)
+        fleet = together(flights)
+        if len(fleet) > 1 and scaling(self.library):
+            return in_rounds(fleet, self.estimate, self._along)
+        prepared = prepare(fleet, self.derivative, self.library, shared=False)
+        return self.read(prepared, self.fit(prepared))
+
+    def _along(self, fleet: Sequence[Flight], flow: FlowField) -> Estimate:
+        """The estimate from flights through what is nearly a flow, their drag unknown."""
+        from sparsefit.estimator.prepare import prepare
+
+        assert isinstance(self.derivative, Derivative)
+        prepared = prepare(fleet, self.derivative, self.library, shared=False, flow=flow)
         return self.read(prepared, self.fit(prepared))
 
     def prepare(self, flights: Flight | Sequence[Flight]) -> Prepared:

@@ -16,6 +16,7 @@ from sparsefit.cached import cached_property
 from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import InputError, told_with
 from sparsefit.flight import Flight
+from sparsefit.flight.flow import FlowField
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.builder import Library
 from sparsefit.library.nuisance import Nuisance
@@ -112,20 +113,24 @@ class Prepared:
 
 
 def prepare(
-    flights: Sequence[Flight], derivative: Derivative, library: Library, *, shared: bool = True
+    flights: Sequence[Flight],
+    derivative: Derivative,
+    library: Library,
+    *,
+    shared: bool = True,
+    flow: FlowField | None = None,
 ) -> Prepared:
     """Derivatives, flow velocity and regression problem of flights through one flow.
 
     shared: whether several back-ends will use it: what they share is worked out here, not in
-    whichever of them happens to come first. Raises InputError where a flight does not suit the
+    whichever of them happens to come first. flow: that is nearly what several flights met, where
+    the drag of their vehicles is unknown. Raises InputError where a flight does not suit the
     settings.
     """
-    scaling = [name for name in ("response_time", "drag") if name in library.unknown]
-    if len(flights) > 1 and scaling:
+    if len(flights) > 1 and scaling(library) and flow is None:
         raise InputError(
-            f"unknown {scaling[0]!r} scales the flow of every flight by itself, and several "
-            "flights have one: give it, or estimate from each flight alone; of several flights "
-            "thrust_acceleration, thrust_scale and wind can be unknown"
+            f"unknown {scaling(library)!r} of several flights is found in rounds: use "
+            "Estimator.estimate, or give it"
         )
     start, samples = perf_counter(), []
     for number, flight in enumerate(flights, 1):
@@ -136,6 +141,8 @@ def prepare(
     vehicles = [flight.vehicle for flight in flights]
     pairs = zip(samples, vehicles, strict=True)
     parts = [Part(own, Nuisance(library.unknown, vehicle)) for own, vehicle in pairs]
+    if flow is not None:
+        parts = [replace(part, flow=_along(flow, part.samples)) for part in parts]
     parts = weighed(parts, _bounds(library))
     problem = library.build_flights(samples, vehicles, [part.weight for part in parts])
     responses = zip(samples, vehicles, strict=True)
@@ -144,6 +151,16 @@ def prepare(
         _ = problem.statistics.gram
     seconds = perf_counter() - start
     return Prepared(tuple(parts), library, problem, target, seconds)
+
+
+def scaling(library: Library) -> str:
+    """What is unknown that scales the flow velocity of a flight; empty where nothing is."""
+    return next((name for name in ("response_time", "drag") if name in library.unknown), "")
+
+
+def _along(flow: FlowField, samples: Samples) -> Array:
+    x, y = samples.position.T
+    return flow.velocity(x, y, samples.time)
 
 
 def together(flights: Flight | Sequence[Flight]) -> tuple[Flight, ...]:

@@ -69,15 +69,19 @@ class Rows:
         sources: Sequence[Samples | WeakRows],
         nuisances: Sequence[Nuisance],
         weights: Sequence[float],
+        moving: Sequence[Array],
     ) -> Rows:
-        """The rows of several flights, each with nuisance columns and a weight of its own."""
+        """The rows of several flights, each with nuisance columns and a weight of its own.
+
+        moving: the velocity (q, 2) [m/s] that the nuisance columns of each are made of.
+        """
         if len(sources) == 1:
             return cls.of(sources[0], nuisances[0].believed, nuisances[0].unknown)
         from scipy.sparse import block_diag
 
         centre = middle(np.concatenate([source.position for source in sources]))
-        pairs = zip(nuisances, sources, strict=True)
-        own = [one.columns(source.velocity, source.thrust) for one, source in pairs]
+        each = zip(nuisances, sources, moving, strict=True)
+        own = [one.columns(velocity, source.thrust) for one, source, velocity in each]
         ends = np.cumsum([0, *(columns.shape[2] for columns in own)])
         parts = tuple(
             cls(

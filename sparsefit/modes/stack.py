@@ -6,6 +6,13 @@ Gram matrices add up: with w_f the weight of flight f, one over the level of its
 
 is least squares over one flow q, W and what is unknown of every flight, b_f. One flight is a stack
 of one, of weight 1.
+
+An unknown response time scales Phi_f, which W, common to all flights, cannot follow. Near the
+believed one, r = tau_0/tau = 1 - b,
+
+    Phi_f = r (C W + wind) + (1 - r) v = C W + r wind + b (v - C W):
+
+its column is the velocity less a flow that is nearly C W, in place of the velocity alone.
 """
 
 from __future__ import annotations
@@ -35,12 +42,23 @@ class Part:
         weight: of its rows.
         fading: weight of every row (m,), its square of mean 1, where older rows of the one flight
             count for less; None: all are alike.
+        flow: what the column of the velocity is less, at the samples (m, 2) [m/s]; None: nothing.
     """
 
     samples: Samples
     nuisance: Nuisance
     weight: float = 1.0
     fading: Array | None = None
+    flow: Array | None = None
+
+    def relative(self, source: Samples | WeakRows) -> Array:
+        """The velocity of its samples, or of their averages, less the flow, (q, 2) [m/s]."""
+        if self.flow is None:
+            return source.velocity
+        if isinstance(source, WeakRows):
+            averaged: Array = source.velocity - source.operator @ self.flow
+            return averaged
+        return source.velocity - self.flow
 
     @property
     def correlation(self) -> float:
@@ -76,7 +94,8 @@ def samples_of(parts: Sequence[Part]) -> Rows:
 
 def _joined(parts: Sequence[Part], sources: Sequence[Samples | WeakRows]) -> Rows:
     nuisances, weights = [part.nuisance for part in parts], [part.weight for part in parts]
-    rows = Rows.of_flights(sources, nuisances, weights)
+    moving = [part.relative(source) for part, source in zip(parts, sources, strict=True)]
+    rows = Rows.of_flights(sources, nuisances, weights, moving)
     return rows if parts[0].fading is None else rows.fading(parts[0].fading)
 
 
@@ -98,7 +117,7 @@ def series_of(parts: Sequence[Part], sampled: Rows) -> tuple[tuple[Pair, ...], A
     pairs: list[Pair] = []
     series: list[Array] = []
     for part, (first, last) in zip(parts, pairwise(ends), strict=True):
-        every = part.nuisance.series(part.samples.velocity, part.samples.thrust)
+        every = part.nuisance.series(part.relative(part.samples), part.samples.thrust)
         pairs += [_shifted(pair, len(series)) for pair in part.nuisance.pairs]
         series += [np.pad(one, (first, ends[-1] - last)) for one in every]
     stacked = np.array(series).reshape(-1, ends[-1])

@@ -68,13 +68,18 @@ class Filtered:
         *,
         weight: float = 1.0,
         place: int = 0,
+        moving: Array | None = None,
     ) -> Filtered | None:
-        """A model of the samples' rows; None where no filter of this package made them."""
+        """A model of the samples' rows; None where no filter of this package made them.
+
+        moving: the velocity (m, 2) [m/s] of the nuisance columns, where it is not the samples'.
+        """
         filters, plain = Filters.of(samples), model
         if filters is None or len(samples.time) != len(model.rows.position):
             return None  # or weak rows of the states as they were measured
         if samples.weak is not None:
-            own = nuisance.columns(samples.velocity, samples.thrust)
+            velocity = samples.velocity if moving is None else moving
+            own = nuisance.columns(velocity, samples.thrust)
             after = len(model.coefficients) - place - own.shape[2]
             every = np.pad(own, ((0, 0), (0, 0), (place, after)))
             target = samples.flow_velocity(nuisance.believed)
@@ -100,7 +105,10 @@ class Filtered:
         first, fits = 0, []
         for part, rows in zip(parts, model.rows.flights, strict=True):
             own = model if rows is model.rows else replace(model, rows=rows)
-            known = cls.of(part.samples, own, part.nuisance, weight=part.weight, place=first)
+            moving = part.relative(part.samples)
+            known = cls.of(
+                part.samples, own, part.nuisance, weight=part.weight, place=first, moving=moving
+            )
             if known is None:
                 return None
             fits.append(known)

@@ -161,3 +161,35 @@ def test_a_flight_of_another_flow_or_vehicle_is_named(flow, tau, words):
     assert found.status == "misfit"
     assert re.search(words, found.reason), found.reason
     assert found.goodness.flight == 3
+
+
+def test_every_flight_has_a_response_time_of_its_own():
+    true = (0.5, 0.3)
+    logs = [flown(11, tau=true[0]), flown(12, 4.0, 50.0, tau=true[1])]
+    believed = sf.PointMassVehicle(1.0, (5.0, 3.0))
+    flights = [replace(log, vehicle=believed) for log in logs]
+    estimator = sf.Estimator(library=sf.Library(unknown=("response_time",)), readout=REFINED)
+    found = estimator.estimate(flights)
+    assert found.status == "ok"
+    assert np.isnan(found.response_time)
+    for flight, tau in zip(found.flights, true, strict=True):
+        spread = flight.vehicle_uncertainty.response_time
+        assert abs(flight.response_time - tau) < 4 * spread < 0.03
+    alone = estimator.estimate(flights[1]).vehicle_uncertainty.response_time
+    assert found.flights[1].vehicle_uncertainty.response_time < alone
+    with pytest.raises(InputError, match="found in rounds"):
+        estimator.prepare(flights)
+
+
+def test_nobody_can_tell_a_vehicle_where_there_is_no_flow():
+    calm = [
+        sf.simulate_flight(
+            None, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=3.0, sample_rate=50.0, seed=seed,
+            velocity_noise=0.2, position_noise=0.02, initial_velocity=(3.0, 1.0),
+        )
+        for seed in range(2)
+    ]  # fmt: skip
+    estimator = sf.Estimator(library=sf.Library(unknown=("response_time",)), readout=REFINED)
+    found = estimator.estimate(calm)
+    assert found.status == "unidentifiable"
+    assert "no flight alone tells the flow and its vehicle" in found.reason
