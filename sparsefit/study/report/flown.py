@@ -23,6 +23,7 @@ POINTS = 160  # of the map, along its longer side, at least
 MOST_POINTS, PER_CELL = 640, 8
 MARGIN = 0.06  # of the extent, around the track
 ROOM = 1.4  # of the residual's range, for a legend above it
+NARROW = 0.2  # of a length scale: a range of fewer tells nothing
 SEGMENTS = 8  # of a spectrum, half of each in the next: Welch (1967)
 FEWEST = 32  # samples of a segment
 LEAST = 1e-5  # of the largest power that is drawn
@@ -88,9 +89,7 @@ def draw_track(axes: Axes, flown: Flown) -> AxesImage | None:
     every = np.concatenate(tracks)
     scale, unit = scaled(float(np.abs(every).max()), "m")
     moving = ", moving with it" if drift.any() else ""
-    axes.set_title(
-        "no flow was found" if flow is None else f"track over the vorticity found{moving}"
-    )
+    axes.set_title(f"track over the vorticity found{moving}" if flow else _lacking(flown))
     shades = None
     if flow is not None:
         length = flown.estimate.length_scale
@@ -117,6 +116,12 @@ def draw_track(axes: Axes, flown: Flown) -> AxesImage | None:
     return shades
 
 
+def _lacking(flown: Flown) -> str:
+    """Why no flow is drawn: there is none, or its weights are not those of a velocity."""
+    found = math.isfinite(flown.estimate.length_scale)
+    return "the flow itself is not told" if found else "no flow was found"
+
+
 def vorticity(
     flow: FlowField, position: Array, time: float, points: int = POINTS
 ) -> tuple[tuple[float, float, float, float], Array]:
@@ -138,7 +143,10 @@ def draw_weights(axes: Axes, flown: Flown) -> None:
     """Draw the weight of each candidate length scale."""
     by_scale = flown.estimate.weights_by_scale
     axes.set_title("weight of each length scale" if by_scale else "no weights")
-    scale, unit = scaled(max(by_scale, default=1.0), "m")
+    if not by_scale:
+        axes.set_axis_off()
+        return
+    scale, unit = scaled(max(by_scale), "m")
     candidates = [length / scale for length in by_scale]
     axes.axhline(0.0, color=GREY, lw=0.5)
     draw_scales(axes, flown, scale)
@@ -146,6 +154,9 @@ def draw_weights(axes: Axes, flown: Flown) -> None:
     axes.vlines(candidates, 0.0, weights, color=COLOURS[0], lw=1.2, zorder=3)
     used = [(place, weight) for place, weight in zip(candidates, weights, strict=True) if weight]
     axes.plot(*np.array(used or [(np.nan, np.nan)]).T, "o", color=COLOURS[0], ms=2.5, zorder=4)
+    low, high = axes.get_xlim()
+    if high - low < NARROW * high:  # a few candidates side by side
+        axes.set_xlim((1 - NARROW) * low, (1 + NARROW) * high)
     axes.set_ylabel("weight")
     axes.set_xlabel(f"length scale [{unit}]")
     if axes.get_legend_handles_labels()[1]:
@@ -165,9 +176,9 @@ def draw_scales(axes: Axes, flown: Flown, scale: float = 1.0) -> None:
 def draw_residual(axes: Axes, flown: Flown) -> None:
     """Draw what the flow found leaves of the velocity of the air, in time."""
     none = flown.estimate.flow is None
-    axes.set_title("no flow was found: the velocity of the air" if none else
+    axes.set_title(f"{_lacking(flown)}: the velocity of the air" if none else
                    "velocity of the air less that of the flow found")  # fmt: skip
-    if flown.beside:
+    if flown.beside and not none:
         axes.set_title("residual of the first flight")
     time, left = flown.samples.time, flown.left
     scale, unit = scaled(float(np.abs(time).max()), "s")
@@ -178,7 +189,7 @@ def draw_residual(axes: Axes, flown: Flown) -> None:
         axes.set_ylim(low - 0.05 * (high - low), low + ROOM * (high - low))
     axes.legend(loc="upper right", ncols=2)
     axes.set_xlabel(f"time [{unit}]")
-    axes.set_ylabel("residual [m/s]")
+    axes.set_ylabel("velocity [m/s]" if none else "residual [m/s]")
 
 
 def draw_spectrum(axes: Axes, flown: Flown) -> None:
@@ -187,7 +198,8 @@ def draw_spectrum(axes: Axes, flown: Flown) -> None:
     A residual that is as flat as the sensors' noise has no structure left; the line marks the
     frequency at which the vehicle meets cells, speed over 2 L.
     """
-    axes.set_title("spectrum of the residual")
+    none = flown.estimate.flow is None
+    axes.set_title("spectrum of the velocity of the air" if none else "spectrum of the residual")
     piece = _longest(flown.samples.time)
     step = float(np.median(np.diff(flown.samples.time[piece])))
     if piece.stop - piece.start < 2 * FEWEST:
@@ -199,7 +211,7 @@ def draw_spectrum(axes: Axes, flown: Flown) -> None:
     frequency, whole = spectrum(flown.measured[piece], step)
     axes.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
     lowest = LEAST * float(whole.max())
-    if flown.estimate.flow is not None:
+    if not none:
         left = spectrum(flown.left[piece], step)[1]
         lowest = LEAST * max(float(left.max()), lowest)
         for place, name in enumerate("xy"):
