@@ -21,6 +21,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from written import parsed
 
+README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
 RESULTS = Path(__file__).parents[2] / "results"
 
 
@@ -127,8 +128,15 @@ def write_pages(app: Sphinx) -> None:
             page.write_text(text, "utf-8")
 
 
+def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
+    """A link to the README of a study, which works where pages are read as files, to its page."""
+    if "/" not in name:
+        source[0] = README.sub(r"](studies/\1.md)", source[0])
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     app.add_directive("results", Results)
     app.connect("builder-inited", write_pages)
+    app.connect("source-read", link_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

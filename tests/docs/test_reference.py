@@ -1,5 +1,6 @@
 """What the documentation says of the package itself is complete: keys, options, public names."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -8,7 +9,8 @@ import pytest
 import sparsefit
 from sparsefit.backends import BACKENDS, PUBLIC
 
-EXTENSIONS = Path(__file__).parents[2] / "docs" / "_ext"
+DOCS = Path(__file__).parents[2] / "docs"
+EXTENSIONS = DOCS / "_ext"
 
 
 @pytest.fixture
@@ -45,7 +47,7 @@ def test_types_and_ranges_are_told_as_somebody_who_writes_toml_would(tables):
 
 
 def test_every_back_end_has_a_line_where_one_chooses():
-    page = (EXTENSIONS.parent / "choosing.md").read_text("utf-8")
+    page = (DOCS / "choosing.md").read_text("utf-8")
     assert [
         n for n in (*BACKENDS, *PUBLIC) if f"| `{n}`" not in page and f", `{n}`" not in page
     ] == []
@@ -56,3 +58,16 @@ def test_public_names_have_docstrings_of_their_own(name):
     value = getattr(sparsefit, name)
     assert value.__doc__
     assert not value.__doc__.startswith(f"{name}(")  # what a dataclass without one is given
+
+
+LINK = re.compile(r"\]\(([\w./-]+\.(?:md|svg|png|toml|csv|json))(?:#[\w-]*)?\)")
+
+
+PAGES = ["README.md", *sorted(f"docs/{page.name}" for page in DOCS.glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_work_where_a_page_is_read_as_a_file(page):
+    file = DOCS.parent / page
+    dead = [to for to in LINK.findall(file.read_text("utf-8")) if not (file.parent / to).exists()]
+    assert dead == []
