@@ -137,6 +137,24 @@ def test_every_status_is_told_and_what_is_refused_changes_nothing(tmp_path):
 
 @needs_cc
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("real", "settings"),
+    [
+        ("float", {"count": 25}),
+        ("double", {"backend": "lasso", "refine": "none", "count": 4, "derivative": LOCAL[1]}),
+        ("double", {"backend": "stlsq", "refine": "none", "count": 4, "derivative": LOCAL[3]}),
+    ],
+)
+def test_odd_samples_break_nothing(real, settings, tmp_path):
+    beside(plan_of(real, **settings), tmp_path, "odd_samples.c")
+    flags = ("-std=c99", *SANITIZED, "-fsanitize=float-cast-overflow")
+    code, out, err = ran(compiled(tmp_path, "sf_flow.c", "odd_samples.c", flags=flags))
+    assert code == 0, err
+    assert sum(map(int, out.split())) == 12 * 60
+
+
+@needs_cc
+@pytest.mark.slow
 def test_a_million_samples_in_float_are_those_in_double(tmp_path):
     answers = []
     for real in ("double", "float"):
