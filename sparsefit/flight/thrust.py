@@ -10,6 +10,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, finite, positive
+from sparsefit.flight.record import MOST_SAMPLES
 
 GRAVITY = 9.80665  # m/s^2
 SLACK = 1e-6  # of the mean step: how far rounding may lead beyond the ends
@@ -126,6 +127,9 @@ def turning(
     ``phase`` [rad] at the start, and again after every ``period`` [s].
     """
     positive("period of the thrust", period, "s")
+    if not 0 < duration * sample_rate <= MOST_SAMPLES:
+        words = f"{duration:g} s at {sample_rate:g} Hz"
+        raise InputError(f"{words} is no flight; keep it below {MOST_SAMPLES} samples")
     time = np.arange(round(duration * sample_rate) + 2) / sample_rate
     turned = 2.0 * np.pi * time / period + phase
     circle = np.stack([np.cos(turned), np.sin(turned)], axis=1)
