@@ -23,6 +23,9 @@ explains less than a thousandth of the flow velocity is none, therefore: it move
 one that explains less than what the rule does to second order, where samples are few: of a flow of
 which a filter takes the share d, the share d^2 is not corrected.
 
+Under quadratic drag noise is larger where less drags: the covariance carries it sample by sample,
+what it makes of Phi in the mean is taken from the errors, and half of that counts as doubt.
+
 Causes whose columns are alike share the score: of the best three the one that leaves least is told.
 """
 
@@ -34,8 +37,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, ComplexArray
 from sparsefit.uncertainty.filtered import Filtered
+from sparsefit.uncertainty.influence import raw_plain
+from sparsefit.uncertainty.noise import Observed
 from sparsefit.uncertainty.spectra import frequency_weights
 from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
 
@@ -45,6 +50,8 @@ RELIEVED = 5.0  # the likelihood ratio of turbulence where a cause has taken it 
 SLIGHT = 1e-3  # of the flow velocity, rms, that a cause explains: less moves no answer by 0.1 %
 FREED = 1e-6  # of a column, less of it is left: the fit has it already
 ROUNDING = 1e-15  # of an eigenvalue: what is below is none
+DOUBT = 0.5  # of what noise makes of Phi in the mean, as a standard error
+CLEAR = 1.0  # times the noise of v', drag above it: below it Phi is no linear function of v'
 BEST = 3  # causes that are compared by what they leave
 SWELLINGS = 4  # cosines
 MOST = 0.4  # of U0: with more turbulence than this there are hardly any steady cells
@@ -99,7 +106,8 @@ def columns(fit: Filtered) -> dict[Cause, Array]:
     speed, vehicle = np.hypot(*(flow - velocity)), fit.vehicle
     root = vehicle.rate + 2 * vehicle.drag * speed
     pushed = (flow - velocity) / np.where(root > 0, root, 1.0)
-    response = {Cause.LINEAR_DRAG: pushed[None]}
+    clear = np.hypot(*vehicle.drag_of((flow - velocity).T).T) > CLEAR * fit.roughness
+    response = {Cause.LINEAR_DRAG: (clear * pushed)[None]}
     if not vehicle.drag:
         response = {Cause.RESPONSE_TIME: (velocity - flow)[None] / fit.response_time}
     return {
@@ -163,11 +171,10 @@ def _tested(left: Turbulence, flights: int) -> list[tuple[Suspect, Array]]:
     own = np.concatenate(list(named.values()))
     freed = observed.fit.plain.freed(own)
     flat = freed.reshape(len(own), -1)
-    errors = (observed.errors - observed.fit.bow).T.ravel()
+    bow = observed.fit.bow.T.ravel()
+    errors = observed.errors.T.ravel() - bow
     scores, gram, square = flat @ errors, flat @ flat.T, float(errors @ errors)
-    parts = np.fft.rfft(freed, observed.passage.size).view(np.float64).reshape(len(own), -1)
-    spectrum = frequency_weights(observed.passage.size) * (observed.amounts @ observed.shapes)
-    covariance = (parts * np.tile(np.repeat(spectrum, 2), 2)) @ parts.T
+    covariance = _covariance(observed, freed) + DOUBT**2 * np.outer(flat @ bow, flat @ bow)
     whole, tried, first = np.sum(own**2, axis=(1, 2)), [], 0
     for cause, each in named.items():
         part = slice(first, first + len(each))
@@ -190,6 +197,31 @@ def _solved(gram: Array, scores: Array) -> Array:
     kept = roots > ROUNDING * roots[-1]
     solved: Array = vectors[:, kept] @ ((vectors[:, kept].T @ scores) / roots[kept])
     return solved
+
+
+def _covariance(observed: Observed, columns: Array) -> Array:
+    """Z'SZ (k, k) of columns (k, 2, m), S the noise of the sensors and kicks that was found.
+
+    Under quadratic drag noise is larger where less drags: it goes its way sample by sample.
+    """
+    fit, passage = observed.fit, observed.passage
+    spectra, weight = np.fft.rfft(columns, passage.size), frequency_weights(passage.size)
+    if fit.stretch is None:
+        return _products(spectra, weight * (observed.amounts @ observed.shapes))
+    kicked = np.fft.rfft(fit.stretched(columns), passage.size) * passage.kicks
+    every = [*raw_plain(fit, passage, columns, spectra), kicked]
+    each = [
+        level * _products(own, weight) for level, own in zip(observed.levels, every, strict=True)
+    ]
+    total: Array = np.sum(each, axis=0)
+    return total
+
+
+def _products(spectra: ComplexArray, weight: Array) -> Array:
+    """Weighted products (k, k) of the spectra (k, 2, frequencies) of both components."""
+    parts = np.ascontiguousarray(spectra).view(np.float64).reshape(len(spectra), -1)
+    products: Array = (parts * np.tile(np.repeat(weight, 2), 2)) @ parts.T
+    return products
 
 
 def _told(cause: Cause, size: Array) -> tuple[float, ...]:

@@ -26,6 +26,7 @@ from sparsefit.uncertainty.wander import Wander
 
 DIRECTIONS = 8  # of noise
 SLOW = 0.25  # of the samples, where least drags: there an error of v' is most of what is left
+KICKS = 4.0  # times the sensors' noise of v', squared, with kicks: more is a misfit, no noise
 LEAST = 1e-6  # of the rms drag: without noise, what bounds the response
 
 
@@ -93,7 +94,10 @@ class Filtered:
         squares = np.sum(drags**2, axis=1)
         slow = squares <= np.quantile(squares, SLOW)
         away = np.sum((vehicle.drag_of(seen) - drags)[slow] ** 2, axis=1)
-        noise = float(np.sqrt(max(away.mean(), LEAST**2 * squares.mean())))
+        levels = np.square([[filters.sigma_position], [filters.sigma_velocity]])
+        sensors = 2 * float(np.sum(levels * filters.raw[2] ** 2))
+        seen_noise = min(away.mean(), KICKS * sensors) if math.isfinite(sensors) else away.mean()
+        noise = float(np.sqrt(max(seen_noise, LEAST**2 * squares.mean())))
         response = vehicle.response(drags, noise)
         tau = float(np.sqrt(0.5 * np.mean(np.sum(response**2, axis=(0, 1)))))
         stretch = response / tau
