@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sparsefit.study.spec.solver_study import SolverStudy
 
 
-FLIGHTS_ONLY = ("retry_failed", "stale", "only", "scheduler")
+FLIGHTS_ONLY = ("stale", "only", "scheduler")
 
 
 def action(name: str) -> Run:
@@ -123,7 +123,13 @@ def run(args: argparse.Namespace) -> int:
         args.stopped = STOPPED_FRESH
     progress = Bar() if sys.stderr.isatty() else Lines()
     try:
-        done = solver_run.run(study, args.results, fresh=args.fresh, progress=progress)
+        done = solver_run.run(
+            study,
+            args.results,
+            fresh=args.fresh,
+            retry_failed=args.retry_failed,
+            progress=progress,
+        )
     finally:
         progress.close()
     args.stopped = STOPPED_WRITING

@@ -112,6 +112,31 @@ def test_what_took_too_long_is_not_tried_at_a_tighter_tolerance(finished, tmp_pa
     assert told[1] == f"not tried: at tolerance 0.001 {lost.reason}"
 
 
+def test_what_failed_is_timed_again_with_all_that_took_turns_with_it(
+    finished, tmp_path, monkeypatch
+):
+    study, *_ = finished
+    good = Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4), 1.0)
+    lost = Lost("crashed", "the process died")
+    asked = []
+
+    def answers(_, ask):
+        asked.append(ask.case)
+        ill = len(asked) < 100 and ask.case.problem == 1
+        return lost if ill else good
+
+    monkeypatch.setattr(solver_crew.Crew, "ask", answers)
+    assert solver_run.run(study, tmp_path).statuses["crashed"] > 0
+    asked += [None] * 100
+    assert solver_run.run(study, tmp_path).resumed == study.planned
+    again = solver_run.run(study, tmp_path, retry_failed=True)
+    assert again.statuses["crashed"] == 0
+    assert 0 < again.resumed < again.planned
+    assert {case.problem for case in asked[asked.index(None) :] if case} == {1}
+    assert len(solver_rows.read_cases(tmp_path / study.name)) == study.planned
+    assert solver_run.run(study, tmp_path, retry_failed=True).resumed == study.planned
+
+
 def test_pages_name_every_contender_and_say_what_they_cannot_tell(finished):
     study, _, results = finished
     folder = results / study.name
@@ -150,7 +175,7 @@ def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
     assert "one process" in capsys.readouterr().err
     assert main(["study", "run", *where, "--executor", "dask"]) == 2
     assert "this machine" in capsys.readouterr().err
-    assert main(["study", "run", *where, "--retry-failed"]) == 2
+    assert main(["study", "run", *where, "--stale"]) == 2
     assert "studies of flights" in capsys.readouterr().err
     assert main(["study", "show", *where, "--table", "tims"]) == 2
     assert 'did you mean "times"' in capsys.readouterr().err

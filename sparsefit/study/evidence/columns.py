@@ -24,7 +24,8 @@ ROWS_SHOWN = 60
 FEW = 4  # measures of a table: with more, intervals would hide them
 INTERVALS = (
     f"95 %: the interval of the summary by bootstrap over flights ({RESAMPLES} draws of whole "
-    f"flights, seed {SEED})."
+    f"flights, seed {SEED}). About a quarter of its width is the Monte Carlo standard error: by so "
+    "much flights of other seeds would move the summary."
 )
 PLAIN = ("share", "number")  # summaries that need no word over their column
 

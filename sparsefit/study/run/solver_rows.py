@@ -21,7 +21,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.run.manifest import check_whole
 from sparsefit.study.run.partial import FOLDER, ROWS
 from sparsefit.study.spec.solver_study import SolverStudy
-from sparsefit.whole_file import refusing, whole_file
+from sparsefit.whole_file import refusing, whole_file, write_whole
 
 Row: TypeAlias = dict[str, Any]
 CASES = "cases.parquet"
@@ -96,6 +96,11 @@ def appending(folder: Path) -> Iterator[Any]:
                 os.fsync(file.fileno())
 
         yield append
+
+
+def rewrite(folder: Path, rows: Sequence[Row]) -> None:
+    """Let these be the rows of the run that is not finished, whatever they were."""
+    write_whole(folder / FOLDER / ROWS, "".join(map(_line, rows)))
 
 
 def _line(row: Row) -> str:

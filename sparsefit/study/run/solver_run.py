@@ -22,6 +22,7 @@ from typing import TypeAlias
 from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study.run import partial
+from sparsefit.study.run.again import FAILED
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import (
     MANIFEST,
@@ -35,9 +36,11 @@ from sparsefit.study.run.solver_cases import measured
 from sparsefit.study.run.solver_crew import Crew
 from sparsefit.study.run.solver_rows import (
     CASES,
+    Row,
     appending,
     read_cases,
     read_rows,
+    rewrite,
     write_cases,
 )
 from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
@@ -66,9 +69,13 @@ def run(
     results_dir: str | Path,
     *,
     fresh: bool = False,
+    retry_failed: bool = False,
     progress: Progress | None = None,
 ) -> SolverRun:
     """Run ``study`` into ``results_dir/<name>``; interrupted, it goes on from there next time.
+
+    retry_failed: where a case ended as error, timeout or crashed, all that were timed by turns
+    with it, those of one problem and one objective, are solved again.
 
     Raises:
         InputError: if a problem is none, the folder cannot be written, is in use, or holds rows
@@ -82,6 +89,8 @@ def run(
         if fresh:
             _clear(folder)
         _refuse_foreign(study, folder)
+        if retry_failed:
+            _let_go(study, folder)
         before = status(study, results_dir)
         if before.finished:
             return SolverRun(folder, study.planned, study.planned, study.planned, True,
@@ -100,6 +109,28 @@ def status(study: SolverStudy, results_dir: str | Path) -> SolverRun:
     return SolverRun(
         folder, study.planned, len(rows), 0, False, Counter(row["status"] for row in rows)
     )
+
+
+def _let_go(study: SolverStudy, folder: Path) -> None:
+    """Keep the rows of what was timed together without a failed case among it."""
+    begun = (folder / partial.FOLDER).is_dir()
+    if not begun and not (folder / CASES).is_file():
+        return
+    told = read_rows(folder) if begun else read_cases(folder).to_dict("records")
+    rows = {str(row["case_id"]): {str(key): value for key, value in row.items()} for row in told}
+    kept: list[Row] = []
+    for together in _arenas(study):
+        mine = [rows[name] for name in map(study.case_id, together) if name in rows]
+        if not any(row["status"] in FAILED for row in mine):
+            kept += mine
+    if len(kept) < len(rows):
+        _begin(study, folder)
+        rewrite(folder, kept)
+
+
+def _begin(study: SolverStudy, folder: Path) -> None:
+    header = {"study": study.name, "study_hash": study.hash, "planned": study.planned}
+    partial.begin(folder, header)
 
 
 def _clear(folder: Path) -> None:
@@ -127,8 +158,7 @@ def _finish(
 ) -> SolverRun:
     begun = time.monotonic()
     if not (folder / partial.FOLDER).is_dir():
-        header = {"study": study.name, "study_hash": study.hash, "planned": study.planned}
-        partial.begin(folder, header)
+        _begin(study, folder)
     rows = read_rows(folder)
     resumed = len(rows)
     known = {row["case_id"] for row in rows}
