@@ -137,6 +137,34 @@ def test_what_failed_is_timed_again_with_all_that_took_turns_with_it(
     assert solver_run.run(study, tmp_path, retry_failed=True).resumed == study.planned
 
 
+def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
+    asked = []
+
+    def answers(_, ask):
+        asked.append(ask.case.problem)
+        return Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4), 1.0)
+
+    def ran(text):
+        asked.clear()
+        return solver_run.run(SolverStudy.load(write_study(tmp_path, text)), tmp_path / "results")
+
+    monkeypatch.setattr(solver_crew.Crew, "ask", answers)
+    for name, seed in (("one", 0), ("two", 1), ("three", 2)):
+        write_data(tmp_path, name, seed=seed)
+    whole = ran(TEXT)
+    fewer = ran(TEXT.replace(STLSQ, ""))
+    assert (asked, fewer.planned) == ([], fewer.resumed)
+    assert 0 < fewer.planned < whole.planned
+    first = '[[problems]]\nfile = "three.npz"\n[[problems]]\nfile = "one.npz"'
+    more = ran(TEXT.replace(STLSQ, "").replace('[[problems]]\nfile = "one.npz"', first))
+    assert (set(asked), more.resumed, more.finished) == ({0}, fewer.planned, True)
+    rows = solver_rows.read_cases(more.folder)
+    assert list(dict.fromkeys(rows["problem"])) == ["three", "one", "two"]
+    assert list(rows["case_id"].str[:3].unique()) == ["000", "001", "002"]
+    with pytest.raises(InputError, match="different study"):
+        ran(TEXT.replace("repeats = 3", "repeats = 4"))
+
+
 def test_pages_name_every_contender_and_say_what_they_cannot_tell(finished):
     study, _, results = finished
     folder = results / study.name

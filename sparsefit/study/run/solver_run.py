@@ -14,7 +14,7 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeAlias
@@ -74,6 +74,9 @@ def run(
 ) -> SolverRun:
     """Run ``study`` into ``results_dir/<name>``; interrupted, it goes on from there next time.
 
+    Where the study file changed, what was timed together and still is planned, whole, is kept: on
+    the same processor, by the same versions and clock.
+
     retry_failed: where a case ended as error, timeout or crashed, all that were timed by turns
     with it, those of one problem and one objective, are solved again.
 
@@ -88,6 +91,7 @@ def run(
     with locked(folder):
         if fresh:
             _clear(folder)
+        _take_over(study, folder)
         _refuse_foreign(study, folder)
         if retry_failed:
             _let_go(study, folder)
@@ -113,11 +117,7 @@ def status(study: SolverStudy, results_dir: str | Path) -> SolverRun:
 
 def _let_go(study: SolverStudy, folder: Path) -> None:
     """Keep the rows of what was timed together without a failed case among it."""
-    begun = (folder / partial.FOLDER).is_dir()
-    if not begun and not (folder / CASES).is_file():
-        return
-    told = read_rows(folder) if begun else read_cases(folder).to_dict("records")
-    rows = {str(row["case_id"]): {str(key): value for key, value in row.items()} for row in told}
+    rows = _rows(folder)
     kept: list[Row] = []
     for together in _arenas(study):
         mine = [rows[name] for name in map(study.case_id, together) if name in rows]
@@ -128,9 +128,64 @@ def _let_go(study: SolverStudy, folder: Path) -> None:
         rewrite(folder, kept)
 
 
+def _take_over(study: SolverStudy, folder: Path) -> None:
+    """Rows of another study file that are as those of this one would be."""
+    header, manifest = partial.read_header(folder), read_manifest(folder)
+    made = header or manifest
+    if made is None:
+        return
+    if made.get("study_hash") != study.hash:
+        kept = _kept(study, folder) if made.get("timed") == _timed(study) else []
+        if not kept:
+            return
+        _begin(study, folder)
+        rewrite(folder, kept)
+    if manifest is not None and manifest.get("study_hash") != study.hash:
+        (folder / MANIFEST).unlink()  # what it says was taken over
+
+
+def _kept(study: SolverStudy, folder: Path) -> list[Row]:
+    """Of the rows that are there those of problems and objectives that are all there."""
+    rows = {name.partition("-")[2]: row for name, row in _rows(folder).items()}
+    kept: list[Row] = []
+    for together in _arenas(study):
+        names = [study.case_id(case).partition("-")[2] for case in together]
+        if all(name in rows for name in names):
+            pairs = zip(together, names, strict=True)
+            kept += [rows[name] | _named(study, case) for case, name in pairs]
+    return kept
+
+
+def _named(study: SolverStudy, case: SolverCase) -> Row:
+    """What a study calls a case."""
+    source, contender = study.problems[case.problem], study.contenders[case.contender]
+    of = {"problem": source.name, "series": source.series, "level": source.level}
+    told = {"case_id": study.case_id(case), "study": study.name, "objective": contender.objective}
+    return of | told
+
+
+def _rows(folder: Path) -> dict[str, Row]:
+    """The rows of a run, finished or not, by case."""
+    if (folder / partial.FOLDER).is_dir():
+        told = read_rows(folder)
+    elif (folder / CASES).is_file():
+        told = [
+            {str(key): value for key, value in row.items()}
+            for row in read_cases(folder).to_dict("records")
+        ]
+    else:
+        told = []
+    return {str(row["case_id"]): row for row in told}
+
+
+def _timed(study: SolverStudy) -> dict[str, object]:
+    """Under what times are those of one comparison."""
+    return {"clock": asdict(study.clock), "processor": processor(), "versions": versions()}
+
+
 def _begin(study: SolverStudy, folder: Path) -> None:
     header = {"study": study.name, "study_hash": study.hash, "planned": study.planned}
-    partial.begin(folder, header)
+    partial.begin(folder, header | {"timed": _timed(study)})
 
 
 def _clear(folder: Path) -> None:
@@ -220,5 +275,6 @@ def _write_manifest(
         "processor": processor(),
         "processors": os.cpu_count(),
         "git_commit": git_commit(),
+        "timed": _timed(study),
     }
     write_whole(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
