@@ -35,7 +35,12 @@ add_module_names = False
 default_role = "code"
 smartquotes = False  # --option stays what is typed
 toc_object_entries_show_parents = "hide"
-nitpick_ignore_regex = [("py:.*", ".*")]
+# Types of other packages, and of rooms whose records users meet but do not make.
+nitpick_ignore_regex = [
+    ("py:class", r"(numpy|collections|os|datetime)\b.*"),
+    ("py:class", r"sparsefit\.(library|flight|estimator|derivative|uncertainty)\..*"),
+    ("py:(class|exc)", "Prepared|Uncertainty|Columns|MissingExtra"),
+]
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"sparsefit {version}"

@@ -62,7 +62,7 @@ def set_aside(
     app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
 ) -> None:
     """Keep properties from napoleon, which takes what stands before a colon for a type."""
-    if what == "property":
+    if what in ("property", "attribute"):
         _PROPERTIES[name] = list(lines)
         lines[:] = [""]
 
