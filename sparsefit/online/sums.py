@@ -100,6 +100,8 @@ class Sums:
             return False
         rows = slice(self._edges[self._next], self._edges[self._next + 1])
         self._next += 1
+        if rows.start == rows.stop:  # fewer columns than slices
+            return True
         added = self._entering[:, rows].T @ self._entering
         for values in (self.gram, self._fresh):
             if self._decay != 1.0:

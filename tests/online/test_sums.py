@@ -8,7 +8,7 @@ import pytest
 from sparsefit.online.ring import Ring
 from sparsefit.online.sums import BLOCK, SLICES, Sums
 
-COLUMNS, TARGETS = 13, 2
+COLUMNS, TARGETS = 6, 2
 NONE = np.zeros((0, COLUMNS)), np.zeros((0, TARGETS))
 EPS = float(np.finfo(float).eps)
 
