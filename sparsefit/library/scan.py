@@ -168,12 +168,14 @@ class CellScan:
     def cross(self, loads: Array) -> Array:
         """Inner products (8, j, q) of the waves' cosines and sines with loads (j, m)."""
         loads = loads if self.weight is None else loads * self.weight
-        sums = np.stack([self.sums((p, q), loads) for p, q in WAVES.tolist()])
-        return np.concatenate([sums.real, sums.imag])
+        return crossed([self.sums((p, q), loads) for p, q in WAVES.tolist()])
 
-    def freed(self, loads: Array) -> Array:
-        """Inner products (q, j, j) of loads (j, m) less what the columns at each k explain."""
-        cross, factor = self.cross(loads), self.factor
+    def freed(self, loads: Array, cross: Array | None = None) -> Array:
+        """Inner products (q, j, j) of loads (j, m) less what the columns at each k explain.
+
+        cross: the `cross` of the loads, where it is known; it is overwritten.
+        """
+        cross, factor = self.cross(loads) if cross is None else cross, self.factor
         for i in range(8):  # forward substitution, for all k at once
             cross[i] -= np.einsum("lq,ljq->jq", factor[i, :i], cross[:i])
             cross[i] /= factor[i, i]
@@ -215,6 +217,12 @@ class CellScan:
         product = np.einsum("ctq,ct->q", cross, in_waves)
         square = np.einsum("cdq,cd->q", self.gram, in_waves @ in_waves.T)
         return product, square
+
+
+def crossed(sums: list[ComplexArray]) -> Array:
+    """Inner products (8, j, q) of the waves' cosines and sines, from the sums of each wave."""
+    every = np.stack(sums)
+    return np.concatenate([every.real, every.imag])
 
 
 def _powers(phase: Array) -> list[ComplexArray]:

@@ -154,7 +154,11 @@ class SearchSpace:
 
     def lobes(self, fit: Projection) -> Array:
         """Wavenumbers (l,) [1/m] where one mode more explains most of what a fit leaves."""
-        curve, scan = self.residuals(fit), self.scan
+        return self.lobes_of(self.residuals(fit))
+
+    def lobes_of(self, curve: Array) -> Array:
+        """The same of RSS (q,) at the scanned wavenumbers."""
+        scan = self.scan
         places = local_maxima(-curve)
         inner = places[(places > 0) & (places < len(curve) - 1)]
         before, here, after = (curve[inner + shift] for shift in (-1, 0, 1))

@@ -16,7 +16,8 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
 from sparsefit.errors import InputError
-from sparsefit.library.scan import OF_GRAM
+from sparsefit.library.cells import WAVES
+from sparsefit.library.scan import OF_GRAM, crossed
 from sparsefit.modes.search import LOOKED_AT, SAME
 from sparsefit.modes.space import SearchSpace
 from sparsefit.online.window import Window
@@ -72,7 +73,13 @@ class Lobes:
             yield
         _ = space.scan.factor
         yield
-        self._places, self._rows = space.minima, rows
+        loads, sums = np.ascontiguousarray(space.empty.rest.T), []
+        weight = 1.0 if space.scan.weight is None else space.scan.weight
+        for p, q in WAVES.tolist():
+            sums.append(space.scan.sums((p, q), loads * weight))
+            yield
+        curve = np.trace(space.scan.freed(loads, crossed(sums)), axis1=1, axis2=2)
+        self._places, self._rows = space.lobes_of(curve), rows
 
     def _space(self, samples: Samples) -> SearchSpace:
         """What is scanned: samples, weighted as they were when the scan began."""
