@@ -29,7 +29,7 @@ def refusal(
             None,
             "error",
             f"{name} makes its own columns and needs the position of every row; build the problem "
-            "with Library of family 'cells', or 'waves' in groups by wave, from a flight whose "
+            "with Library of family 'cells', or of one flight 'waves' in groups by wave, where the "
             "vehicle is known and whose columns fit in memory (a coarser grid or fewer samples "
             "where they do not), not in the weak form; or use group-lasso",
         )

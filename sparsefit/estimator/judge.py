@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from sparsefit.derivative import Samples
 from sparsefit.estimator.assess import Reading
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import ScaleEstimate
+from sparsefit.estimator.judge_flights import disagreeing, of_any, still, too_coarse
 from sparsefit.estimator.misfit import misfit
 from sparsefit.estimator.shaped import outside
 from sparsefit.library.scan import extent_of
@@ -21,10 +22,7 @@ from sparsefit.modes.rung import Rung
 from sparsefit.modes.space import FALSE_ALARM, SearchSpace
 from sparsefit.uncertainty import LAGS, Goodness
 
-CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
 TRACE = 1e-3  # of |Phi|^2: what is left of a flow without noise is what differences do to it
-RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
-FAR_APART = 10.0  # motions: beyond it a share says no more
 
 
 def judge(
@@ -51,8 +49,8 @@ def judge(
     """
     short = _short(located.space.extent, scales, goodness)
     return (
-        _still(located.space, flights)
-        or _disagreeing(flights)
+        still(located.space, flights)
+        or disagreeing(flights)
         or _few(located)
         or _undersampled(located, flights)
         or _undetected(located, climbed=climbed)
@@ -88,49 +86,6 @@ def imprecise(scales: Sequence[ScaleEstimate], precision: float | None) -> Verdi
     return None
 
 
-def _still(space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
-    speed = max(float(np.abs(samples.velocity).max()) for samples in flights)
-    rest, scale = space.empty.rest, space.rows.scale
-    left = rest if scale is None else rest / scale[:, None]
-    if float(np.abs(left).max()) > CALM * speed:
-        return None
-    return Verdict.against(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
-
-
-def _of_any(
-    flights: Sequence[Samples], rule: Callable[[Samples], Verdict | None]
-) -> Verdict | None:
-    """The first flight's verdict by a rule; of several flights its number comes before it."""
-    for number, samples in enumerate(flights, 1):
-        verdict = rule(samples)
-        if verdict is not None and len(flights) > 1:
-            return replace(verdict, reason=f"flight {number}: {verdict.reason}")
-        if verdict is not None:
-            return verdict
-    return None
-
-
-def _disagreeing(flights: Sequence[Samples]) -> Verdict | None:
-    return _of_any(flights, _disagreement)
-
-
-def _disagreement(samples: Samples) -> Verdict | None:
-    """Whether position and velocity tell two motions: of these no one has flown."""
-    agreement = samples.agreement
-    if agreement is None or not agreement.broken:
-        return None
-    return Verdict.against(
-        Doubt.DISAGREEMENT,
-        "the logged velocity is not that of the logged position: they are "
-        f"{_as_share(agreement.apart)} the motion apart; check units, axes and time stamps",
-    )
-
-
-def _as_share(apart: float) -> str:
-    """Of a motion that hardly is (a velocity of zeros) every share is huge and says nothing."""
-    return f"{100 * apart:.0f} % of" if apart < FAR_APART else f"more than {FAR_APART:g} times"
-
-
 def _few(located: Located) -> Verdict | None:
     """Of fewer values of Phi than this nothing is known of their errors."""
     samples = len(located.space.rows.target)
@@ -146,24 +101,7 @@ def _undersampled(located: Located, flights: Sequence[Samples]) -> Verdict | Non
     """A scale that is told must be resolved; where none is, the least one that was searched."""
     lower = math.pi / located.space.bounds[1]
     least = math.pi / float(located.wavenumbers.max()) if located.identifiable else lower
-    return _of_any(flights, lambda samples: _too_coarse(samples, least, lower))
-
-
-def _too_coarse(samples: Samples, least: float, lower: float) -> Verdict | None:
-    """Whether steps are too long for a length scale [m]; lower: the bound of the search."""
-    steps = np.diff(samples.time)
-    if not len(steps):
-        return None
-    step = float(np.median(steps))
-    speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
-    moved = speed * step
-    if moved * RESOLVED <= least or 2 * moved <= lower:
-        return None
-    return Verdict.against(
-        Doubt.UNDERSAMPLED,
-        f"the flight moves {moved:.3g} m from sample to sample, too far to follow a length scale "
-        f"of {least:.3g} m; sample at {RESOLVED * speed / least:.3g} Hz or more",
-    )
+    return of_any(flights, lambda samples: too_coarse(samples, least, lower))
 
 
 def _undetected(located: Located, *, climbed: bool) -> Verdict | None:
@@ -240,7 +178,7 @@ def judge_shape(
     """The first reason not to believe waves, or a shape other than steady cells along the axes."""
     short = _short(_swept(flights, reading), reading.scales, reading.goodness)
     return (
-        _disagreeing(flights)
+        disagreeing(flights)
         or _no_waves(ladder, space, flights)
         or _unresolved(ladder, space, flights)
         or (misfit(reading.goodness, unknown) if short is None else None)
@@ -261,9 +199,9 @@ def _swept(flights: Sequence[Samples], reading: Reading) -> float:
 
 
 def _no_waves(ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
-    still = _still(space, flights)
-    if still is not None:
-        return replace(still, reason="no flow detected: the air is still")
+    calm = still(space, flights)
+    if calm is not None:
+        return replace(calm, reason="no flow detected: the air is still")
     if ladder.evidence <= ladder.chance:
         words = "no cellular flow detected: no waves explain more than chance does"
         return Verdict.against(Doubt.NO_FLOW, words)
@@ -278,7 +216,7 @@ def _unresolved(ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]) 
         return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
     largest = float(np.hypot(*ladder.best.phases[:, :2].T).max())
     least = math.sqrt(2.0) * math.pi / largest
-    return _of_any(flights, lambda samples: _too_coarse(samples, least, lower))
+    return of_any(flights, lambda samples: too_coarse(samples, least, lower))
 
 
 def _more(ladder: Ladder) -> Verdict | None:
