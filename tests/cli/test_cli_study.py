@@ -13,6 +13,7 @@ from sparsefit.cli.progress import Lines
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.study.evidence.fresh import check_of, fresh_study
 from sparsefit.study.evidence.selection import select
+from sparsefit.study.report import evidence_page
 from sparsefit.study.run import latency, partial, runner, store
 from sparsefit.study.run.latency import Latency
 from sparsefit.study.run.outcome import Outcome
@@ -292,6 +293,7 @@ def test_select_times_what_keeps_the_constraints_once(capsys, finished, monkeypa
         return dict.fromkeys(trials, Latency(0.25, 0.5, 90.0, flights))
 
     monkeypatch.setattr(latency, "measure", measure)
+    monkeypatch.setattr(evidence_page, "evidence_files", lambda *_: {"evidence.md": b""})
     options = ("--max-failure", "0", "--latency-flights", "7", "--json")
     _, out, _ = run(capsys, "select", finished, *options)
     assert asked == [(json.loads(out)["eligible"], 7)]
