@@ -21,7 +21,7 @@ from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.spectra import frequency_weights
 from sparsefit.uncertainty.turbulence import Turbulence
 
-TOLD = 1e-6  # of the largest variance of a score, scaled: directions with less are not told
+TOLD = 1e-3  # of the largest variance of a score: with less, a flight tells all or nothing there
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,13 @@ class Apart:
         p_value: how likely flights through one flow come as far apart.
         share: what a flow of its own would change, rms over that of the flow.
         taken: of the squares that are left of the flight, what it would take away.
+        by_chance: what it takes of white noise.
     """
 
     p_value: float
     share: float
     taken: float
+    by_chance: float
 
 
 def concord(
@@ -56,20 +58,24 @@ def concord(
     fits = [left.observed.fit for left in lefts]
     squares = [fit.weight**2 for fit in fits]
     loads = [basis.T @ _loaded(left) @ basis for left in lefts]
-    pulled = sum(square * basis.T @ own for square, own in zip(squares, biases, strict=True))
+    raw = [
+        basis.T @ (fit.plain.jacobian.score(rest) - own)
+        for fit, rest, own in zip(fits, together, biases, strict=True)
+    ]
+    pulled = sum(square * own for square, own in zip(squares, raw, strict=True))  # a refit's step
     whole = sum(square**2 * own for square, own in zip(squares, loads, strict=True))
     found = []
     for place, fit in enumerate(fits):
         told = basis.T @ fit.plain.jacobian.gram @ basis  # M is the identity in this basis
-        score = basis.T @ (fit.plain.jacobian.score(together[place]) - biases[place])
-        score = score + told @ pulled
+        score = raw[place] - told @ pulled
         cross = squares[place] * told @ loads[place]
         covariance = loads[place] - cross - cross.T + told @ whole @ told
         statistic, rank = _chi_square(score, covariance)
         moved = together[place] - lefts[place].observed.errors
         change, left, flow = (float(np.sum(v**2)) for v in (moved, together[place], fit.plain.flow))
         chance = float(gammaincc(rank / 2, statistic / 2)) if rank else 1.0
-        found.append(Apart(chance, (change / flow) ** 0.5 if flow else 0.0, change / (left or 1.0)))
+        share, taken = (change / flow) ** 0.5 if flow else 0.0, change / (left or 1.0)
+        found.append(Apart(chance, share, taken, rank / together[place].size))
     return tuple(found)
 
 

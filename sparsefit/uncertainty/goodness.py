@@ -90,11 +90,14 @@ def goodness_of(model: Model, known: Known, mean_velocity: float, length_scale: 
 
 
 def _others(apart: Sequence[Apart]) -> list[tuple[Suspect, int]]:
-    """The flights, by their number, that tell a flow of their own."""
+    """The flights, by their number, that tell a flow of their own.
+
+    It has to take more than it takes of white noise: the level of slow noise may be found too low.
+    """
     found = []
     for number, one in enumerate(apart, 1):
         chance = min(1.0, len(apart) * one.p_value)
-        if one.share > SLIGHT and chance < CHANCE:
+        if one.share > SLIGHT and one.taken > one.by_chance and chance < CHANCE:
             found.append((Suspect(Cause.ANOTHER_FLOW, (one.share,), chance, one.taken), number))
     return found
 
