@@ -213,6 +213,10 @@ GIVEN = {
 # One figure of each way to draw, the last that is named; that of settings is drawn twice below.
 DRAWN = {FIGURES.read(name).compare: name for name in FIGURES.named}
 AGAIN = [name for compare, name in DRAWN.items() if compare != "settings"]
+EVERY = [
+    name if name in DRAWN.values() else pytest.param(name, marks=pytest.mark.slow)
+    for name in FIGURES.named
+]
 
 
 @cache
@@ -220,7 +224,7 @@ def drawn(name):
     return FIGURES.make(name, study(), GIVEN[name](), None)
 
 
-@pytest.mark.parametrize("name", list(FIGURES.named))
+@pytest.mark.parametrize("name", EVERY)
 def test_a_figure_is_the_same_each_time_and_nothing_in_it_is_cut_or_covered(name, tmp_path):
     cases = GIVEN[name]()
     weights = weights_of(cases) if name == "weights" else None
