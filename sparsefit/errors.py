@@ -36,6 +36,16 @@ def told_with(place: object) -> Iterator[None]:
         raise InputError(f"{place}: {error}") from None
 
 
+@contextmanager
+def told_of(what: str, number: int, count: int) -> Iterator[None]:
+    """The same of one of several, ``flight 2: `` say; nothing is put before one that is alone."""
+    if count == 1:
+        yield
+        return
+    with told_with(f"{what} {number}"):
+        yield
+
+
 def one_line(text: str) -> str:
     """The text on one line that any terminal and file can hold; what cannot be shown as `\\x1b`."""
     words = " ".join(text.split())

@@ -2,7 +2,8 @@
 
 from sparsefit.derivative.agreement import Agreement
 from sparsefit.derivative.repair import Repairs
-from sparsefit.derivative.rules import METHODS, Derivative, Samples
+from sparsefit.derivative.rules import METHODS, Derivative
+from sparsefit.derivative.samples import Samples
 from sparsefit.derivative.smoothing import Smoothing
 from sparsefit.derivative.weak import WeakRows
 

@@ -15,13 +15,13 @@ from sparsefit.derivative.kernels import polynomial_kernels
 from sparsefit.derivative.outliers import unexplained
 from sparsefit.derivative.pieces import Pieces
 from sparsefit.derivative.repair import Repairs, repaired, untouched
+from sparsefit.derivative.samples import Samples
 from sparsefit.derivative.smoothing import FEWEST, Channels, Smoothing, smooth
 from sparsefit.derivative.steps import uniform_step
 from sparsefit.derivative.weak import ORDER, WeakRows, automatic_window, weak_rows
 from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
-from sparsefit.flight.vehicle import PointMassVehicle
 
 # time (m,), state (m, 4), its rate (m, 4), how they were smoothed
 Rates: TypeAlias = tuple[Array, Array, Array, Smoothing]
@@ -29,43 +29,6 @@ Rule: TypeAlias = "Callable[[Derivative, Pieces], Rates]"
 
 SAVGOL = {"window": 5, "order": 4}  # the defaults
 WEAK_ORDERS = (2, 32)  # of the test functions: smoother than a corner, wider than a spike
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """States and their derivatives on the same m samples (Eq. 16).
-
-    Args:
-        time: t [s], (m,).
-        position: [m], (m, 2).
-        velocity: [m/s], (m, 2).
-        position_rate: the derivative of the position [m/s], (m, 2); the measured velocity is
-            ``velocity``.
-        acceleration: the derivative of the velocity [m/s^2], (m, 2).
-        smoothing: the filter that was used, and with ``auto`` the noise it found.
-        weak: with ``weak`` the rows of the regression, which the library and the readout take in
-            place of the samples; these, by ``auto``, then only say where a scan has to look.
-        repairs: what was mended in the flight before.
-        agreement: of position and velocity in the longest piece, where ``auto`` smoothed both.
-        thrust: that was measured [m/s^2], (m, 2), or None.
-
-    ``smoothing`` is None where the samples were not made by a `Derivative`.
-    """
-
-    time: Array
-    position: Array
-    velocity: Array
-    position_rate: Array
-    acceleration: Array
-    smoothing: Smoothing | None = None
-    weak: WeakRows | None = None
-    repairs: Repairs = Repairs()
-    agreement: Agreement | None = None
-    thrust: Array | None = None
-
-    def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
-        """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13)."""
-        return vehicle.flow_velocity(self.velocity, self.acceleration, self.thrust)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, TypeVar, cast
@@ -14,7 +13,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.derivative import Derivative, Samples
-from sparsefit.errors import InputError, told_with
+from sparsefit.errors import InputError, told_of
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import FlowField
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -58,7 +57,7 @@ class Prepared:
     def samples(self) -> Samples:
         """States and derivatives, of several flights one after another."""
         flights = [part.samples for part in self.parts]
-        return flights[0] if len(flights) == 1 else _joined(flights)
+        return flights[0] if len(flights) == 1 else Samples.joined(flights)
 
     @property
     def vehicle(self) -> PointMassVehicle:
@@ -134,7 +133,7 @@ def prepare(
         )
     start, samples = perf_counter(), []
     for number, flight in enumerate(flights, 1):
-        with told_with(f"flight {number}") if len(flights) > 1 else nullcontext():
+        with told_of("flight", number, len(flights)):
             samples.append(derivative(flight))
             if len(flights) > 1:
                 _refuse_short(samples[-1])
@@ -204,16 +203,3 @@ def _refuse_short(samples: Samples) -> None:
             f"{rows} rows are too few to tell its noise beside other flights (at least {LAGS + 1});"
             " leave it out, or sample faster"
         )
-
-
-def _joined(flights: Sequence[Samples]) -> Samples:
-    """Samples of several flights one after another, without what is known of one flight only."""
-    pushed = [own.thrust for own in flights if own.thrust is not None]
-    return Samples(
-        np.concatenate([own.time for own in flights]),
-        np.concatenate([own.position for own in flights]),
-        np.concatenate([own.velocity for own in flights]),
-        np.concatenate([own.position_rate for own in flights]),
-        np.concatenate([own.acceleration for own in flights]),
-        thrust=np.concatenate(pushed) if len(pushed) == len(flights) else None,
-    )

@@ -6,15 +6,15 @@ amplitudes of a stream function for every L, which both components share; ``wave
 stream function over the plane of wavevectors, cells of any heading and shape among them.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples, WeakRows
-from sparsefit.errors import InputError, integer_setting, one_of, told_with
+from sparsefit.errors import InputError, integer_setting, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.columns import LibraryColumns, cell_columns, stream_columns, wave_columns
 from sparsefit.library.continuum import EQUATION_1, CellContinuum
@@ -94,47 +94,8 @@ class Library:
         """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
 
         Of a stream function theta has two rows a sample, x and y, and one column of the target.
-
-        Flights whose theta would exceed 1 GiB are compressed block by block
-        (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
         """
-        if self.family == "cells":
-            _refuse_axes(samples.position)
-        columns, samples = self.columns(samples), self._thinned(samples)
-        source = samples.weak or samples
-        target = self.response(source, vehicle)
-        target = target.reshape(-1, target.shape[1] // columns.components)
-        large = target.shape[0] * columns.size * 8 > STREAM_BYTES
-        large = large and len(target) > columns.size + target.shape[1]
-        if samples.weak or self.unknown:
-            theta, target, rows = self._reduced(source, vehicle, target, columns, large)
-            return self._problem(theta, target, columns, rows, None)
-        if large:
-            triangle, count, _ = compressed(
-                (block, target[rows]) for rows, block in columns.blocks(samples)
-            )
-            theta, target = triangle[:, : columns.size], triangle[:, columns.size :]
-            return self._problem(theta.copy(), target.copy(), columns, count, None)
-        theta = columns.at(samples.position)
-        return self.of_rows(samples.position, theta, target, columns)
-
-    def of_rows(
-        self,
-        position: Array,
-        theta: Array,
-        target: Array,
-        columns: LibraryColumns,
-        sums: Statistics | None = None,
-    ) -> RegressionProblem:
-        """The problem of rows theta (m, k) and target (m, n) that are there already.
-
-        position: of the samples (m, 2) [m]; sums: the statistics of the rows, where they are known.
-        """
-        if self.family == "cells":
-            _refuse_axes(position)
-        continuum = self._continuum(position, columns)
-        own = len(target) if self.family == "cells" else None
-        return self._problem(theta, target, columns, own, continuum, sums)
+        return self.build_flights([samples], [vehicle], [1.0])
 
     def build_flights(
         self,
@@ -142,61 +103,89 @@ class Library:
         vehicles: Sequence[PointMassVehicle],
         weights: Sequence[float],
     ) -> RegressionProblem:
-        """The problem of several flights through one flow: the rows of each times its weight.
+        """The problem of flights through one flow: the rows of each times its weight.
 
         Gram matrices add up. What is unknown of a flight is taken from its own rows.
+
+        Where theta would exceed 1 GiB it is compressed block by block
+        (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
         """
-        if len(flights) == 1:
-            return self.build(flights[0], vehicles[0])
-        position = np.concatenate([samples.position for samples in flights])
+        position = _stacked([samples.position for samples in flights])
         if self.family == "cells":
             _refuse_axes(position)
-        columns, thinned = self._columns(position), [self._thinned(one) for one in flights]
-        blocks = (
-            self._weighted(number, samples, vehicle, weight, columns)
-            for number, (samples, vehicle, weight) in enumerate(
-                zip(thinned, vehicles, weights, strict=True), 1
-            )
-        )
-        if sum(len(one.time) for one in thinned) * columns.size * 8 > STREAM_BYTES:
-            triangle, count, _ = compressed(blocks)
-            theta, target = triangle[:, : columns.size].copy(), triangle[:, columns.size :].copy()
-            return self._problem(theta, target, columns, count, None)
-        theta, target = map(np.concatenate, zip(*blocks, strict=True))
-        continuum = None
-        if self.family == "cells" and not self.unknown and flights[0].weak is None:
-            counts = [len(one.time) for one in thinned]
-            place = np.concatenate([one.position for one in thinned])
-            continuum = self._continuum(place, columns, np.repeat(weights, counts))
-        return self._problem(theta, target, columns, None, continuum)
+        columns = self.columns(position)
+        thinned = [self._thinned(samples) for samples in flights]
+        sources = [samples.weak or samples for samples in thinned]
+        targets = [self._target(*pair, columns) for pair in zip(sources, vehicles, strict=True)]
+        rows, size = sum(map(len, targets)), columns.size
+        large = rows * size * 8 > STREAM_BYTES and rows > size + targets[0].shape[1]
+        each = [
+            self._blocks(source, vehicle, target, columns, large)
+            for source, vehicle, target in zip(sources, vehicles, targets, strict=True)
+        ]
+        blocks = _weighted(each, weights)
+        if large:
+            triangle, _, _ = compressed(blocks)
+            theta, target = triangle[:, :size].copy(), triangle[:, size:].copy()
+            return self._problem(theta, target, columns, rows, None)
+        theta, target = (_stacked(part) for part in zip(*blocks, strict=True))
+        if self.unknown or thinned[0].weak:
+            return self._problem(theta, target, columns, None, None)
+        counts = [len(samples.time) for samples in thinned]
+        weight = np.repeat(weights, counts) if len(flights) > 1 else None
+        place = _stacked([samples.position for samples in thinned])
+        return self.of_rows(place, theta, target, columns, weight=weight)
 
-    def _weighted(
+    def of_rows(
         self,
-        number: int,
-        samples: Samples,
-        vehicle: PointMassVehicle,
-        weight: float,
+        position: Array,
+        theta: Array,
+        target: Array,
         columns: LibraryColumns,
-    ) -> tuple[Array, Array]:
-        """The rows of theta and of the target of one flight of several, times its weight."""
-        source = samples.weak or samples
-        target = self.response(source, vehicle)
-        target = target.reshape(-1, target.shape[1] // columns.components)
-        if samples.weak or self.unknown:
-            with told_with(f"flight {number}"):
-                theta, target, _ = self._reduced(source, vehicle, target, columns, False)
-        else:
-            theta = columns.at(samples.position)
-        return weight * theta, weight * target
+        *,
+        sums: Statistics | None = None,
+        weight: Array | None = None,
+    ) -> RegressionProblem:
+        """The problem of rows theta (m, k) and target (m, n) that are there already.
 
-    def columns(self, samples: Samples) -> LibraryColumns:
-        """The columns that the grid gives a flight with these samples.
+        position: of the samples (m, 2) [m]; sums: the statistics of the rows, where they are known;
+        weight (m,): of the samples' rows, of several flights.
+        """
+        if self.family == "cells":
+            _refuse_axes(position)
+        continuum = self._continuum(position, columns, weight)
+        own = len(target) if self.family == "cells" else None
+        return self._problem(theta, target, columns, own, continuum, sums)
+
+    def _target(
+        self, source: Samples | WeakRows, vehicle: PointMassVehicle, columns: LibraryColumns
+    ) -> Array:
+        """What the candidates are regressed on, a row for each of theta's."""
+        response = self.response(source, vehicle)
+        return response.reshape(-1, response.shape[1] // columns.components)
+
+    def _blocks(
+        self,
+        source: Samples | WeakRows,
+        vehicle: PointMassVehicle,
+        target: Array,
+        columns: LibraryColumns,
+        large: bool,
+    ) -> Iterator[tuple[Array, Array]]:
+        """Rows of theta and of the target of a flight, less what is unknown of it explains."""
+        if self.unknown or isinstance(source, WeakRows):
+            yield self._reduced(source, vehicle, target, columns, large)
+        elif large:
+            for rows, block in columns.blocks(source):
+                yield block, target[rows]
+        else:
+            yield columns.at(source.position), target
+
+    def columns(self, position: Array) -> LibraryColumns:
+        """The columns that the grid gives flights at positions (m, 2) [m].
 
         Raises InputError where they are too many to hold.
         """
-        return self._columns(samples.position)
-
-    def _columns(self, position: Array) -> LibraryColumns:
         extent = extent_of(position)
         if self.family == "waves":
             rings = self.waves.rings(self.grid.lower, self.grid.upper, extent)
@@ -209,13 +198,13 @@ class Library:
     ) -> CellContinuum | WaveContinuum | None:
         """The columns between those of the grid, at positions (m, 2) [m], where they are known.
 
-        weight (m,): of the rows of `cells`.
+        weight (m,): of their rows, of several flights.
         """
         low, high = (float(np.pi / scale) for scale in (columns.scales.max(), columns.scales.min()))
         if self.family == "cells":
             pattern = EQUATION_1 if self.target == "flow-velocity" else None
             return CellContinuum(position, (low, high), pattern, weight)
-        if self.family == "waves" and self.groups == "wave":
+        if self.family == "waves" and self.groups == "wave" and weight is None:
             return WaveContinuum(position, (low, high))
         return None
 
@@ -227,16 +216,7 @@ class Library:
                 "library: 'every' thins samples, but the weak form has averages of its own; leave "
                 "it out, or use a larger window"
             )
-        thin = slice(None, None, self.every)
-        return replace(
-            samples,
-            time=samples.time[thin],
-            position=samples.position[thin],
-            velocity=samples.velocity[thin],
-            position_rate=samples.position_rate[thin],
-            acceleration=samples.acceleration[thin],
-            thrust=None if samples.thrust is None else samples.thrust[thin],
-        )
+        return samples.every(self.every)
 
     def _reduced(
         self,
@@ -245,7 +225,7 @@ class Library:
         target: Array,
         columns: LibraryColumns,
         large: bool,
-    ) -> tuple[Array, Array, int | None]:
+    ) -> tuple[Array, Array]:
         """theta and target averaged by test functions, less what the unknown columns explain.
 
         Folding [Q, theta, target] into a triangle, Q a basis of those columns, and dropping the
@@ -260,15 +240,15 @@ class Library:
         pieces = columns.blocks(source)
         if not large:
             theta = np.vstack([block for _, block in pieces])
-            return (*project_out(basis, theta, target), None)
-        triangle, count, _ = compressed(
+            return project_out(basis, theta, target)
+        triangle, _, _ = compressed(
             (np.hstack([basis[rows], block]), target[rows]) for rows, block in pieces
         )
         skip = basis.shape[1]
         left = triangle[skip:, skip:].copy()
         before = np.linalg.norm(triangle[:, skip : skip + size], axis=0)
         refuse_spanned(np.linalg.norm(left[:, :size], axis=0), before)
-        return left[:, :size].copy(), left[:, size:].copy(), count
+        return left[:, :size].copy(), left[:, size:].copy()
 
     def _problem(
         self,
@@ -293,6 +273,21 @@ class Library:
             columns.parameters,
             sums,
         )
+
+
+def _weighted(
+    flights: Sequence[Iterator[tuple[Array, Array]]], weights: Sequence[float]
+) -> Iterator[tuple[Array, Array]]:
+    """The blocks of rows of all flights, each times the weight of its flight."""
+    for number, (blocks, weight) in enumerate(zip(flights, weights, strict=True), 1):
+        with told_of("flight", number, len(flights)):
+            for theta, target in blocks:
+                yield (theta, target) if weight == 1.0 else (weight * theta, weight * target)
+
+
+def _stacked(arrays: Sequence[Array]) -> Array:
+    """The rows of all arrays; one alone as it is."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def _refuse_axes(position: Array) -> None:

@@ -187,7 +187,7 @@ class OnlineEstimator:
             raise InputError(f"{window.samples} samples make no row yet; fly on")
         held, library = window.contents(), settings.library
         problem = library.of_rows(
-            held.samples.position, held.theta, held.target, window.columns, held.statistics
+            held.samples.position, held.theta, held.target, window.columns, sums=held.statistics
         )
         seconds = perf_counter() - start
         lobes = self._lobes.places() if self._lobes and not scan else None

@@ -102,7 +102,7 @@ def test_groups_are_waves_rings_or_both(samples, problem, groups):
     built = Library(GRID, family="waves", every=10, groups=groups).build(samples, VEHICLE)
     waves = np.arange(problem.columns) // 2
     sizes = math.sqrt(2.0) * math.pi / built.group_scales
-    k = WAVES.columns(samples).parameters
+    k = WAVES.columns(samples.position).parameters
     assert sizes[built.groups] == pytest.approx(np.linalg.norm(k, axis=1)[waves])
     if groups == "wave":
         np.testing.assert_array_equal(built.groups, waves)
