@@ -69,17 +69,18 @@ class Estimator:
         ``misfit``.
         """
         from sparsefit.estimator.prepare import prepare, scaling, together
-        from sparsefit.estimator.rounds import in_rounds
+        from sparsefit.estimator.rounds import in_rounds, weighed_anew
 
         assert isinstance(self.derivative, Derivative)
         fleet = together(flights)
         if len(fleet) > 1 and scaling(self.library):
             return in_rounds(fleet, self.estimate, self._along)
         prepared = prepare(fleet, self.derivative, self.library, shared=False)
-        return self.read(prepared, self.fit(prepared))
+        estimate = self.read(prepared, self.fit(prepared))
+        return estimate if len(fleet) == 1 else weighed_anew(fleet, estimate, self._along)
 
     def _along(self, fleet: Sequence[Flight], flow: FlowField) -> Estimate:
-        """The estimate from flights through what is nearly a flow, their drag unknown."""
+        """The estimate from flights through what is nearly a flow."""
         from sparsefit.estimator.prepare import prepare
 
         assert isinstance(self.derivative, Derivative)

@@ -123,8 +123,8 @@ def prepare(
 
     shared: whether several back-ends will use it: what they share is worked out here, not in
     whichever of them happens to come first. flow: that is nearly what several flights met, where
-    the drag of their vehicles is unknown. Raises InputError where a flight does not suit the
-    settings.
+    it is known: their weights come from it, and the column of an unknown drag. Raises InputError
+    where a flight does not suit the settings.
     """
     if len(flights) > 1 and scaling(library) and flow is None:
         raise InputError(

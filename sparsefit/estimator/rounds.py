@@ -1,4 +1,9 @@
-"""Several flights whose drag is unknown: each alone first, then all, near what was found so far.
+"""Several flights in rounds: all of them again, near the flow that was found so far.
+
+Weights of flights come from what one mode of steady cells along the axes leaves of each. Where the
+flow is another, that is not noise, and what the flow that was found leaves takes its place.
+
+Where drag is unknown, each flight is read alone first.
 
 The response time of a flight scales its flow velocity, and is not linear beside a flow that all
 flights share (`sparsefit.modes.stack`). What each flight tells alone is where the first round
@@ -18,6 +23,7 @@ from sparsefit.flight import Flight
 from sparsefit.flight.flow import FlowField
 
 ROUNDS = 2
+PLAIN = ("", "axis")  # shapes that the weights are made for
 
 
 def in_rounds(
@@ -52,6 +58,24 @@ def in_rounds(
         if flow is None or any(one.vehicle_uncertainty is None for one in found):
             break
     return replace(estimate, seconds=perf_counter() - start)
+
+
+def weighed_anew(
+    fleet: Sequence[Flight],
+    first: Estimate,
+    along: Callable[[Sequence[Flight], FlowField], Estimate],
+) -> Estimate:
+    """The estimate with weights by what its flow leaves, where weights took it for another.
+
+    Args:
+        fleet: the flights.
+        first: the estimate from them with weights by steady cells along the axes.
+        along: estimates from all, through what is nearly a given flow.
+    """
+    if first.flow is None or (first.shape in PLAIN and not any(first.drift or ())):
+        return first
+    second = along(fleet, first.flow)
+    return replace(second, seconds=first.seconds + second.seconds)
 
 
 def _spread(estimate: Estimate) -> float:

@@ -3,7 +3,8 @@
 The level is that of what one mode, fitted to all flights, leaves of a flight: the mean of its
 periodogram below `BAND` times the mean frequency of the flow along the path, in units where white
 errors have their variance. The mode that explains most is found with equal weights, then with those
-that it leads to.
+that it leads to. Where the flow that the flights met is nearly known, it takes the place of that
+mode.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.library.scan import Bounds
+from sparsefit.modes.projection import left_beside
 from sparsefit.modes.space import SearchSpace
 from sparsefit.modes.stack import Part
 
@@ -46,6 +48,10 @@ def weighed(parts: Sequence[Part], bounds: Bounds) -> list[Part]:
 
 
 def _levels(parts: Sequence[Part], bounds: Bounds) -> Array:
+    flows = [part.flow for part in parts if part.flow is not None]
+    if len(flows) == len(parts):
+        pairs = zip(parts, flows, strict=True)
+        return np.array([_level(_beside(part, flow), flow) for part, flow in pairs])
     space = SearchSpace.of_flights(parts, bounds)
     lowest = int(np.argmin(space.residuals(space.empty)))
     fit = space.at(space.scan.wavenumbers[[lowest]])
@@ -56,6 +62,13 @@ def _levels(parts: Sequence[Part], bounds: Bounds) -> Array:
     rest = (sampled.target - loose) / scale[:, None] - flow
     ends = np.cumsum([0, *(len(part.samples.time) for part in parts)]).tolist()
     return np.array([_level(rest[first:last], flow[first:last]) for first, last in pairwise(ends)])
+
+
+def _beside(part: Part, flow: Array) -> Array:
+    """Phi of a flight less the flow that it met (m, 2), and less what is unknown of the flight."""
+    samples = part.samples
+    columns = part.nuisance.columns(part.relative(samples), samples.thrust)
+    return left_beside(columns, samples.flow_velocity(part.nuisance.believed) - flow)[0]
 
 
 def _level(rest: Array, flow: Array) -> float:

@@ -51,7 +51,7 @@ def project(family: Columns, rows: Rows, parameters: Array) -> Projection:
     modes, count = parameters.shape
     target, nuisance = rows.stacked(family)
     if not modes:
-        rest, coefficients = _regressed(nuisance, target)
+        rest, coefficients = left_beside(nuisance, target)
         none = np.zeros((0, family.size, family.targets))
         residual = float(np.sum(rest * rest))
         return Projection(
@@ -72,7 +72,7 @@ def project(family: Columns, rows: Rows, parameters: Array) -> Projection:
     if nuisance.shape[2]:
         # Freed twice: the inverse is exact to 1e-10 only. All n in one column share b.
         loose = np.stack([freed(freed(columns)) for columns in nuisance])
-        rest, coefficients = _regressed(loose, freed(freed(target)))
+        rest, coefficients = left_beside(loose, freed(freed(target)))
         weights = onto(target - np.einsum("tqj,j->qt", nuisance, coefficients))
     else:
         loose, coefficients = nuisance, np.zeros(0)
@@ -86,7 +86,7 @@ def project(family: Columns, rows: Rows, parameters: Array) -> Projection:
     side = freed(np.hstack(list(bent)))
     side = side.reshape(len(side), modes * count, -1).transpose(1, 0, 2)
     if nuisance.shape[2]:
-        side = np.stack([_regressed(loose, by_one)[0] for by_one in side])
+        side = np.stack([left_beside(loose, by_one)[0] for by_one in side])
     moves = _moves(side.reshape(len(side), -1), rest.ravel(), np.sum(bent**2, axis=(1, 2)))
     return Projection(
         parameters,
@@ -108,7 +108,7 @@ def _basis(gram: Array) -> Array:
     return basis
 
 
-def _regressed(columns: Array, target: Array) -> tuple[Array, Array]:
+def left_beside(columns: Array, target: Array) -> tuple[Array, Array]:
     """(what columns (n, r, j) leave of target (r, n), their coefficients (j,))."""
     if not columns.shape[2]:
         return target, np.zeros(0)

@@ -60,6 +60,28 @@ def test_several_flights_know_more_than_the_best_of_them_whatever_their_order(re
     assert [flight.noise for flight in turned.flights] == pytest.approx(noise[::-1])
 
 
+def test_a_loud_flight_through_turned_cells_costs_the_quiet_one_nothing():
+    flow = sf.ShapedCells(9.0, 3.5, heading=0.4)
+    loud, quiet = (
+        sf.simulate_flight(
+            flow,
+            sf.PointMassVehicle(0.5, (5.0, 3.0)),
+            duration=12.0,
+            sample_rate=50.0,
+            seed=int(100 * noise),
+            velocity_noise=noise,
+            position_noise=0.1 * noise,
+        )
+        for noise in (0.6, 0.02)
+    )
+    alone, both = sf.Estimator().estimate(quiet), sf.Estimator().estimate([loud, quiet])
+    # Weights by what one mode along the axes leaves, which is no noise, gave 16 times the interval.
+    assert both.status == "ok"
+    assert both.uncertainty.mean_velocity < 1.1 * alone.uncertainty.mean_velocity
+    assert both.mean_velocity == pytest.approx(9.0, abs=4 * both.uncertainty.mean_velocity)
+    assert both.flights[0].noise > 3 * both.flights[1].noise
+
+
 def test_a_flight_in_two_halves_is_the_flight_where_nothing_is_noise():
     whole = flown(5, 8.0, noise=0.0)
     halves = [
