@@ -70,5 +70,7 @@ class GroupOMP:
         if len(used) and len(taken) >= problem.samples:
             return None  # no freedom is left: the next fit would be exact
         larger = fit_on(problem, taken)
-        worth = not len(used) or is_worth(problem, weights, larger, self.stop, self.tolerance)
+        if not len(used):
+            return larger if larger.any() else None  # the target may be orthogonal to all columns
+        worth = is_worth(problem, weights, larger, self.stop, self.tolerance)
         return larger if worth else None
