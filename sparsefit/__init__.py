@@ -9,6 +9,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sparsefit.backends.by_name import fit as fit
+    from sparsefit.backends.by_name import path as path
     from sparsefit.derivative import Derivative as Derivative
     from sparsefit.derivative.quality import LogQuality as LogQuality
     from sparsefit.derivative.quality import quality_of as quality_of
@@ -41,8 +43,6 @@ if TYPE_CHECKING:
     from sparsefit.regression import Fit as Fit
     from sparsefit.regression import Path as Path
     from sparsefit.regression import RegressionProblem as RegressionProblem
-    from sparsefit.regression import fit as fit
-    from sparsefit.regression import path as path
     from sparsefit.score import ScalesScore as ScalesScore
     from sparsefit.score import Score as Score
     from sparsefit.score import prediction_error as prediction_error
@@ -75,8 +75,8 @@ _HOMES = {
     "Certificate": "regression",
     "Fit": "regression",
     "Path": "regression",
-    "fit": "regression",
-    "path": "regression",
+    "fit": "backends.by_name",
+    "path": "backends.by_name",
     "Readout": "modes",
     "Estimate": "estimator",
     "Estimator": "estimator",

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.backends import BACKENDS, get, load
+from sparsefit.backends import BACKENDS, get, load, named
 from sparsefit.errors import (
     InputError,
     MissingExtra,
@@ -148,7 +148,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         return predicted
 
     def _backend(self) -> Backend:
-        return get(self.backend) if isinstance(self.backend, str) else self.backend
+        return named(self.backend)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,8 @@ def by_room() -> dict[str, list[str]]:
     for name in sparsefit.__all__:
         home = sparsefit._HOMES.get(name)
         if home:
-            rooms[home.partition(".")[0]].append(name)
+            room = home.partition(".")[0]
+            rooms["regression" if room == "backends" else room].append(name)
     return rooms
 
 

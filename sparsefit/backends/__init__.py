@@ -28,6 +28,7 @@ __all__ = [
     "get",
     "known",
     "load",
+    "named",
     "settings_of",
 ]
 
@@ -133,6 +134,11 @@ def get(name: str, **settings: Any) -> Backend:
     if name in BACKENDS or name in PUBLIC:
         return backend(**settings)
     return _plugin(name, backend, settings)
+
+
+def named(backend: Backend | str) -> Backend:
+    """The back-end, or the one of that name with its default settings."""
+    return get(backend) if isinstance(backend, str) else backend
 
 
 def _plugin(name: str, backend: type[Backend], settings: Mapping[str, Any]) -> Backend:

@@ -78,8 +78,9 @@ class BestSubset:
         """The targets that share a set."""
         if not self.separate or problem.targets == 1:
             return [problem]
+        alone = replace(problem, sums=None)
         each = enumerate(problem.target_names)
-        return [replace(problem, target=problem.target[:, [t]], target_names=(n,)) for t, n in each]
+        return [replace(alone, target=problem.target[:, [t]], target_names=(n,)) for t, n in each]
 
     def _largest(self, problem: RegressionProblem) -> int:
         return min(self.scales, int(problem.groups.max()) + 1)

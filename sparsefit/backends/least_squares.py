@@ -41,7 +41,7 @@ class LeastSquares:
                 "error",
                 f"{problem.samples} samples are fewer than {problem.columns} columns: the set of "
                 "candidates cannot exceed the data (paper, Section V.B); use more samples, fewer "
-                "scales, or stlsq, lasso or group-lasso, which do not need it",
+                "columns, or stlsq, lasso or group-lasso, which do not need it",
             )
         known = "spectrum" in vars(problem)
         spectrum = problem.spectrum

@@ -36,13 +36,13 @@ ROUNDS = 60
 
 
 def _root_path(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:
-    """The points at descending penalties alphas (p,), all targets together."""
-    cross, gram = statistics.cross[:, targets], statistics.gram
-    square = float(statistics.target_square[targets].sum())
+    """The points at descending penalties alphas (p,), all targets together, in units of y."""
+    level = float(np.sqrt(statistics.target_square[targets].sum())) or 1.0
+    cross, alphas, gram = statistics.cross[:, targets] / level, alphas / level, statistics.gram
     largest = float(np.abs(cross).max(initial=0.0))
     least = (NEAREST * largest) ** 2
     high = np.maximum(np.minimum(alphas, largest) ** 2, least)
-    search = _Search.between(least, high, alphas**2 / (square or 1.0))
+    search = _Search.between(least, high, alphas**2)
     values = np.zeros((len(alphas), *cross.shape))
     steps, loop = 0, ""
     for _ in range(ROUNDS):
@@ -52,11 +52,11 @@ def _root_path(statistics: Statistics, penalty: Penalty, alphas: Array, targets:
         found, shrink, complete, taken, loop = _lasso(gram, cross, np.sqrt(search.x[at]))
         steps, values[at] = steps + taken, found
         size = np.abs(found).sum(axis=(1, 2))
-        misfit = square - np.sum(found * (2.0 * cross - gram @ found), axis=(1, 2))
+        misfit = 1.0 - np.sum(found * (2.0 * cross - gram @ found), axis=(1, 2))
         misfit = np.maximum(misfit, shrink * search.x[at])
-        off = ROUNDING * (np.sqrt(square) + size) ** 2
+        off = ROUNDING * (1.0 + size) ** 2
         search = search.after(at, misfit, shrink, off, complete)
-    return Points(values, search.settled, np.full(len(alphas), steps), loop)
+    return Points(values * level, search.settled, np.full(len(alphas), steps), loop)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,8 +45,7 @@ class Estimator:
     def __post_init__(self) -> None:
         if isinstance(self.derivative, str):
             object.__setattr__(self, "derivative", Derivative(self.derivative))
-        if isinstance(self.backend, str):
-            object.__setattr__(self, "backend", backends.get(self.backend))
+        object.__setattr__(self, "backend", backends.named(self.backend))
         for name, kind in (
             ("derivative", Derivative),
             ("library", Library),

@@ -37,7 +37,7 @@ where a = sqrt(r) and rho = gamma_{k + 8} (y + l), by how much the rms of R itse
 What these leave open is reported as ``rounding``: the dual point's limit is taken with |C_g| raised
 by its error, P and D are moved by theirs, and value + rounding is the relative gap that remains, an
 upper bound in exact arithmetic. m is the number of rows held; where these are the triangle of a QR
-of more samples, they are the data. Products that underflow void the bound (`SMALL`).
+of more samples, they are the data. No product underflows: `problem` refuses what is so small.
 
 Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), sections 3.1 and 3.5.
 """
@@ -53,7 +53,6 @@ from sparsefit.regression.statistics import Statistics, row_blocks
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
 UNIT = 2.0**-53  # the relative rounding of one operation
-SMALL = 1e-140  # rms of a column or target below which products may underflow: no bound is claimed
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,6 @@ class _Residual:
     square_error: Array
     product_error: Array
     gamma: float
-    safe: bool
 
 
 def duality_gaps(
@@ -125,7 +123,6 @@ def duality_gaps(
         (2.0 * root + rho) * error,
         np.sqrt(target_square) * error,
         gamma,
-        _safe(rms, target_square),
     )
     return _certificates(residual, scaled, alphas, penalty, target_square)
 
@@ -154,7 +151,6 @@ def gram_gaps(
         gamma * reach**2,
         gamma * reach * np.sqrt(target_square),
         gamma,
-        _safe(statistics.rms, target_square),
     )
     return _certificates(residual, scaled, alphas, penalty, target_square)
 
@@ -222,7 +218,7 @@ def _told(
     null = null or 1.0
     gaps = np.maximum(primal - dual, 0.0) / null
     most = np.maximum(primal - least, 0.0) / null * (1.0 + 2.0 * residual.gamma)
-    rounding = np.maximum(most - gaps, 0.0) if residual.safe else np.full(len(gaps), np.inf)
+    rounding = np.maximum(most - gaps, 0.0)
     return tuple(
         Certificate("duality_gap", float(g), float(p), float(d), float(r))
         for g, p, d, r in zip(gaps, primal, dual, rounding, strict=True)
@@ -245,11 +241,12 @@ def _with_ridge(residual: _Residual, scaled: Array, alphas: Array, penalty: Pena
     part, loose = scaled, np.zeros_like(residual.square)
     if penalty.smooth:
         part, loose = residual.correlation / mu[:, None], residual.correlation_error / mu
-    size, total = np.abs(part), mu * np.square(part).sum(axis=1)
-    reach = mu * (2.0 * size.sum(axis=1) * loose + part.shape[1] * loose**2)
+    pull = mu[:, None] * part  # first: the square of F alone may overflow
+    size, total = np.abs(part), np.sum(pull * part, axis=1)
+    reach = (2.0 * size.sum(axis=1) + part.shape[1] * loose) * (mu * loose)
     return replace(
         residual,
-        correlation=residual.correlation - mu[:, None] * part,
+        correlation=residual.correlation - pull,
         square=residual.square + total,
         correlation_error=residual.correlation_error + residual.gamma * mu * size.max(axis=1),
         square_error=residual.square_error + reach + residual.gamma * total,
@@ -282,9 +279,3 @@ def _reach(target_square: Array, scaled: Array) -> Array:
     """y + l (p, n): the most that a target and its weights can sum up to."""
     reach: Array = np.sqrt(target_square) + np.abs(scaled).sum(axis=1)
     return reach
-
-
-def _safe(rms: Array, target_square: Array) -> bool:
-    """Whether no product of two columns, or of a column and a target, can underflow."""
-    least = np.min(target_square, where=target_square > 0, initial=1.0)
-    return bool(rms.min() > SMALL and least > SMALL**2)

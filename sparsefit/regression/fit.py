@@ -95,9 +95,14 @@ def path(
     if not isinstance(backend, PathBackend) and not isinstance(backend, PenalisedBackend):
         _check_backend(backend)
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
-    asked = np.atleast_1d(np.asarray(alpha_fractions, dtype=float))
+    try:
+        asked = np.atleast_1d(np.asarray(alpha_fractions, dtype=float))
+    except (TypeError, ValueError):
+        asked = np.empty(0)
     if asked.ndim != 1 or not asked.size:
-        raise InputError(f"path needs a list of at least one alpha_fraction, not {asked.tolist()}")
+        raise InputError(
+            f"path needs a list of at least one alpha_fraction, not {alpha_fractions!r}"
+        )
     for value in asked[~((asked > 0) & (asked <= 1))].tolist():
         checked_alpha_fraction(backend.name, value)
     if is_foreign(backend):

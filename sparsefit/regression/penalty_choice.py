@@ -260,6 +260,7 @@ def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[
             theta=problem.theta[rows],
             target=problem.target[rows],
             sample_count=None,
+            sums=None,
             continuum=None if problem.continuum is None else problem.continuum.at(rows),
         )
     except InputError as error:

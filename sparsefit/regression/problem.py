@@ -15,6 +15,7 @@ from sparsefit.regression.continuum import Continuum
 from sparsefit.regression.statistics import Statistics
 
 FIRST_ROWS = 32  # a column that is not zero in these is not a column of zeros
+LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose products all are in range
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class Spectrum:
 class RegressionProblem:
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
-    theta and target are finite and no column of theta is zero. ``groups`` (k,) numbers the
-    group of each column from 0; ``group_scales`` (g,) gives each group's scale, where it has one.
+    theta and target are finite and no column of theta is zero; norms are in [1e-140, 1e140], but
+    those of targets that are zero. ``groups`` (k,) numbers the group of each column from 0; ``group_scales`` (g,) gives each group's scale, where it has one.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
@@ -66,23 +67,10 @@ class RegressionProblem:
 
     def __post_init__(self) -> None:
         _check_shapes(self)
-        _refuse_overflow(
-            self.theta,
-            self.names,
-            "holds NaN, infinity or values whose "
-            "squares overflow; clean the data or change the unit",
-        )
-        _refuse_zeros(
-            self.theta,
-            self.names,
-            "is zero in every sample (or so small that its "
-            "square underflows); drop it or change the unit",
-        )
-        _refuse_overflow(
-            self.target,
-            self.target_names,
-            "of the target holds NaN, infinity or values whose squares overflow",
-        )
+        _refuse_large(self.theta, self.names, "")
+        _refuse_zeros(self.theta, self.names)
+        _refuse_large(self.target, self.target_names, "of the target ")
+        _refuse_small(self.target, self.target_names)
         for name in ("theta", "target"):
             object.__setattr__(self, name, _read_only(getattr(self, name)))
 
@@ -104,7 +92,7 @@ class RegressionProblem:
         ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
         them every column is a group of its own. ``subgroups``: k labels of smaller groups within
         these. Raises InputError on shapes that do not match, subgroups that span groups, values
-        that are not finite and columns of zeros.
+        that are not finite, columns of zeros, and arrays that are sparse or masked.
         """
         design = _floats(theta, "theta")
         values = _floats(target, "target")
@@ -119,7 +107,9 @@ class RegressionProblem:
         inner = None
         if subgroups is not None:
             inner = _numbers(subgroups, design.shape[1], "subgroups")
-        columns = tuple(names) if names is not None else tuple(map(str, range(design.shape[1])))
+        if isinstance(names, str) or not isinstance(names, Iterable | None):
+            raise InputError(f"names must be a list with one name per column, not {names!r}")
+        columns = tuple(map(str, range(design.shape[1]) if names is None else names))
         targets = tuple(map(str, range(values.shape[1])))
         return cls(design, values, numbers, columns, targets, subgroups=inner)
 
@@ -212,9 +202,13 @@ def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
 
 
 def _floats(values: ArrayLike, name: str) -> Array:
+    if hasattr(values, "toarray"):
+        raise InputError(f"{name} is a sparse matrix: hand in {name}.toarray()")
+    if np.ma.is_masked(values):
+        raise InputError(f"{name} is masked: drop the rows whose values are missing")
     try:
-        if np.iscomplexobj(values):
-            raise TypeError("it is complex")
+        if np.asarray(values).dtype.kind in "cmM":
+            raise TypeError("it holds complex numbers or times")
         return np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be an array of real numbers: {error}") from None
@@ -228,6 +222,8 @@ def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
             f"{name} must have one label per column: {columns} columns, {name} of shape "
             f"{given.shape}"
         )
+    if np.any(given != given):
+        raise InputError(f"{name} holds NaN: each column needs a label")
     try:
         return np.unique(given, return_inverse=True)[1].astype(np.intp)
     except TypeError:
@@ -259,17 +255,25 @@ def _read_only(values: Array) -> Array:
     return view
 
 
-def _refuse_overflow(values: Array, names: Sequence[str], what: str) -> None:
+def _refuse_large(values: Array, names: Sequence[str], which: str) -> None:
     flat = values.ravel(order="K")
-    if not np.isfinite(np.vdot(flat, flat)):  # one fast sum clears every column, or none
-        _refuse_columns(~np.isfinite(_squares(values)), names, what)
+    if not np.vdot(flat, flat) <= LARGEST**2:  # one fast sum clears every column, or none
+        bad = ~(_squares(values) <= LARGEST**2)
+        what = f"{which}holds NaN, infinity or values above {LARGEST:g}"
+        _refuse_columns(bad, names, f"{what}; clean the data or change the unit")
 
 
-def _refuse_zeros(values: Array, names: Sequence[str], what: str) -> None:
-    empty = np.flatnonzero(_squares(values[:FIRST_ROWS]) == 0)  # few are, but in odd data
+def _refuse_zeros(values: Array, names: Sequence[str]) -> None:
+    small = np.flatnonzero(_squares(values[:FIRST_ROWS]) < SMALLEST**2)  # few, but in odd data
     zero = np.zeros(len(names), dtype=bool)
-    zero[empty] = _squares(values[:, empty]) == 0
-    _refuse_columns(zero, names, what)
+    zero[small] = _squares(values[:, small]) < SMALLEST**2
+    what = f"is zero in every sample (or below {SMALLEST:g})"
+    _refuse_columns(zero, names, f"{what}; drop it or change the unit")
+
+
+def _refuse_small(values: Array, names: Sequence[str]) -> None:
+    small = (_squares(values) < SMALLEST**2) & values.any(axis=0)
+    _refuse_columns(small, names, f"of the target is below {SMALLEST:g}, not 0; change the unit")
 
 
 def _squares(values: Array) -> Array:

@@ -84,6 +84,13 @@ def test_best_scale_of_zero_target():
     assert GroupOMP().solve(problem).status == "unidentifiable"
 
 
+def test_omp_ends_where_no_column_explains_anything():
+    problem = RegressionProblem.from_arrays(np.eye(5)[:, :3], np.eye(5)[:, 3:])
+    for stop in ("decrease", "bic"):
+        found = sf.fit(problem, GroupOMP(stop=stop, tolerance=0.0))
+        assert (found.status, found.weights.any()) == ("ok", False)
+
+
 def test_omp_with_one_scale_is_best_scale():
     problem = flight_problem(4.2, velocity_noise=0.5)
     one, best = GroupOMP(scales=1).solve(problem).weights, BestScale().solve(problem).weights

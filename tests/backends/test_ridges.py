@@ -45,6 +45,13 @@ def test_scikit_learns_ridge_agrees(fraction):
     assert found.weights * rms[:, None] == pytest.approx(expected, rel=1e-9)
 
 
+def test_a_ridge_that_rounds_away_is_least_squares():
+    found = sf.fit(regular(), backends.get("ridge", alpha_fraction=1e-300))
+    assert found.status == "inaccurate" or found.certificate.proves(1e-8)
+    least = sf.fit(regular(), "least-squares").weights
+    np.testing.assert_allclose(found.weights, least, atol=1e-12)
+
+
 def test_an_elastic_net_of_ratio_one_is_the_lasso():
     problem = regular(6)
     net = sf.path(problem, backends.get("elastic-net", l1_ratio=1.0), FRACTIONS)

@@ -49,6 +49,15 @@ def test_cones_agree(solver):
     assert not found.repaired
 
 
+@pytest.mark.parametrize("unit", [1e-120, 1e120])
+def test_the_unit_of_the_target_does_not_matter(unit):
+    problem = regular()
+    scaled = RegressionProblem.from_arrays(problem.theta, problem.target * unit, problem.groups)
+    found = fitted(scaled)
+    assert found.status == "ok"
+    np.testing.assert_allclose(found.weights / unit, fitted(problem).weights, atol=1e-12)
+
+
 def test_a_solution_is_one_of_the_lasso_at_the_penalty_that_its_residual_sets():
     problem = flight_problem(velocity_noise=0.3)
     found = fitted(problem, 0.05)

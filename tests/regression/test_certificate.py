@@ -357,11 +357,3 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     for found in (by_rows[0], by_gram[0]):
         assert (found.value, found.primal) == pytest.approx((whole.value, whole.primal), rel=1e-12)
         assert found.rounding < whole.rounding  # 7 rows are summed, not 900
-
-
-@both
-def test_no_bound_is_claimed_where_products_underflow(source):
-    found = certify(THETA * 1e-145, TARGET, [[1e145], [0.0]], 0.5, lasso_penalty(2), source)
-    assert found.value == pytest.approx(0.25 / 2.5)
-    assert found.rounding == np.inf
-    assert not found.proves(1.0)

@@ -232,7 +232,7 @@ def test_a_path_needs_a_penalty(name):
         sf.path(PROBLEM, backends.get(name), FRACTIONS)
 
 
-@pytest.mark.parametrize("fractions", [[], [0.0], [-0.1], [1.1], [0.1, np.nan], [[0.1, 0.2]]])
+@pytest.mark.parametrize("fractions", [[], [0.0], [-0.1], [1.1], [0.1, np.nan], [[0.1, 0.2]], "x"])
 def test_bad_fractions_are_refused(fractions):
     with pytest.raises(InputError, match="alpha_fraction"):
         sf.path(PROBLEM, backends.get("lasso"), fractions)
@@ -248,7 +248,16 @@ def test_what_is_not_a_problem_or_a_back_end_is_refused():
     with pytest.raises(InputError, match="RegressionProblem"):
         sf.fit(PROBLEM.theta, backends.get("lasso"))
     with pytest.raises(InputError, match=r"backends\.get"):
-        sf.fit(PROBLEM, "lasso")
+        sf.fit(PROBLEM, 3)
+
+
+def test_a_back_end_may_be_named():
+    named, made = sf.fit(PROBLEM, "group-lasso"), sf.fit(PROBLEM, backends.get("group-lasso"))
+    np.testing.assert_array_equal(named.weights, made.weights)
+    assert named.backend == made.backend
+    assert sf.path(PROBLEM, "lasso", FRACTIONS).fits[0].backend.name == "lasso"
+    with pytest.raises(InputError, match='did you mean "lasso"'):
+        sf.fit(PROBLEM, "laso")
 
 
 @pytest.mark.parametrize("name", ["lasso", "group-lasso"])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 from sparsefit.errors import InputError
 from sparsefit.regression.problem import FIRST_ROWS, RegressionProblem
@@ -21,14 +22,14 @@ def columns(**changed):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
 def test_a_column_that_is_not_finite_is_named(value, layout):
     theta = layout(columns(c=value))
-    with pytest.raises(InputError, match="column 'c' holds NaN, infinity or values whose squares"):
+    with pytest.raises(InputError, match=r"column 'c' holds NaN, infinity or values above 1e\+140"):
         RegressionProblem.from_arrays(theta, np.ones(ROWS), names=list("abcd"))
     with pytest.raises(InputError, match=r"column '1' of the target holds NaN"):
         RegressionProblem.from_arrays(np.ones((ROWS, 1)), theta[:, 1:3])
 
 
-def test_only_a_column_whose_own_squares_overflow_is_refused():
-    size = 0.9 * np.sqrt(np.finfo(float).max)  # one square is in range, the sum of all is not
+def test_only_a_column_that_is_too_large_itself_is_refused():
+    size = 0.9e140  # each norm is in range, that of all columns is not
     theta = columns(a=size, b=size, c=size, d=size)
     assert RegressionProblem.from_arrays(theta, np.ones(ROWS)).columns == 4
 
@@ -65,3 +66,39 @@ def test_arrays_of_other_kinds_and_layouts_are_taken_as_copies(change):
     assert not np.shares_memory(problem.theta, given)
     assert problem.theta.flags.c_contiguous
     np.testing.assert_array_equal(problem.theta, theta)
+
+
+def test_a_target_may_be_zero_but_not_so_small_that_its_square_underflows():
+    target = np.stack([np.zeros(ROWS), np.ones(ROWS), np.full(ROWS, 1e-160)], axis=1)
+    assert RegressionProblem.from_arrays(columns(), target[:, :2]).targets == 2
+    with pytest.raises(InputError, match="column '2' of the target is below 1e-140, not 0"):
+        RegressionProblem.from_arrays(columns(), target)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (scipy.sparse.csr_array, r"theta\.toarray\(\)"),
+        (lambda theta: np.ma.masked_array(theta, theta > 1), "masked: drop the rows"),
+        (lambda theta: theta.astype("M8[s]"), "real numbers"),
+        (lambda theta: theta + 0j, "real numbers"),
+    ],
+)
+def test_arrays_that_only_look_like_numbers_are_refused(change, words):
+    with pytest.raises(InputError, match=words):
+        RegressionProblem.from_arrays(change(columns(a=2.0)), np.ones(ROWS))
+
+
+@pytest.mark.parametrize(
+    ("labels", "words"),
+    [
+        ({"groups": [0, 0, 1, np.nan]}, "groups holds NaN"),
+        ({"groups": [0, 0, 1, None]}, "labels of one kind"),
+        ({"groups": [0, 0, 1]}, "one label per column"),
+        ({"names": "abcd"}, "names must be a list"),
+        ({"names": 4}, "names must be a list"),
+    ],
+)
+def test_labels_that_are_missing_are_refused(labels, words):
+    with pytest.raises(InputError, match=words):
+        RegressionProblem.from_arrays(columns(), np.ones(ROWS), **labels)
