@@ -42,8 +42,9 @@ class Spectrum:
 class RegressionProblem:
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
-    theta and target are finite and no column of theta is zero; norms are in [1e-140, 1e140], but
-    those of targets that are zero. ``groups`` (k,) numbers the group of each column from 0; ``group_scales`` (g,) gives each group's scale, where it has one.
+    theta and target are finite; the norms of their columns are in [1e-140, 1e140], or 0 of a target.
+    ``groups`` (k,) numbers the group of each column from 0; ``group_scales`` (g,) gives each
+    group's scale, where it has one.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
