@@ -42,7 +42,7 @@ class Spectrum:
 class RegressionProblem:
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
-    theta and target are finite; the norms of their columns are in [1e-140, 1e140], or 0 of a target.
+    theta and target are finite; norms of their columns are in [1e-140, 1e140], or 0 of a target.
     ``groups`` (k,) numbers the group of each column from 0; ``group_scales`` (g,) gives each
     group's scale, where it has one.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
