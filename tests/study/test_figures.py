@@ -321,6 +321,30 @@ class TestErrorsAndSweep:
         line = figure.axes[0].get_lines()[0]
         assert np.isnan(line.get_ydata()).tolist() == [False, False, True]
 
+    def test_the_smallest_error_is_in_the_frame_beside_one_of_ten_decades_more(self):
+        cases = synthetic(8)
+        sure = cases["protocol"] == "matched"
+        for name in ("mean_velocity", "length_scale", "timescale"):
+            cases.loc[sure, f"est_{name}"] = cases.loc[sure, f"true_{name}"]
+        cases.loc[cases.index[~sure][0], "est_timescale"] = 100.0
+        for axes in FIGURES.make("errors", study(), cases, None).axes:
+            assert axes.get_xlim()[0] < 1e-6
+
+    def test_panels_below_each_other_agree_and_one_without_an_answer_says_so(self):
+        cases = synthetic(4, LEVELS)
+        cases.loc[cases["protocol"] == "matched", "status"] = "timeout"
+        figure = FIGURES.make("sweep", study(), cases, None)
+        above, below = figure.axes[0], figure.axes[3]
+        assert above.get_xlim() == below.get_xlim()
+        assert [one.get_text() for one in below.texts] == ["no answer"]
+        assert not above.texts
+
+    def test_long_names_keep_the_legend_on_the_page(self):
+        long = tuple(f"{place} flown with noise of 0.2 m/s and 0.05 m, calm" for place in "abcd")
+        figure = FIGURES.make("errors", study(), synthetic(2, protocols=long), None)
+        figure.draw_without_rendering()
+        assert_within(figure.bbox, figure.legends[0].get_tightbbox())
+
     def test_nothing_to_sweep_is_refused(self):
         with pytest.raises(InputError, match='sweeps no number: drop the figure "sweep"'):
             FIGURES.make("sweep", study(), synthetic(2), None)

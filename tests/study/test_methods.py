@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from sparsefit.errors import InputError
+from sparsefit.study.evidence.along import at_level
 from sparsefit.study.evidence.answers import ANSWERS
 from sparsefit.study.evidence.asked import MEASUREMENT_NOISE as NOISE
 from sparsefit.study.evidence.cases import level_text
@@ -82,8 +83,8 @@ def test_derivatives_answer_by_hand():
     worse = {key: tuple(e and 3 * e for e in sizes) for key, sizes in ERRORS.items()}
     other = cases_of(worse, settings='{"alpha_fraction": 0.3}')
     said = ANSWERS.make(ALONG, STUDY, one)
-    assert "at 0 / 0 0.200 % (fine) to 2.00 % (crude)" in said
-    assert "at 0.5 / 0.1 1.00 % (fine) to no answer (crude)" in said
+    assert "At 0 / 0: 0.200 % (fine) to 2.00 % (crude); at 0.5 / 0.1: 1.00 %" in said
+    assert said.endswith("1.00 % (fine) to no answer (crude).")
     assert ANSWERS.make(SPREAD, STUDY, one).endswith(
         "the worst setting's 1.00 (all) times the best's."
     )
@@ -94,22 +95,46 @@ def test_derivatives_answer_by_hand():
 def test_what_else_is_swept_is_told_apart():
     parts = [cases_of(ERRORS, **{"readout.refine": level}) for level in ("none", "some")]
     said = ANSWERS.make(ALONG, STUDY, pd.concat(parts))
-    assert "With refine = none: at 0 / 0" in said
-    assert "With refine = some: at 0 / 0" in said
+    assert "With refine none, at 0 / 0: 0.2" in said
+    assert "With refine some, at 0 / 0: 0.2" in said
 
 
 def test_vehicle_answer_by_hand():
     said = ANSWERS.make(ALONG | {"show": "every"}, STUDY, cases_of(ERRORS))
     assert said == (
         "Median |error| of τ_w by protocol at measurement noise 0 / 0, 0.5 / 0.1; in brackets, "
-        "against the first at the last. crude 2.00 %, no answer; fine 0.200 %, 1.00 %."
+        "against the first at the last. crude: 2.00 %, no answer; fine: 0.200 %, 1.00 %."
     )
     quiet = {key: sizes for key, sizes in ERRORS.items() if key[1] == QUIET}
     louder = cases_of(quiet | {(name, LOUD): quiet[name, QUIET] for name in ("crude", "fine")})
     said = ANSWERS.make(ALONG | {"show": "every"}, STUDY, louder)
-    assert said.endswith("crude 2.00 %, 2.00 %; fine 0.200 %, 0.200 % (× 0.100).")
+    assert said.endswith("crude: 2.00 %, 2.00 %; fine: 0.200 %, 0.200 % (× 0.100).")
 
 
 def test_the_figure_needs_a_noise():
     with pytest.raises(InputError, match="does not sweep"):
         FIGURES.make("methods", STUDY, pd.DataFrame([case(0), case(1)]), None)
+
+
+def test_every_measure_of_an_answer_is_told_with_its_own_summary():
+    both = ("median timescale-error", "mean length-scale-error")
+    said = ANSWERS.make(ALONG | {"measure": both}, STUDY, cases_of(ERRORS))
+    assert "Median |error| of τ_w by protocol" in said
+    assert "Mean |error| of L_w by protocol" in said
+    settings = {"measure": both, "compare": "settings"}
+    said = ANSWERS.make(settings, STUDY, cases_of(ERRORS))
+    assert said.startswith("Median |error| of τ_w and mean |error| of L_w (")
+
+
+@pytest.mark.parametrize(
+    ("factor", "level", "words"),
+    [
+        ("flights.together", 2.0, "number of flights 2"),
+        ("flights.duration", 5.0, "duration 5 s"),
+        ("flights.thrust_acceleration", "[5,3]", "thrust acceleration 5 / 3 m/s²"),
+        ("readout.length_scale", "signed-sum", "length scale signed-sum"),
+        ("flights.duration", None, "duration not set"),
+    ],
+)
+def test_a_level_in_words(factor, level, words):
+    assert at_level(factor, level) == words

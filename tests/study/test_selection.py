@@ -102,9 +102,7 @@ def test_the_simplest_within_the_margin_is_the_one_listed_first():
     assert selection.chosen.candidate.of("backend") == "plain"
     verdicts = {row[2]: row[-1] for row in selection_table(selection).rows}
     assert verdicts["plain"] == "chosen"
-    assert (
-        verdicts["fancy"] == "better by 0.1000 (0.1000 to 0.1000), within the margin, less simple"
-    )
+    assert verdicts["fancy"] == "better by 0.100 (0.100 to 0.100), within the margin, less simple"
     assert verdicts["bad"] == "worse by 1.90 (1.90 to 1.90)"
     assert selection.regret.effect == pytest.approx(0.1)
 
@@ -283,7 +281,7 @@ class TestRegimes:
         frame.loc[frame["library.target"] == "a", "est_timescale"] = 0.5 * 1.5
         sweep = (Factor(NOISE, (0.0, 0.5)), Factor("library.target", ("a", "b")))
         selection = chosen(frame, of=study(frame, sweep=sweep))
-        assert selection.criterion.regimes == ("velocity noise 0", "velocity noise 0.5")
+        assert selection.criterion.regimes == ("velocity noise 0 m/s", "velocity noise 0.5 m/s")
         assert selection.chosen.candidate.factors == {"library.target": "b"}
         assert len(selection.ranked) == 2
 

@@ -113,7 +113,7 @@ class TestCells:
     @pytest.mark.parametrize(
         ("value", "text"),
         [(0.0123456, "0.0123"), (123.4, "123"), (1234.5, "1230"), (0.0, "0"), (-2.0, "-2.00"),
-         (9.996, "10.00"), (1e-7, "1.00e-07"), (2.5e7, "2.50e+07")],
+         (9.996, "10.0"), (99.97, "100"), (1e-7, "1.00e-07"), (2.5e7, "2.50e+07")],
     )  # fmt: skip
     def test_significant(self, value, text):
         assert significant(value) == text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,14 +11,44 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.study.evidence.asked import Asked, refuse
-from sparsefit.study.evidence.cases import by_level, factors
+from sparsefit.study.evidence.cases import by_level, factors, level_text
 from sparsefit.study.evidence.measure import Measure
+from sparsefit.study.evidence.table import Value
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 FLIGHTS = {"median": "median flight", "9 of 10": "9 of 10 flights"}  # a summary, in words
-UNITS = {"duration": "s", "sample_rate": "Hz", "process_noise": "m/s²"}
+UNITS = {
+    "duration": "s",
+    "sample_rate": "Hz",
+    "process_noise": "m/s²",
+    "measurement_noise": "m/s / m",
+    "mean_velocity": "m/s",
+    "length_scale": "m",
+    "timescale": "s",
+    "response_time": "s",
+    "thrust_acceleration": "m/s²",
+    "velocity_noise": "m/s",
+    "position_noise": "m",
+    "position_wander": "m",
+    "position_wander_time": "s",
+    "initial_position": "m",
+    "initial_velocity": "m/s",
+    "wind": "m/s",
+    "offset": "m",
+    "turbulence_length": "m",
+    "gap_duration": "s",
+    "jump_size": "m",
+    "outlier_size": "m/s",
+    "heading": "rad",
+    "windows": "s",
+    "lower": "m",
+    "upper": "m",
+    "step": "m",
+}
+NUMBERS = re.compile(r"[-+.e\d]+( / [-+.e\d]+)*")  # a level that has a unit
+WORDS = {"together": "number of flights"}  # of keys that do not speak for themselves
 
 
 def unit_of(factor: str) -> str:
@@ -27,7 +58,15 @@ def unit_of(factor: str) -> str:
 
 def words_of(factor: str) -> str:
     """Return a factor in words, `measurement noise`."""
-    return factor.rpartition(".")[2].replace("_", " ")
+    name = factor.rpartition(".")[2]
+    return WORDS.get(name, name.replace("_", " "))
+
+
+def at_level(factor: str, level: Value) -> str:
+    """Return a level with its factor and unit, `duration 10 s`."""
+    told = "not set" if level is None else level_text(level)
+    unit = unit_of(factor) if NUMBERS.fullmatch(told) else ""
+    return f"{words_of(factor)} {told} {unit}".rstrip()
 
 
 def summaries(cases: pd.DataFrame, factor: str, measure: Measure) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from sparsefit.study.evidence.along import at_level
 from sparsefit.study.evidence.asked import Asked, Kind
 from sparsefit.study.evidence.candidates import Criterion, Trial, candidates_of
 from sparsefit.study.evidence.cases import (
@@ -44,17 +45,17 @@ def settings(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     asked.needs(study.name, "measure")
     if not asked.at_least:
         ranked = f"{_ranked(asked, cases)}{_printed(asked, study)}"
-        return f"{head(asked)} ({_flights(cases)} flights). {ranked}."
+        return f"{head(asked.measures)} ({_flights(cases)}). {ranked}."
     reached = at_least(cases, dict(asked.at_least))
     least = [f"{MEASURES[name].words} at least {to:g}" for name, to in asked.at_least.items()]
     known = np.isfinite([MEASURES[name].read(cases) for name in asked.at_least]).any(axis=0)
     parts = [(f"Where {listed(least)}", reached), ("Elsewhere", ~reached & known)]
     said = [
-        f"{words} ({_flights(cases[kept])} flights): {_ranked(asked, cases[kept])}."
+        f"{words} ({_flights(cases[kept])}): {_ranked(asked, cases[kept])}."
         for words, kept in parts
         if kept.any()
     ]
-    return " ".join([f"{head(asked)}.", *said]) if said else _nothing(asked)
+    return " ".join([f"{head(asked.measures)}.", *said]) if said else _nothing(asked)
 
 
 def _printed(asked: Asked, study: Study) -> str:
@@ -69,8 +70,9 @@ def _nothing(asked: Asked) -> str:
     return f"No case has a number for the {asked.first.phrase}."
 
 
-def _flights(cases: pd.DataFrame) -> int:
-    return len(cases.drop_duplicates(["flight", *factors(cases)]))
+def _flights(cases: pd.DataFrame) -> str:
+    many = len(cases.drop_duplicates(["flight", *factors(cases)]))
+    return f"{many} flight{'' if many == 1 else 's'}"
 
 
 def _ranked(asked: Asked, cases: pd.DataFrame) -> str:
@@ -112,7 +114,8 @@ def regimes(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
         shares = [share for share in shares if share.whole]
         every += shares
         if not all(low <= share.percent <= high for share in shares):
-            where = ", ".join(str(group.key[name]) for name in ("protocol", *swept))
+            levels = (at_level(name, group.key[name]) for name in swept)
+            where = ", ".join([group.protocol, *levels])
             outside.append(f"{where} ({_percents(shares)})")
     if not every:
         return _nothing(asked)
@@ -169,7 +172,7 @@ def reference(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     table = closest_readings(asked, study, cases)
     row, names = table.rows[0], [column.name for column in table.columns]
     levels = [
-        f"{name.partition('.')[2]} {row[place]}"
+        at_level(name, row[place])
         for place, name in enumerate(names[: names.index("n")])
         if "." in name
     ]

@@ -16,11 +16,13 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, unknown
+from sparsefit.study.evidence.along import at_level
 from sparsefit.study.evidence.cases import DEFAULT, Group, by_setting, factors
 from sparsefit.study.evidence.measure import SUMMARY_WORDS, Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.per_flight import CHUNK, per_case
 from sparsefit.study.evidence.resampling import Draws, reduce
+from sparsefit.study.evidence.sentence import listed
 from sparsefit.study.evidence.table import Value
 from sparsefit.study.evidence.worlds import REGIME, conditions_of, in_regimes, regime_names
 from sparsefit.study.spec.selection import AVERAGE, WORST, SelectionRule
@@ -70,9 +72,9 @@ class Candidate:
     @property
     def title(self) -> str:
         """One line that tells this candidate from the others."""
-        chosen = [f"{name}={value}" for name, value in self.factors.items()]
+        chosen = listed([at_level(name, value) for name, value in self.factors.items()])
         of = "" if self.group.protocol == DEFAULT else f"{self.group.protocol}: "
-        return ", ".join([f"{of}{self.group.title}", *chosen])
+        return f"{of}{self.group.title}{' with ' if chosen else ''}{chosen}"
 
     def of(self, column: str) -> str:
         """What its rows have in a column that they share: protocol, backend, label, settings."""

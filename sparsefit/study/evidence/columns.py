@@ -107,8 +107,8 @@ COUNTS = (PLANNED, with_status("ok"), FAILED)
 
 
 def name_columns(*names: str) -> tuple[Column, ...]:
-    """Return columns of words."""
-    return tuple(Column(name, align="left") for name in names)
+    """Return columns of words, and of levels: 60.0 is printed as 60."""
+    return tuple(Column(name, format="g", align="left") for name in names)
 
 
 def setting_columns(swept: Sequence[str] = ()) -> tuple[Column, ...]:

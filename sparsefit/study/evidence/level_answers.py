@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from sparsefit.study.evidence.along import FLIGHTS, axis_of, level_needed, unit_of, words_of
+from sparsefit.study.evidence.along import (
+    FLIGHTS,
+    at_level,
+    axis_of,
+    level_needed,
+    unit_of,
+    words_of,
+)
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import (
     Group,
@@ -22,18 +29,26 @@ from sparsefit.study.evidence.cases import (
     level_text,
 )
 from sparsefit.study.evidence.measure import SUMMARY_WORDS, TINY, Failure, Measure, together
-from sparsefit.study.evidence.sentence import capital, extremes, gathered, shown, some
+from sparsefit.study.evidence.sentence import (
+    capital,
+    extremes,
+    gathered,
+    listed,
+    shown,
+    some,
+)
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 
-def head(asked: Asked) -> str:
+def head(measures: Sequence[Measure]) -> str:
     """The measures in words, and how a failure counts where it is a number."""
-    words = f"{SUMMARY_WORDS[asked.first.summary]} {together(asked.measures)}"
-    if asked.first.failure is Failure.MISS and asked.first.miss:
-        words = f"{words}, {asked.first.convention}"
-    return capital(words)
+    told = gathered((SUMMARY_WORDS[one.summary], one) for one in measures)
+    words = listed([f"{summary} {together(alike)}" for summary, alike in told.items()])
+    first = measures[0]
+    counted = first.failure is Failure.MISS and first.miss
+    return capital(f"{words}, {first.convention}" if counted else words)
 
 
 def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
@@ -43,26 +58,26 @@ def protocols(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     brackets, against the first at the last level.
     """
     asked.needs(study.name, "measure")
-    along = axis_of(asked, study, cases)
-    told = _each if asked.show == "every" else _ends
-    said = [
-        f"{words}{told(asked.first, _by_level(asked.first, part, along))}"
-        for words, part in _others(cases, (along, "protocol"))
-    ]
+    along, each = axis_of(asked, study, cases), asked.show == "every"
     levels = ", ".join(level_text(level.key[along]) for level in by_level(cases, along))
-    note = "; in brackets, against the first at the last" if asked.show == "every" else ""
-    name = words_of(along)
-    return f"{head(asked)} by protocol at {name} {levels}{note}. {'. '.join(said)}."
+    over = f"at {words_of(along)} {levels}; in brackets, against the first at the last"
+    where, told = (over, _each) if each else (f"along {words_of(along)}", _ends)
+    parts = list(_others(cases, (along, "protocol")))
+    return " ".join(
+        f"{head([measure])} by protocol {where}. "
+        + " ".join(
+            f"{told(measure, _by_level(measure, part, along), words)}." for words, part in parts
+        )
+        for measure in asked.measures
+    )
 
 
 def _others(cases: pd.DataFrame, left: tuple[str, ...]) -> Iterator[tuple[str, pd.DataFrame]]:
     """The cases at each level of the remaining swept factors, and that level in words."""
     names = [name for name in factors(cases) if name not in left]
     for part in groups_by(cases, names) if names else [Group({}, cases)]:
-        told = [
-            f"{name.rpartition('.')[2]} = {level_text(level)}" for name, level in part.key.items()
-        ]
-        yield (f"With {', '.join(told)}: " if told else ""), part.cases
+        told = listed([at_level(name, level) for name, level in part.key.items()])
+        yield (f"With {told}" if told else ""), part.cases
 
 
 def _by_level(measure: Measure, cases: pd.DataFrame, along: str) -> dict[str, dict[str, float]]:
@@ -76,7 +91,7 @@ def _by_level(measure: Measure, cases: pd.DataFrame, along: str) -> dict[str, di
     return table
 
 
-def _ends(measure: Measure, table: dict[str, dict[str, float]]) -> str:
+def _ends(measure: Measure, table: dict[str, dict[str, float]], words: str) -> str:
     said = []
     for level, values in table.items():
         low, high = min(values.values()), max(values.values())
@@ -85,11 +100,11 @@ def _ends(measure: Measure, table: dict[str, dict[str, float]]) -> str:
             f"{measure.say(end)} ({some([name for name in values if values[name] == end])})"
             for end in ends
         ]
-        said.append(f"at {level} {told[0] if low == high else ' to '.join(told)}")
-    return ", ".join(said)
+        said.append(f"at {level}: {told[0] if low == high else ' to '.join(told)}")
+    return capital(f"{words}{', ' if words else ''}{'; '.join(said)}")
 
 
-def _each(measure: Measure, table: dict[str, dict[str, float]]) -> str:
+def _each(measure: Measure, table: dict[str, dict[str, float]], words: str) -> str:
     last = list(table.values())[-1]
     first = next(iter(last))
     said = []
@@ -97,32 +112,37 @@ def _each(measure: Measure, table: dict[str, dict[str, float]]) -> str:
         known = math.isfinite(last[name]) and TINY < last[first] < math.inf and name != first
         ratio = f" (× {shown(last[name] / last[first])})" if known else ""
         values = ", ".join(measure.say(level[name]) for level in table.values() if name in level)
-        said.append(f"{name} {values}{ratio}")
-    return "; ".join(said)
+        said.append(f"{name}: {values}{ratio}")
+    return f"{words}{': ' if words else ''}{'; '.join(said)}"
 
 
 def spread(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
     """Say by what factor protocols, or settings, move a measure with everything else fixed."""
     asked.needs(study.name, "measure")
-    over = asked.over
-    said = []
-    for words, part in _others(cases, (asked.along,)):
-        values: list[float] = []
-        ratios: dict[str, float] = {}
-        levels = by_level(part, asked.along) if asked.along else [Group({}, part)]
-        for level in levels:
-            told: dict[str, list[float]] = {}
-            for group in by_setting(level.cases):
-                name = group.title if over == "protocol" else group.protocol
-                told.setdefault(name, []).append(asked.first.summarise(group.cases))
-            values += [value for sizes in told.values() for value in sizes]
-            for name, sizes in told.items():
-                ratios[name] = max(ratios.get(name, 1.0), _ratio(sizes))
-        said.append(
-            f"{words}{asked.first.say(min(values))} to {asked.first.say(max(values))}, "
-            f"the worst {over}'s {extremes(ratios)} times the best's"
+    parts = list(_others(cases, (asked.along,)))
+    return " ".join(
+        f"{head([measure])}, and how far the {asked.over} alone moves it. "
+        + " ".join(
+            f"{words}{', ' if words else ''}{_moved(measure, part, asked)}."
+            for words, part in parts
         )
-    return f"{head(asked)}, and how far the {over} alone moves it. {'. '.join(said)}."
+        for measure in asked.measures
+    )
+
+
+def _moved(measure: Measure, cases: pd.DataFrame, asked: Asked) -> str:
+    values: list[float] = []
+    ratios: dict[str, float] = {}
+    for level in by_level(cases, asked.along) if asked.along else [Group({}, cases)]:
+        told: dict[str, list[float]] = {}
+        for group in by_setting(level.cases):
+            name = group.title if asked.over == "protocol" else group.protocol
+            told.setdefault(name, []).append(measure.summarise(group.cases))
+        values += [value for sizes in told.values() for value in sizes]
+        for name, sizes in told.items():
+            ratios[name] = max(ratios.get(name, 1.0), _ratio(sizes))
+    ends = f"{measure.say(min(values))} to {measure.say(max(values))}"
+    return f"{ends}, the worst {asked.over}'s {extremes(ratios)} times the best's"
 
 
 def _ratio(values: list[float]) -> float:
@@ -143,7 +163,9 @@ def until(asked: Asked, study: Study, cases: pd.DataFrame) -> str:
         ]
         said.append(f"{name}: {', '.join(words)}")
     limits = " / ".join(f"{limit:g} {asked.first.unit}" for limit in asked.limits)
-    head = f"The {words_of(along)} from which on the {asked.first.words} stays within {limits}"
+    head = (
+        f"The {words_of(along)} from which on the {together(asked.measures)} stays within {limits}"
+    )
     return f"{head} (median flight and 9 of 10 flights). {'; '.join(said)}."
 
 

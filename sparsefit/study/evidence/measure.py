@@ -17,8 +17,8 @@ import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.evidence.cases import SYMBOLS, TEX_SYMBOLS
-from sparsefit.study.evidence.sentence import gathered, listed, shown
-from sparsefit.study.evidence.table import SIGNIFICANT
+from sparsefit.study.evidence.sentence import gathered, listed
+from sparsefit.study.evidence.table import SIGNIFICANT, sized
 
 Read: TypeAlias = Callable[[pd.DataFrame], Array]
 NORMAL_95 = 1.959963984540054
@@ -133,10 +133,8 @@ class Measure:
             # No rounding up to all, or down to none.
             near = 0 < value < 1 or 99 < value < 100
             return f"{value:.1f}{unit}" if near else f"{value:.0f}{unit}"
-        if self.unit == "%" and 0 <= value < TINY and self.format == SIGNIFICANT:
-            return f"below {TINY:f} %"
         signed = self.format.startswith("+")
-        return f"{value:{self.format}}{unit}" if signed else f"{shown(value)}{unit}"
+        return f"{value:{self.format}}{unit}" if signed else f"{sized(value, self.least)}{unit}"
 
 
 QUANTILES = {

@@ -107,7 +107,12 @@ def _number(value: float, column: Column) -> str:
         return "∞" if value > 0 else "-∞"
     if column.format != SIGNIFICANT:
         return _signless_zero(format(value, column.format))
-    return below(column.least) if abs(value) < column.least else significant(value)
+    return sized(value, column.least)
+
+
+def sized(value: float, least: float) -> str:
+    """Three significant digits, or that it is no larger than what is rounding."""
+    return below(least) if abs(value) <= least * (1.0 + 1e-9) and least else significant(value)
 
 
 def below(least: float) -> str:
@@ -124,7 +129,9 @@ def significant(value: float, digits: int = 3) -> str:
     """`value` with three significant digits, never an exponent between 1e-4 and 1e6."""
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits - 1}e}"
-    decimals = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
+    # From the rounded number: 99.97 is 100, not 100.0.
+    power = int(f"{value:.{digits - 1}e}".partition("e")[2])
+    decimals = digits - 1 - power if value else 0
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 

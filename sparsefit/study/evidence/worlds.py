@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from sparsefit.errors import is_real
-from sparsefit.study.evidence.along import unit_of, words_of
-from sparsefit.study.evidence.cases import DEFAULT, factors, is_condition, level_text
+from sparsefit.study.evidence.along import at_level
+from sparsefit.study.evidence.cases import DEFAULT, factors, is_condition
 from sparsefit.study.evidence.sentence import gathered
 from sparsefit.study.evidence.table import Value, plain
 from sparsefit.study.spec.document import canonical_json
@@ -116,17 +116,11 @@ def _levels(study: Study, cases: pd.DataFrame, name: str, protocols: Sequence[Va
         worlds = worlds_of(study)
         return [worlds.get(str(one), DEFAULT) for one in protocols]
     if name in cases:
-        return [_level(name, plain(value)) for value in cases[name]]
+        return [at_level(name, plain(value)) for value in cases[name]]
     given: dict[str, object] = {one.name: one.overrides.get(name) for one in study.protocols}
     base = study.given.get(name)
     said = {key: base if value is None else canonical_json(value) for key, value in given.items()}
-    return [_level(name, said.get(str(one))) for one in protocols]
-
-
-def _level(name: str, value: Value) -> str:
-    unit = unit_of(name)
-    told = "not set" if value is None else level_text(value)
-    return f"{words_of(name)} {told}{f' {unit}' if unit else ''}"
+    return [at_level(name, said.get(str(one))) for one in protocols]
 
 
 def regime_names(cases: pd.DataFrame) -> list[str]:

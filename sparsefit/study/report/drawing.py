@@ -26,6 +26,9 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 MARKERS = ("o", "s", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", ":", "-.")
 GREY = "#666666"
+TICKS = 4  # at most, of a logarithmic axis: more would touch each other
+MARGIN = 0.05  # of an axis, beside its levels
+FITTING = {5: 16, 4: 24, 3: 34, 2: 52}  # columns of a legend: the longest label that they take
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.0,
@@ -76,7 +79,8 @@ def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list
 def logarithmic(axis: Axis, low: float, high: float) -> None:
     """Number a logarithmic axis from `low` to `high` in plain digits, `0.01  0.1  1`."""
     decades = math.log10(high / low) if 0.0 < low < high else 1.0
-    axis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0)))
+    subs = (1.0,) if decades > 2.2 else (1.0, 2.0, 5.0)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=TICKS))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -92,6 +96,11 @@ def ticked(axes: Axes, levels: Array) -> None:
         # The levels themselves are the ticks: nothing was measured between them.
         axes.set_xticks(np.unique(levels), [f"{level:g}" for level in np.unique(levels)])
         axes.xaxis.set_minor_locator(NullLocator())
+    # All levels, whether anything was found at them or not: panels below each other agree.
+    scale = axes.xaxis.get_transform()
+    low, high = scale.transform(np.array([levels.min(), levels.max()], dtype=float))
+    room = MARGIN * (high - low) or 0.5
+    axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
 
 
 def share_y(row: list[Axes], *, alike: bool, highest: float) -> None:
@@ -116,7 +125,7 @@ def legend(figure: Figure, every: Sequence[Axes], more: Sequence[Artist] = ()) -
     }
     shown = [*handles.values(), *more]
     longest = max(len(str(handle.get_label())) for handle in shown)
-    columns = 3 if longest > 24 else 4 if longest > 16 else 5
+    columns = next((many for many, letters in FITTING.items() if longest <= letters), 1)
     figure.legend(handles=shown, loc="outside upper center", ncols=min(len(shown), columns))
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.along import unit_of, words_of
+from sparsefit.study.evidence.along import at_level, unit_of, words_of
 from sparsefit.study.evidence.asked import Asked, refuse
 from sparsefit.study.evidence.cases import (
     Group,
@@ -177,7 +177,7 @@ def _words(group: Group) -> str:
     return ", ".join(
         shortened(str(level).replace("alpha_fraction=", "alpha "), 24)
         if name in ("protocol", SETTING)
-        else f"{words_of(name)} = {level_text(level)}{f' {unit_of(name)}' if unit_of(name) else ''}"
+        else at_level(name, level)
         for name, level in group.key.items()
     )
 
@@ -204,6 +204,10 @@ def _draw(axes: Axes, panel: Panel, asked: Asked, series: Series) -> None:
             lw=width, ls=style, label=name, zorder=3, clip_on=panel.measure.summary != "share",
         )  # fmt: skip
         _lead(axes, panel, group.cases, at, middle)
+    if not any(np.isfinite(one.get_ydata()).any() for one in axes.lines):
+        axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
+        axes.tick_params(labelleft=False)
+        axes.set_ylim(1.0, 10.0)
     if panel.measure.beside:
         _beside(axes, panel, [group.cases for group in groups])
     if panel.measure.target is not None:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from sparsefit.study.evidence.along import UNITS, words_of
+from sparsefit.study.evidence.along import unit_of, words_of
 from sparsefit.study.evidence.cases import level_text
 from sparsefit.study.evidence.sentence import listed
 from sparsefit.study.evidence.table import Column, Table
@@ -17,30 +17,6 @@ if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
 FLIGHTS, FILES = "flights.", "flights.files"
-OTHERS = {
-    "mean_velocity": "m/s",
-    "length_scale": "m",
-    "timescale": "s",
-    "response_time": "s",
-    "thrust_acceleration": "m/s²",
-    "velocity_noise": "m/s",
-    "position_noise": "m",
-    "position_wander": "m",
-    "position_wander_time": "s",
-    "initial_position": "m",
-    "initial_velocity": "m/s",
-    "wind": "m/s",
-    "offset": "m",
-    "turbulence_length": "m",
-    "gap_duration": "s",
-    "jump_size": "m",
-    "outlier_size": "m/s",
-    "heading": "rad",
-    "windows": "s",
-    "lower": "m",
-    "upper": "m",
-    "step": "m",
-}
 RULES = {
     "uniform": "uniform from {} to {}",
     "loguniform": "log-uniform from {} to {}",
@@ -67,11 +43,7 @@ def _given(study: Study, *, flights: bool) -> Iterator[str]:
         if key.startswith(FLIGHTS) == flights:
             room, _, name = key.rpartition(".")
             words = words_of(name) if flights else f"{room} {words_of(name)}"
-            yield f"{words} {said(json.loads(text), _unit(name))}"
-
-
-def _unit(name: str) -> str:
-    return (UNITS | OTHERS).get(name, "")
+            yield f"{words} {said(json.loads(text), unit_of(name))}"
 
 
 def said(value: object, unit: str = "") -> str:
@@ -96,7 +68,7 @@ def _read(study: Study) -> Iterator[str]:
         yield f"{len(study.protocols)} protocols, told apart below: {names}."
     for factor in study.sweep:
         levels = listed([level_text(_level(level)) for level in factor.levels])
-        after = f" {_unit(factor.key.rpartition('.')[2])}".rstrip()
+        after = f" {unit_of(factor.key)}".rstrip()
         yield f"Swept: {words_of(factor.key)} over {levels}{after}."
     yield f"Back-ends: {'; '.join(map(_backend, study.backends))}."
 
@@ -126,7 +98,7 @@ def protocols(study: Study) -> Iterable[Table]:
     """Give the table of what each protocol sets, where there are several."""
     if len(study.protocols) > 1:
         rows = [
-            (one.name, key, said(value, _unit(key.rpartition(".")[2])))
+            (one.name, key, said(value, unit_of(key)))
             for one in study.protocols
             for key, value in one.overrides.items()
         ]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from sparsefit.study.evidence.along import words_of
-from sparsefit.study.evidence.cases import Group, by_setting, factors, level_text
+from sparsefit.study.evidence.along import at_level
+from sparsefit.study.evidence.cases import Group, by_setting, factors
 from sparsefit.study.evidence.columns import statistic
 from sparsefit.study.evidence.measures import MEASURES, names
 from sparsefit.study.evidence.table import cell_text, printable
@@ -32,7 +32,7 @@ def points_of(study: Study, cases: pd.DataFrame, named: Iterable[str]) -> Points
 
 
 def _lines(group: Group, swept: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    levels = [f"{words_of(name)} = {level_text(group.key[name])}" for name in swept]
+    levels = [at_level(name, group.key[name]) for name in swept]
     setting = ", ".join([group.protocol, group.title, *levels])
     texts = [
         [cell_text(value, statistic(measure).column) for value in measure.read(group.cases)]

@@ -10,7 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sparsefit.study.evidence.asked import Asked
-from sparsefit.study.evidence.cases import Group, by_setting, estimated, factors, in_a_flow
+from sparsefit.study.evidence.cases import (
+    Group,
+    by_setting,
+    estimated,
+    factors,
+    in_a_flow,
+    level_text,
+)
 from sparsefit.study.evidence.measure import TINY, Measure, Share
 from sparsefit.study.report.drawing import (
     COLOURS,
@@ -62,6 +69,8 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
         names = _names(groups, factors(cases))
     else:
         for axes in row:
+            # A box would hold the axis at its left end, and what is smaller would leave the frame.
+            axes.use_sticky_edges = False
             axes.set_xscale("log")
             logarithmic(axes.xaxis, *axes.get_xlim())
         _failures(row[-1], groups)
@@ -122,7 +131,7 @@ def _band(row: list[Axes], limits: tuple[float, ...]) -> None:
 def _names(groups: list[Group], swept: list[str]) -> list[str]:
     """Protocol and levels, with the setting where they do not tell rows apart."""
     keys = [[group.key[name] for name in ("protocol", *swept)] for group in groups]
-    names = [", ".join(map(str, key)) for key in keys]
+    names = [", ".join(map(level_text, key)) for key in keys]
     if len(set(names)) < len(names):
         names = [f"{name}, {group.title}" for name, group in zip(names, groups, strict=True)]
     return [shortened(name, 44) for name in names]
