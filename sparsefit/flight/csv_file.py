@@ -1,28 +1,29 @@
-"""Flight tables as CSV: a header, one row per sample, settings in ``# key=value`` lines."""
+"""Flight tables as text: a header, one row per sample, settings in ``# key=value`` lines.
+
+Between cells stand commas, semicolons, tabs or blanks, whichever the header has; where it is no
+comma, a comma in a number is its decimal mark. UTF-8, UTF-16 with its mark, or else Windows-1252.
+"""
 
 from __future__ import annotations
 
+import codecs
 import csv
+import io
 import re
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from datetime import datetime
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
 
 from sparsefit.errors import InputError, unknown
-from sparsefit.flight.anchor import Anchor
-from sparsefit.flight.layout import (
-    Layout,
-    Reader,
-    Source,
-    check_one_vehicle,
-    epoch_of,
-    reader_of,
-    settled,
-    vehicle_columns,
-)
+from sparsefit.flight.column import Cells
+from sparsefit.flight.layout import Layout
+from sparsefit.flight.sheet import Sheet, check_size
 from sparsefit.flight.table import KEYS, FlightTable, frame_of, is_key, number
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
+_BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
+_LOOKED_AT = 1 << 16  # bytes
+_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def encode(table: FlightTable) -> bytes:
@@ -31,7 +32,7 @@ def encode(table: FlightTable) -> bytes:
     lines = [f"# {key}={value!r}" for key, value in table.settings.items()]
     lines += [f"# frame={table.frame}"] if table.frame else []
     lines.append(",".join(table.columns))
-    rows = zip(*table.columns.values(), strict=True)
+    rows = zip(*(column.tolist() for column in table.columns.values()), strict=True)
     lines.extend(",".join(map(repr, row)) for row in rows)
     return ("\n".join(lines) + "\n").encode()
 
@@ -42,19 +43,66 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
+    check_size(content.count(b"\n") - 1)
+    text = _Text(content, _encoding(content))
+    settings, frame = _settings(text.lines(), foreign=layout.foreign)
+    delimiter = _delimiter(next(filter(None, map(str.strip, text.plain())), ""))
     try:
-        lines = content.decode("utf-8-sig").splitlines()
-        settings, frame = _settings(lines, foreign=layout.foreign)
-        columns, sources, epoch = _columns(lines, layout)
-        table = FlightTable(columns, settings, frame, anchor=Anchor(None, epoch))
-        return settled(table, sources, layout) if layout.foreign else table
-    except UnicodeDecodeError:
-        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy") from None
+        _, header = next(text.rows(delimiter), (0, []))
+        names = [name.strip() for name in header]
+
+        def row(place: int) -> str:
+            line, _ = next(islice(text.rows(delimiter), place + 1, None))
+            return f"line {line}"
+
+        def read(wanted: list[str]) -> dict[str, Cells]:
+            return _read(text.rows(delimiter), names, wanted)
+
+        sheet = Sheet(names, read, row, settings, frame, commas=delimiter != ",")
+        return sheet.flight_table(layout)
     except csv.Error as error:
         raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
 
 
-def _settings(lines: list[str], *, foreign: bool) -> tuple[dict[str, float], str]:
+@dataclass(frozen=True)
+class _Text:
+    """A file's text, decoded anew by whoever reads it: a long one is never held as text."""
+
+    content: bytes
+    encoding: str
+
+    def lines(self) -> Iterator[str]:
+        """Every line."""
+        return io.TextIOWrapper(io.BytesIO(self.content), self.encoding, errors="replace")
+
+    def plain(self) -> Iterator[str]:
+        """The same, comments as empty lines so that the count stays right."""
+        for line in self.lines():
+            yield "" if line.lstrip().startswith("#") else line.strip(" \n")
+
+    def rows(self, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+        """Line numbers and cells of the header and of every row; empty lines are none."""
+        reader = csv.reader(self.plain(), delimiter=delimiter, skipinitialspace=delimiter == " ")
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                yield reader.line_num, row
+
+
+def _encoding(content: bytes) -> str:
+    """How the text of a file is encoded. Raises InputError where it is none."""
+    head = content[:_LOOKED_AT]
+    if head.startswith(_MARKS):
+        return "utf-16"
+    if _BINARY.search(head):
+        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
+    try:
+        content.decode()
+    except UnicodeDecodeError:  # a spreadsheet's: numbers are the same in all its encodings
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def _settings(lines: Iterable[str], *, foreign: bool) -> tuple[dict[str, float], str]:
     """Read the ``# key=value`` lines; comments of any other form are free text.
 
     So are all others of a ``foreign`` table.
@@ -62,7 +110,7 @@ def _settings(lines: list[str], *, foreign: bool) -> tuple[dict[str, float], str
     settings: dict[str, float] = {}
     frame = ""
     for count, line in enumerate(lines, start=1):
-        match = _SETTING.fullmatch(line.strip())
+        match = _SETTING.fullmatch(line.strip()) if "#" in line else None
         if match is None:
             continue
         key, value = match.groups()
@@ -77,61 +125,23 @@ def _settings(lines: list[str], *, foreign: bool) -> tuple[dict[str, float], str
     return settings, frame
 
 
-def _columns(
-    lines: list[str], layout: Layout
-) -> tuple[dict[str, list[float]], dict[str, Source], datetime | None]:
-    """The columns in SI units, what they were read from, and when the first row was."""
-    rows = _rows(lines, layout)
-    _, header = next(rows, (0, []))
-    names = [name.strip() for name in header]
-    sources = layout.chosen(names)
-    places = [(name, names.index(source.column)) for name, source in sources.items()]
-    columns: dict[str, list[float]] = {name: [] for name, _ in places}
-    readers: dict[str, Reader] = {}
-    epoch: datetime | None = None
-    for line, row in _of_one_vehicle(rows, names, sources, layout):
-        if not readers:
-            readers = {name: reader_of(name, sources[name], row[p]) for name, p in places}
-            epoch = epoch_of(sources["time"], row[dict(places)["time"]])
-        for name, place in places:
-            where = f"line {line}, column {names[place]}"
-            columns[name].append(readers[name](row[place], where))
-    return columns, sources, epoch
-
-
-def _of_one_vehicle(
-    rows: Iterator[tuple[int, list[str]]],
-    names: list[str],
-    sources: Mapping[str, Source],
-    layout: Layout,
-) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows that the layout takes; InputError at the end where they are of several."""
-    counts = {names.index(column): Counter[str]() for column in vehicle_columns(names, sources)}
-    place, wanted = layout.filtered(names)
-    for line, row in rows:
+def _read(
+    rows: Iterator[tuple[int, list[str]]], names: list[str], wanted: list[str]
+) -> dict[str, Cells]:
+    """The cells of the wanted columns."""
+    cells: dict[str, list[str]] = {name: [] for name in wanted}
+    pairs = [(one.append, names.index(name)) for name, one in cells.items()]
+    for line, row in islice(rows, 1, None):
         if len(row) != len(names):
             raise InputError(
                 f"line {line} has {len(row)} cells, the header has {len(names)}; repair that line"
             )
-        if place is not None and row[place].strip() != wanted:
-            continue
-        for column, count in counts.items():
-            count[row[column].strip()] += 1
-        yield line, row
-    for column, count in counts.items():
-        check_one_vehicle(names[column], count)
-
-
-def _rows(lines: list[str], layout: Layout) -> Iterator[tuple[int, list[str]]]:
-    """Yield line numbers and cells; comments become empty lines so that the count stays right."""
-    plain = ["" if line.lstrip().startswith("#") else line for line in lines]
-    header = next(filter(None, map(str.strip, plain)), "")
-    reader = csv.reader(plain, delimiter=_delimiter(header) if layout.foreign else ",")
-    for row in reader:
-        if any(cell.strip() for cell in row):
-            yield reader.line_num, row
+        for append, place in pairs:
+            append(row[place])
+    return dict(cells)
 
 
 def _delimiter(header: str) -> str:
-    """What stands between the cells of a foreign table: the most frequent of three."""
-    return max(",;\t", key=header.count)
+    """What stands between the cells: the most frequent of three, or blanks."""
+    best = max(",;\t", key=header.count)
+    return best if best in header or " " not in header else " "

@@ -18,7 +18,12 @@ from sparsefit.whole_file import read_whole, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
 WRITTEN: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
-FORMATS: dict[str, ModuleType] = WRITTEN | {".ulg": ulog_file, ".igc": igc_file}
+TEXTS = (".txt", ".tsv", ".dat")  # tables of other programs
+FORMATS: dict[str, ModuleType] = {
+    **WRITTEN,
+    **dict.fromkeys(TEXTS, csv_file),
+    **{".ulg": ulog_file, ".igc": igc_file},
+}
 
 
 def read_flight(

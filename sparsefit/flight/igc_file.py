@@ -59,7 +59,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         notes.append("some records cannot be read, and are left out")
     first = float(time[0])
     values = (time - first, *plane.position.T)
-    columns = {name: one.tolist() for name, one in zip(POSITIONS, values, strict=True)}
+    columns = dict(zip(POSITIONS, values, strict=True))
     anchor = Anchor(plane.origin, start + timedelta(seconds=first))
     return FlightTable(columns, {}, "ENU", tuple(notes), anchor)
 

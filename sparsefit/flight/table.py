@@ -8,6 +8,7 @@ from datetime import datetime
 
 import numpy as np
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight.anchor import Anchor
 from sparsefit.flight.flow_settings import flow_of_settings, is_flow_key, settings_of_flow
@@ -15,7 +16,8 @@ from sparsefit.flight.record import FRAMES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
-COLUMNS = (*POSITIONS, "vx", "vy")  # m/s, m/s
+VELOCITY = ("vx", "vy")  # m/s
+COLUMNS = (*POSITIONS, *VELOCITY)
 THRUST = ("ax", "ay")  # m/s^2, measured; in some logs
 KEYS = (
     *("response_time", "thrust_ax", "thrust_ay", "drag", "thrust_scale"),
@@ -25,7 +27,7 @@ KEYS = (
 
 @dataclass(frozen=True)
 class FlightTable:
-    """The columns of a flight by name, and its vehicle and flow as ``settings`` (see `KEYS`).
+    """The columns (m,) of a flight by name, and its vehicle and flow as ``settings`` (see `KEYS`).
 
     The parameters of superposed flows are numbered: ``mean_velocity_1``, ``length_scale_1``, ...;
     a steady wind is ``wind_x``, ``wind_y``.
@@ -34,7 +36,7 @@ class FlightTable:
     anchor: where and when its zeros are, as far as it tells.
     """
 
-    columns: dict[str, list[float]]
+    columns: dict[str, Array]
     settings: dict[str, float]
     frame: str = ""
     notes: tuple[str, ...] = ()
@@ -45,9 +47,9 @@ class FlightTable:
         """Return the table of ``flight``; `flight` gives it back exactly."""
         values = np.column_stack([flight.time, flight.position, flight.velocity])
         names = COLUMNS if flight.velocity_measured else POSITIONS
-        columns = {name: values[:, place].tolist() for place, name in enumerate(names)}
+        columns = {name: values[:, place] for place, name in enumerate(names)}
         if flight.thrust is not None:
-            columns |= dict(zip(THRUST, flight.thrust.T.tolist(), strict=True))
+            columns |= dict(zip(THRUST, flight.thrust.T, strict=True))
         settings = _settings_of(flight.vehicle) | settings_of_flow(flight.flow)
         return cls(columns, settings, flight.frame)
 
@@ -57,7 +59,7 @@ class FlightTable:
         Raises:
             InputError: if there is no vehicle, or the flight is not a valid one.
         """
-        time = np.array(self.columns["time"])
+        time = self.columns["time"]
         position = np.column_stack([self.columns["x"], self.columns["y"]])
         flown = vehicle_of(self.settings) if vehicle is None else vehicle
         flow = flow_of_settings(self.settings)
@@ -74,7 +76,7 @@ class FlightTable:
         if epoch is None or own is None or epoch == own:
             return self
         late = (own - epoch).total_seconds()
-        columns = self.columns | {"time": [late + time for time in self.columns["time"]]}
+        columns = self.columns | {"time": late + self.columns["time"]}
         return replace(self, columns=columns, anchor=replace(self.anchor, epoch=epoch))
 
     def between(self, start: float | None, end: float | None) -> FlightTable:
@@ -85,42 +87,19 @@ class FlightTable:
         """
         if start is None and end is None:
             return self
-        time = np.array(self.columns["time"])
+        time = self.columns["time"]
         low, high = -math.inf if start is None else start, math.inf if end is None else end
         kept = np.flatnonzero((time >= low) & (time <= high))
         if not len(kept):
             ends = f"{time.min():g} … {time.max():g} s" if len(time) else "nothing"
             raise InputError(f"no sample from {low:g} s to {high:g} s; the log has {ends}")
-        columns = {name: [values[row] for row in kept] for name, values in self.columns.items()}
+        columns = {name: values[kept] for name, values in self.columns.items()}
         return replace(self, columns=columns)
 
 
 def is_key(name: str) -> bool:
     """Tell whether ``name`` is a setting a flight file may hold."""
     return name in KEYS or is_flow_key(name)
-
-
-def columns_of(names: list[str]) -> tuple[str, ...]:
-    """The columns to read of a file that has `names`: `COLUMNS`, or `POSITIONS` without vx and vy.
-
-    With both of `THRUST`, these too. Other columns are welcome.
-
-    Raises:
-        InputError: where one is missing or stands twice.
-    """
-    alone = set(POSITIONS) <= set(names) and not {"vx", "vy"} & set(names)
-    wanted = (*(POSITIONS if alone else COLUMNS), *(THRUST if set(THRUST) & set(names) else ()))
-    missing = [name for name in wanted if name not in names]
-    if missing:
-        present = ascii(", ".join(names)[:200])[1:-1] or "nothing"
-        raise InputError(
-            f"no column {', '.join(missing)}; found {present}; rename or add it, or "
-            "give columns: time=t,x=lon,..."
-        )
-    twice = [name for name in wanted if names.count(name) > 1]
-    if twice:
-        raise InputError(f"column {', '.join(twice)} appears more than once; keep one of each")
-    return wanted
 
 
 def number(text: str, place: str) -> float:

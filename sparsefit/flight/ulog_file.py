@@ -75,7 +75,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         raise InputError(f"more than {MOST_SAMPLES} samples: cut the log into pieces")
     time = _time(local)[kept]
     values = [time - time[0], *(np.asarray(local[name], np.float64)[kept] for name in FIELDS)]
-    columns = {name: one.tolist() for name, one in zip(COLUMNS, values, strict=True)}
+    columns = dict(zip(COLUMNS, values, strict=True))
     notes = _notes(log, local, kept)
     anchor = Anchor(_origin(local, kept), _epoch(log, local, kept))
     return _at(FlightTable(columns, {}, "NED", notes, anchor), layout.anchor.origin)
@@ -173,8 +173,8 @@ def _at(table: FlightTable, origin: tuple[float, float] | None) -> FlightTable:
     plane = plane_of(np.array(own[:1]), np.array(own[1:]), ("ref_lon", "ref_lat"), origin)
     east, north = plane.position[0].tolist()
     columns = table.columns | {
-        "x": [north + x for x in table.columns["x"]],
-        "y": [east + y for y in table.columns["y"]],
+        "x": north + table.columns["x"],
+        "y": east + table.columns["y"],
     }
     return replace(table, columns=columns, anchor=replace(table.anchor, origin=origin))
 

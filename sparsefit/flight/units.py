@@ -28,12 +28,22 @@ SPEEDS = {
 }
 ACCELERATIONS = {"m/s^2": 1.0, "m/s2": 1.0, "cm/s^2": 1e-2, "ft/s^2": 0.3048, "g": 9.80665}
 _OF_POSITION = LENGTHS | {DEGREES: 1.0}
+_SPELLED = {  # in headers
+    **{"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "hr": "h", "hours": "h"},
+    **{"meters": "m", "metres": "m", "°": DEGREES, "degrees": DEGREES},
+    **{"m s-1": "m/s", "cm s-1": "cm/s", "kmh": "km/h", "kph": "km/h", "kt": "kn", "knots": "kn"},
+}
 _BY_FIELD = {
     "time": TIMES,
     **dict.fromkeys(("x", "y"), _OF_POSITION),
     **dict.fromkeys(("vx", "vy"), SPEEDS),
     **dict.fromkeys(("ax", "ay"), ACCELERATIONS),
 }
+
+
+def spelled(unit: str) -> str:
+    """Return the unit as this module spells it: ``kn`` of ``knots``, say."""
+    return _SPELLED.get(unit, unit)
 
 
 def factor_of(field: str, unit: str) -> float:
@@ -46,7 +56,7 @@ def factor_of(field: str, unit: str) -> float:
     Raises:
         InputError: naming the known units, where it is none of them.
     """
-    known = _BY_FIELD[field]
+    known, unit = _BY_FIELD[field], spelled(unit)
     if not unit:
         return 1.0
     if unit not in known:
