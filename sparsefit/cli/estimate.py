@@ -72,8 +72,8 @@ def add(verbs: Verbs) -> None:
         "flight",
         metavar="FLIGHT",
         nargs="+",
-        help="flight log: .csv or .parquet, .ulg of PX4, .igc of a glider; several are flights "
-        "through one flow, in one frame and by one clock",
+        help="flight log: a table (.csv, .parquet; .txt, .tsv, .dat), .ulg of PX4, .igc of a "
+        "glider; several are flights through one flow, in one frame and by one clock",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_plot(parser)
@@ -81,13 +81,20 @@ def add(verbs: Verbs) -> None:
     _add_estimator(parser)
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
     vehicle.add_argument(
-        "--response-time", type=number("s"), metavar="S", help="alone: drag is linear only"
+        "--response-time",
+        type=number("s"),
+        metavar="S",
+        help="of linear drag; alone: no quadratic drag",
     )
     vehicle.add_argument(
-        "--drag", type=number("1/m"), metavar="1/M", help="alone: drag is quadratic only"
+        "--drag", type=number("1/m"), metavar="1/M", help="quadratic drag; alone: no linear drag"
     )
-    vehicle.add_argument("--thrust-ax", type=number("m/s^2"), metavar="AX", help="in m/s^2")
-    vehicle.add_argument("--thrust-ay", type=number("m/s^2"), metavar="AY", help="in m/s^2")
+    vehicle.add_argument(
+        "--thrust-ax", type=number("m/s^2"), metavar="AX", help="thrust along x in m/s^2"
+    )
+    vehicle.add_argument(
+        "--thrust-ay", type=number("m/s^2"), metavar="AY", help="thrust along y in m/s^2"
+    )
     vehicle.add_argument(
         "--thrust-scale", type=number(), metavar="S", help="of the measured thrust ax, ay"
     )
@@ -98,7 +105,9 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--estimator", metavar="FILE", help="estimator.json, as written by sparsefit select"
     )
-    group.add_argument("--backend", metavar="NAME", help="default: group-lasso")
+    group.add_argument(
+        "--backend", metavar="NAME", help="that picks the candidates; default: group-lasso"
+    )
     add_setting(group)
     group.add_argument(
         "--derivative",
@@ -113,9 +122,18 @@ def _add_estimator(parser: argparse.ArgumentParser) -> None:
         default=None,
         help="leave outliers, jumps, gaps, uneven and repeated samples as they are",
     )
-    group.add_argument("--grid-lower", type=number("m"), metavar="M", help="default: 1 m")
-    group.add_argument("--grid-upper", type=number("m"), metavar="M", help="default: 12 m")
-    group.add_argument("--grid-step", type=number("m"), metavar="M", help="default: 0.2 m")
+    group.add_argument(
+        "--grid-lower",
+        type=number("m"),
+        metavar="M",
+        help="least length scale sought; default: 1 m",
+    )
+    group.add_argument(
+        "--grid-upper", type=number("m"), metavar="M", help="largest one; default: 12 m"
+    )
+    group.add_argument(
+        "--grid-step", type=number("m"), metavar="M", help="between candidates; default: 0.2 m"
+    )
     group.add_argument(
         "--family", metavar="NAME", help="of the library: cells (default), stream or waves"
     )
@@ -172,7 +190,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(estimate.to_dict() | told)
     else:
         print("\n".join(lines(logs, estimate, estimator.library.unknown)))
-    if estimate.status != "ok":
+    if estimate.status != "ok" and not sys.stdout.isatty():  # there it has just been read
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
     return 0 if estimate.status == "ok" else 1
 
@@ -180,7 +198,7 @@ def run(args: argparse.Namespace) -> int:
 def _log(args: argparse.Namespace, path: str, table: FlightTable, estimator: Estimator) -> Log:
     """One log, its quality looked at."""
     flight = _flight(args, path, table, estimator.library.unknown)
-    quality = quality_of_log(args, path, flight, estimator.library.grid.lower)
+    quality = quality_of_log(args, path, flight, estimator.library.grid)
     return Log(path, flight, quality, table.notes)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from sparsefit.cli.output import duration, proof
 from sparsefit.cli.parser import shown
+from sparsefit.errors import one_line
 
 if TYPE_CHECKING:
     from sparsefit.cli.estimate_log import Log
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from sparsefit.flight import Flight
 
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
+SLIGHT = 1e-3  # of U0: turbulence below it is none that anybody felt
+EXACT = 1e-12  # of |Phi|^2: what is left below it is rounding, and need not be white
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
     "normal_equations": "relative gradient of the least-squares fit",
@@ -66,7 +69,7 @@ def _flight(
     """What was flown, logged and mended; own: what is estimated of the flight."""
     vehicle = [words for key, words in _known(log.flight).items() if key not in unknown]
     return [
-        ("flight", f"{log.path}: {_measured(log.flight)}"),
+        ("flight", f"{one_line(log.path)}: {_measured(log.flight)}"),
         *log.rows(estimate),
         *([("repaired", own.repairs.words)] if own.repairs.words else []),
         *_wander(own),
@@ -130,11 +133,9 @@ def _shape(estimate: Estimate) -> list[tuple[str, str]]:
         rows.append(("heading", f"{degrees:.4f} degrees  ± {spread:.2g}"))
     if shape in ("rectangle", "pair"):
         sides = estimate.length_scales
-        words = f"({sides[0]:.4f}, {sides[1]:.4f}) m" + _spread(known.length_scales)
-        rows.append(("length scales  x, y", words))
+        rows.append(("length scales  x, y", _pair(sides, "m", known.length_scales)))
     if moves and estimate.drift is not None:
-        words = f"({estimate.drift[0]:.4f}, {estimate.drift[1]:.4f}) m/s" + _spread(known.drift)
-        rows.append(("drift", words))
+        rows.append(("drift", _pair(estimate.drift, "m/s", known.drift)))
     return rows
 
 
@@ -143,8 +144,9 @@ def _goodness(estimate: Estimate) -> list[tuple[str, str]]:
     known = estimate.goodness
     if known is None:
         return []
-    rows = [("goodness of fit", f"R² {known.r_squared:.6f}{_structure(known.whiteness)}")]
-    if known.turbulence > 0:
+    white = "" if 1 - known.r_squared < EXACT else _structure(known.whiteness)
+    rows = [("goodness of fit", f"R² {known.r_squared:.6f}{white}")]
+    if known.turbulence_share > SLIGHT:
         share = 100 * known.turbulence_share
         rows.append(("turbulence", f"{known.turbulence:.3g} m/s rms, {share:.3g} % of U0"))
     return rows
@@ -183,26 +185,25 @@ def _estimated(estimate: Estimate | FlightEstimate) -> list[tuple[str, str]]:
     ):
         pair = getattr(estimate, name)
         if pair is not None:
-            words = f"({pair[0]:.4f}, {pair[1]:.4f}) {unit}"
-            rows.append((label, words + _spread(getattr(known, name) if known else None)))
+            rows.append((label, _pair(pair, unit, getattr(known, name) if known else None)))
     return rows
 
 
-def _spread(pair: tuple[float, float] | None) -> str:
-    """Standard errors of a pair, to two digits and four decimals at least."""
-    if pair is None:
-        return ""
-    if not all(map(math.isfinite, pair)):
-        return "  ± unknown"
-    if min(pair) < FINEST:
-        return f"  ± ({pair[0]:.1e}, {pair[1]:.1e})"
-    places = _places(min(pair))
-    return f"  ± ({pair[0]:.{places}f}, {pair[1]:.{places}f})"
+def _pair(values: tuple[float, float], unit: str, spreads: tuple[float, float] | None) -> str:
+    """Two values to two digits of the smaller standard error, and these."""
+    known = spreads is not None and all(map(math.isfinite, spreads))
+    places = _places(min(spreads)) if spreads is not None and known else 4
+    words = f"({values[0]:.{places}f}, {values[1]:.{places}f}) {unit}"
+    if spreads is None:
+        return words
+    kind = f".{places}f" if known and min(spreads) >= FINEST else ".1e"
+    told = f"({spreads[0]:{kind}}, {spreads[1]:{kind}})" if known else "unknown"
+    return f"{words}  ± {told}"
 
 
 def _places(spread: float) -> int:
-    """Decimals that show two digits of a standard error, four at least."""
-    return max(4, 1 - math.floor(math.log10(spread)))
+    """Decimals that show two digits of a standard error; four where it is next to nothing."""
+    return max(0, 1 - math.floor(math.log10(spread))) if spread >= FINEST else 4
 
 
 def _scales(estimate: Estimate) -> list[tuple[str, str]]:
@@ -257,15 +258,16 @@ def _parameters(estimate: Estimate) -> list[tuple[str, str]]:
 def _quantity(
     value: float, unit: str, spread: float | None = None, ends: tuple[float, float] = (0.0, 0.0)
 ) -> str:
-    """A value to two digits of its standard error, four decimals at least."""
+    """A value to two digits of its standard error, and its 95 % interval."""
     if value != value:
         return f"{'–':>9} {unit}"
     if spread is None:
         return f"{value:>9.4f} {unit}"
     if not math.isfinite(spread):
         return f"{value:>9.4f} {unit:<3}  ± unknown"
-    if spread < FINEST:
-        return f"{value:>9.4f} {unit:<3}  ± {spread:.1e}"
     places = _places(spread)
+    words = f"{value:>9.{places}f} {unit:<3}  ± "
+    if spread < FINEST:
+        return f"{words}{spread:.1e}"
     low, high = (f"{end:.{places}f}" for end in ends)
-    return f"{value:>9.{places}f} {unit:<3}  ± {spread:.{places}f}  (95 %: {low} … {high})"
+    return f"{words}{spread:.{places}f}  (95 %: {low} … {high})"

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sparsefit.estimator import Estimate
     from sparsefit.flight import Flight
     from sparsefit.flight.table import FlightTable
+    from sparsefit.library import LengthScaleGrid
 
 
 def add_log(parser: argparse.ArgumentParser) -> None:
@@ -58,10 +59,12 @@ def read_logs(args: argparse.Namespace) -> list[FlightTable]:
     return tables
 
 
-def quality_of_log(args: argparse.Namespace, path: str, flight: Flight, lower: float) -> LogQuality:
+def quality_of_log(
+    args: argparse.Namespace, path: str, flight: Flight, grid: LengthScaleGrid
+) -> LogQuality:
     """Refuse a log that nothing should be made of; of others say how good they are.
 
-    lower: the least length scale that is sought [m].
+    grid: the length scales that are sought.
     """
     from sparsefit.derivative import Derivative
     from sparsefit.derivative.quality import quality_of
@@ -69,7 +72,7 @@ def quality_of_log(args: argparse.Namespace, path: str, flight: Flight, lower: f
     from sparsefit.errors import told_with
 
     with told_with(path):
-        check_log(flight, smallest=lower, longest_gap=args.longest_gap)
+        check_log(flight, smallest=grid.lower, largest=grid.upper, longest_gap=args.longest_gap)
     return quality_of(flight, Derivative()(flight).smoothing)
 
 

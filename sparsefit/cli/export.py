@@ -37,8 +37,16 @@ def add(verbs: Verbs) -> None:
     )
     parser.add_argument("--c", required=True, metavar="DIR", dest="folder", help="folder to write")
     real = parser.add_mutually_exclusive_group()
-    real.add_argument("--double", action="store_const", const="double", dest="real", help="default")
-    real.add_argument("--float", action="store_const", const="float", dest="real")
+    real.add_argument(
+        "--double",
+        action="store_const",
+        const="double",
+        dest="real",
+        help="numbers of 8 bytes (default)",
+    )
+    real.add_argument(
+        "--float", action="store_const", const="float", dest="real", help="numbers of 4 bytes"
+    )
     parser.add_argument(
         "--flight", metavar="FILE", help="recorded flight of the test; default: a simulated one"
     )

@@ -24,16 +24,24 @@ MEANT = {
 def add_flow(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the flow."""
     group = parser.add_argument_group("flow")
-    group.add_argument("--mean-velocity", type=number("m/s"), required=True, metavar="U0")
-    group.add_argument("--length-scale", type=number("m"), required=True, metavar="L")
+    for option, unit, name, text in (
+        ("--mean-velocity", "m/s", "U0", "of the cells, in m/s"),
+        ("--length-scale", "m", "L", "side of a cell, in m"),
+    ):
+        group.add_argument(option, type=number(unit), required=True, metavar=name, help=text)
     for option, unit, names, text in (
-        ("--wind", "m/s", ("X", "Y"), "a steady wind beside the flow; default: none"),
+        ("--wind", "m/s", ("X", "Y"), "a steady wind beside the flow, in m/s; default: none"),
         ("--heading", "rad", ("RAD",), "turns the cells counter-clockwise; default: 0"),
         ("--stretch", "", ("RATIO",), "side of a cell along its y axis over that along x, L"),
         ("--angle", "rad", ("RAD",), "between the walls of a cell; default: a right angle"),
-        ("--offset", "m", ("X", "Y"), "where a corner of the cells is at the start"),
-        ("--drift", "m/s", ("X", "Y"), "velocity at which the cells move; default: none"),
-        ("--swell", "", ("SHARE", "S"), "share of U0 by which it swells and ebbs, and its period"),
+        ("--offset", "m", ("X", "Y"), "where a corner of the cells is at the start, in m"),
+        ("--drift", "m/s", ("X", "Y"), "velocity at which the cells move, in m/s; default: none"),
+        (
+            "--swell",
+            "",
+            ("SHARE", "S"),
+            "share of U0 by which it swells and ebbs, and its period in s",
+        ),
         ("--turbulence", "", ("RMS", "M"), "rms of each component in m/s, integral length in m"),
         ("--turbulence-memory", "s", ("S",), "integral time of turbulence; default: frozen"),
     ):
@@ -61,10 +69,10 @@ def add_faults(parser: argparse.ArgumentParser) -> None:
         help="of a sample interval, below 0.5, by which samples are early or late; default: 0",
     )
     for option, names, text in (
-        ("--wander", ("M", "S"), "rms of a position error that wanders, and its time"),
-        ("--outliers", ("SHARE", "M/S"), "share of velocities far off, and by how much"),
-        ("--jumps", ("COUNT", "M"), "jumps of the position, and their size"),
-        ("--gaps", ("COUNT", "S"), "gaps, and the longest that they may be"),
+        ("--wander", ("M", "S"), "rms of a position error that wanders, in m, and its time in s"),
+        ("--outliers", ("SHARE", "M/S"), "share of velocities far off, and by how many m/s"),
+        ("--jumps", ("COUNT", "M"), "jumps of the position, and their size in m"),
+        ("--gaps", ("COUNT", "S"), "gaps, and the longest that they may be, in s"),
     ):
         group.add_argument(option, type=number(), nargs=2, metavar=names, help=text)
 

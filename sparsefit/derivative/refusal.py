@@ -48,21 +48,30 @@ ALTERNATING = (2, 3, 4)  # vehicles whose rows take turns
 CLOSE = 0.1  # of the steps between them: how little each of these moves
 
 
-def check_log(flight: Flight, *, smallest: float = 0.0, longest_gap: float | None = None) -> None:
+def check_log(
+    flight: Flight,
+    *,
+    smallest: float = 0.0,
+    largest: float = math.inf,
+    longest_gap: float | None = None,
+) -> None:
     """Refuse a log that no estimate should be made of.
 
     Args:
         flight: the flight.
         smallest: the least length scale that will be sought [m].
+        largest: likewise.
         longest_gap: that is allowed [s]; None is 60 s, or 20 steps where they are longer.
 
     Raises:
-        InputError: naming the first of these: a long gap, a vehicle that stands still, rows of
-            two vehicles or flights, velocities in another unit, frame or sign than positions.
+        InputError: naming the first of these: a long gap, a vehicle that stands still, samples
+            too far apart for what is sought, rows of two vehicles or flights, velocities in another
+            unit, frame or sign than positions.
     """
     longest = None if longest_gap is None else positive("longest_gap", longest_gap, "s")
     _check_gap(flight, longest)
     _check_still(flight, smallest)
+    _check_apart(flight, largest)
     _check_turns(flight)
     _check_one_flight(flight)
     if flight.velocity_measured:
@@ -93,6 +102,16 @@ def _check_still(flight: Flight, smallest: float) -> None:
     where = where if flight.extent else "never leaves its place"
     least = f", less than the smallest length scale sought, {smallest:g} m" if smallest else ""
     raise InputError(f"the vehicle stands still: it {where}{least}; give a log of a flight")
+
+
+def _check_apart(flight: Flight, largest: float) -> None:
+    """Half a period is the least step that tells a wave from another one."""
+    apart = _median_step(flight.position, 1)
+    if apart > largest:
+        raise InputError(
+            f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
+            f": no flow of that size shows; raise the grid's bounds, above {apart:.2g} m"
+        )
 
 
 def _check_turns(flight: Flight) -> None:

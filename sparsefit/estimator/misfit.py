@@ -30,8 +30,9 @@ def misfit(goodness: Goodness | None, unknown: tuple[str, ...] = ()) -> Verdict 
     left = f"more than noise is left{where} (R² {goodness.r_squared:.4g})"
     words = f"{left}: {_words(suspect, goodness)}"
     if suspect.cause in FREED and not (goodness.flight and suspect.cause is Cause.RESPONSE_TIME):
-        names = ", ".join(f'"{name}"' for name in (*unknown, FREED[suspect.cause]))
-        words += f"; free it: unknown = [{names}]"
+        freed = (*unknown, FREED[suspect.cause])
+        names = ", ".join(f'"{name}"' for name in freed)
+        words += f"; free it: unknown = [{names}] (--unknown {' '.join(freed)})"
     return Verdict("misfit", words, Doubt.MISFIT)
 
 

@@ -11,6 +11,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 
@@ -93,13 +94,12 @@ def _encoding(content: bytes) -> str:
     head = content[:_LOOKED_AT]
     if head.startswith(_MARKS):
         return "utf-16"
-    if _BINARY.search(head):
-        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
-    try:
-        content.decode()
-    except UnicodeDecodeError:  # a spreadsheet's: numbers are the same in all its encodings
-        return "cp1252"
-    return "utf-8-sig"
+    # Numbers are the same in all encodings of a spreadsheet but the first.
+    for encoding in () if _BINARY.search(head) else ("utf-8-sig", "cp1252"):
+        with suppress(UnicodeDecodeError):
+            content.decode(encoding)
+            return encoding
+    raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
 
 
 def _settings(lines: Iterable[str], *, foreign: bool) -> tuple[dict[str, float], str]:

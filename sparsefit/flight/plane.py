@@ -21,6 +21,7 @@ from sparsefit.errors import InputError, MissingExtra
 POLAR = 85.0  # degrees: few fly beyond, and whoever seems to has likely exchanged his columns
 WIDEST = 2_000e3  # m: a plane beyond it is none
 RADIUS = 6_371e3  # m, of the Earth
+FINEST = 1e-3  # %, of lengths: nobody asks for more
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ def plane_of(
         told = f"the track goes {farthest / 1e3:.0f} km from {middle_of}"
         raise InputError(f"{told}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
-    share = 100.0 * (farthest / RADIUS) ** 2 / 6.0
+    share = max(FINEST, 100.0 * (farthest / RADIUS) ** 2 / 6.0)
     words = f"local plane about {_place(east, north)}, lengths true to {share:.1g} %"
     return Plane(position, turned, words, (east, north))
 

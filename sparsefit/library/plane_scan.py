@@ -19,11 +19,13 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.cached import cached_property
+from sparsefit.errors import InputError
 from sparsefit.library.scan import Bounds, extent_of
 
 ACCURACY = 1e-4  # of the sums, relative to the number of rows
 FLAT = 1e-2  # of m: eigenvalues of the Gram matrix below it are those of a constant
 FEW = 8  # rows of a piece
+MOST_PLACES = 2e7  # wavevectors of a scan, which takes 2.5 GB then
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +46,22 @@ class PlaneScan:
 
     @classmethod
     def of(cls, position: Array, radii: Bounds, weight: Array | None = None) -> PlaneScan:
-        """The scan at a step of pi / extent, half a lobe."""
-        return cls(position[:, :2], radii, math.pi / extent_of(position[:, :2]), weight)
+        """The scan at a step of pi / extent, half a lobe.
+
+        Raises:
+            InputError: where that is more wavevectors than can be looked at.
+        """
+        extent = extent_of(position[:, :2])
+        scan = cls(position[:, :2], radii, math.pi / extent, weight)
+        places = (2 * scan.half + 1.0) ** 2
+        if places > MOST_PLACES:
+            least = math.sqrt(2) * math.pi / radii[1]
+            raise InputError(
+                f"the track is {extent:.3g} m across and length scales down to {least:.3g} m are "
+                f"sought: {places:.1g} waves to look at; raise the grid's bounds, the lower one to "
+                f"{least * math.sqrt(places / MOST_PLACES):.2g} m or more"
+            )
+        return scan
 
     @property
     def half(self) -> int:

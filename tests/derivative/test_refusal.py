@@ -74,6 +74,12 @@ def test_a_vehicle_that_stands_still(flight):
     check_log(brief, smallest=1.0)  # moves, and is only short
 
 
+def test_samples_too_far_apart_for_what_is_sought(flight):
+    check_log(flight, largest=12.0)
+    far = replace(flight, position=1e3 * flight.position, velocity=1e3 * flight.velocity)
+    assert "m apart, and the largest length scale sought is 12 m" in refused(far, largest=12.0)
+
+
 UNITS = [
     ("velocity", 0.3048, "velocity in ft/s?"),
     ("velocity", 1 / 3.6, "velocity in km/h?"),

@@ -20,7 +20,11 @@ def suspected(cause, *size):
 @pytest.mark.parametrize(
     ("cause", "size", "words"),
     [
-        (Cause.WIND, (1.0, -2.0), 'wind of (1, -2) m/s; free it: unknown = ["wind"]'),
+        (
+            Cause.WIND,
+            (1.0, -2.0),
+            'wind of (1, -2) m/s; free it: unknown = ["wind"] (--unknown wind)',
+        ),
         (Cause.RESPONSE_TIME, (-0.02,), "0.02 s shorter"),
         (Cause.SWELLING, (0.14,), "change in time, by 14 % rms"),
         (Cause.DRIFT, (0.5, 0.1), "drift at about (0.5, 0.1) m/s"),
@@ -39,7 +43,9 @@ def test_the_reason_says_what_the_flow_seems_to_be(cause, size, words):
 
 def test_the_remedy_keeps_what_is_freed_already():
     verdict = misfit(suspected(Cause.WIND, 1.0, 0.0), ("response_time",))
-    assert verdict.reason.endswith('unknown = ["response_time", "wind"]')
+    assert verdict.reason.endswith(
+        'unknown = ["response_time", "wind"] (--unknown response_time wind)'
+    )
 
 
 def test_no_cause_is_named_where_little_is_explained():

@@ -3,7 +3,9 @@
 import math
 
 import numpy as np
+import pytest
 
+from sparsefit.errors import InputError
 from sparsefit.library.drift_scan import DriftScan
 from sparsefit.library.plane_scan import PlaneScan, crossed, peaks
 from sparsefit.library.waves import AXIS, WAVE, Waves
@@ -27,6 +29,12 @@ def test_gains_are_those_of_least_squares():
         design = np.column_stack([Waves(WAVE).values(POSITION[:, :2], k[None])[0].T, winds])
         left = moved - design @ np.linalg.lstsq(design, moved, rcond=None)[0]
         np.testing.assert_allclose(gains[i, j], moved @ moved - left @ left, rtol=1e-3)
+
+
+def test_a_scan_beyond_all_memory_is_refused():
+    with pytest.raises(InputError, match=r"m across .* the lower one to 14 m or more") as caught:
+        PlaneScan.of(1e3 * POSITION, (0.1, math.sqrt(2) * math.pi))
+    assert "length scales down to 1 m are sought" in str(caught.value)
 
 
 def test_squares_are_seen_where_they_are():

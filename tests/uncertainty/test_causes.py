@@ -136,7 +136,7 @@ def test_what_is_freed_is_suspected_no_more():
         flow, VEHICLE, duration=12.0, sample_rate=100.0, seed=5, velocity_noise=0.1
     )
     found = sf.Estimator().estimate(flight)
-    assert found.reason.endswith('free it: unknown = ["wind"]')
+    assert found.reason.endswith('free it: unknown = ["wind"] (--unknown wind)')
     freed = sf.Estimator(library=sf.Library(unknown=("wind",))).estimate(flight)
     assert freed.status == "ok"
     assert freed.wind == pytest.approx(wind, abs=0.05)
