@@ -14,9 +14,9 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
-    *("errors", "arrays", "cached", "codec", "whole_file", "flight", "regression", "backends"),
-    *("derivative", "library", "modes", "uncertainty", "estimator", "online", "export", "score"),
-    *("study", "sklearn", "pysindy", "cli"),
+    *("errors", "arrays", "cached", "codec", "whole_file", "child", "flight", "regression"),
+    *("backends", "derivative", "library", "modes", "uncertainty", "estimator", "online"),
+    *("export", "score", "study", "sklearn", "pysindy", "cli"),
 )
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}

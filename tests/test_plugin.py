@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit import backends
-from sparsefit.cli import child, main
+from sparsefit import backends, child
+from sparsefit.cli import main
 from sparsefit.errors import InputError
 from sparsefit.sklearn import SparseRegressor
 from tests.problems import regular

@@ -87,7 +87,7 @@ def run_list(args: argparse.Namespace) -> int:
 
 def _record_apart(name: str) -> dict[str, Any]:
     """The record of a plug-in, which is imported in a process of its own."""
-    from sparsefit.cli.child import in_child
+    from sparsefit.child import in_child
     from sparsefit.errors import InputError
 
     try:
@@ -135,7 +135,7 @@ def _entry(record: dict[str, Any]) -> str:
 def run_check(args: argparse.Namespace) -> int:
     """Exit 0 only if the back-end's answer is certified, and a plug-in keeps the contract."""
     from sparsefit import backends
-    from sparsefit.cli.child import in_child
+    from sparsefit.child import in_child
     from sparsefit.errors import InputError, one_of, positive
 
     one_of("back-end", args.name, (*backends.known(), *backends.PUBLIC))

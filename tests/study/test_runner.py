@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -25,68 +26,9 @@ from sparsefit.study.run.lock import LOCK, locked
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.worker import Worker
 from tests.conftest import SECONDS
+from tests.study import hostile
 
 ROOT = Path(__file__).parents[2]
-PLUGIN = '''
-"""A back-end that behaves as it is told."""
-import multiprocessing, os, subprocess, time
-from dataclasses import dataclass
-from typing import ClassVar
-import numpy as np
-from sparsefit.regression.backend import Solution
-
-
-@dataclass(frozen=True)
-class Hostile:
-    name: ClassVar[str] = "hostile"
-    certificate_kind: ClassVar[str] = "fixed_point"
-    deed: str = "work"
-    seconds: float = 0.0
-
-    def solve(self, problem):
-        time.sleep(self.seconds)
-        if self.deed == "hang":
-            time.sleep(600.0)
-        if self.deed == "die":
-            os.kill(os.getpid(), 9)
-        if self.deed == "exit":
-            os._exit(3)
-        if self.deed == "raise":
-            raise ZeroDivisionError("one\\ntwo")
-        if self.deed == "nothing":
-            return Solution(None, "error", "no answer")
-        if self.deed == "fork" and os.fork() == 0:
-            time.sleep(0.2)
-        if self.deed == "scribble":
-            for descriptor in range(3, 60):
-                try:
-                    os.write(descriptor, b"\\xff\\xff\\xff\\x7f" * 9)
-                except OSError:
-                    pass
-        if self.deed == "print":
-            print("not JSON")
-            os.write(1, b"not JSON")
-        if self.deed == "name":
-            raise ValueError(os.fsdecode(b"\\xff\\x1b"))
-        if self.deed == "status":
-            return Solution(None, 7, "seven")
-        if self.deed == "child":
-            subprocess.Popen(["sleep", "600"])
-            time.sleep(600.0)
-        return Solution(np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0])
-
-    def next_support(self, problem, weights):
-        return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0] != 0
-
-
-@dataclass(frozen=True)
-class Late(Hostile):
-    name: ClassVar[str] = "late"
-
-    def __post_init__(self):
-        if multiprocessing.parent_process() is not None:
-            raise RuntimeError("not here")
-'''
 HEAD = """
 name = "r"
 question = "?"
@@ -144,13 +86,7 @@ Write = Callable[..., Path]
 @pytest.fixture(scope="module", autouse=True)
 def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("plugin")
-    (folder / "hostile.py").write_text(PLUGIN)
-    info = folder / "hostile-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[sparsefit.backends]\nhostile = hostile:Hostile\nlate = hostile:Late\n"
-    )
+    hostile.install(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         backends._plugins.cache_clear()
@@ -446,12 +382,17 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, write: Write) 
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_work(
-    tmp_path: Path, write: Write
+    tmp_path: Path, write: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     study = Study.load(write(deeds("hang"), count=1))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="choose another results folder"):
         run(study, tmp_path / "file")
+    (tmp_path / "r").mkdir()  # read-only, with the lock of a process that was killed
+    (tmp_path / "r" / LOCK).write_text(f"{2**22}\n{socket.gethostname()}\n")
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(InputError, match="cannot be written: choose another results folder"):
+        run(study, tmp_path)
 
 
 @pytest.mark.parametrize("processes", [0, -1, True, 1.5])
@@ -478,7 +419,7 @@ def test_workers_compute_in_one_thread(write: Write, monkeypatch: pytest.MonkeyP
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     worker = Worker.start(Study.load(write(deeds("work"))), patience=60.0)
     try:
-        told = Path(f"/proc/{worker.process.pid}/environ")
+        told = Path(f"/proc/{worker.child.process.pid}/environ")
         until(lambda: bool(told.read_bytes()))
         environment = told.read_bytes().split(b"\0")
         assert b"OPENBLAS_NUM_THREADS=1" in environment

@@ -145,10 +145,9 @@ def _path_fractions(task: _Task) -> tuple[float, ...]:
     cell = task.cells[0]
     if cell.settings.get(ALPHA) == "auto":  # it walks a path of its own
         return ()
-    asked = cell.choice.grid.get(ALPHA, ())
-    grid = [value for value in asked if value != "auto"]
-    paths = isinstance(task.backend, PathBackend)
-    return tuple(float(value) for value in grid) if paths and len(grid) > 1 else ()
+    grid = [value for value in cell.choice.grid.get(ALPHA, ()) if value != "auto"]
+    paths = len(grid) > 1 and isinstance(task.backend, PathBackend)
+    return tuple(float(value) for value in grid) if paths else ()
 
 
 def _fit(study: Study, prepared: Prepared, batch: _Batch) -> Iterator[tuple[_Task, Fit | _Failed]]:

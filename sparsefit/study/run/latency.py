@@ -15,22 +15,19 @@ import os
 import platform
 import sys
 import time
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from sparsefit.child import Child
 from sparsefit.codec import finite_or_none
 from sparsefit.flight import Flight
 from sparsefit.study.run.manifest import processor, sparsefit_version
-from sparsefit.study.run.worker import ONE_THREAD, environment
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.study import Study
@@ -89,13 +86,10 @@ def measure(
 
 def _of_one(study: Study, flights: int) -> Latency:
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-    context: Any = multiprocessing.get_context(method)
-    if method == "forkserver":
-        context.set_forkserver_preload([__name__])  # imported once, by what all are forked from
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_timed, args=(study, flights, theirs), daemon=True)
-    with environment(ONE_THREAD):
-        process.start()
+    if method == "forkserver":  # imported once, by what all are forked from
+        multiprocessing.get_context(method).set_forkserver_preload([__name__])
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    child = Child.start(_timed, study, flights, theirs, method=method)
     theirs.close()
     try:
         limit = PATIENCE + BUDGET + 2.0 * (WARM_UP + FEWEST) * study.case_timeout
@@ -103,27 +97,24 @@ def _of_one(study: Study, flights: int) -> Latency:
     except EOFError:
         latency = Latency.failed()
     finally:
-        process.kill()
-        process.join()
+        child.kill()
         ours.close()
     return latency
 
 
 def _timed(study: Study, flights: int, pipe: Connection) -> None:
-    warnings.simplefilter("ignore")
     _stay_on_one_core()
-    with threadpool_limits(limits=1):
-        times, busy, begun = [], 0, time.monotonic()
-        for place in range(-WARM_UP, flights):
-            cell, flown = _flight(study, max(place, 0))
-            seconds, disturbed = _clocked(partial(study.estimator(cell).estimate, flown))
-            if place >= 0:
-                times.append(seconds)
-                busy += disturbed
-            if len(times) >= FEWEST and time.monotonic() - begun > BUDGET:
-                break
-        middle, late = np.quantile(times, [0.5, 0.99])
-        pipe.send(Latency(float(middle), float(late), _peak(), len(times), busy / len(times)))
+    times, busy, begun = [], 0, time.monotonic()
+    for place in range(-WARM_UP, flights):
+        cell, flown = _flight(study, max(place, 0))
+        seconds, disturbed = _clocked(partial(study.estimator(cell).estimate, flown))
+        if place >= 0:
+            times.append(seconds)
+            busy += disturbed
+        if len(times) >= FEWEST and time.monotonic() - begun > BUDGET:
+            break
+    middle, late = np.quantile(times, [0.5, 0.99])
+    pipe.send(Latency(float(middle), float(late), _peak(), len(times), busy / len(times)))
 
 
 def _flight(study: Study, place: int) -> tuple[Cell, list[Flight]]:

@@ -33,6 +33,8 @@ def locked(folder: Path) -> Iterator[None]:
         InputError: if another run holds it, or the folder cannot be written.
     """
     with _alone_here(folder):
+        if not os.access(folder, os.W_OK):  # where a dead process's lock could not be taken over
+            raise InputError(f"{folder}: cannot be written: choose another results folder")
         lock = SoftFileLock(folder / LOCK, timeout=0)
         try:
             lock.acquire()

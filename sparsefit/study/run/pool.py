@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -107,7 +106,7 @@ class _Pool:
             return
         until = min(worker.deadline for worker in self.crew) - time.monotonic()
         watched = [worker.messages for worker in self.crew]
-        sentinels = [worker.process.sentinel for worker in self.crew]
+        sentinels = [worker.child.process.sentinel for worker in self.crew]
         wait([*watched, *sentinels], timeout=min(max(until, 0.0), TICK))
         self._excuse_sleep()
         for worker in list(self.crew):
@@ -117,8 +116,8 @@ class _Pool:
                 yield from self._lost(worker, "crashed", GARBLED)
                 continue
             if not alive:
-                worker.process.join(timeout=1.0)
-                yield from self._lost(worker, "crashed", _cause(worker))
+                worker.child.process.join(timeout=1.0)
+                yield from self._lost(worker, "crashed", f"the worker process {worker.child.end}")
             elif time.monotonic() > worker.deadline:
                 limit = f"took longer than {self.study.case_timeout:g} s"
                 yield from self._lost(worker, "timeout", limit)
@@ -138,7 +137,7 @@ class _Pool:
 
     def _drain(self, worker: Worker) -> Generator[Timed, None, bool]:
         """Take the messages that have come, of one worker not for ever; False when it is gone."""
-        alive = worker.process.is_alive()
+        alive = worker.child.process.is_alive()
         try:
             for message in worker.receiver.messages():
                 if isinstance(message, Stage) and message.name != READING and self.stop():
@@ -156,7 +155,7 @@ class _Pool:
 
     def _lost(self, worker: Worker, status: str, cause: str) -> Generator[Timed, None, None]:
         """End a worker; rows for the cells it takes along, and the others back to the queue."""
-        died_of_signal = (worker.process.exitcode or 0) < 0
+        died_of_signal = (worker.child.process.exitcode or 0) < 0
         self.crew.remove(worker)
         worker.kill()
         if not worker.ready:
@@ -200,15 +199,3 @@ def _sorted_out(worker: Worker, job: Job) -> tuple[list[int], Job]:
         victims = left
     taken = set(victims)
     return victims, replace(job, cells=tuple(c for c in left if c not in taken), deaths=deaths)
-
-
-def _cause(worker: Worker) -> str:
-    code = worker.process.exitcode
-    if code is None or code >= 0:
-        return f"the worker process ended with exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
-    memory = " (out of memory?)" if name == "SIGKILL" else ""
-    return f"the worker process died of {name}{memory}"

@@ -9,19 +9,16 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-import signal
-import threading
 import time
-import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from sparsefit.arrays import Array
+from sparsefit.child import Child
 from sparsefit.errors import SparsefitError
 from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.regression.problem import RegressionProblem
@@ -37,7 +34,6 @@ from sparsefit.study.run.solver_solve import (
     solve,
     timed,
 )
-from sparsefit.study.run.worker import ONE_THREAD, environment
 from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
 
@@ -89,36 +85,22 @@ class Lost:
     reason: str
 
 
-def work(study: SolverStudy, pipe: Connection, lifeline: Connection) -> None:
+def work(study: SolverStudy, pipe: Connection) -> None:
     """The worker's life: answer what is asked, until the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
-    warnings.simplefilter("ignore")
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)
     desk = _Desk(study, pipe)
-    try:
-        with threadpool_limits(limits=1):
-            pipe.send(Answer())
-            while True:
-                ask: Ask | Hand = pipe.recv()
-                try:
-                    answer = desk.answer(ask)
-                except Exception as error:  # a solver may raise anything
-                    words = " ".join(f"{type(error).__name__}: {error}".split())
-                    answer = Answer(error=words[:300])
-                pipe.send(answer)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        return
-
-
-def _end_with_parent(lifeline: Connection) -> None:
-    """The parent never writes here; when it dies, even by SIGKILL, the read ends."""
-    try:
-        lifeline.recv_bytes()
-    except (EOFError, OSError):
-        os._exit(1)
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        pipe.send(Answer())
+        while True:
+            ask: Ask | Hand = pipe.recv()
+            try:
+                answer = desk.answer(ask)
+            except Exception as error:  # a solver may raise anything
+                words = " ".join(f"{type(error).__name__}: {error}".split())
+                answer = Answer(error=words[:300])
+            pipe.send(answer)
 
 
 @dataclass
@@ -179,18 +161,17 @@ class Worker:
 
     def __init__(self, study: SolverStudy) -> None:
         self._study = study
-        self._process: SpawnProcess | None = None
+        self._child: Child | None = None
         self._pipe: Connection | None = None
-        self._lifeline: Connection | None = None
 
     @property
     def pid(self) -> int | None:
         """The process, where there is one now."""
-        return None if self._process is None else self._process.pid
+        return None if self._child is None else self._child.process.pid
 
     def ask(self, ask: Ask | Hand) -> Answer | Lost:
         """The answer, or how the process was lost over it."""
-        if self._process is None:
+        if self._child is None:
             self._start()
         assert self._pipe is not None
         try:
@@ -201,25 +182,15 @@ class Worker:
 
     def close(self) -> None:
         """End the process for real, and wait until it is gone."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.join()
-        for pipe in (self._pipe, self._lifeline):
-            if pipe is not None:
-                pipe.close()
-        self._process = self._pipe = self._lifeline = None
+        if self._child is not None and self._pipe is not None:
+            self._child.kill()
+            self._pipe.close()
+        self._child = self._pipe = None
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._lifeline, lifeline = context.Pipe()
-        self._process = context.Process(
-            target=work, args=(self._study, theirs, lifeline), daemon=True
-        )
-        with environment(ONE_THREAD):
-            self._process.start()
+        self._pipe, theirs = multiprocessing.Pipe()
+        self._child = Child.start(work, self._study, theirs)
         theirs.close()
-        lifeline.close()
         started = self._receive(START_SECONDS)
         if isinstance(started, Lost):
             raise SparsefitError(
@@ -247,7 +218,7 @@ class Worker:
                     return self._lost(Lost("timeout", words))
                 message = self._pipe.recv()
             except (EOFError, OSError):
-                return self._lost(Lost("crashed", f"{what}: the process died{self._signal()}"))
+                return self._lost(Lost("crashed", f"{what}: the process {self._end()}"))
             if isinstance(message, Answer):
                 return message
             what, seconds, began = message.what, message.seconds, self._clocks()
@@ -263,16 +234,10 @@ class Worker:
             return max(seconds - wall, 0.0)
         return max(min(seconds - cpu, PATIENCE * seconds - wall), 0.0)
 
-    def _signal(self) -> str:
-        assert self._process is not None
-        self._process.join(timeout=2.0)
-        code = self._process.exitcode
-        if code is None or code >= 0:
-            return f" with exit code {code}"
-        try:
-            return f" of {signal.Signals(-code).name}"
-        except ValueError:
-            return f" of signal {-code}"
+    def _end(self) -> str:
+        assert self._child is not None
+        self._child.process.join(timeout=2.0)
+        return self._child.end
 
     def _lost(self, lost: Lost) -> Lost:
         self.close()

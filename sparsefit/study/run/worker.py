@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
 import multiprocessing
 import os
-import signal
-import sys
-import threading
 import time
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 
-from threadpoolctl import threadpool_limits
-
+from sparsefit.child import Child
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import simulate_flight
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -27,19 +19,6 @@ from sparsefit.study.run.channel import Message, Ready, Receiver, Sender
 from sparsefit.study.run.execution import run_flight
 from sparsefit.study.run.outcome import Outcome, Stage
 from sparsefit.study.spec.study import Study
-
-# Processes share the work; threads inside each would only fight for the same cores.
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "BLIS_NUM_THREADS": "1",
-    "VECLIB_MAXIMUM_THREADS": "1",
-    "NUMEXPR_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-    "RAYON_NUM_THREADS": "1",
-}
-PR_SET_PDEATHSIG = 1  # of Linux: a signal for when the parent dies
 
 
 @dataclass(frozen=True)
@@ -52,30 +31,18 @@ class Job:
     deaths: int = 0
 
 
-def work(
-    study: Study, jobs: Connection, messages: Connection, lifeline: Connection, parent: int
-) -> None:
+def work(study: Study, jobs: Connection, messages: Connection) -> None:
     """The worker's life: take a job, send what happens, until the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _end_with(parent, lifeline)
-    # What a back-end prints is no answer of the parent's, and what it asks for nobody types.
-    os.dup2(2, 1)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    warnings.simplefilter("ignore")
     sender = Sender(messages.fileno(), os.getpid())
-    try:
-        # For libraries that were loaded before the environment could tell them.
-        with threadpool_limits(limits=1):
-            _load()
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        _load()
+        sender.send(Ready())
+        while True:
+            job: Job = jobs.recv()
+            todo = [study.cells[index] for index in job.cells]
+            for event in run_flight(study, job.flight, todo, alone=job.alone):
+                sender.send(event)
             sender.send(Ready())
-            while True:
-                job: Job = jobs.recv()
-                todo = [study.cells[index] for index in job.cells]
-                for event in run_flight(study, job.flight, todo, alone=job.alone):
-                    sender.send(event)
-                sender.send(Ready())
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        return
 
 
 def _load() -> None:
@@ -85,39 +52,13 @@ def _load() -> None:
     Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0))).estimate(flight)
 
 
-def _end_with(parent: int, lifeline: Connection) -> None:
-    """End when the parent does, even by SIGKILL, and all that was started here with it.
-
-    The thread ends the whole group of processes; where a back-end holds the interpreter and no
-    thread of ours can run, the system still ends this one.
-    """
-    if hasattr(os, "setpgid"):
-        os.setpgid(0, 0)
-    if sys.platform == "linux":
-        with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
-    threading.Thread(target=_watch, args=(lifeline,), daemon=True).start()
-
-
-def _watch(lifeline: Connection) -> None:
-    """The parent never writes here; when it dies, the read ends."""
-    with suppress(EOFError, OSError):
-        lifeline.recv_bytes()
-    if hasattr(os, "killpg"):
-        os.killpg(0, signal.SIGKILL)
-    os._exit(1)
-
-
 @dataclass
 class Worker:
     """The parent's end: the process, its job, the stage in progress and its deadline."""
 
-    process: SpawnProcess
+    child: Child
     jobs: Connection
     messages: Connection
-    lifeline: Connection
     timeout: float
     deadline: float
     receiver: Receiver
@@ -131,19 +72,14 @@ class Worker:
     @classmethod
     def start(cls, study: Study, *, patience: float) -> Worker:
         """A new process; it has `patience` seconds to report that it is ready."""
-        context = multiprocessing.get_context("spawn")
-        jobs, ours = context.Pipe(duplex=False)
-        messages, theirs = context.Pipe(duplex=False)
-        lifeline, stays = context.Pipe(duplex=False)
-        told = (study, jobs, theirs, lifeline, os.getpid())
-        process = context.Process(target=work, args=told, daemon=True)
-        with environment(ONE_THREAD), _interrupts_ignored():
-            process.start()
-        for end in (jobs, theirs, lifeline):
-            end.close()
+        jobs, ours = multiprocessing.Pipe(duplex=False)
+        messages, theirs = multiprocessing.Pipe(duplex=False)
+        child = Child.start(work, study, jobs, theirs)
+        jobs.close()
+        theirs.close()
         limit = time.monotonic() + patience
         receiver = Receiver(messages.fileno())
-        return cls(process, ours, messages, stays, study.case_timeout, limit, receiver)
+        return cls(child, ours, messages, study.case_timeout, limit, receiver)
 
     @property
     def idle(self) -> bool:
@@ -188,37 +124,6 @@ class Worker:
 
     def kill(self) -> None:
         """End the process for real, with all that it started, and wait until it is gone."""
-        if hasattr(os, "killpg") and self.process.pid is not None:
-            with suppress(ProcessLookupError, PermissionError):  # not yet a group of its own
-                os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.kill()
-        self.process.join()
-        for end in (self.jobs, self.messages, self.lifeline):
-            end.close()
-
-
-@contextmanager
-def environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Variables of the environment for processes that are started within, as before after it."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """A child inherits this: Ctrl-C in the terminal reaches all, and only the parent acts."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        self.child.kill()
+        self.jobs.close()
+        self.messages.close()

@@ -1,0 +1,98 @@
+"""A plug-in of back-ends that behave as they are told; `install` puts it where Python finds it."""
+
+import ctypes
+import multiprocessing
+import os
+import shutil
+import subprocess
+import time
+import zlib
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from sparsefit.regression.backend import Solution
+
+ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\nlate = hostile:Late\n"
+
+
+@dataclass(frozen=True)
+class Hostile:
+    """deed: what it does to the share of all problems that `rarely` tells; else least squares."""
+
+    name: ClassVar[str] = "hostile"
+    certificate_kind: ClassVar[str] = "fixed_point"
+    deed: str = "work"
+    seconds: float = 0.0
+    rarely: float = 1.0
+
+    def solve(self, problem):
+        time.sleep(self.seconds)
+        if zlib.crc32(problem.target.tobytes()) < self.rarely * 2.0**32:
+            solution = do(self.deed)
+            if solution is not None:
+                return solution
+        return Solution(np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0])
+
+    def next_support(self, problem, weights):
+        return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0] != 0
+
+
+@dataclass(frozen=True)
+class Late(Hostile):
+    name: ClassVar[str] = "late"
+
+    def __post_init__(self):
+        if multiprocessing.parent_process() is not None:
+            raise RuntimeError("not here")
+
+
+def do(deed):
+    """The deed, and what it answers: None where it goes on."""
+    if deed == "hang":
+        time.sleep(600.0)
+    if deed == "hang-native":  # in C, with the interpreter's lock held
+        ctypes.PyDLL(None).sleep(600)
+    if deed == "die":
+        os.kill(os.getpid(), 9)
+    if deed == "segfault":
+        ctypes.string_at(0)
+    if deed == "memory":
+        held = []
+        while True:
+            held.append(np.ones(1 << 24))
+    if deed == "exit":
+        os._exit(3)
+    if deed == "raise":
+        raise ZeroDivisionError("one\ntwo")
+    if deed == "nothing":
+        return Solution(None, "error", "no answer")
+    if deed == "fork" and os.fork() == 0:
+        time.sleep(0.2)
+    if deed == "scribble":
+        for descriptor in range(3, 60):
+            with suppress(OSError):
+                os.write(descriptor, b"\xff\xff\xff\x7f" * 9)
+    if deed == "print":
+        print("not JSON")
+        os.write(1, b"not JSON")
+    if deed == "name":
+        raise ValueError(os.fsdecode(b"\xff\x1b"))
+    if deed == "status":
+        return Solution(None, 7, "seven")
+    if deed == "child":
+        subprocess.Popen(["sleep", "600"])
+        time.sleep(600.0)
+    return None
+
+
+def install(folder):
+    """Copy this file and its entry points into a folder that is, or will be, on `sys.path`."""
+    shutil.copy(__file__, folder)
+    info = Path(folder) / "hostile-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
