@@ -23,7 +23,7 @@ def one_thread() -> Iterator[None]:
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Studies run without worker processes, for tests of what is before and after their work."""
-    from sparsefit.study.run import runner
+    from sparsefit.study.run import flight_kind
     from sparsefit.study.run.execution import run_flight
     from sparsefit.study.run.outcome import Outcome
 
@@ -34,4 +34,4 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
                 events = list(run_flight(study, job.flight, [study.cells[i] for i in job.cells]))
             yield from ((event, SECONDS) for event in events if isinstance(event, Outcome))
 
-    monkeypatch.setattr(runner, "outcomes", outcomes)
+    monkeypatch.setattr(flight_kind, "outcomes", outcomes)

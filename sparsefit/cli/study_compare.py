@@ -92,11 +92,11 @@ def compare(args: argparse.Namespace) -> int:
 def _cases(name: str, results: str) -> pd.DataFrame:
     """The rows of a results folder, or of a study file by its results."""
     from sparsefit.study.run.store import read_cases
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
 
     if Path(name).is_dir():
         return read_cases(name)
-    return read_cases(Path(results) / Study.load(name).name)
+    return read_cases(Path(results) / load_study(name).name)
 
 
 def _record(both: Compared, tables: tuple[Table, Table], written: list[str]) -> dict[str, object]:
@@ -121,17 +121,17 @@ def _record(both: Compared, tables: tuple[Table, Table], written: list[str]) -> 
 
 def merge(args: argparse.Namespace) -> int:
     """Take what the parts hold; 0 also where cases are still missing, which is said."""
-    from sparsefit.cli.study_run import write_pages
-    from sparsefit.study.report.pages import check_outputs
+    from sparsefit.study.report.kind_pages import pages_of
     from sparsefit.study.run.merge import merge as merged_of
     from sparsefit.study.run.store import read_cases
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
 
-    study = Study.load(args.study)
-    check_outputs(study)
+    study = load_study(args.study)
+    pages = pages_of(study)
+    pages.check()
     merged = merged_of(study, args.results, args.parts, keep_first=args.keep_first)
     if merged.finished:
-        write_pages(study, args.results, read_cases(merged.folder))
+        pages.write(args.results, read_cases(merged.folder))
     if args.json:
         told = [
             {

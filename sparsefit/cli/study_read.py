@@ -12,13 +12,13 @@ from sparsefit.cli import study_case
 from sparsefit.cli.output import print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser, Run
 from sparsefit.cli.study_case import show_case
-from sparsefit.cli.study_run import by_status, stale_note, write_pages
+from sparsefit.cli.study_run import by_status, stale_note
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from sparsefit.study.run.summary import RunStatus
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.identity import AnyStudy
 
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 
@@ -27,7 +27,7 @@ NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 class Stored:
     """A study and the cases that are there, finished or not."""
 
-    study: Study
+    study: AnyStudy
     status: RunStatus
     cases: pd.DataFrame
 
@@ -46,9 +46,9 @@ def add_options(show: Parser) -> None:
 def status(args: argparse.Namespace) -> int:
     """Planned, done, and by status."""
     from sparsefit.study.run import runner
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
 
-    study = Study.load(args.study)
+    study = load_study(args.study)
     found = runner.status(study, args.results)
     if args.json:
         record = {"folder": str(found.folder), "planned": found.planned, "done": found.done}
@@ -75,7 +75,7 @@ def errors(args: argparse.Namespace) -> int:
     from sparsefit.errors import one_line
 
     stored = _stored(args)
-    groups = _grouped(stored.cases[stored.cases["status"] != "ok"])
+    groups = _grouped(stored.study, stored.cases[stored.cases["status"] != "ok"])
     if args.json:
         print_json({"study": stored.study.name, "done": stored.status.done, "groups": groups})
         return 0
@@ -90,10 +90,13 @@ def errors(args: argparse.Namespace) -> int:
     return 0
 
 
-def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
+def _grouped(study: AnyStudy, cases: pd.DataFrame) -> list[dict[str, Any]]:
+    from sparsefit.study.report.kind_pages import pages_of
+
     groups: dict[tuple[str, str, str], dict[str, Any]] = {}
-    columns = (cases[name].tolist() for name in ("case_id", "label", "status", "reason"))
-    for case_id, label, status, reason in zip(*columns, strict=True):
+    columns = (cases[name].tolist() for name in ("case_id", "status", "reason"))
+    who = pages_of(study).who(cases)
+    for label, case_id, status, reason in zip(who, *columns, strict=True):
         key = (label, status, NUMBER.sub("#", reason))
         first = {"cases": 0, "status": status, "label": label, "reason": reason}
         groups.setdefault(key, {**first, "first_case": case_id})["cases"] += 1
@@ -104,20 +107,19 @@ def show(args: argparse.Namespace) -> int:
     """The tables of the study, or those asked for; or one case, run again and drawn."""
     if args.case is not None:
         return show_case(args)
-    from sparsefit.errors import one_of
-    from sparsefit.study.evidence.tables import TABLES, tables_of
-    from sparsefit.study.report.pages import render_show
+    from sparsefit.study.report.kind_pages import pages_of
     from sparsefit.study.report.render import to_text
+    from sparsefit.study.spec.load import load_study
 
-    for name in args.table or ():
-        one_of("table", name, TABLES.named)
+    names = tuple(args.table or ())
+    pages = pages_of(load_study(args.study))
+    pages.check_tables(names)
     stored = _stored(args)
-    study, cases, width = stored.study, stored.cases, terminal_width()
-    if not args.table and not args.json:
-        print(render_show(study, cases, width=width), end="")
+    cases, width = stored.cases, terminal_width()
+    if not names and not args.json:
+        print(pages.show(cases, width=width), end="")
         return 0
-    named = {name: TABLES.make(name, study, cases) for name in args.table or ()}
-    tables = named or tables_of(study, cases)
+    tables = pages.tables(cases, names)
     if args.json:
         print_json({name: table_record(table) for name, table in tables.items()})
     else:
@@ -128,20 +130,21 @@ def show(args: argparse.Namespace) -> int:
 def report(args: argparse.Namespace) -> int:
     """Tables, figures and report anew; the cases stay as they are."""
     from sparsefit.errors import InputError
-    from sparsefit.study.evidence.answers import sentences
+    from sparsefit.study.report.kind_pages import pages_of
     from sparsefit.study.run import runner
     from sparsefit.study.run.store import read_cases
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
 
-    study = Study.load(args.study)
+    study = load_study(args.study)
     found = runner.status(study, args.results)
     if not found.finished:
         raise InputError(_unfinished(args, found))
     if found.stale:
         print(stale_note(found.stale), file=sys.stderr)
     cases = read_cases(found.folder)
-    written = write_pages(study, args.results, cases)
-    print("\n".join([*sentences(study, cases), *map(str, written)]))
+    pages = pages_of(study)
+    written = pages.write(args.results, cases)
+    print("\n".join([*pages.sentences(cases), *map(str, written)]))
     return 0
 
 
@@ -152,9 +155,9 @@ def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
     from sparsefit.errors import InputError
     from sparsefit.study.run import held, runner, store
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
 
-    study = Study.load(args.study)
+    study = load_study(args.study)
     found = runner.status(study, args.results)
     if found.finished:
         return Stored(study, found, store.read_cases(found.folder))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.output import duration, print_json, terminal_width
@@ -13,10 +12,8 @@ from sparsefit.cli.parser import Parser, whole
 from sparsefit.cli.progress import Bar, Lines
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from sparsefit.study.run.summary import RunSummary
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.identity import AnyStudy
 
 STOPPED = "stopped; run the same command again to continue"
 STOPPED_FRESH = "stopped; run the same command without --fresh to continue"
@@ -60,18 +57,19 @@ def add_options(parser: Parser) -> None:
         default=[],
         metavar="NAME",
         help="compute no case but those of this back-end, label, protocol (* for any letters) or "
-        "case id; repeat it for more",
+        "case id; of a study of solvers of this problem, objective or solver, and what takes turns "
+        "with it; repeat it for more",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run to the end; write and print what came out."""
-    from sparsefit.study.report.pages import check_outputs
+    from sparsefit.study.report.kind_pages import pages_of
     from sparsefit.study.run import runner
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
 
-    study = Study.load(args.study)
-    check_outputs(study)
+    study = load_study(args.study)
+    pages_of(study).check()
     if args.fresh:
         args.stopped = STOPPED_FRESH
     progress = Bar() if sys.stderr.isatty() else Lines()
@@ -118,7 +116,7 @@ def stale_note(stale: int) -> str:
     return f"{rows} computed by other code than this ({version_of('')}); study run --stale renews"
 
 
-def _unfinished(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
+def _unfinished(args: argparse.Namespace, study: AnyStudy, summary: RunSummary) -> int:
     """What `--only` left: rows, but no report yet."""
     if args.json:
         print_json(_record(study, summary))
@@ -131,24 +129,25 @@ def _unfinished(args: argparse.Namespace, study: Study, summary: RunSummary) -> 
     return 0
 
 
-def _finish(args: argparse.Namespace, study: Study, summary: RunSummary) -> int:
-    from sparsefit.study.evidence.answers import sentences
+def _finish(args: argparse.Namespace, study: AnyStudy, summary: RunSummary) -> int:
+    from sparsefit.study.report.kind_pages import pages_of
     from sparsefit.study.run.store import read_cases
 
-    cases = read_cases(summary.folder)
-    written = write_pages(study, args.results, cases)
-    answers = sentences(study, cases)
+    pages, cases = pages_of(study), read_cases(summary.folder)
+    written = pages.write(args.results, cases)
+    answers = pages.sentences(cases)
     if args.json:
         said = {"answers": answers, "written": [str(path) for path in written]}
         print_json({**_record(study, summary), **said})
         return 0
-    print("".join(f"{sentence}\n\n" for sentence in answers) + _main_table(study, cases))
+    table = pages.main_table(cases, width=terminal_width())
+    print("".join(f"{sentence}\n\n" for sentence in answers) + table)
     print(_what_was_done(summary))
     print(f"written to {summary.folder}; start with {written[-1]}")
     return 0
 
 
-def _record(study: Study, summary: RunSummary) -> dict[str, Any]:
+def _record(study: AnyStudy, summary: RunSummary) -> dict[str, Any]:
     return {
         "study": study.name,
         "folder": str(summary.folder),
@@ -162,25 +161,6 @@ def _record(study: Study, summary: RunSummary) -> dict[str, Any]:
         "seconds": summary.seconds,
         "solver_seconds": summary.solver_seconds,
     }
-
-
-def write_pages(study: Study, results: str, cases: pd.DataFrame) -> list[Path]:
-    """Tables, figures and README of the stored cases; the files written, README last."""
-    from sparsefit.study.report.pages import write_report
-    from sparsefit.study.run.folder import WEIGHTS
-    from sparsefit.study.run.store import read_weights
-
-    folder = Path(results) / study.name
-    weights = read_weights(folder) if (folder / WEIGHTS).exists() else None
-    return write_report(study, results, cases, weights)
-
-
-def _main_table(study: Study, cases: pd.DataFrame) -> str:
-    from sparsefit.study.evidence.tables import tables_of
-    from sparsefit.study.report.render import to_text
-
-    first = next(iter(tables_of(study, cases).values()))
-    return to_text(first, width=terminal_width())
 
 
 def _what_was_done(summary: RunSummary) -> str:

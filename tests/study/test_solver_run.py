@@ -1,5 +1,6 @@
 """Studies of solvers run for real, small: rows, limits, resuming, pages, and the command line."""
 
+import dataclasses
 import json
 import math
 import os
@@ -10,7 +11,7 @@ import pytest
 
 from sparsefit.cli import main
 from sparsefit.errors import InputError
-from sparsefit.study.run import solver_crew, solver_rows, solver_run
+from sparsefit.study.run import runner, solver_crew
 from sparsefit.study.run.solver_clock import Repeats, median_interval
 from sparsefit.study.run.solver_solve import (
     Task,
@@ -22,6 +23,7 @@ from sparsefit.study.run.solver_solve import (
     solve,
 )
 from sparsefit.study.run.solver_worker import Answer, Ask, Hand, Lost, Worker, small_problem
+from sparsefit.study.run.store import read_cases
 from sparsefit.study.spec.choices import make_backend
 from sparsefit.study.spec.solver_study import Clock, SolverCase, SolverStudy
 from tests.study.solver_files import HEAD, LASSO, STLSQ, write_data, write_study
@@ -48,9 +50,10 @@ def finished(tmp_path_factory):
 
 def test_every_planned_case_is_a_row_and_what_is_missing_too(finished):
     study, _, results = finished
-    cases = solver_rows.read_cases(results / study.name)
-    assert list(cases["case_id"]) == [study.case_id(case) for case in study.cases()]
-    done = solver_run.status(study, results)
+    cases = read_cases(results / study.name)
+    planned = [study.case(*at) for at in np.ndindex(study.count, len(study.cells))]
+    assert list(cases["case_id"]) == list(map(study.case_id, planned))
+    done = runner.status(study, results)
     assert (done.planned, done.done, done.finished) == (len(cases), len(cases), True)
     assert set(cases[cases["solver"] == "adelie"]["status"]) == {"skipped"}
     ran = cases[cases["solver"] != "adelie"]
@@ -67,11 +70,11 @@ def test_every_planned_case_is_a_row_and_what_is_missing_too(finished):
 
 def test_a_finished_study_is_not_run_again_and_a_changed_one_is_refused(finished, tmp_path):
     study, path, results = finished
-    again = solver_run.run(study, results)
+    again = runner.run(study, results)
     assert again.resumed == again.planned
     other = write_study(path.parent, TEXT.replace("points = 4", "points = 5"))
     with pytest.raises(InputError, match="different study"):
-        solver_run.run(SolverStudy.load(other), results)
+        runner.run(SolverStudy.load(other), results)
     write_study(path.parent, TEXT)
 
 
@@ -88,15 +91,15 @@ def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
 
     monkeypatch.setattr(solver_crew.Crew, "ask", answers)
     with pytest.raises(KeyboardInterrupt):
-        solver_run.run(study, tmp_path)
-    half = solver_run.status(study, tmp_path)
+        runner.run(study, tmp_path)
+    half = runner.status(study, tmp_path)
     assert 0 < half.done < half.planned
     torn = tmp_path / study.name / ".partial" / "rows.jsonl"
     torn.write_bytes(torn.read_bytes() + b'{"case_id": "torn')
     told = []
-    done = solver_run.run(study, tmp_path, progress=lambda *more: told.append(more))
+    done = runner.run(study, tmp_path, progress=lambda *more: told.append(more))
     assert (done.resumed, done.finished, told[-1][0]) == (half.done, True, study.planned)
-    assert len(solver_rows.read_cases(tmp_path / study.name)) == study.planned
+    assert len(read_cases(tmp_path / study.name)) == study.planned
     turns = [ask.case for ask in asked if ask.what == "time"]
     assert turns[:3] == turns[5:2:-1]  # by turns, in alternating order
 
@@ -105,8 +108,8 @@ def test_what_took_too_long_is_not_tried_at_a_tighter_tolerance(finished, tmp_pa
     study, *_ = finished
     lost = Lost("timeout", "the solve took longer than 1 s")
     monkeypatch.setattr(solver_crew.Crew, "ask", lambda *_: lost)
-    solver_run.run(study, tmp_path)
-    cases = solver_rows.read_cases(tmp_path / study.name)
+    runner.run(study, tmp_path)
+    cases = read_cases(tmp_path / study.name)
     told = cases[cases["solver"] == "clarabel-direct"]["reason"].tolist()
     assert told[0] == lost.reason
     assert told[1] == f"not tried: at tolerance 0.001 {lost.reason}"
@@ -126,15 +129,15 @@ def test_what_failed_is_timed_again_with_all_that_took_turns_with_it(
         return lost if ill else good
 
     monkeypatch.setattr(solver_crew.Crew, "ask", answers)
-    assert solver_run.run(study, tmp_path).statuses["crashed"] > 0
+    assert runner.run(study, tmp_path).statuses["crashed"] > 0
     asked += [None] * 100
-    assert solver_run.run(study, tmp_path).resumed == study.planned
-    again = solver_run.run(study, tmp_path, retry_failed=True)
+    assert runner.run(study, tmp_path).resumed == study.planned
+    again = runner.run(study, tmp_path, retry_failed=True)
     assert again.statuses["crashed"] == 0
     assert 0 < again.resumed < again.planned
     assert {case.problem for case in asked[asked.index(None) :] if case} == {1}
-    assert len(solver_rows.read_cases(tmp_path / study.name)) == study.planned
-    assert solver_run.run(study, tmp_path, retry_failed=True).resumed == study.planned
+    assert len(read_cases(tmp_path / study.name)) == study.planned
+    assert runner.run(study, tmp_path, retry_failed=True).resumed == study.planned
 
 
 def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
@@ -146,7 +149,7 @@ def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
 
     def ran(text):
         asked.clear()
-        return solver_run.run(SolverStudy.load(write_study(tmp_path, text)), tmp_path / "results")
+        return runner.run(SolverStudy.load(write_study(tmp_path, text)), tmp_path / "results")
 
     monkeypatch.setattr(solver_crew.Crew, "ask", answers)
     for name, seed in (("one", 0), ("two", 1), ("three", 2)):
@@ -158,7 +161,7 @@ def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
     first = '[[problems]]\nfile = "three.npz"\n[[problems]]\nfile = "one.npz"'
     more = ran(TEXT.replace(STLSQ, "").replace('[[problems]]\nfile = "one.npz"', first))
     assert (set(asked), more.resumed, more.finished) == ({0}, fewer.planned, True)
-    rows = solver_rows.read_cases(more.folder)
+    rows = read_cases(more.folder)
     assert list(dict.fromkeys(rows["problem"])) == ["three", "one", "two"]
     assert list(rows["case_id"].str[:3].unique()) == ["000", "001", "002"]
     with pytest.raises(InputError, match="different study"):
@@ -203,15 +206,18 @@ def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
     assert "one process" in capsys.readouterr().err
     assert main(["study", "run", *where, "--executor", "dask"]) == 2
     assert "this machine" in capsys.readouterr().err
-    assert main(["study", "run", *where, "--stale"]) == 2
-    assert "studies of flights" in capsys.readouterr().err
+    assert main(["study", "run", *where, "--stale", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["computed"], told["stale"], told["done"]) == (0, 0, study.planned)
+    assert main(["study", "run", *where, "--only", "lasoo"]) == 2
+    assert "a problem, a back-end, an objective, a solver" in capsys.readouterr().err
     assert main(["study", "show", *where, "--table", "tims"]) == 2
     assert 'did you mean "times"' in capsys.readouterr().err
 
 
 def test_a_solve_beyond_the_limit_is_killed_and_one_that_dies_is_told(finished, tmp_path):
     study = finished[0]
-    hasty = SolverStudy(**{**vars(study), "clock": Clock(limit=1e-7)})
+    hasty = dataclasses.replace(study, clock=Clock(limit=1e-7))
     worker = Worker(hasty)
     case = SolverCase(0, 1, 1e-8)
     try:

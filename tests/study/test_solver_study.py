@@ -33,13 +33,13 @@ def refusal(folder, text):
 def test_a_file_plans_problems_times_solvers_times_tolerances(tmp_path):
     write_data(tmp_path)
     study = loaded(tmp_path, HEAD + "tolerances = [1e-8, 1e-4]\n" + ONE + LASSO)
-    told = [(study.contenders[c.contender].solver, c.tolerance) for c in study.cases()]
+    told = [(study.contenders[c.contender].solver, c.tolerance) for c in study.cells]
     assert told[0][0] == "homotopy"
     assert math.isnan(told[0][1])
     assert told[1:3] == [("clarabel-direct", 1e-4), ("clarabel-direct", 1e-8)]
     assert study.planned == len(told) == 4
     assert "numpy < 2" in study.contenders[2].missing
-    assert len({study.case_id(case) for case in study.cases()}) == 4
+    assert len({study.case_id(study.case(0, cell)) for cell in range(4)}) == 4
 
 
 def test_a_path_and_single_fits(tmp_path):

@@ -13,7 +13,7 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import Study, read_cases, read_weights, run, status
-from sparsefit.study.run import again, runner
+from sparsefit.study.run import flight_kind
 from sparsefit.study.run.manifest import read_manifest
 from sparsefit.study.spec.flights import FlightRules
 from sparsefit.study.spec.identity import identities
@@ -152,16 +152,16 @@ def test_failed_rows_are_tried_again_where_that_is_asked_for(
     tmp_path: Path, load: Load, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     study = load(('name = "lasso"', 'name = "lasso"\nlabel = "l"'))
-    real = runner.outcomes
+    real = flight_kind.outcomes
 
     def failing(*told):  # type: ignore[no-untyped-def]
         for outcome, seconds in real(*told):
             bad = outcome.cell == 0
             yield (type(outcome)(outcome.flight, 0, "timeout") if bad else outcome), seconds
 
-    monkeypatch.setattr(runner, "outcomes", failing)
+    monkeypatch.setattr(flight_kind, "outcomes", failing)
     assert run(study, tmp_path, processes=1).statuses["timeout"] == 2
-    monkeypatch.setattr(runner, "outcomes", real)
+    monkeypatch.setattr(flight_kind, "outcomes", real)
     assert run(study, tmp_path, processes=1).nothing_to_do
     assert run(study, tmp_path, processes=1, retry_failed=True, only=["least*"]).nothing_to_do
     one = read_cases(tmp_path / "n")["case_id"][0]
@@ -177,8 +177,7 @@ def test_rows_of_other_code_are_told_and_renewed(
 ) -> None:
     study = load()
     assert run(study, went.parent, processes=1).stale == 0
-    monkeypatch.setattr(again, "version_of", lambda _: "9.9+new")
-    monkeypatch.setattr(runner, "version_of", lambda _: "9.9+new")
+    monkeypatch.setattr(flight_kind, "version_of", lambda _: "9.9+new")
     assert run(study, went.parent, processes=1).stale == PLANNED
     assert status(study, went.parent).stale == PLANNED
     renewed = run(study, went.parent, processes=1, renew_stale=True, only=["lasso"])

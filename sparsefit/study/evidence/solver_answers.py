@@ -7,15 +7,23 @@ import math
 import numpy as np
 import pandas as pd
 
-from sparsefit.study.evidence.solver_measures import missing, objectives, times_to
-from sparsefit.study.evidence.solver_tables import interval_text, level_text, solved_text
+from sparsefit.study.evidence.solver_measures import level_text, missing, objectives, times_to
+from sparsefit.study.evidence.solver_ratios import against_others
+from sparsefit.study.evidence.solver_tables import interval_text, solved_text
 from sparsefit.study.evidence.table import significant
 from sparsefit.study.spec.solver_study import SolverStudy
 
 
 def sentences(study: SolverStudy, cases: pd.DataFrame) -> list[str]:
     """A sentence for each objective, one for who is missing, one where the run was disturbed."""
-    told = [_sentence(study, cases, objective) for objective in objectives(cases)]
+    told = [
+        sentence
+        for objective in objectives(cases)
+        for sentence in (
+            _sentence(study, cases, objective),
+            *against_others(study, cases, objective),
+        )
+    ]
     absent = missing(cases)
     if absent:
         told.append("Missing: " + "; ".join(absent.values()) + ".")

@@ -50,6 +50,15 @@ class Times:
             ratio: Array = np.where(self.solved, self.seconds / best, np.inf)
         return ratio
 
+    def over(self, reference: int, others: Sequence[int], *, limit: float) -> Array:
+        """(problems,) times of the best of `others` over those of `reference`, by their places.
+
+        What is unsolved counts at the limit [s]: where the others did not, the ratio is a bound.
+        """
+        charged = np.minimum(self.seconds, limit)
+        found: Array = charged[:, list(others)].min(axis=1) / charged[:, reference]
+        return found
+
     def means(self, *, shift: float, limit: float) -> Array:
         """Shifted geometric mean of each solver [s], what is unsolved counted at the limit [s]."""
         charged = np.minimum(self.seconds, limit)
@@ -86,6 +95,11 @@ def times_to(cases: pd.DataFrame, objective: str, accuracy: float) -> Times:
         place = problems.index(str(problem)), solvers.index(str(solver))
         seconds[place] = float(rows["cpu"].min())
     return Times(objective, accuracy, problems, solvers, seconds)
+
+
+def level_text(accuracy: float) -> str:
+    """An accuracy as it is written, `1e-8`."""
+    return f"{accuracy:.0e}".replace("e-0", "e-")
 
 
 def steps(values: Array, start: float, end: float) -> tuple[Array, Array]:

@@ -16,10 +16,12 @@ from sparsefit.study.evidence.solver_measures import (
     Times,
     exponent,
     growth,
+    level_text,
     missing,
     objectives,
     times_to,
 )
+from sparsefit.study.evidence.solver_ratios import ratios
 from sparsefit.study.evidence.table import Column, Table, Value, significant
 from sparsefit.study.spec.solver_study import SolverStudy
 
@@ -27,7 +29,7 @@ NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 FAILURES_SHOWN = 40
 
 
-NAMES = ("summary", "times", "failures", "growth", "clock", "contenders", "problems")
+NAMES = ("summary", "ratios", "times", "failures", "growth", "clock", "contenders", "problems")
 
 
 def tables_of(study: SolverStudy, cases: pd.DataFrame) -> dict[str, Table]:
@@ -39,6 +41,7 @@ def tables_of(study: SolverStudy, cases: pd.DataFrame) -> dict[str, Table]:
     named = {objective: f"-{_slug(objective)}" if len(parts) > 1 else "" for objective in parts}
     every = {
         **{f"summary{named[one]}": summary(study, cases, one) for one in parts},
+        **{f"ratios{named[one]}": ratios(study, cases, one) for one in parts},
         **{f"times{named[one]}": times(study, cases, one) for one in parts},
         "failures": failures(cases),
         "growth": grown(study, cases),
@@ -51,11 +54,6 @@ def tables_of(study: SolverStudy, cases: pd.DataFrame) -> dict[str, Table]:
 
 def _slug(objective: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", objective.lower()).strip("-")[:60]
-
-
-def level_text(accuracy: float) -> str:
-    """An accuracy as it is written, `1e-8`."""
-    return f"{accuracy:.0e}".replace("e-0", "e-")
 
 
 def summary(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Table:

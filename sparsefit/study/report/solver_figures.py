@@ -17,11 +17,11 @@ from sparsefit.study.evidence.solver_measures import (
     MISSING,
     Times,
     growth,
+    level_text,
     objectives,
     steps,
     times_to,
 )
-from sparsefit.study.evidence.solver_tables import level_text
 from sparsefit.study.report.drawing import (
     COLOURS,
     GREY,

@@ -10,27 +10,29 @@ import matplotlib as mpl
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sparsefit.errors import one_of
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.solver_answers import limits, sentences
-from sparsefit.study.evidence.solver_tables import NAMES, tables_of
-from sparsefit.study.evidence.table import Table
+from sparsefit.study.evidence.solver_tables import tables_of
 from sparsefit.study.report.drawing import STYLE, to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.html_page import Page, Picture, Section, to_html
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
 from sparsefit.study.report.solver_figures import CAPTIONS, figures_of
 from sparsefit.study.report.study_page import manifest_table
+from sparsefit.study.run.folder import made_folder
 from sparsefit.study.spec.solver_study import SolverStudy
 from sparsefit.whole_file import write_whole
 
 
-def write_report(study: SolverStudy, folder: Path, cases: pd.DataFrame) -> list[Path]:
+def write_solver_report(
+    study: SolverStudy, results_dir: str | Path, cases: pd.DataFrame
+) -> list[Path]:
     """Write every table as .md .tex .csv, every picture as .svg .png, report.html and README.md.
 
     Returns:
         The files written, README.md last.
     """
+    folder = made_folder(study, results_dir)
     written: list[Path] = []
 
     def write(name: str, content: bytes | str) -> None:
@@ -108,21 +110,9 @@ def methods(study: SolverStudy, cases: pd.DataFrame) -> str:
     )
 
 
-def chosen(study: SolverStudy, cases: pd.DataFrame, names: tuple[str, ...]) -> dict[str, Table]:
-    """The tables of these names, or of names that begin with them; without names all.
-
-    Raises:
-        InputError: on a name that no table has.
-    """
+def render_solvers(study: SolverStudy, cases: pd.DataFrame, *, width: int) -> str:
+    """The question, the answers, the summary and who failed where, for a terminal."""
+    head = "\n".join([f"{study.name}: {study.question}", *sentences(study, cases), ""])
     tables = tables_of(study, cases)
-    for name in names:
-        one_of("table", name, (*NAMES, *tables))
-    if not names:
-        return tables
-    return {key: table for key, table in tables.items() if key.startswith(names)}
-
-
-def shown(study: SolverStudy, cases: pd.DataFrame, *, width: int, names: tuple[str, ...]) -> str:
-    """The named tables, by default what a reader asks first, for a terminal."""
-    tables = chosen(study, cases, names or ("summary", "failures"))
-    return "\n".join(to_text(table, width=width) for table in tables.values())
+    first = [table for name, table in tables.items() if name.startswith(("summary", "failures"))]
+    return "\n".join([head, *(to_text(table, width=width) for table in first)])

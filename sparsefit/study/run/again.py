@@ -10,10 +10,9 @@ import numpy as np
 
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
+from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
-from sparsefit.study.run.version import version_of
-from sparsefit.study.spec.plan import Case
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 
 FAILED = ("error", "timeout", "crashed")
 
@@ -22,7 +21,8 @@ FAILED = ("error", "timeout", "crashed")
 class Again:
     """failed: rows without an answer too; stale: rows of other code too; only: none but these.
 
-    only: names, `*` for any letters, of back-ends, labels and protocols, or case ids.
+    only: names, `*` for any letters, of back-ends, labels and protocols (of problems, objectives
+    and solvers), or case ids.
     """
 
     failed: bool = False
@@ -43,29 +43,23 @@ class Again:
         if self.only:
             named = [_named(ledger.study, name) for name in self.only]
             wanted &= np.logical_or.reduce(named)
-        return wanted
+        return kind_of(ledger.study).whole(ledger, wanted)
 
 
 def stale(ledger: Ledger) -> BoolArray:
     """Which rows were made by other code than this (flights, cells)."""
-    cells = ledger.study.cells
-    current = {cell.backend: version_of(cell.backend) for cell in cells}
-    return ledger.made_by_others([current[cell.backend] for cell in cells])
+    kind, cells = kind_of(ledger.study), range(len(ledger.study.cells))
+    return ledger.made_by_others([kind.version(cell) for cell in cells])
 
 
-def _named(study: Study, name: str) -> BoolArray:
-    named = np.zeros((study.count, len(study.cells)), dtype=bool)
-    for cell in study.cells:
-        told = (cell.backend, cell.label, cell.protocol)
-        named[:, cell.index] = any(fnmatchcase(one, name) for one in told)
-    flight = name.partition("-")[0]
-    if not named.any() and flight.isdecimal() and int(flight) < study.count:
-        for cell in study.cells:
-            named[int(flight), cell.index] = Case(int(flight), cell).case_id == name
+def _named(study: AnyStudy, name: str) -> BoolArray:
+    kind = kind_of(study)
+    cells = [any(fnmatchcase(one, name) for one in cell.names) for cell in study.cells]
+    named: BoolArray = np.array(cells) | kind.flights_called(name)[:, None]
+    if not named.any() and (case := kind.find(name)):
+        named[case] = True
     if not named.any():
-        labels = sorted({cell.label for cell in study.cells} | {c.protocol for c in study.cells})
-        raise InputError(
-            f'nothing in study {study.name} is called "{name}": give a back-end, a label, a '
-            f"protocol ({', '.join(labels)}) or a case id"
-        )
+        known = ", ".join(sorted({one for cell in study.cells for one in cell.names[1:]}))
+        raise InputError(f'nothing in study {study.name} is called "{name}": give {kind.called} '
+                         f"({known}) or a case id")  # fmt: skip
     return named

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, TypeAlias
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from sparsefit.flight.flow import Cells
 from sparsefit.score import ScalesScore
@@ -21,6 +21,7 @@ from sparsefit.study.spec.plan import Case
 from sparsefit.study.spec.study import Study
 
 Value: TypeAlias = str | float | int | bool
+PlannedRow = TypeVar("PlannedRow")
 WITHIN = 1.0  # percent: the error within which all length scales count as right
 
 
@@ -63,19 +64,22 @@ class Planned:
 
 
 @dataclass(frozen=True)
-class Column:
+class Column(Generic[PlannedRow]):
     """One column: known as `planned`, or `read` from a case, None where there is nothing to read.
 
-    Neither: `status`, `reason` and `version`, which every case has however it ends.
+    Neither: `status`, `reason` and `version`, which every case has however it ends, and what a
+    study of solvers measures.
     """
 
     name: str
     kind: Kind
-    planned: Callable[[Planned], Value | None] | None = None
+    planned: Callable[[PlannedRow], Value | None] | None = None
     read: Callable[[Reading], Value | None] | None = None
 
 
-def _three(prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]) -> list[Column]:
+def _three(
+    prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]
+) -> list[Column[Planned]]:
     """A column for each of the three parameters, by name."""
 
     def at(parameter: str) -> Callable[[Reading], Value | None]:
@@ -84,19 +88,19 @@ def _three(prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]
     return [Column(f"{prefix}_{name}", kind, read=at(name)) for name in PARAMETERS]
 
 
-def _true(name: str, read: Callable[[Cells], float]) -> Column:
+def _true(name: str, read: Callable[[Cells], float]) -> Column[Planned]:
     """What belongs to the true flow, nothing in still air."""
     return Column(
         f"true_{name}", LEVEL, planned=lambda row: None if row.flow is None else read(row.flow)
     )
 
 
-def _of_certificate(name: str, kind: Kind, field: str) -> Column:
+def _of_certificate(name: str, kind: Kind, field: str) -> Column[Planned]:
     """A field of the certificate of the fit, where there is one."""
     return Column(name, kind, read=lambda case: getattr(case.estimate.certificate, field, None))
 
 
-def _of_goodness(name: str, field: str) -> Column:
+def _of_goodness(name: str, field: str) -> Column[Planned]:
     """A field of how well refined modes fit, where they were assessed."""
     return Column(name, SINGLE, read=lambda case: getattr(case.estimate.goodness, field, None))
 
@@ -107,7 +111,7 @@ def _cause(case: Reading) -> str | None:
     return str(goodness.suspect.cause) if goodness and goodness.suspect else None
 
 
-def _of_scales(name: str, kind: Kind, read: Callable[[ScaleSets], Value]) -> Column:
+def _of_scales(name: str, kind: Kind, read: Callable[[ScaleSets], Value]) -> Column[Planned]:
     """What is said of several scales at once: nothing where one flow is read as one."""
     return Column(
         name,
@@ -116,7 +120,7 @@ def _of_scales(name: str, kind: Kind, read: Callable[[ScaleSets], Value]) -> Col
     )
 
 
-def _of_score(name: str, read: Callable[[ScalesScore], Value]) -> Column:
+def _of_score(name: str, read: Callable[[ScalesScore], Value]) -> Column[Planned]:
     return _of_scales(f"scales_{name}", LEVEL, lambda sets: read(sets.score))
 
 
@@ -139,7 +143,7 @@ def _told_flow(row: Planned) -> str:
     return "cellular" if row.flow else "none"
 
 
-COLUMNS: tuple[Column, ...] = (
+COLUMNS: tuple[Column[Planned], ...] = (
     Column("case_id", TEXT, planned=lambda row: row.case.case_id),
     Column("study", TEXT, planned=lambda row: row.study.name),
     Column("flight", WHOLE, planned=lambda row: row.case.flight),

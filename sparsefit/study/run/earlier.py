@@ -2,36 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from sparsefit.arrays import BoolArray
-from sparsefit.study.run.columns import COLUMNS
+from sparsefit.study.run.columns import Kind as ColumnKind
 from sparsefit.study.run.folder import CASES, WEIGHTS
+from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.manifest import read_manifest
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.store import BATCH, reading
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 
-READ = {column.name: column.kind for column in COLUMNS if column.read}
+ENDED = ("status", "reason", "version")  # what every row has
 
 
 @dataclass(frozen=True)
 class Known:
-    """How rows of the file name their cases: a column, and the cells of the plan by its values.
+    """How rows of the file name their cases: a column, and the cases of the plan by its values.
 
     As long as the study is the same, that is their case_id, however identities are told by now;
     rows of another one are known by their identity, those from before there was one not at all.
-    version: of rows that do not carry it.
+    case: by the row's flight and its name; version: of rows that do not carry it.
     """
 
     column: str
-    cells: Mapping[str, int]
+    case: Callable[[int, str], tuple[int, int] | None]
     version: str
+
+    def of(self, row: Mapping[str, Any]) -> tuple[int, int] | None:
+        """(flight, cell) of a row of the file; None where the study does not plan it."""
+        return self.case(_flight(row), row[self.column])
+
+
+def _flight(row: Mapping[str, Any]) -> int:
+    """Its number, which older files of studies of solvers have in the case_id only."""
+    return int(row["flight"]) if "flight" in row else _number(row["case_id"])
+
+
+def _number(case_id: str) -> int:
+    return int(case_id.partition("-")[0])
 
 
 def note_earlier(ledger: Ledger, folder: Path) -> int:
@@ -51,14 +65,14 @@ def note_earlier(ledger: Ledger, folder: Path) -> int:
         for batch in file.iter_batches(columns=wanted):
             columns = {name: batch.column(name).to_pylist() for name in wanted}
             versions = columns.get("version", [known.version] * batch.num_rows)
-            told = zip(columns["flight"], columns[known.column], strict=True)
+            flights = columns.get("flight") or map(_number, columns["case_id"])
+            told = zip(flights, columns[known.column], strict=True)
             for row, (flight, name) in enumerate(told):
-                cell = _cell(known, ledger, flight, name)
-                if cell is None:
+                case = known.case(flight, name)
+                if case is None:
                     unplanned += 1
-                elif not ledger.has(flight, cell):
-                    place = -2 - number - row
-                    ledger.note(flight, cell, columns["status"][row], versions[row], place)
+                elif not ledger.has(*case):
+                    ledger.note(*case, columns["status"][row], versions[row], -2 - number - row)
             number += batch.num_rows
     return unplanned
 
@@ -67,18 +81,17 @@ def earlier_rows(ledger: Ledger, folder: Path, keep: BoolArray) -> Iterator[Outc
     """The rows that stand in `cases.parquet`, of the cases to ``keep`` (flights, cells)."""
     if not (keep & ledger.earlier).any():
         return
-    weights = _Weights(ledger.study, folder)
+    weights, read = _Weights(ledger.study, folder), _read(ledger.study)
     with reading(folder / CASES) as file:
         known = _known(ledger, folder, set(file.schema_arrow.names))
         number = 0
         for batch in file.iter_batches(batch_size=BATCH):
             for row in batch.to_pylist():
                 pairs = weights.of(row["case_id"])
-                flight, cell = row["flight"], _cell(known, ledger, row["flight"], row[known.column])
-                here = cell is not None and ledger.place[flight, cell] == -2 - number
-                if cell is not None and here and keep[flight, cell]:
+                case = known.of(row)
+                if case and keep[case] and ledger.place[case] == -2 - number:
                     row.setdefault("version", known.version)
-                    yield _outcome(row, cell, pairs)
+                    yield _outcome(read, row, case, pairs)
                 number += 1
 
 
@@ -86,7 +99,7 @@ def unplanned_rows(ledger: Ledger, folder: Path) -> Iterator[tuple[str, Outcome]
     """(identity, row) of the rows of `cases.parquet` that the study does not plan."""
     if not (folder / CASES).exists():
         return
-    weights = _Weights(ledger.study, folder)
+    weights, read = _Weights(ledger.study, folder), _read(ledger.study)
     with reading(folder / CASES) as file:
         known = _known(ledger, folder, set(file.schema_arrow.names))
         if known.column != "identity":  # the same study, or one from before there were any
@@ -94,9 +107,9 @@ def unplanned_rows(ledger: Ledger, folder: Path) -> Iterator[tuple[str, Outcome]
         for batch in file.iter_batches(batch_size=BATCH):
             for row in batch.to_pylist():
                 pairs = weights.of(row["case_id"])
-                if _cell(known, ledger, row["flight"], row["identity"]) is None:
+                if known.of(row) is None:
                     row.setdefault("version", known.version)
-                    yield row["identity"], _outcome(row, 0, pairs)
+                    yield row["identity"], _outcome(read, row, (_flight(row), 0), pairs)
 
 
 def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:
@@ -104,31 +117,34 @@ def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:
     versions = manifest.get("versions")
     made_by = str(versions.get("sparsefit")) if isinstance(versions, dict) else "unknown"
     if manifest.get("study_hash") == ledger.study.hash:
-        keys = {cell.key: cell.index for cell in ledger.study.cells}
-        return Known("case_id", keys, made_by)
+        find = kind_of(ledger.study).find
+        return Known("case_id", lambda _, name: find(name), made_by)
     if "identity" in names:
-        return Known("identity", ledger.cells, made_by)
-    return Known("case_id", {}, made_by)
+        return Known("identity", ledger.names.at, made_by)
+    return Known("case_id", lambda _, __: None, made_by)
 
 
-def _cell(known: Known, ledger: Ledger, flight: int, name: str) -> int | None:
-    if not 0 <= flight < len(ledger.place):
-        return None
-    return known.cells.get(name.partition("-")[2] if known.column == "case_id" else name)
+def _read(study: AnyStudy) -> dict[str, ColumnKind]:
+    """The columns that are not told by the plan."""
+    columns = kind_of(study).columns
+    return {one.name: one.kind for one in columns if not one.planned and one.name not in ENDED}
 
 
 def _outcome(
-    row: Mapping[str, Any], cell: int, weights: tuple[tuple[float, float], ...]
+    read: Mapping[str, ColumnKind],
+    row: Mapping[str, Any],
+    case: tuple[int, int],
+    weights: tuple[tuple[float, float], ...],
 ) -> Outcome:
-    values = {name: kind.of(row[name]) for name, kind in READ.items() if name in row}
-    ended = (str(row["status"]), str(row["reason"]), values)
-    return Outcome(row["flight"], cell, *ended, weights=weights, version=str(row["version"]))
+    values = {name: kind.of(row[name]) for name, kind in read.items() if name in row}
+    status, reason, version = (str(row[name]) for name in ENDED)
+    return Outcome(*case, status, reason, values, weights=weights, version=version)
 
 
 class _Weights:
     """Weights by case, read along with the cases: both files are in the same order."""
 
-    def __init__(self, study: Study, folder: Path) -> None:
+    def __init__(self, study: AnyStudy, folder: Path) -> None:
         kept = study.store_weights and (folder / WEIGHTS).exists()
         self._cases = _grouped(folder / WEIGHTS) if kept else iter(())
         self._next = next(self._cases, None)

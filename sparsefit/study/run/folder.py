@@ -7,14 +7,14 @@ from pathlib import Path
 from sparsefit.errors import InputError
 from sparsefit.study.run import partial
 from sparsefit.study.run.manifest import MANIFEST
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 
 CASES = "cases.parquet"
 WEIGHTS = "weights.parquet"
 UNPLANNED = "unplanned.jsonl"
 
 
-def made_folder(study: Study, results_dir: str | Path) -> Path:
+def made_folder(study: AnyStudy, results_dir: str | Path) -> Path:
     """`results_dir/<name>`, made if need be; `InputError` where it cannot be."""
     folder = Path(results_dir) / study.name
     try:

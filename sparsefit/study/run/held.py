@@ -9,13 +9,13 @@ from sparsefit.errors import InputError
 from sparsefit.study.run import partial
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.manifest import read_manifest
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def found(study: Study, folder: Path) -> Ledger:
+def found(study: AnyStudy, folder: Path) -> Ledger:
     """What the folder holds of the study: rows of an unfinished run, and those of a finished one.
 
     Rows count by what determines their numbers, whatever study file they were made for.
@@ -33,7 +33,7 @@ def found(study: Study, folder: Path) -> Ledger:
     return ledger
 
 
-def _refuse_foreign(study: Study, folder: Path, ledger: Ledger) -> None:
+def _refuse_foreign(study: AnyStudy, folder: Path, ledger: Ledger) -> None:
     """Rows of another study are not dropped for it, unless that is asked for."""
     for made in (partial.read_header(folder), read_manifest(folder)):
         if made is not None and ledger.unplanned and made.get("study_hash") != study.hash:
@@ -48,14 +48,14 @@ def _refuse_foreign(study: Study, folder: Path, ledger: Ledger) -> None:
         )
 
 
-def is_finished(study: Study, folder: Path, ledger: Ledger) -> bool:
+def is_finished(study: AnyStudy, folder: Path, ledger: Ledger) -> bool:
     """Whether every planned case is a row of `cases.parquet`, and nothing else is to be done."""
     made = read_manifest(folder)
     same = made is not None and made.get("study_hash") == study.hash
     return same and not partial.begun(folder) and bool(ledger.earlier.all())
 
 
-def cases_so_far(study: Study, folder: Path) -> pd.DataFrame:
+def cases_so_far(study: AnyStudy, folder: Path) -> pd.DataFrame:
     """The rows that a folder holds of a study, finished or not, in plan order."""
     from sparsefit.study.run.earlier import earlier_rows
     from sparsefit.study.run.store import cases_table

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sparsefit.arrays import BoolArray
 from sparsefit.study.run import partial
 from sparsefit.study.run.outcome import Outcome
-from sparsefit.study.spec.identity import identities
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy, names_of
+from sparsefit.study.spec.names import Names
 
 NOWHERE = -1
 
@@ -26,14 +26,16 @@ NOWHERE = -1
 class Ledger:
     """The plan of a study, flights by cells, against the rows of its unfinished run.
 
+
+    Of a study of solvers a problem stands for a flight, and a solver at a tolerance for a cell.
     place: where each row begins, `NOWHERE` for a case without one, and below that for one that an
     earlier run has left (`earlier.py`); status and version: how it ended and what made it, as
     numbers into `words`; damaged: lines that could not be read; unplanned: rows of cases that the
     study does not plan.
     """
 
-    study: Study
-    cells: dict[str, int]
+    study: AnyStudy
+    names: Names
     place: NDArray[np.int64]
     status: NDArray[np.int16]
     version: NDArray[np.int16]
@@ -42,36 +44,31 @@ class Ledger:
     unplanned: int = 0
 
     @classmethod
-    def of(cls, study: Study) -> Ledger:
+    def of(cls, study: AnyStudy) -> Ledger:
         """Nothing done yet."""
         shape = (study.count, len(study.cells))
         return cls(
             study,
-            {identity: index for index, identity in enumerate(identities(study))},
+            names_of(study),
             np.full(shape, NOWHERE, np.int64),
             np.zeros(shape, np.int16),
             np.zeros(shape, np.int16),
         )
 
     @classmethod
-    def read(cls, study: Study, folder: Path) -> Ledger:
+    def read(cls, study: AnyStudy, folder: Path) -> Ledger:
         """What the unfinished rows in the folder hold of the study."""
         ledger = cls.of(study)
         for line in partial.lines(folder):
             if line is None:
                 ledger.damaged += 1
                 continue
-            cell = ledger.cell(line.flight, line.identity)
-            if cell is None:
+            case = ledger.names.at(line.flight, line.identity)
+            if case is None:
                 ledger.unplanned += 1
             else:
-                status, version = line.record["status"], line.record["version"]
-                ledger.note(line.flight, cell, status, version, line.place)
+                ledger.note(*case, line.record["status"], line.record["version"], line.place)
         return ledger
-
-    def cell(self, flight: int, identity: str) -> int | None:
-        """The cell of a case; None where the study does not plan it."""
-        return self.cells.get(identity) if 0 <= flight < len(self.place) else None
 
     def note(self, flight: int, cell: int, status: str, version: str, place: int) -> None:
         """A row of this case begins at ``place``; it takes the place of an earlier one."""
@@ -134,6 +131,6 @@ class Ledger:
         reader = partial.Reader(folder)
         try:
             for flight, cell in zip(flights, cells, strict=True):
-                yield reader.at(int(self.place[flight, cell]), int(cell))
+                yield reader.at(int(self.place[flight, cell]), int(flight), int(cell))
         finally:
             reader.close()

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from typing import Any, TypeAlias
 from zlib import crc32
 
-from sparsefit.study.run.columns import KINDS
 from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.solver_columns import EVERY_KIND
 
 Record: TypeAlias = dict[str, Any]
 
@@ -55,7 +55,8 @@ def record_of(outcome: Outcome) -> Record:
 
 def outcome_of(record: Mapping[str, Any]) -> Outcome:
     """The outcome that `record_of` told; columns that are no longer there are left out."""
-    values = {name: KINDS[name].of(v) for name, v in record["values"].items() if name in KINDS}
+    told = record["values"].items()
+    values = {name: EVERY_KIND[name].of(value) for name, value in told if name in EVERY_KIND}
     return Outcome(
         record["flight"],
         record["cell"],

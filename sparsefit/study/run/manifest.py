@@ -19,7 +19,7 @@ from pathlib import Path
 
 import sparsefit
 from sparsefit.errors import InputError
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 from sparsefit.whole_file import write_whole
 
 MANIFEST = "manifest.json"
@@ -27,7 +27,7 @@ PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
 
 
 def write_manifest(
-    study: Study,
+    study: AnyStudy,
     folder: Path,
     *,
     statuses: Mapping[str, int],
@@ -35,11 +35,12 @@ def write_manifest(
     solver_seconds: float,
     processes: int,
     resumed: int,
+    more: Mapping[str, object] | None = None,
 ) -> None:
     """Write the manifest of a finished run; `resumed` rows came from an earlier, broken-off one.
 
     wall_seconds of all `processes` at once; solver_seconds, their sum in back-ends, is of this
-    run's rows only too.
+    run's rows only too; more: what its kind of study tells beside.
     """
     content = {
         "study": study.name,
@@ -59,6 +60,7 @@ def write_manifest(
         "processors": os.cpu_count(),
         "load": _load(),
         "git_commit": git_commit(),
+        **(more or {}),
     }
     write_whole(folder / MANIFEST, json.dumps(content, indent=2) + "\n")
 

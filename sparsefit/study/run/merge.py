@@ -2,7 +2,8 @@
 
 Each place ran the same study file, with `--only` say, and holds a part of its rows, finished or
 not. A row counts by what determines its numbers, so that no part needs to know of the others.
-Two rows of one case must say the same: their status, and U0, L_w and tau_w to 6 digits.
+Two rows of one case must say the same: their status, and U0, L_w and tau_w to 6 digits. Times of
+solvers are taken by whole comparisons, and from one machine only.
 """
 
 from __future__ import annotations
@@ -16,17 +17,15 @@ from sparsefit.errors import InputError, told_with
 from sparsefit.study.run import partial
 from sparsefit.study.run.folder import CASES, made_folder
 from sparsefit.study.run.held import found
+from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import sparsefit_version
 from sparsefit.study.run.outcome import Outcome
-from sparsefit.study.run.reading import PARAMETERS
 from sparsefit.study.run.runner import run
 from sparsefit.study.run.summary import RunSummary
-from sparsefit.study.spec.plan import Case
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 
-JUDGED = tuple(f"est_{name}" for name in PARAMETERS)
 ALIKE = 1e-6  # relative: what another machine's rounding may change
 
 
@@ -60,7 +59,7 @@ class Merged:
 
 
 def merge(
-    study: Study,
+    study: AnyStudy,
     results_dir: str | Path,
     parts: Sequence[str | Path],
     *,
@@ -85,6 +84,7 @@ def merge(
         raise InputError(f"{target}: merges into itself: give the other parts, or other --results")
     told = [(part, _held(study, part)) for part in folders]
     here = (target, found(study, target))
+    _check_beside(study, [here, *told])
     counts = _compared(study, [here, *told], keep_first=keep_first)
     folder = made_folder(study, results_dir)
     with locked(folder):
@@ -101,19 +101,28 @@ def merge(
     return Merged(folder, merged, study.planned, done)
 
 
-def _finish(study: Study, results_dir: str | Path) -> RunSummary:
+def _check_beside(study: AnyStudy, held: Sequence[tuple[Path, Ledger]]) -> None:
+    """Raise InputError where rows of two folders may not stand beside each other."""
+    kind, nonempty = kind_of(study), [one for one in held if one[1].done.any()]
+    for place, (folder, ledger) in enumerate(nonempty):
+        with told_with(folder):
+            for _, other in nonempty[:place]:
+                kind.takes(ledger, other)
+
+
+def _finish(study: AnyStudy, results_dir: str | Path) -> RunSummary:
     """Everything is there: what is left is to put it in order."""
     return run(study, results_dir, processes=1)
 
 
-def _folder(study: Study, part: Path) -> Path:
+def _folder(study: AnyStudy, part: Path) -> Path:
     for folder in (part, part / study.name):
         if (folder / CASES).is_file() or (folder / partial.FOLDER).is_dir():
             return folder
     raise InputError(f"{part}: holds no rows of {study.name}: give a results folder of the study")
 
 
-def _held(study: Study, part: Path) -> Ledger:
+def _held(study: AnyStudy, part: Path) -> Ledger:
     with told_with(part):
         return found(study, part)
 
@@ -122,21 +131,22 @@ Said = tuple[Path, str, tuple[float, ...]]  # where a row stands, its status and
 
 
 def _compared(
-    study: Study, held: Sequence[tuple[Path, Ledger]], *, keep_first: bool
+    study: AnyStudy, held: Sequence[tuple[Path, Ledger]], *, keep_first: bool
 ) -> list[tuple[int, int]]:
     """Of every part, the first folder being ours: rows that say the same as before, and others."""
     said: dict[tuple[int, int], Said] = {}
+    kind = kind_of(study)
     counts, clashes = [], []
     for folder, ledger in held:
         alike = other = 0
         for row in _rows(ledger, folder):
-            own = (folder, row.status, tuple(float(row[name]) for name in JUDGED))
+            own = (folder, row.status, tuple(float(row[name]) for name in kind.judged))
             first = said.setdefault((row.flight, row.cell), own)
             if _same(first, own):
                 alike += first is not own
             else:
                 other += 1
-                clashes.append((Case(row.flight, study.cells[row.cell]).case_id, first, own))
+                clashes.append((kind.case_id(row.flight, row.cell), first, own))
         counts.append((alike, other))
     if clashes and not keep_first:
         raise InputError(_clash(*clashes[0], len(clashes)))
@@ -153,21 +163,24 @@ def _same(one: Said, other: Said) -> bool:
 def _clash(case: str, one: Said, other: Said, count: int) -> str:
     more = f" (and {count - 1} more)" if count > 1 else ""
     sides = " and ".join(
-        f"{folder} ({status}: U0 {values[0]:.7g} m/s, L_w {values[1]:.7g} m)"
-        for folder, status, values in (one, other)
+        f"{folder} ({status}{_told(values)})" for folder, status, values in (one, other)
     )
     return f"case {case}{more} differs between {sides}: leave one out, or add --keep-first"
 
 
+def _told(values: tuple[float, ...]) -> str:
+    return f": U0 {values[0]:.7g} m/s, L_w {values[1]:.7g} m" if values else ""
+
+
 def _take(ledger: Ledger, folder: Path, part: Path, held: Ledger) -> Part:
-    names, taken, count = list(ledger.cells), 0, 0
+    taken, count = 0, 0
+    wanted = kind_of(ledger.study).takes(held, ledger)
     with partial.appending(folder) as rows:
         for outcome in _rows(held, part):
-            count += 1
-            if not ledger.has(outcome.flight, outcome.cell):
-                place = rows.append(outcome, names[outcome.cell])
-                ended = (outcome.status, outcome.version, place)
-                ledger.note(outcome.flight, outcome.cell, *ended)
+            count, case = count + 1, (outcome.flight, outcome.cell)
+            if wanted[case]:
+                place = rows.append(outcome, ledger.names.of(*case))
+                ledger.note(*case, outcome.status, outcome.version, place)
                 taken += 1
     return Part(part, count, taken)
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from sparsefit.study.run.columns import KINDS, Value
+from sparsefit.study.run.columns import Value
+from sparsefit.study.run.solver_columns import EVERY_KIND
 
 READING = "reading the weights"  # the stage that ends a fit; every other one begins something
 
@@ -45,7 +46,7 @@ class Outcome:
         """What stands in a column of `cases.parquet` that is not planned."""
         if column in ("status", "reason", "version"):
             return str(getattr(self, column))
-        return self.values.get(column, KINDS[column].empty)
+        return self.values.get(column, EVERY_KIND[column].empty)
 
 
 Event: TypeAlias = Stage | Outcome

@@ -110,13 +110,13 @@ class Reader:
     def __init__(self, folder: Path) -> None:
         self._file = (folder / FOLDER / ROWS).open("rb")
 
-    def at(self, place: int, cell: int) -> Outcome:
-        """The row that begins there, of the case in this cell of the plan."""
+    def at(self, place: int, flight: int, cell: int) -> Outcome:
+        """The row that begins there, of this case of the plan."""
         self._file.seek(place)
         record = unpacked(self._file.readline())
         if record is None:
             raise InputError(f"{self._file.name}: changed while it was read: run the study again")
-        return replace(outcome_of(record), cell=cell)
+        return replace(outcome_of(record), flight=flight, cell=cell)
 
     def close(self) -> None:
         """Leave the file."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,31 +19,25 @@ from sparsefit.study.run.again import Again, stale
 from sparsefit.study.run.folder import clear, made_folder
 from sparsefit.study.run.held import found, is_finished
 from sparsefit.study.run.interrupts import counted_interrupts
-from sparsefit.study.run.jobs import SolverTime, count_jobs, jobs
+from sparsefit.study.run.kind import Kind, Place, Spent
+from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
 from sparsefit.study.run.manifest import sparsefit_version, write_manifest
 from sparsefit.study.run.pace import Pace
-from sparsefit.study.run.pool import Timed, outcomes
 from sparsefit.study.run.summary import RunStatus, RunSummary
 from sparsefit.study.run.unplanned import set_aside, take_back
-from sparsefit.study.run.version import version_of
-from sparsefit.study.run.worker import Job
-from sparsefit.study.spec.study import Study
+from sparsefit.study.spec.identity import AnyStudy
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
-Publish: TypeAlias = Callable[[Study, Path], None]
-
-Place: TypeAlias = Callable[
-    [Study, Iterator[Job], int, Callable[[], bool]], Generator[Timed, None, None]
-]
+Publish: TypeAlias = Callable[[AnyStudy, Path], None]
 
 EXECUTORS = ("processes", "dask")
 PROGRESS_SECONDS = 0.2
 
 
 def run(
-    study: Study,
+    study: AnyStudy,
     results_dir: str | Path = "results",
     *,
     processes: int | None = None,
@@ -84,10 +78,8 @@ def run(
     one_of("executor", executor, EXECUTORS)
     if scheduler is not None and executor != "dask":
         raise InputError(f"a scheduler is of dask, not of {executor}: add --executor dask")
-    if executor == "dask":
-        from sparsefit.study.run.on_dask import distributed
-
-        distributed()
+    kind = kind_of(study)
+    place = kind.placed(Place(executor, scheduler, workers), asked=processes)
     again = Again(retry_failed, renew_stale, tuple(only))
     folder = made_folder(study, results_dir)
     with locked(folder):
@@ -99,8 +91,8 @@ def run(
         if is_finished(study, folder, ledger) and not wanted.any():
             summary = _summary(folder, ledger, resumed=study.planned)
         else:
-            place = _place(executor, scheduler, workers)
-            summary = _Run(study, folder, ledger, workers, progress, stopping, place).finish(wanted)
+            this = _Run(study, folder, ledger, progress, stopping, place, kind)
+            summary = this.finish(wanted)
         if publish and summary.finished:
             publish(study, folder)
     return summary
@@ -110,19 +102,19 @@ def run(
 class _Run:
     """One run of a study in its folder, and what the folder held."""
 
-    study: Study
+    study: AnyStudy
     folder: Path
     ledger: Ledger
-    processes: int
     progress: Progress | None
     stopping: Callable[[], None] | None
     place: Place
+    kind: Kind
 
     def finish(self, wanted: BoolArray) -> RunSummary:
         """Do what is wanted; only when all rows are written are the unfinished ones let go."""
         begun = time.monotonic()
         ledger, known = self.ledger, int((self.ledger.done & ~wanted).sum())
-        time_in_solvers = SolverTime(self.study)
+        time_in_solvers = self.kind.spent()
         self._begin()
         missing = wanted & ~self._work(wanted, time_in_solvers)
         if missing.any():
@@ -140,7 +132,7 @@ class _Run:
             computed=int(wanted.sum()),
             seconds=seconds,
             solver_seconds=solving,
-            processes=self.processes,
+            processes=self.place.processes,
         )
 
     def _begin(self) -> None:
@@ -150,33 +142,32 @@ class _Run:
         told = {"study_hash": self.study.hash, "sparsefit": sparsefit_version()}
         counted = {"study": self.study.name, "planned": self.study.planned}
         partial.begin(self.folder, {**told, **counted})
-        ledger, names = self.ledger, list(self.ledger.cells)
+        ledger = self.ledger
         with partial.appending(self.folder) as rows:
             for outcome in earlier_rows(ledger, self.folder, ledger.earlier):
-                place = rows.append(outcome, names[outcome.cell])
+                place = rows.append(outcome, ledger.names.of(outcome.flight, outcome.cell))
                 ended = (outcome.status, outcome.version, place)
                 ledger.note(outcome.flight, outcome.cell, *ended)
 
-    def _work(self, wanted: BoolArray, solving: SolverTime) -> BoolArray:
+    def _work(self, wanted: BoolArray, solving: Spent) -> BoolArray:
         """Each row is on the disk before the next is waited for; which of those wanted came."""
-        study, ledger, names = self.study, self.ledger, list(self.ledger.cells)
-        versions = {choice.name: version_of(choice.name) for choice in study.backends}
+        ledger, kind = self.ledger, self.kind
+        versions = [kind.version(cell) for cell in range(len(self.study.cells))]
         came = np.zeros_like(wanted)
-        pace = Pace.start(wanted.sum(axis=0), self.processes)
+        pace = Pace.start(wanted.sum(axis=0), self.place.processes)
         kept = int((ledger.done & ~wanted).sum())
         report = _Report(kept + int(wanted.sum()), self.progress, kept)
         report.say(pace)
-        todo, count = jobs(study, wanted), count_jobs(study, wanted)
         with (
             counted_interrupts(self.stopping or _nothing) as stop,
             partial.appending(self.folder) as rows,
-            closing(self.place(study, todo, count, stop)) as arriving,
+            closing(kind.compute(wanted, self.place, stop)) as arriving,
         ):
             for outcome, seconds in arriving:
                 flight, cell = outcome.flight, outcome.cell
-                version = versions[study.cells[cell].backend]
-                place = rows.append(replace(outcome, version=version), names[cell])
-                ledger.note(flight, cell, outcome.status, version, place)
+                made = replace(outcome, version=versions[cell])
+                place = rows.append(made, ledger.names.of(flight, cell))
+                ledger.note(flight, cell, made.status, made.version, place)
                 came[flight, cell] = True
                 solving.note(outcome)
                 pace.note(cell, seconds)
@@ -197,30 +188,11 @@ class _Run:
             statuses=self.ledger.statuses,
             wall_seconds=seconds,
             solver_seconds=solving,
-            processes=self.processes,
+            processes=self.place.processes,
             resumed=known,
+            more=self.kind.made_with(),
         )
         partial.discard(self.folder)
-
-
-def _place(executor: str, scheduler: str | None, processes: int) -> Place:
-    """Where jobs are done: (study, jobs, how many, whether to stop) -> outcomes."""
-
-    def here(
-        study: Study, todo: Iterator[Job], count: int, stop: Callable[[], bool]
-    ) -> Generator[Timed, None, None]:
-        return outcomes(study, todo, min(processes, max(count, 1)), stop)
-
-    def on_dask(
-        study: Study, todo: Iterator[Job], count: int, stop: Callable[[], bool]
-    ) -> Generator[Timed, None, None]:
-        from sparsefit.study.run.on_dask import outcomes_on_dask
-
-        return outcomes_on_dask(
-            study, todo, count, scheduler=scheduler, processes=processes, stop=stop
-        )
-
-    return on_dask if executor == "dask" else here
 
 
 def _nothing() -> None:
@@ -252,7 +224,7 @@ def _summary(
     )
 
 
-def status(study: Study, results_dir: str | Path = "results") -> RunStatus:
+def status(study: AnyStudy, results_dir: str | Path = "results") -> RunStatus:
     """How far `study` is in `results_dir/<name>`; changes nothing, also while it runs."""
     folder = Path(results_dir) / study.name
     ledger = found(study, folder)

@@ -6,20 +6,17 @@ import math
 import os
 from collections.abc import Sequence
 
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.study.run.columns import Value
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.solver_clock import SLOW, Repeats, median_interval
 from sparsefit.study.run.solver_crew import Crew
-from sparsefit.study.run.solver_rows import Row
 from sparsefit.study.run.solver_worker import Answer, Ask, Lost
-from sparsefit.study.spec.document import canonical_json
-from sparsefit.study.spec.solver_study import SolverCase, SolverStudy
+from sparsefit.study.spec.solver_study import SolverStudy
 
 
-def measured(
-    study: SolverStudy, crew: Crew, problem: RegressionProblem, cases: Sequence[SolverCase]
-) -> list[Row]:
+def measured(study: SolverStudy, crew: Crew, problem: int, cells: Sequence[int]) -> list[Outcome]:
     """The rows of cases of one problem and one objective, judged once and timed by turns."""
-    entries = [Repeats(case) for case in cases]
+    entries = [Repeats(study.case(problem, cell)) for cell in cells]
     for entry in entries:
         _judge(study, crew, entry, entries)
     turn = 0
@@ -28,7 +25,7 @@ def measured(
         for entry in entries if turn % 2 == 0 else reversed(entries):
             if not entry.done(study.clock):
                 _time(crew, entry)
-    return [_row(study, crew, problem, entry) for entry in entries]
+    return [_row(study, crew, *pair) for pair in zip(cells, entries, strict=True)]
 
 
 def _judge(study: SolverStudy, crew: Crew, entry: Repeats, entries: Sequence[Repeats]) -> None:
@@ -64,45 +61,34 @@ def _note(entry: Repeats, answer: Answer | Lost, *, first: bool) -> None:
         entry.verdict, entry.memory = answer.verdict, answer.memory
 
 
-def _row(study: SolverStudy, crew: Crew, problem: RegressionProblem, entry: Repeats) -> Row:
+def _row(study: SolverStudy, crew: Crew, cell: int, entry: Repeats) -> Outcome:
     case = entry.case
-    source, contender = study.problems[case.problem], study.contenders[case.contender]
+    problem = crew.problems[case.problem]
     middle, low, high = median_interval([one.cpu for one in entry.timings])
     wall, _, _ = median_interval([one.wall for one in entry.timings])
     state, reason = _status(study, entry)
     verdict = entry.verdict
-    return {
-        "case_id": study.case_id(case),
-        "study": study.name,
-        "problem": source.name,
-        "series": source.series,
-        "level": source.level,
+    values: dict[str, Value] = {
         "samples": problem.samples,
         "columns": problem.columns,
         "targets": problem.targets,
-        "objective": contender.objective,
-        "backend": contender.backend,
-        "settings": canonical_json(dict(contender.settings)),
-        "solver": contender.solver,
-        "tolerance": case.tolerance,
         "points": verdict.asked if verdict else max(len(study.fractions), 1),
-        "status": state,
-        "reason": reason,
-        "word": verdict.words if verdict else "",
-        "certificate_kind": verdict.kind if verdict else "",
-        "certificate": verdict.gap if verdict else None,
-        "excess": verdict.excess if verdict else None,
         "cpu": middle,
         "cpu_low": low,
         "cpu_high": high,
         "wall": wall,
         "repeats": len(entry.timings),
         "known": entry.known(study.clock),
-        "first": crew.first_seconds.get(case.contender),
         "memory": entry.memory,
         "load": entry.load,
         "disturbed": entry.disturbed,
     }
+    if verdict:
+        judged = {"certificate": verdict.gap, "excess": verdict.excess}
+        values |= judged | {"word": verdict.words, "certificate_kind": verdict.kind}
+    if case.contender in crew.first_seconds:
+        values["first"] = crew.first_seconds[case.contender]
+    return Outcome(case.problem, cell, state, reason, values)
 
 
 def _status(study: SolverStudy, entry: Repeats) -> tuple[str, str]:

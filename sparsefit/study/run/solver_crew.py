@@ -14,7 +14,7 @@ class Crew:
 
     def __init__(self, study: SolverStudy, problems: Sequence[RegressionProblem]) -> None:
         self._study = study
-        self._problems = problems
+        self.problems = problems
         self._workers: dict[str, Worker] = {}
         self._met: dict[str, set[int]] = {}
         self._holds: dict[str, int] = {}
@@ -36,7 +36,7 @@ class Crew:
             if answer.timing:
                 self.first_seconds.setdefault(number, answer.timing.cpu)
         if self._holds.get(name) != ask.case.problem:
-            handed = worker.ask(Hand(self._problems[ask.case.problem]))
+            handed = worker.ask(Hand(self.problems[ask.case.problem]))
             if isinstance(handed, Lost):
                 return self._forget(name, handed)
             self._holds[name] = ask.case.problem

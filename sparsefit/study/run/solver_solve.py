@@ -41,11 +41,15 @@ CACHED = ("statistics", "spectrum", "compressed")
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A contender's work: its back-end, the penalties (none: one fit) and where it stops (NaN)."""
+    """A contender's work: its back-end, the penalties (none: one fit) and where it stops (NaN).
+
+    certified: whether the data are checked and every answer certified within the work.
+    """
 
     backend: Backend
     fractions: tuple[float, ...]
     tolerance: float
+    certified: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,10 @@ def solve(task: Task, problem: RegressionProblem) -> tuple[Solution, ...]:
     """The contender's answers, one per penalty; uncertified."""
     backend, tolerance = task.backend, None if math.isnan(task.tolerance) else task.tolerance
     fractions = task.fractions or _own(backend)
+    if task.certified:
+        checked = RegressionProblem.from_arrays(problem.theta, problem.target, problem.groups)
+        fits = certified_path(checked, backend, fractions).fits
+        return tuple(Solution(fit.weights, solver_status=fit.status) for fit in fits)
     if isinstance(backend, PenalisedPath):
         return backend.solve_path(problem, fractions, tolerance=tolerance)
     if isinstance(backend, PathBackend):

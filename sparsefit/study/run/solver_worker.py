@@ -118,19 +118,20 @@ class _Desk:
             keep_what_is_loaded()
             return Answer()
         contender = self.study.contenders[ask.case.contender]
+        limit = contender.limit or self.study.clock.limit
         backend = make_backend(contender.backend, contender.settings)
         # What has no penalty has no path: it is fitted once.
         path = self.study.fractions if isinstance(backend, PenalisedBackend) else ()
-        task = Task(backend, path, ask.case.tolerance)
+        task = Task(backend, path, ask.case.tolerance, contender.certified)
         if ask.what == "first":
-            self._begin(max(self.study.clock.limit, FIRST_SECONDS), "compiling")
+            self._begin(max(limit, FIRST_SECONDS), "compiling")
             _, timing = timed(lambda: solve(task, small_problem()))
             keep_what_is_loaded()
             return Answer(timing)
         assert self.problem is not None
         clone = fresh(self.problem)
         memory = PeakMemory() if ask.what == "judge" else None
-        self._begin(self.study.clock.limit, "the solve")
+        self._begin(limit, "the solve")
         solutions, timing = timed(lambda: solve(task, clone))
         megabytes = memory.megabytes() if memory else math.nan
         if ask.what != "judge":

@@ -10,23 +10,24 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sparsefit.errors import InputError, is_real
-from sparsefit.flight.flow import Cells
-from sparsefit.score import strongest
-from sparsefit.study.run.columns import COLUMNS, KINDS, LEVEL, TEXT, Column, Planned
+from sparsefit.study.run.columns import LEVEL, TEXT, Column
 from sparsefit.study.run.folder import CASES, WEIGHTS
+from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.manifest import check_whole
 from sparsefit.study.run.outcome import Outcome
+from sparsefit.study.run.solver_columns import EVERY_KIND
 from sparsefit.study.spec.design import Factor
 from sparsefit.study.spec.document import canonical_json
-from sparsefit.study.spec.identity import identities
-from sparsefit.study.spec.plan import Case, flight_key
-from sparsefit.study.spec.study import MAX_CASES, Study
+from sparsefit.study.spec.identity import AnyStudy, names_of
+from sparsefit.study.spec.names import Names
+from sparsefit.study.spec.study import MAX_CASES
 from sparsefit.whole_file import whole_file
 
 WEIGHT_COLUMNS = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
@@ -74,18 +75,18 @@ def reading(path: Path) -> Iterator[pq.ParquetFile]:
         raise InputError(f"{path}: not readable ({cause}): run the study with --fresh") from None
 
 
-def write_cases(study: Study, outcomes: Iterable[Outcome], folder: Path) -> None:
+def write_cases(study: AnyStudy, outcomes: Iterable[Outcome], folder: Path) -> None:
     """All rows in plan order, in one atomic step; the weights too where the study keeps them."""
     ordered = sorted(outcomes, key=lambda outcome: (outcome.flight, outcome.cell))
     write_rows(study, lambda: iter(ordered), folder)
 
 
-def write_rows(study: Study, rows: Callable[[], Iterator[Outcome]], folder: Path) -> None:
+def write_rows(study: AnyStudy, rows: Callable[[], Iterator[Outcome]], folder: Path) -> None:
     """What ``rows()`` gives, in plan order and a group at a time, each file in one atomic step."""
     if study.store_weights:
         _replace((_weights_table(study, part) for part in _parts(rows())), folder / WEIGHTS)
-    named = identities(study)
-    tables = (cases_table(study, part, named) for part in _parts(rows()))
+    names = names_of(study)
+    tables = (cases_table(study, part, names) for part in _parts(rows()))
     _replace(tables, folder / CASES)
 
 
@@ -98,33 +99,22 @@ def _parts(rows: Iterator[Outcome]) -> Iterator[list[Outcome]]:
 
 
 def cases_table(
-    study: Study, ordered: Sequence[Outcome], named: Sequence[str] | None = None
+    study: AnyStudy, ordered: Sequence[Outcome], names: Names | None = None
 ) -> pa.Table:
-    """The rows of `cases.parquet`, one per outcome: `COLUMNS`, then one per swept factor.
+    """The rows of `cases.parquet`, one per outcome: its columns, then one per swept factor.
 
-    named: the identity of every cell, where it is known already.
+    names: what the rows are kept by, where it is known already.
     """
-    planned = list(_planned(study, ordered, named or identities(study)))
-    arrays = {column.name: _array(column, planned, ordered) for column in COLUMNS}
+    kind = kind_of(study)
+    planned = kind.planned(ordered, names or names_of(study))
+    arrays = {column.name: _array(column, planned, ordered) for column in kind.columns}
     for factor in study.sweep:
         levels = (row.case.cell.levels[factor.key] for row in planned)
         arrays[factor.key] = _levels_array(factor, levels)
     return pa.table(arrays)
 
 
-def _planned(study: Study, ordered: Iterable[Outcome], named: Sequence[str]) -> Iterator[Planned]:
-    flows: dict[tuple[int, object], Cells | None] = {}
-    for outcome in ordered:
-        cell = study.cells[outcome.cell]
-        flown = (outcome.flight, flight_key(cell))
-        if flown not in flows:
-            flow = study.draw(outcome.flight, cell).flow
-            flows[flown] = None if flow is None else strongest(flow)
-        case = Case(outcome.flight, cell)
-        yield Planned(study, case, flows[flown], named[outcome.cell])
-
-
-def _array(column: Column, planned: Sequence[Planned], ordered: Sequence[Outcome]) -> pa.Array:
+def _array(column: Column[Any], planned: Sequence[Any], ordered: Sequence[Outcome]) -> pa.Array:
     if column.planned:
         values = [column.kind.of(column.planned(row)) for row in planned]
     else:
@@ -140,9 +130,10 @@ def _levels_array(factor: Factor, levels: Iterable[object]) -> pa.Array:
     return pa.array(texts, type=pa.string())
 
 
-def _weights_table(study: Study, ordered: Iterable[Outcome]) -> pa.Table:
+def _weights_table(study: AnyStudy, ordered: Iterable[Outcome]) -> pa.Table:
+    kind = kind_of(study)
     rows = [
-        (Case(outcome.flight, study.cells[outcome.cell]).case_id, *pair)
+        (kind.case_id(outcome.flight, outcome.cell), *pair)
         for outcome in ordered
         for pair in outcome.weights
     ]
@@ -156,7 +147,7 @@ def _weights_table(study: Study, ordered: Iterable[Outcome]) -> pa.Table:
 
 def _replace(tables: Iterator[pa.Table], path: Path) -> None:
     first = next(tables)
-    dense = [name for name in first.column_names if name in KINDS and KINDS[name].dense]
+    dense = [name for name in first.column_names if name in EVERY_KIND and EVERY_KIND[name].dense]
     with (
         whole_file(path) as file,
         pq.ParquetWriter(

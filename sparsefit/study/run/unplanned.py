@@ -18,19 +18,19 @@ from sparsefit.whole_file import whole_file
 def take_back(ledger: Ledger, folder: Path) -> None:
     """Enter what is kept, planned again and nowhere else, among the rows of the unfinished run."""
     planned = [
-        (cell, line)
+        (case, line)
         for line in partial.lines_of(folder / UNPLANNED)
-        if line and (cell := ledger.cell(line.flight, line.identity)) is not None
-        if not ledger.has(line.flight, cell)
+        if line and (case := ledger.names.at(line.flight, line.identity)) is not None
+        if not ledger.has(*case)
     ]
     if not planned:
         return
     partial.begin(folder, {"study": ledger.study.name, "study_hash": ledger.study.hash})
     with partial.appending(folder) as rows:
-        for cell, line in planned:
+        for case, line in planned:
             row = outcome_of(line.record)
             place = rows.append(row, line.identity)
-            ledger.note(line.flight, cell, row.status, row.version, place)
+            ledger.note(*case, row.status, row.version, place)
 
 
 def set_aside(ledger: Ledger, folder: Path) -> None:
@@ -39,7 +39,7 @@ def set_aside(ledger: Ledger, folder: Path) -> None:
         return
     kept: dict[tuple[int, str], Record] = {}
     for flight, identity, record in _every(ledger, folder):
-        if ledger.cell(flight, identity) is None:
+        if ledger.names.at(flight, identity) is None:
             kept[flight, identity] = record
     if not kept:
         (folder / UNPLANNED).unlink(missing_ok=True)

@@ -1,7 +1,9 @@
 """The [[backends]] of a study of solvers: what is compared, and what it is compared with.
 
 An entry is an objective, a back-end with its settings, solved by every one of its ``solver``s.
-Entries of one label are one objective: so back-ends of other packages stand beside ours.
+Entries of one label are one objective: so back-ends of other packages stand beside ours. A
+``certified`` one is charged for all that `sparsefit.path` does: checks of the data, the solve, and
+the certificate of every point.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sparsefit.backends import load
 from sparsefit.backends.conic import DIRECT
@@ -29,9 +31,11 @@ from sparsefit.study.spec.document import (
     required,
 )
 
-RESERVED = ("name", "label", "tolerances")
+RESERVED = ("name", "label", "tolerances", "certified", "limit")
+CERTIFIED = ", certified"  # what a solver is called that is charged for its certificates
 NO_TOLERANCE = (math.nan,)
 OURS = "sparsefit"
+EXACT = "sparsefit's exact path on Z'Z"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,9 @@ class Contender:
 
     tolerances: where it is asked to stop, loosest first, NaN for what has nothing to set; form: how
     the problem is handed to it; missing: why it cannot run here, empty where it can; family:
-    what shares a process with it, so that a solver that is killed takes no other's imports along.
+    what shares a process with it, so that a solver that is killed takes no other's imports along;
+    certified: whether checks of the data and certificates are in its time; limit: seconds of CPU
+    [s] after which its solve is killed, None for the clock's.
     """
 
     objective: str
@@ -51,6 +57,8 @@ class Contender:
     form: str = ""
     missing: str = ""
     family: str = OURS
+    certified: bool = False
+    limit: float | None = None
 
     @property
     def problem_of(self) -> str:
@@ -61,7 +69,9 @@ class Contender:
     @property
     def identity(self) -> str:
         """What it does, as canonical JSON."""
-        return canonical_json([self.objective, self.backend, dict(self.settings)])
+        told = [self.objective, self.backend, dict(self.settings)]
+        more = {"certified": self.certified, "limit": self.limit}
+        return canonical_json([*told, *([key, value] for key, value in more.items() if value)])
 
 
 def read_contenders(
@@ -94,10 +104,24 @@ def _read_entry(
     grid = {
         key: _values(value, place.at(key)) for key, value in entry.items() if key not in RESERVED
     }
+    limit = positive(entry["limit"], place.at("limit")) if "limit" in entry else None
+    certified = entry.get("certified", False)
+    if not isinstance(certified, bool):
+        raise place.at("certified").error(f"must be true or false, not {shown(certified)}")
     for values in itertools.product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         label = text(entry.get("label", _objective(name, settings)), place.at("label"))
-        yield _contender(name, label, settings, stops, place)
+        one = _contender(name, label, settings, stops, place)
+        limited = replace(one, limit=limit)
+        yield _certified(limited, place) if certified else limited
+
+
+def _certified(one: Contender, place: Place) -> Contender:
+    if one.form != EXACT:
+        words = "is for an exact path of sparsefit: no other solver certifies what it answers"
+        raise place.at("certified").error(words)
+    form = f"{EXACT}, the checks of the data and every certificate"
+    return replace(one, solver=one.solver + CERTIFIED, form=form, certified=True)
 
 
 def _objective(name: str, settings: Mapping[str, Setting]) -> str:
@@ -129,8 +153,7 @@ def _contender(
     if isinstance(backend, PenalisedBackend) and backend.alpha_fraction == "auto":
         raise place.at("alpha_fraction").error('"auto" is many fits: give a number')
     if backend.solver == backend.exact.name:
-        form = "sparsefit's exact path on Z'Z"
-        return Contender(objective, name, settings, backend.solver, NO_TOLERANCE, form)
+        return Contender(objective, name, settings, backend.solver, NO_TOLERANCE, EXACT)
     known = solver_named(backend.solver)
     assert known is not None  # the back-end has accepted it
     stops = tolerances if known.stops else NO_TOLERANCE

@@ -66,6 +66,11 @@ class Cell:
         """What the study calls this [[backends]] entry."""
         return self.choice.label
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What a user may call it: its back-end, its label or its protocol."""
+        return (self.backend, self.label, self.protocol)
+
 
 def cross(
     sections: Mapping[str, Section],

@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from sparsefit.backends import load
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.document import canonical_json
 from sparsefit.study.spec.flights import FlightRules
 from sparsefit.study.spec.logs import Logs
+from sparsefit.study.spec.names import Names, numbered
 from sparsefit.study.spec.setup import Setup
+from sparsefit.study.spec.solver_study import SolverStudy
 from sparsefit.study.spec.study import Study
 
+AnyStudy: TypeAlias = Study | SolverStudy
 SPACED = "linspace"  # the rule by which a flight depends on how many there are
 
 
@@ -30,13 +32,15 @@ def identities(study: Study) -> tuple[str, ...]:
 
     Cells that differ in their names alone have equal numbers; the second is told by `-2`.
     """
-    seen: Counter[str] = Counter()
-    return tuple(_numbered(digest, seen) for digest in _digests(study))
+    return numbered(_digests(study))
 
 
-def _numbered(digest: str, seen: Counter[str]) -> str:
-    seen[digest] += 1
-    return digest if seen[digest] == 1 else f"{digest}-{seen[digest]}"
+def names_of(study: AnyStudy) -> Names:
+    """What the rows of a study are kept by: what determines their numbers."""
+    if isinstance(study, SolverStudy):
+        cells, problems = study.identities()
+        return Names(cells, study.count, problems)
+    return Names(identities(study), study.count)
 
 
 def _digests(study: Study) -> Iterator[str]:

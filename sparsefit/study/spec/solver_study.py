@@ -7,10 +7,10 @@ single fit without. What a case is judged by is not in the file: the caller's ce
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,9 @@ from sparsefit.codec import Place, build, integer, only, shown, text
 from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study.spec.contenders import Contender, read_contenders, read_tolerances
+from sparsefit.study.spec.design import Factor
 from sparsefit.study.spec.document import Section, canonical_json, read_section, read_toml, required
+from sparsefit.study.spec.names import numbered
 from sparsefit.study.spec.solver_problems import ProblemSource, read_problems
 from sparsefit.study.spec.study import NAME
 
@@ -79,6 +81,23 @@ class Clock:
             raise InputError(f"repeats must be 1 to 1000, not {self.repeats}")
 
 
+@dataclass(frozen=True)
+class SolverCell:
+    """What is asked for every problem: a contender, by its place in the study, at a tolerance."""
+
+    index: int
+    contender: int
+    tolerance: float
+    backend: str
+    label: str
+    solver: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What a user may call it: its back-end, its objective or its solver."""
+        return (self.backend, self.label, self.solver)
+
+
 class SolverCase(NamedTuple):
     """One contender at one tolerance on one problem, by their places in the study."""
 
@@ -105,6 +124,8 @@ class SolverStudy:
     accuracies: tuple[float, ...]
     clock: Clock
     hash: str
+    store_weights: ClassVar[bool] = False
+    sweep: ClassVar[tuple[Factor, ...]] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> SolverStudy:
@@ -124,16 +145,62 @@ class SolverStudy:
         return tuple(dict.fromkeys(one.objective for one in self.contenders))
 
     @property
+    def missing(self) -> dict[str, str]:
+        """Why each solver that cannot run here is missing."""
+        return {one.solver: one.missing for one in self.contenders if one.missing}
+
+    @property
+    def at_most(self) -> float:
+        """Seconds of CPU [s] that solves take if all of them reach all limits."""
+        clock = self.clock
+        each = (
+            len(one.tolerances) * ((one.limit or clock.limit) + clock.seconds)
+            for one in self.contenders
+            if not one.missing
+        )
+        return self.count * sum(each)
+
+    @property
     def planned(self) -> int:
         """How many cases there are, those of missing contenders too."""
-        return len(self.problems) * sum(len(one.tolerances) for one in self.contenders)
+        return self.count * len(self.cells)
 
-    def cases(self) -> Iterator[SolverCase]:
-        """Every case, problem by problem."""
-        for problem in range(len(self.problems)):
-            for number, contender in enumerate(self.contenders):
-                for tolerance in contender.tolerances:
-                    yield SolverCase(problem, number, tolerance)
+    @property
+    def count(self) -> int:
+        """The number of problems, which are to its cells what flights are in other studies."""
+        return len(self.problems)
+
+    @cached_property
+    def cells(self) -> tuple[SolverCell, ...]:
+        """Every contender at each of its tolerances."""
+        asked = [
+            (number, tolerance, one)
+            for number, one in enumerate(self.contenders)
+            for tolerance in one.tolerances
+        ]
+        return tuple(
+            SolverCell(index, number, tolerance, one.backend, one.objective, one.solver)
+            for index, (number, tolerance, one) in enumerate(asked)
+        )
+
+    def case(self, problem: int, cell: int) -> SolverCase:
+        """The case of a problem and a cell."""
+        asked = self.cells[cell]
+        return SolverCase(problem, asked.contender, asked.tolerance)
+
+    def identities(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What determines the rows of each cell, and of each problem, as digests.
+
+        The limits of the clock are among it: another limit lets others fail.
+        """
+        clock = {key: value for key, value in asdict(self.clock).items() if key != "shift"}
+        common = [self.fractions, clock]
+        cells = [
+            canonical_json([self.contenders[one.contender].identity, str(one.tolerance), *common])
+            for one in self.cells
+        ]
+        problems = [source.identity for source in self.problems]
+        return numbered(map(_digest, cells)), numbered(map(_digest, problems))
 
     def case_id(self, case: SolverCase) -> str:
         """Readable by problem, stable whatever else the study plans: `003-9f1c0d6a41b2e857`."""
@@ -145,7 +212,7 @@ class SolverStudy:
                 self.fractions,
             ]
         )
-        return f"{case.problem:03d}-{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
+        return f"{case.problem:03d}-{_digest(identity)}"
 
     def build(self) -> tuple[RegressionProblem, ...]:
         """Every problem, so that one that is none is refused before work starts."""
@@ -194,6 +261,10 @@ def _read(document: Section, place: Place) -> SolverStudy:
     if study.planned > MOST_CASES:
         raise InputError(f"{place.file}: plans {study.planned} cases, more than {MOST_CASES}")
     return study
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
 
 
 def _hash(document: Section, problems: tuple[ProblemSource, ...]) -> str:
