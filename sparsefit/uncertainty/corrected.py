@@ -27,7 +27,7 @@ from sparsefit.uncertainty.constancy import Growth, Share
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.influence import Influence
 from sparsefit.uncertainty.model import Model
-from sparsefit.uncertainty.reading import Reader
+from sparsefit.uncertainty.reading import Reader, Reading
 from sparsefit.uncertainty.turbulence import FEWEST, Turbulence, generalised_step, jackknifed
 
 # Of a correction, what counts as a standard error: terms of second order are left out.
@@ -75,7 +75,7 @@ def corrected(parts: Sequence[Part], model: Model, read: Reader, *, correct: boo
     information = model.information
     lost = information.lost(reading.gradients) | (reading.norms & (not information.whole))
     if fits is not None:
-        known = _through_filters(fits, model, read, correct=correct)
+        known = _through_filters(fits, model, read, reading, correct=correct)
     else:
         variance = _by_lags(parts, model, reading.gradients)
         if variance is None:
@@ -100,10 +100,10 @@ def _by_lags(parts: Sequence[Part], model: Model, gradients: Array) -> Array | N
 
 
 def _through_filters(
-    fits: Sequence[Filtered], model: Model, read: Reader, *, correct: bool
+    fits: Sequence[Filtered], model: Model, read: Reader, reading: Reading, *, correct: bool
 ) -> Known:
     """Values and standard errors where the filters are known."""
-    reading, every = read(model), bias.every_without_truncation(fits, model)
+    every = bias.every_without_truncation(fits, model)
     by_theta = model.information.solved(reading.gradients.T)
     seen = [
         _Seen.of(fit, less, fit.weight**2 * by_theta) for fit, less in zip(fits, every, strict=True)
@@ -113,13 +113,14 @@ def _through_filters(
     freedom = _freedom(each, variance)
     spread = np.sqrt(variance)
     moved_model = every[0].model
-    step = read(moved_model).values - reading.values
+    less = read(moved_model).values
+    step = less - reading.values
     correcting = correct & ~reading.stay
     moved = np.zeros(len(step))
     if correct and any(one.left.found for one in seen):
         left, together = [one.left for one in seen], [one.less.together for one in seen]
         better = read(moved_model.shifted(generalised_step(left, together)))
-        moved = np.clip(better.values - read(moved_model).values, -MOST * spread, MOST * spread)
+        moved = np.clip(better.values - less, -MOST * spread, MOST * spread)
     correction = np.clip(step, -reading.limits, reading.limits)
     doubt = np.where(correcting, DOUBT_OF_TRUNCATION, 1.0) * correction
     for score in _scores_of_noise(seen):

@@ -150,12 +150,12 @@ class Model:
         )
 
     def split(self, theta: Array) -> tuple[Array, Array, Array]:
-        """The parts of theta (n,): of parameters (s, p), weights (s, c, n) and coefficients."""
+        """The parts of theta (..., n): of parameters (..., s, p), weights (..., s, c, n), b."""
         modes, size, targets = self.weights.shape
-        free = self.parameters.size
-        parameters, weights, coefficients = np.split(theta, [free, free + self.weights.size])
-        by_mode = weights.reshape(targets, modes, size).transpose(1, 2, 0)
-        return parameters.reshape(self.parameters.shape), by_mode, coefficients
+        free, several = self.parameters.size, theta.shape[:-1]
+        parameters, weights, coefficients = np.split(theta, [free, free + self.weights.size], -1)
+        by_mode = np.moveaxis(weights.reshape(*several, targets, modes, size), -3, -1)
+        return parameters.reshape(*several, *self.parameters.shape), by_mode, coefficients
 
     def joined(self, parameters: Array, weights: Array, coefficients: Array) -> Array:
         """theta (n,) of its parts, as `split` makes them."""

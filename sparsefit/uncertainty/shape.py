@@ -96,21 +96,24 @@ def waves(model: Model, nuisance: Nuisance, flows: list[IntArray] | None = None)
     assert isinstance(family, Waves)
     theta = model.joined(model.parameters, model.weights, model.coefficients)
 
-    def read(other: Array) -> Array:
-        parameters, weights, coefficients = model.split(other)
-        phases = family.pattern.phases(parameters).reshape(-1, 3)
-        amplitudes = weights.reshape(-1, 2) / nuisance.ratio(coefficients)
+    def read(thetas: Array) -> Array:
+        parameters, weights, coefficients = model.split(thetas)
+        phases = family.pattern.phases(parameters.reshape(-1, family.parameters))
+        phases = phases.reshape(len(thetas), -1, 3)
+        ratios = np.array([nuisance.ratio(own) for own in coefficients])
+        amplitudes = weights.reshape(len(thetas), -1, 2) / ratios[:, None, None]
         drifting = family.pattern.drifting
-        every = [_of_flow(phases[i], amplitudes[i], drifting=drifting) for i in parts]
-        return np.concatenate(every)
+        every = [_of_flow(phases[:, i], amplitudes[:, i], drifting=drifting) for i in parts]
+        return np.concatenate(every, axis=1)
 
     parts = flows or [np.arange(len(phases_of(model)[0]))]
-    values, names = read(theta), names_of(family, len(model.parameters))
-    names = names * len(parts)
-    gradients = np.zeros((len(values), len(theta)))
-    for i, step in enumerate(STEP * _sizes(model)):
-        ends = [read(theta + sign * step * np.eye(len(theta))[i]) for sign in (1, -1)]
-        gradients[:, i] = (ends[0] - ends[1]) / (2 * step)
+    names = names_of(family, len(model.parameters)) * len(parts)
+    steps = STEP * _sizes(model)
+    around = np.diag(steps)
+    here, after, before = np.split(
+        read(theta + np.vstack([0 * steps, around, -around])), [1, 1 + len(steps)]
+    )
+    values, gradients = here[0], (after - before).T / (2 * steps)
     limits = FIRST_ORDER * np.abs(values)
     limits[[name == "heading" for name in names]] = TURN
     limits[[name in DRIFT for name in names]] = math.inf
@@ -135,7 +138,7 @@ def _sizes(model: Model) -> Array:
 def values_of(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
     """The values of `names_of` of the fastest flow of waves (J, 3), amplitudes (J, 2)."""
     flows = flows_of(phases, amplitudes)
-    every = [_of_flow(phases[i], amplitudes[i], drifting=drifting) for i in flows]
+    every = [_of_flow(phases[None, i], amplitudes[None, i], drifting=drifting)[0] for i in flows]
     return max(every, key=lambda values: float(values[0]))
 
 
@@ -166,22 +169,28 @@ def flows_of(phases: Array, amplitudes: Array) -> list[IntArray]:
 
 
 def _of_flow(phases: Array, amplitudes: Array, *, drifting: bool) -> Array:
-    """U0, L, tau_w of waves (J, 3), amplitudes (J, 2); of two or more L_x, L_y, heading, drift."""
-    squares = np.sum(phases[:, :2] ** 2, axis=1)
-    powers = squares * np.sum(amplitudes**2, axis=1)
-    strongest = np.sort(np.argsort(-powers, kind="stable")[:2])
-    speed = math.sqrt(float(powers.sum()))
-    scale = math.sqrt(2.0 / float(np.mean(squares[strongest]))) * math.pi
-    values = [speed, scale, scale / speed if speed else math.inf]
-    if len(phases) > 1:
-        pair = phases[strongest]
-        first, second = pair[:, :2]
-        both = first / math.hypot(*first) + second / math.hypot(*second)
-        heading = math.atan2(both[1], both[0])
-        quarter = round(heading / (0.5 * math.pi))
-        sides = [2 * math.pi / math.hypot(*one) for one in (first + second, first - second)]
-        values += sides[::-1] if quarter % 2 else sides
-        values.append(heading - 0.5 * math.pi * quarter)
-        if drifting:
-            values += np.linalg.solve(pair[:, :2], pair[:, 2]).tolist()
-    return np.array(values)
+    """U0, L, tau_w (b, ...) of waves (b, J, 3), amplitudes (b, J, 2), for any number b of flows.
+
+    Of two waves or more L_x, L_y, heading and, where they drift, the drift follow.
+    """
+    squares = np.sum(phases[..., :2] ** 2, axis=2)
+    powers = squares * np.sum(amplitudes**2, axis=2)
+    strongest = np.sort(np.argsort(-powers, axis=1, kind="stable")[:, :2], axis=1)
+    speed = np.sqrt(np.sum(powers, axis=1))
+    scale = math.pi * np.sqrt(2.0 / np.take_along_axis(squares, strongest, 1).mean(axis=1))
+    timescale = np.divide(scale, speed, out=np.full_like(speed, math.inf), where=speed > 0)
+    values = np.stack([speed, scale, timescale], axis=1)
+    if phases.shape[1] < 2:
+        return values
+    pair = np.take_along_axis(phases, strongest[:, :, None], 1)
+    first, second = pair[:, 0, :2], pair[:, 1, :2]
+    both = first / np.hypot(*first.T)[:, None] + second / np.hypot(*second.T)[:, None]
+    heading = np.arctan2(both[:, 1], both[:, 0])
+    quarters = np.round(heading / (0.5 * math.pi))
+    sides = [2 * math.pi / np.hypot(*one.T) for one in (first + second, first - second)]
+    odd = quarters % 2 > 0
+    cells = [np.where(odd, *sides[::-1]), np.where(odd, *sides), heading - 0.5 * math.pi * quarters]
+    values = np.column_stack([values, *cells])
+    if drifting:
+        values = np.hstack([values, np.linalg.solve(pair[..., :2], pair[..., 2:])[..., 0]])
+    return values
