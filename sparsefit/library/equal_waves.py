@@ -49,11 +49,9 @@ class EqualWaves:
 
     def bent(self, position: Array, parameters: Array, values: Array, weights: Array) -> Array:
         """The derivatives of each mode's flow by its parameters, (s, p, 2 m, 1)."""
-        of_pattern, (mixed, slopes) = self._of_pattern(parameters), _mixed(self._deltas(parameters))
-        own = self.waves.values(position, of_pattern)
-        by_pattern = self.waves.bent(position, of_pattern, own, mixed @ weights)
-        by_delta = (slopes @ weights[:, None]).swapaxes(2, 3) @ own[:, None]
-        return np.concatenate([by_pattern, by_delta.swapaxes(2, 3)], axis=1)
+        of_pattern, mixed = self._of_pattern(parameters), _mixed(self._deltas(parameters))[0]
+        bent, late = self.waves.bent_and_late(position, of_pattern, mixed @ weights)
+        return np.concatenate([bent, -late[:, 1:]], axis=1)
 
     def bound(self, parameters: Array, weights: Array) -> Array:
         """Parameters (s, p) that come nearest to free waves' (s, p), weights (s, 2 J, 1)."""

@@ -7,6 +7,7 @@ parameters are found in reach from farther away; pieces are then joined until th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -40,20 +41,19 @@ class PiecedWaves:
     def values(self, position: Array, parameters: Array) -> Array:
         """Columns (s, 2 J P, 2 m) at positions (m, 2) or (m, 3), in time's order."""
         whole = Waves(self.pattern).values(position, parameters)
-        modes, own, _ = whole.shape
-        parts, count = whole.reshape(modes, own, 2, -1), len(position)
-        values = np.zeros((modes, self.pieces, own, 2, count))
-        for piece, rows in enumerate(np.array_split(np.arange(count), self.pieces)):
-            values[:, piece, ..., rows] = np.moveaxis(parts[..., rows], 3, 0)
-        return values.reshape(modes, self.size, -1)
+        parts, ends = whole.reshape(*whole.shape[:2], 2, -1), self._ends(len(position))
+        values = np.zeros((len(whole), self.pieces, *parts.shape[1:]))
+        for piece, (first, last) in enumerate(pairwise(ends)):
+            values[:, piece, ..., first:last] = parts[..., first:last]
+        return values.reshape(len(whole), self.size, -1)
 
     def bent(self, position: Array, parameters: Array, values: Array, weights: Array) -> Array:
         """The derivatives of each mode's flow by its parameters, (s, p, 2 m, 1)."""
-        free, modes = Waves(self.pattern), len(parameters)
-        by_piece = weights.reshape(modes, self.pieces, free.size, 1)
-        bent = []
-        for piece, place in enumerate(np.array_split(position, self.pieces)):
-            own = free.values(place, parameters)
-            flow = free.bent(place, parameters, own, by_piece[:, piece])
-            bent.append(flow.reshape(*flow.shape[:2], 2, -1))
-        return np.concatenate(bent, axis=3).reshape(modes, self.parameters, -1, 1)
+        by_piece = weights.reshape(len(weights), self.pieces, -1).swapaxes(1, 2)
+        by_row = np.repeat(by_piece, np.diff(self._ends(len(position))), axis=2)
+        return Waves(self.pattern).bent(position, parameters, values, by_row)
+
+    def _ends(self, rows: int) -> list[int]:
+        """Where each piece of so many rows begins, and the last ends; the first are longer by 1."""
+        own, more = divmod(rows, self.pieces)
+        return [own * piece + min(piece, more) for piece in range(self.pieces + 1)]

@@ -80,14 +80,17 @@ class Pattern:
 
     def phases(self, parameters: Array) -> Array:
         """(k_x, k_y, omega) of every wave, (s, J, 3), of parameters (s, p)."""
-        return self._rotated(np.einsum("sp,pjd->sjd", parameters, self._matrix), parameters)
+        flat = parameters @ self._matrix.reshape(self.parameters, -1)
+        phases: Array = flat.reshape(len(flat), self.size, 3)
+        return phases @ _turns(parameters[:, -1]) if self.turned else phases
 
     def slopes(self, parameters: Array) -> Array:
         """The derivatives of `phases` by the parameters, (s, p, J, 3)."""
-        matrix = np.broadcast_to(self._matrix, (len(parameters), *self._matrix.shape))
-        slopes = self._rotated(matrix, parameters)
-        if self.turned:
-            slopes[:, -1] = _quarter(self.phases(parameters))
+        shape = (len(parameters), *self._matrix.shape)
+        if not self.turned:
+            return np.broadcast_to(self._matrix, shape)
+        slopes: Array = (self._matrix.reshape(-1, 3) @ _turns(parameters[:, -1])).reshape(shape)
+        slopes[:, -1] = self.phases(parameters) @ QUARTER
         return slopes
 
     def bends(self, parameters: Array) -> Array:
@@ -95,24 +98,24 @@ class Pattern:
         count = self.parameters
         bends = np.zeros((len(parameters), count, count, self.size, 3))
         if self.turned:
-            crossed = _quarter(self.slopes(parameters))
+            crossed = self.slopes(parameters) @ QUARTER
             bends[:, -1], bends[:, :, -1] = crossed, crossed
         return bends
 
-    def _rotated(self, phases: Array, parameters: Array) -> Array:
-        """Waves (s, ..., 3) turned by the heading among parameters (s, p)."""
-        rotated = np.array(phases)
-        if self.turned:
-            heading = parameters[:, -1].reshape(-1, *[1] * (phases.ndim - 2))
-            cos, sin = np.cos(heading), np.sin(heading)
-            rotated[..., 0] = cos * phases[..., 0] - sin * phases[..., 1]
-            rotated[..., 1] = sin * phases[..., 0] + cos * phases[..., 1]
-        return rotated
+
+# Of rows (k_x, k_y, omega): turned by a quarter, their omegas 0, the derivative by the heading; and
+# the direction of a wave's flow, (k_y, -k_x), which is also its size.
+QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+ACROSS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
 
 
-def _quarter(phases: Array) -> Array:
-    """Waves (..., 3) turned by a quarter, their omegas 0: the derivative by the heading."""
-    return np.stack([-phases[..., 1], phases[..., 0], np.zeros(phases.shape[:-1])], axis=-1)
+def _turns(heading: Array) -> Array:
+    """What turns rows (k_x, k_y, omega) by headings (s,) [rad], (s, 3, 3)."""
+    turns = np.zeros((len(heading), 3, 3))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(heading)
+    turns[:, 0, 1] = sine = np.sin(heading)
+    turns[:, 1, 0], turns[:, 2, 2] = -sine, 1.0
+    return turns
 
 
 WAVE = Pattern("wave", (((1, 0), (0, 1)),))
@@ -154,52 +157,63 @@ class Waves:
     def values(self, position: Array, parameters: Array) -> Array:
         """Columns (s, 2 J, 2 m) at positions (m, 2) or (m, 3), for parameters (s, p)."""
         phases = self.pattern.phases(parameters)
-        theta = phases @ _coordinates(position)
-        waves = np.stack([-np.sin(theta), np.cos(theta)], axis=2)  # g of cos and of sin
-        return self._joined(_across(phases)[:, :, None, :, None] * waves[:, :, :, None])
+        theta, across = _along_path(phases, position), (phases @ ACROSS)[..., None]
+        values = np.empty((*theta.shape[:2], 2, 2, theta.shape[2]))
+        np.multiply(across, -np.sin(theta)[:, :, None], out=values[:, :, 0])  # g of cos
+        np.multiply(across, np.cos(theta)[:, :, None], out=values[:, :, 1])  # g of sin
+        return self._joined(values)
 
     def slopes(self, position: Array, parameters: Array, values: Array) -> Array:
         """Their first derivatives by the parameters, (s, p, 2 J, 2 m)."""
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
-        waves, across = self._waves(phases, values), _across(phases)
-        later, moved = _along(waves), by_q @ _coordinates(position)
-        slopes = _product(_across(by_q), waves[:, None])
+        waves, across = self._waves(phases, values), phases @ ACROSS
+        later, moved = _along(waves), _along_path(by_q, position)
+        slopes = _product(by_q @ ACROSS, waves[:, None])
         slopes += _product(across[:, None], later[:, None] * moved[:, :, :, None])
         return self._joined(slopes)
 
     def bends(self, position: Array, parameters: Array, values: Array) -> Array:
         """Their second derivatives by the parameters, (s, p, p, 2 J, 2 m)."""
-        pattern, coordinates = self.pattern, _coordinates(position)
+        pattern = self.pattern
         phases, by_q = pattern.phases(parameters), pattern.slopes(parameters)
-        twice, moved = pattern.bends(parameters), by_q @ coordinates
+        twice, moved = pattern.bends(parameters), _along_path(by_q, position)
         waves = self._waves(phases, values)
-        later, across, turned = _along(waves), _across(phases), _across(by_q)
+        later, across, turned = _along(waves), phases @ ACROSS, by_q @ ACROSS
         first = moved[:, :, None, :, None] * later[:, None, None]
         second = moved[:, None, :, :, None] * later[:, None, None]
         square = (moved[:, :, None] * moved[:, None])[:, :, :, :, None] * waves[:, None, None]
-        bow = (twice @ coordinates)[:, :, :, :, None] * later[:, None, None]
-        bends = _product(_across(twice), waves[:, None, None])
+        bow = _along_path(twice, position)[:, :, :, :, None] * later[:, None, None]
+        bends = _product(twice @ ACROSS, waves[:, None, None])
         bends += _product(turned[:, None], first) + _product(turned[:, :, None], second)
         bends += _product(across[:, None, None], bow - square)
         return self._joined(bends)
 
     def bent(self, position: Array, parameters: Array, values: Array, weights: Array) -> Array:
-        """The derivatives of each mode's flow by its parameters, (s, p, 2 m, 1)."""
+        """The derivatives of each mode's flow by its parameters, (s, p, 2 m, 1).
+
+        weights: (s, 2 J, 1), or (s, 2 J, m) where they change along the rows.
+        """
+        return self.bent_and_late(position, parameters, weights)[0]
+
+    def bent_and_late(
+        self, position: Array, parameters: Array, weights: Array
+    ) -> tuple[Array, Array]:
+        """`bent`, and the derivatives of each wave's flow by its own phase, (s, J, 2 m, 1)."""
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
-        flow, later = self._weighted(phases, values, weights)
-        moved = by_q @ _coordinates(position)
-        turned = _across(by_q)
-        bent: Array = np.einsum("spjd,sjm->spdm", turned, flow)
-        bent += np.einsum("sjd,spjm->spdm", _across(phases), moved * later[:, None])
-        return bent.reshape(*bent.shape[:2], 2 * bent.shape[-1], 1)
+        flow, later = _flows(phases, position, weights)
+        across, rows = phases @ ACROSS, 2 * len(position)
+        bent: Array = (by_q @ ACROSS).swapaxes(2, 3) @ flow[:, None]
+        bent += across.swapaxes(1, 2)[:, None] @ (_along_path(by_q, position) * later[:, None])
+        late = across[..., None] * later[:, :, None]
+        return bent.reshape(*bent.shape[:2], rows, 1), late.reshape(*late.shape[:2], rows, 1)
 
     def bent_gradients(
         self, position: Array, parameters: Array, values: Array, weights: Array
     ) -> Array:
         """The derivatives of `bent` by x and by y, (2, s, p, 2 m, 1)."""
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
-        flow, later = self._weighted(phases, values, weights)
-        moved, across, turned = by_q @ _coordinates(position), _across(phases), _across(by_q)
+        flow, later = _flows(phases, position, weights)
+        moved, across, turned = _along_path(by_q, position), phases @ ACROSS, by_q @ ACROSS
         both = []
         for axis in range(2):
             k, k_by_q = phases[..., axis], by_q[..., axis]
@@ -226,19 +240,12 @@ class Waves:
 
     def _waves(self, phases: Array, values: Array) -> Array:
         """G of cos and of sin, (s, J, 2, m), of columns (s, 2 J, 2 m)."""
-        across = _across(phases)
+        across = phases @ ACROSS
         parts = values.reshape(*phases.shape[:2], 2, 2, values.shape[-1] // 2)
         waves: Array = np.einsum("sjd,sjcdm->sjcm", across, parts)
         square: Array = np.sum(across * across, axis=2)
         waves /= np.where(square > 0, square, 1.0)[:, :, None, None]
         return waves
-
-    def _weighted(self, phases: Array, values: Array, weights: Array) -> tuple[Array, Array]:
-        """psi's derivative by theta and its next one, of every wave, (s, J, m) each."""
-        waves = self._waves(phases, values)
-        own = weights.reshape(*phases.shape[:2], 2)
-        flow = np.einsum("sjc,sjcm->sjm", own, waves)
-        return flow, np.einsum("sjc,sjcm->sjm", own, _along(waves))
 
     def _joined(self, parts: Array) -> Array:
         """Columns (..., 2 J, 2 m) of values by wave, column and component, (..., J, 2, 2, m)."""
@@ -246,15 +253,19 @@ class Waves:
         return joined
 
 
-def _coordinates(position: Array) -> Array:
-    """(x, y, -t) (3, m) of positions (m, 2), or (m, 3) with the time."""
-    time = -position[:, 2] if position.shape[1] > 2 else np.zeros(len(position))
-    return np.stack([position[:, 0], position[:, 1], time])
+def _along_path(phases: Array, position: Array) -> Array:
+    """Theta (..., m) at positions (m, 2), or (m, 3) with the time, of (k_x, k_y, omega) (..., 3)."""
+    if position.shape[1] == 2:
+        return phases[..., :2] @ position.T
+    theta: Array = (phases * (1.0, 1.0, -1.0)) @ position.T
+    return theta
 
 
-def _across(phases: Array) -> Array:
-    """(k_y, -k_x) of waves (..., 3): the direction of the flow of each, and its size."""
-    return np.stack([phases[..., 1], -phases[..., 0]], axis=-1)
+def _flows(phases: Array, position: Array, weights: Array) -> tuple[Array, Array]:
+    """psi's derivative by theta and its next one, of every wave, (s, J, m) each."""
+    theta = _along_path(phases, position)
+    sin, cos, a, b = np.sin(theta), np.cos(theta), weights[:, ::2], weights[:, 1::2]
+    return b * cos - a * sin, -a * cos - b * sin
 
 
 def _along(waves: Array) -> Array:

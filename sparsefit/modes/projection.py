@@ -79,15 +79,14 @@ def project(family: Columns, rows: Rows, parameters: Array) -> Projection:
         weights = onto(target)
         rest = target - design.T @ weights
     blocks = weights.reshape(modes, family.size, -1)
-    bent = family.bent(rows.position, parameters, values, blocks).reshape(
-        modes * count, values.shape[-1], -1
-    )
-    bent = np.stack([rows.averaged(by_one.T).T for by_one in bent])
-    side = freed(np.hstack(list(bent)))
-    side = side.reshape(len(side), modes * count, -1).transpose(1, 0, 2)
+    bent = family.bent(rows.position, parameters, values, blocks)
+    bent = rows.averaged(bent.swapaxes(2, 3).reshape(-1, values.shape[-1]))  # rows, as the design
+    side = bent - (bent @ design.T @ basis) @ (basis.T @ design)
+    side = side.reshape(modes * count, -1, side.shape[1])
     if nuisance.shape[2]:
-        side = np.stack([left_beside(loose, by_one)[0] for by_one in side])
-    moves = _moves(side.reshape(len(side), -1), rest.ravel(), np.sum(bent**2, axis=(1, 2)))
+        side = np.stack([left_beside(loose, by_one.T)[0].T for by_one in side])
+    squares = np.sum(bent.reshape(len(side), -1) ** 2, axis=1)
+    moves = _moves(side.reshape(len(side), -1), rest.T.ravel(), squares)
     return Projection(
         parameters,
         float(np.sum(rest * rest)),
