@@ -16,7 +16,7 @@ from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.pieced_waves import PiecedWaves
 from sparsefit.library.waves import Waves
 from sparsefit.modes.fitted_rows import Rows
-from sparsefit.modes.projection import Projection, project
+from sparsefit.modes.projection import ROUNDING, Projection, project, secant
 
 PlaneFamily: TypeAlias = Waves | EqualWaves | PiecedWaves
 
@@ -24,6 +24,7 @@ ITERATIONS, HALVINGS = 25, 6  # of a descent, and of one of its moves
 SEEN = 3  # of the last falls of the residual, by which a descent is judged
 LONGEST = 0.5  # of a move, in pi over the extent and over the duration
 ROUGH, END = 1e-3, 1e-9  # of moves, in the same units: where a descent may stop, and where it ends
+SHARES = 0.5, 2.0  # of a move, that the last two may say leads to where moves end
 SLIGHT = 1e-6  # of RSS: where a rough descent may stop
 
 
@@ -42,23 +43,27 @@ def descended(
     """
     here = project(family, rows, parameters)
     reach = reach_of(rows, family.pieces if isinstance(family, PiecedWaves) else 1)
-    tolerance = ROUGH if rough else END
-    falls = [math.inf] * SEEN
+    tolerance, size = ROUGH if rough else END, math.sqrt(float(np.sum(rows.target**2)))
+    falls, share = [math.inf] * SEEN, 1.0  # of a rough descent 1: where it leads stays as it is
     for left in range(ITERATIONS, 0, -1):
         if here.residual - left * max(falls[-SEEN:]) > goal:
             return here
-        size = _length(family, here, reach)
-        if size <= tolerance:
+        longest = _length(family, here, reach)
+        if longest <= tolerance:
             return here
-        moves = here.moves * min(1.0, LONGEST / size)
+        moves = here.moves * min(share, LONGEST / longest)
         for halving in range(HALVINGS):
             there = project(family, rows, here.parameters + moves * 0.3**halving)
             if there.residual < here.residual:
                 break
+            if there.residual <= here.residual + ROUNDING * size * math.sqrt(here.residual):
+                return here  # rounding hides the fall
         else:
             return here
         falls.append(here.residual - there.residual)
         slight = rough and falls[-1] <= SLIGHT * here.residual
+        if not rough:
+            share = min(max(secant(here, there), SHARES[0]), SHARES[1])
         here = there
         if slight:
             return here

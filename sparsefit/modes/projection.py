@@ -23,6 +23,7 @@ from sparsefit.library.family import Columns
 from sparsefit.modes.fitted_rows import Rows
 
 RANK = 1e-12  # eigenvalues of the scaled Gram matrix below this, relative, are dropped
+ROUNDING = 8 * float(np.finfo(float).eps)  # of |Phi| |E|: falls of RSS below it are rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,3 +131,13 @@ def _moves(side: Array, rest: Array, squares: Array) -> Array:
     inverse = np.where(kept, 1.0 / np.where(kept, roots, 1.0), 0.0)
     moves: Array = vectors @ (inverse * (vectors.T @ (np.where(free, slope, 0.0) / scale))) / scale
     return moves
+
+
+def secant(before: Projection, after: Projection) -> float:
+    """The share of the next move that leads to where moves end, by the last two; 1 if they grow.
+
+    Where much is left of the rows, Gauss-Newton moves overshoot, or fall short, again and again.
+    """
+    step = after.parameters - before.parameters
+    change = float(np.sum(step * (before.moves - after.moves)))
+    return float(np.sum(step * step)) / change if change > 0 else 1.0

@@ -23,7 +23,7 @@ from sparsefit.library.family import Family
 from sparsefit.library.nuisance import Nuisance, regressed
 from sparsefit.library.scan import Bounds, CellScan, extent_of, scan_steps
 from sparsefit.modes.fitted_rows import Rows
-from sparsefit.modes.projection import Projection, project
+from sparsefit.modes.projection import ROUNDING, Projection, project, secant
 from sparsefit.modes.stack import (
     CORRELATION,
     Pair,
@@ -38,7 +38,6 @@ MAX_STEPS = 500_000  # of a scan, 0.5 GB
 ITERATIONS, HALVINGS = 60, 12  # of a descent, and of one of its moves
 FOLLOWED = 2  # moves of a lobe that was known: what it has not reached is left to the next answer
 END = 1e-15  # of a parameter: moves below it are rounding
-ROUNDING = 8 * float(np.finfo(float).eps)  # of |Phi| |E|: falls of RSS below it are rounding
 FLOOR = 1e-15  # of |Phi|^2: residuals below it are rounding
 ROUGH = 1e-2  # in scan steps, 1e-7 of a lobe's depth: where a rival's descent may stop
 FALSE_ALARM = 1e-3  # of a detection, over all lobes of a flight
@@ -240,7 +239,7 @@ class SearchSpace:
                     break
             if there is None:
                 return here
-            damping = _damping(here, there)
+            damping = min(1.0, secant(here, there))
             here = there
         return here
 
@@ -263,16 +262,6 @@ class SearchSpace:
     def parameters(self) -> int:
         """The number of parameters of a mode: of its place, and its weights."""
         return self.family.parameters + self.family.size * self.family.targets
-
-
-def _damping(before: Projection, after: Projection) -> float:
-    """The share of the next move that leads to where moves end, by the secant of the last two.
-
-    Where much is left of the rows, Gauss-Newton moves overshoot, again and again.
-    """
-    step = after.parameters - before.parameters
-    change = float(np.sum(step * (before.moves - after.moves)))
-    return min(1.0, float(np.sum(step * step)) / change) if change > 0 else 1.0
 
 
 def concentration(errors: Array) -> float:
