@@ -254,7 +254,7 @@ class Waves:
 
 
 def _along_path(phases: Array, position: Array) -> Array:
-    """Theta (..., m) at positions (m, 2), or (m, 3) with the time, of (k_x, k_y, omega) (..., 3)."""
+    """Theta (..., m) at positions (m, 2), or (m, 3) with the time, of waves (..., 3)."""
     if position.shape[1] == 2:
         return phases[..., :2] @ position.T
     theta: Array = (phases * (1.0, 1.0, -1.0)) @ position.T
