@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import refuse_existing
+from sparsefit.cli.output import check_output
 
 if TYPE_CHECKING:
     from sparsefit.estimator import Estimate, Estimator
@@ -28,15 +28,8 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
 
 def check_plot(args: argparse.Namespace) -> None:
     """Raise InputError, before any work, where the picture could not be written."""
-    from sparsefit.errors import InputError
-
-    if args.plot is None:
-        return
-    if Path(args.plot).suffix.lower() not in SUFFIXES:
-        raise InputError(f"--plot: {args.plot} must end in {', '.join(SUFFIXES)}")
-    if not Path(args.plot).resolve().parent.is_dir():
-        raise InputError(f"--plot: there is no folder {Path(args.plot).parent}; make it first")
-    refuse_existing(args.plot, force=args.force)
+    if args.plot is not None:
+        check_output(args.plot, force=args.force, endings=SUFFIXES)
 
 
 def write_plot(

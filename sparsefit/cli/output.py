@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +20,21 @@ def print_json(record: object) -> None:
     print(json.dumps(record, indent=2, allow_nan=False, ensure_ascii=False))
 
 
-def refuse_existing(path: str, *, force: bool) -> None:
-    """Raise InputError where a file would be overwritten."""
-    from sparsefit.errors import InputError
+def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> None:
+    """Raise InputError, before any work, where a file could not be written or would be overwritten.
 
-    if Path(path).exists() and not force:
+    endings: of a name, lower case, that say what is written; any where there are none.
+    """
+    from sparsefit.errors import InputError, one_of
+
+    file = Path(path)
+    if not path.strip():
+        raise InputError("the name of the file to write is empty; give one")
+    if endings:
+        one_of("file type", file.suffix.lower() or file.name, endings)
+    if not file.parent.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {file.parent}; make it first")
+    if os.path.lexists(path) and not force:
         raise InputError(f"{path} exists; add --force or choose another name")
 
 

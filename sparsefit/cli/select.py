@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import print_json, refuse_existing, table_record, terminal_width
+from sparsefit.cli.output import check_output, print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser, Verbs, add_results, number, verb, whole
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def _add_rule(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Choose, write, and show the evidence; 1 where no candidate keeps the constraints."""
-    refuse_existing(args.output, force=args.force)
+    check_output(args.output, force=args.force)
     from sparsefit.codec import Place
     from sparsefit.study.evidence.deploy import estimator_text
     from sparsefit.study.evidence.selection import select

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from sparsefit.cli.output import refuse_existing
+from sparsefit.cli.output import check_output
 from sparsefit.cli.parser import Verbs, number, verb, whole
 from sparsefit.cli.simulated import add_faults, add_flow, faults_of, flow_of, vehicle_of
 
@@ -97,12 +97,14 @@ def _add_log(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
-    refuse_existing(args.output, force=args.force)
     from numpy.random import SeedSequence
 
+    from sparsefit.errors import one_line
     from sparsefit.flight import simulate_flight, write_flight
     from sparsefit.flight.faults import LogFaults
+    from sparsefit.flight.files import WRITTEN
 
+    check_output(args.output, force=args.force, endings=WRITTEN)
     flow, faults, (vehicle, thrust) = flow_of(args), faults_of(args), vehicle_of(args)
     flight = simulate_flight(
         flow,
@@ -122,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         flight = faults.spoil(flight, SeedSequence(args.seed, spawn_key=(FAULTY,)))
     write_flight(flight, args.output, overwrite=args.force)
     print(
-        f"{args.output}: {flight.samples} samples over {flight.duration:g} s, "
+        f"{one_line(args.output)}: {flight.samples} samples over {flight.duration:g} s, "
         f"{flight.extent:.3g} m across, in a flow of {args.mean_velocity:g} m/s and "
         f"{args.length_scale:g} m ({args.length_scale / args.mean_velocity:.3g} s)"
     )

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import print_json, refuse_existing, table_record, terminal_width
+from sparsefit.cli.output import check_output, print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _file(args: argparse.Namespace, study: Study, case_id: str) -> Path:
     file = Path(args.output)
     if file.suffix.lower() not in SUFFIXES:
         raise InputError(f"--output: {file} must end in {', '.join(SUFFIXES)}: no other is drawn")
-    refuse_existing(args.output, force=args.force)
+    check_output(args.output, force=args.force)
     return file
 
 

@@ -59,8 +59,12 @@ class LogFaults:
         """Return the flight as a log with these faults tells it; each has a stream of its own.
 
         Raises:
-            InputError: if the gaps leave fewer than three samples.
+            InputError: if the gaps leave fewer than three samples, or there are more of them or of
+                jumps than samples.
         """
+        for name, count in (("jumps", self.jumps), ("gaps", self.gaps)):
+            if count > flight.samples:
+                raise InputError(f"{name}: {count} in {flight.samples} samples; give fewer")
         key = seed.spawn_key
         wander, outlier, jump, gap = (
             np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*key, child)))

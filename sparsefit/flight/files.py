@@ -110,7 +110,7 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
     """
     file = Path(path)
     encode = _format(file, WRITTEN).encode
-    if file.exists() and not overwrite:
+    if os.path.lexists(file) and not overwrite:
         raise InputError(f"{file} exists; pass overwrite=True or choose another name")
     write_whole(file, encode(FlightTable.from_flight(flight)))
 

@@ -85,6 +85,14 @@ def test_simulate_writes_the_flight_it_was_asked_for(capsys, name):
     assert flight.position[0].tolist() == [1.0, 2.0]
 
 
+def test_a_link_is_not_overwritten_wherever_it_leads(capsys, flight):
+    os.symlink("nowhere.csv", "dangling.csv")
+    os.symlink("loop.csv", "loop.csv")
+    for name in ("dangling.csv", "loop.csv"):
+        assert f"{name} exists" in refused(capsys, *SIMULATE, "-o", name)
+        assert os.path.islink(name)
+
+
 def test_simulate_overwrites_only_with_force(capsys, flight):
     before = read_lines(flight)
     err = refused(capsys, *SIMULATE, "--duration", "3", "-o", flight)
@@ -153,7 +161,10 @@ def test_simulate_spoils_the_log(capsys):
         (("--seed", "-1"), "seed must be"),
         (("--sed", "1"), "unrecognized arguments: --sed 1; see sparsefit simulate --help"),
         (("-o", "flight.txt"), 'unknown file type ".txt"'),
-        (("-o", "nowhere/flight.csv"), "nowhere/flight.csv"),
+        (("-o", "nowhere/flight.csv"), "there is no folder nowhere; make it first"),
+        (("-o", ""), "the name of the file to write is empty"),
+        (("--jumps", "1e9", "1"), "jumps: 1000000000 in 1001 samples"),
+        (("--gaps", "1e9", "1"), "gaps: 1000000000 in 1001 samples"),
     ],
 )
 def test_simulate_refuses(capsys, options, words):

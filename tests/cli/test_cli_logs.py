@@ -112,7 +112,7 @@ def test_the_log_is_told_before_the_estimate(capsys):
     with open("a.png", "rb") as file:
         assert file.read(4) == b"\x89PNG"
     assert "a.png exists; add --force" in refused(capsys, "flight.csv", "--plot", "a.png")
-    assert "must end in .png, .svg, .pdf" in refused(capsys, "flight.csv", "--plot", "a.jpg")
+    assert "(known: .png, .svg, .pdf)" in refused(capsys, "flight.csv", "--plot", "a.jpg")
     assert "there is no folder no" in refused(capsys, "flight.csv", "--plot", "no/a.png")
 
 
