@@ -11,8 +11,8 @@ from sparsefit.errors import InputError
 from sparsefit.study.evidence.contrasts import contrast, exchanged
 from sparsefit.study.evidence.measure import Failure
 from sparsefit.study.evidence.measures import MEASURES
-from sparsefit.study.evidence.per_flight import by_flight, interval_of, per_case
 from sparsefit.study.evidence.profiles import profile_of
+from sparsefit.study.evidence.resampling import by_flight, interval_of
 from sparsefit.study.evidence.tables import TABLES
 
 STUDY = SimpleNamespace(name="demo", reference=None)
@@ -80,9 +80,9 @@ def test_exchanges_are_the_permutation_test_of_scipy():
         (first, second), lambda x, y, axis: x.mean(axis) - y.mean(axis),
         permutation_type="samples", vectorized=True, n_resamples=np.inf,
     )  # fmt: skip
-    ours = exchanged("mean", first[:, None], second[:, None])
+    ours = exchanged(MISSED, first[:, None], second[:, None])
     assert ours == pytest.approx(theirs.pvalue, abs=0.02)
-    assert exchanged("mean", first[:, None], first[:, None]) == 1.0
+    assert exchanged(MISSED, first[:, None], first[:, None]) == 1.0
 
 
 def test_a_failure_is_a_miss_and_counts_on_its_own_flight():
@@ -148,7 +148,7 @@ def test_flights_that_all_failed_have_no_interval_and_no_warning():
 
 def test_values_by_flight():
     frame = pd.concat([cases({"lasso": [1.0, 2.0]}), cases({"lasso": [3.0]})])
-    grid = by_flight(per_case(MISSED, frame), frame)
+    grid = by_flight(MISSED.per_case(frame), frame)
     np.testing.assert_allclose(grid, [[1.0, 3.0], [2.0, np.nan]])
 
 
@@ -174,3 +174,13 @@ def test_few_measures_have_their_intervals_beside_them():
     assert "bootstrap over flights" in table.notes[-1]
     without = TABLES.make(entry | {"interval": False}, STUDY, cases())
     assert len(without.columns) == len(table.columns) - 1
+
+
+def test_a_summary_lies_in_its_interval_with_flights_without_a_flow():
+    """Still air has no error to miss: neither the summary nor its interval counts it."""
+    frame = of(cases(failed={("lasso", 3)}), "lasso").assign(flow="cellular")
+    still = frame.assign(flow="none", status="unidentifiable", flight=frame["flight"] + 100)
+    both = pd.concat([frame, still])
+    assert MISSED.summarise(both) == MISSED.summarise(frame)
+    low, high = interval_of(MISSED, both)
+    assert low < MISSED.summarise(both) < high

@@ -4,26 +4,40 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sparsefit.study.evidence.measure import QUANTILES, SUMMARIES
 from sparsefit.study.evidence.resampling import (
     Difference,
     best_probabilities,
-    draws,
     holm,
     interval,
-    quantile,
-    reduce,
+    resampled,
 )
+from sparsefit.study.evidence.summary import QUANTILES, SUMMARIES, TINY, quantile, reduce
 
 RNG = np.random.default_rng(3)
 VALUES = RNG.exponential(2.0, (4, 9))
 
 
+PLAIN = {
+    "mean": np.mean,
+    "geometric mean": lambda row: stats.gmean(np.maximum(row, TINY)),
+    "rms": lambda row: math.sqrt(np.mean(row**2)),
+    "share": lambda row: 100.0 * np.mean(row),
+    "largest": np.max,
+    "number": np.sum,
+}
+
+
 @pytest.mark.parametrize("name", SUMMARIES)
-def test_summaries_are_those_of_the_measures(name):
+def test_summaries_by_their_definitions(name):
     values = np.floor(VALUES)
-    expected = [SUMMARIES[name](row) for row in values]
-    assert reduce(name, values) == pytest.approx(expected)
+    assert reduce(name, values) == pytest.approx([PLAIN[name](row) for row in values])
+
+
+@pytest.mark.parametrize("name", QUANTILES)
+def test_quantiles_among_the_observed_are_those_of_numpy(name):
+    failed = np.concatenate([VALUES, np.full((4, 3), np.inf)], axis=1)
+    expected = np.quantile(failed, QUANTILES[name], axis=1, method="inverted_cdf")
+    assert reduce(name, failed, observed=True) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", QUANTILES)
@@ -43,7 +57,7 @@ def test_of_nothing_nothing_is_known():
 
 def test_the_interval_is_that_of_scipy():
     flights = RNG.normal(1.0, 2.0, 60)
-    ours = interval(flights[draws(60, 0, 4000)].mean(axis=1))
+    ours = interval(resampled(lambda at: flights[at].mean(axis=1), 60, resamples=4000))
     theirs = stats.bootstrap((flights,), np.mean, n_resamples=4000, method="percentile")
     assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.06)
 
@@ -68,3 +82,10 @@ def test_holm_by_hand():
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
     assert holm([]) == []
+    assert holm([0.03, math.nan, 0.01]) == pytest.approx([0.03, math.nan, 0.02], nan_ok=True)
+
+
+def test_flights_drawn_in_parts_are_the_same_flights(monkeypatch):
+    whole = resampled(lambda at: at.sum(axis=1), 7, resamples=50)
+    monkeypatch.setattr("sparsefit.study.evidence.resampling.CHUNK", 21)
+    assert np.array_equal(resampled(lambda at: at.sum(axis=1), 7, resamples=50), whole)

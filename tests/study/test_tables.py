@@ -293,7 +293,7 @@ class TestSummary:
             case(3, status="ok", est_timescale=math.inf), case(4, status="inaccurate"),
         )  # fmt: skip
         assert estimated(cases).tolist() == [True, False, False, False, True]
-        assert MEASURES["hits"].values(cases).tolist() == [1, 0, 0, 0, 1]
+        assert MEASURES["hits"].per_case(cases).tolist() == [1, 0, 0, 0, 1]
         assert percent_errors(cases)[0].tolist() == pytest.approx([10, 0, -100 / 11])
         assert np.isnan(percent_errors(cases)[1:4]).all()
 

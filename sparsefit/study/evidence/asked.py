@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Generic, Literal, TypeAlias, TypeVar
 
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, unknown
-from sparsefit.study.evidence.measure import SUMMARY_WORDS, Failure, Measure
+from sparsefit.study.evidence.measure import Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.summary import SUMMARY_WORDS
 from sparsefit.study.spec.outputs import Entry
 
 if TYPE_CHECKING:

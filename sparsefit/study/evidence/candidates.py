@@ -18,11 +18,11 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, unknown
 from sparsefit.study.evidence.along import at_level
 from sparsefit.study.evidence.cases import DEFAULT, Group, by_setting, factors
-from sparsefit.study.evidence.measure import SUMMARY_WORDS, Failure, Measure
+from sparsefit.study.evidence.measure import Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
-from sparsefit.study.evidence.per_flight import CHUNK, per_case
-from sparsefit.study.evidence.resampling import Draws, reduce
+from sparsefit.study.evidence.resampling import resampled
 from sparsefit.study.evidence.sentence import listed
+from sparsefit.study.evidence.summary import SUMMARY_WORDS, reduce
 from sparsefit.study.evidence.table import Value
 from sparsefit.study.evidence.worlds import REGIME, conditions_of, in_regimes, regime_names
 from sparsefit.study.spec.selection import AVERAGE, WORST, SelectionRule
@@ -110,12 +110,12 @@ class Criterion:
 
     def grid(self, trial: Trial) -> Array:
         """(flights, regimes, cases) the measure; a failure in a flow counts as the measure says."""
-        return trial.grid(per_case(self.measure, trial.cases))
+        return trial.grid(self.measure.per_case(trial.cases))
 
     def by_regime(self, grid: Array) -> Array:
         """(..., regimes) the summary of (..., flights, regimes, cases) in each regime."""
         swapped = np.moveaxis(grid, -3, -2)
-        return reduce(self.measure.summary, swapped.reshape(*swapped.shape[:-2], -1))
+        return self.measure.reduce(swapped.reshape(*swapped.shape[:-2], -1))
 
     def score(self, by_regime: Array) -> Array:
         """(...,) the one number of (..., regimes)."""
@@ -138,12 +138,15 @@ class Criterion:
         """The score so that less is better."""
         return -score if self.measure.more else score
 
-    def resampled(self, grid: Array, drawn: Draws) -> Array:
-        """(resamples,) the loss over the flights that were drawn each time."""
-        each = max(1, CHUNK // max(1, drawn.shape[1] * grid[0].size))
-        parts = [drawn[start : start + each] for start in range(0, len(drawn), each)]
-        scores = [self.score(self.by_regime(grid[part])) for part in parts]
-        return self.loss(np.concatenate(scores))
+    def loss_of(self, grid: Array) -> Array:
+        """(...,) the one number of (..., flights, regimes, cases), so that less is better."""
+        return self.loss(self.score(self.by_regime(grid)))
+
+    def resampled(self, grid: Array, seed: int) -> Array:
+        """(resamples,) the loss over flights drawn anew, the same ones for the same seed."""
+        return resampled(
+            lambda at: self.loss_of(grid[at]), len(grid), width=grid[0].size, seed=seed
+        )
 
 
 def measure_of(rule: SelectionRule) -> Measure:

@@ -12,8 +12,7 @@ import pandas as pd
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import Group, by_setting, failures, has_status
 from sparsefit.study.evidence.measure import Measure
-from sparsefit.study.evidence.per_flight import SEED, interval_of
-from sparsefit.study.evidence.resampling import RESAMPLES
+from sparsefit.study.evidence.resampling import RESAMPLES, SEED, interval_of
 from sparsefit.study.evidence.table import Column, Table, Value, cell_text
 
 if TYPE_CHECKING:

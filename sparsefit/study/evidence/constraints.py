@@ -14,8 +14,8 @@ from sparsefit.arrays import Array
 from sparsefit.study.evidence.candidates import Trial
 from sparsefit.study.evidence.cases import estimated, has_status, in_a_flow, in_still_air
 from sparsefit.study.evidence.readings import is_off, sizes, where
-from sparsefit.study.evidence.resampling import reduce
 from sparsefit.study.evidence.sentence import shown
+from sparsefit.study.evidence.summary import reduce
 from sparsefit.study.spec.selection import SelectionRule
 
 if TYPE_CHECKING:

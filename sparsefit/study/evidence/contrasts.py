@@ -29,8 +29,17 @@ from sparsefit.study.evidence.cases import (
 )
 from sparsefit.study.evidence.columns import name_columns
 from sparsefit.study.evidence.measure import Measure
-from sparsefit.study.evidence.per_flight import CHUNK, SEED, bootstrap, by_flight, per_case, pooled
-from sparsefit.study.evidence.resampling import RESAMPLES, SAME, holm
+from sparsefit.study.evidence.resampling import (
+    CHUNK,
+    RESAMPLES,
+    SAME,
+    SEED,
+    Draws,
+    bootstrap,
+    by_flight,
+    holm,
+    pooled,
+)
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
 from sparsefit.study.spec.document import canonical_json
 
@@ -77,18 +86,18 @@ def contrast(
     """Compare two sets of cases on the flights that both have, also by a `test` of exchanges."""
     flights = pd.Index(first["flight"].unique()).intersection(pd.Index(second["flight"].unique()))
     sides = [cases[cases["flight"].isin(flights)] for cases in (first, second)]
-    grids = _alike([by_flight(per_case(measure, one), one, flights) for one in sides])
+    grids = _alike([by_flight(measure.per_case(one), one, flights) for one in sides])
     one, other = grids
 
-    def apart(at: Array | np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> Array:
-        return pooled(measure.summary, one[at]) - pooled(measure.summary, other[at])
+    def apart(at: Draws) -> Array:
+        return pooled(measure, one[at]) - pooled(measure, other[at])
 
-    low, high = bootstrap(apart, len(flights))
-    told = [float(pooled(measure.summary, grid)) for grid in grids]
+    low, high = bootstrap(apart, len(flights), one.shape[1])
+    told = [float(pooled(measure, grid)) for grid in grids]
     ok = [int(estimated(cases).sum()) for cases in sides]
     return Contrast(
         len(flights), (ok[0], ok[1]), (len(sides[0]), len(sides[1])), (told[0], told[1]),
-        float(low), float(high), exchanged(measure.summary, one, other) if test else math.nan,
+        low, high, exchanged(measure, one, other) if test else math.nan,
     )  # fmt: skip
 
 
@@ -99,17 +108,17 @@ def _alike(grids: Sequence[Array]) -> list[Array]:
     return [np.hstack(pair) for pair in zip(grids, fill, strict=True)]
 
 
-def exchanged(summary: str, first: Array, second: Array, seed: int = SEED) -> float:
+def exchanged(measure: Measure, first: Array, second: Array, seed: int = SEED) -> float:
     """The p-value of |difference| under exchange of the two (flights, cases) within flights."""
-    seen = abs(float(pooled(summary, first)) - float(pooled(summary, second)))
-    if np.isnan(seen) or not first.size:
-        return float("nan")
+    seen = abs(float(pooled(measure, first)) - float(pooled(measure, second)))
+    if math.isnan(seen) or not first.size:
+        return math.nan
     rng, reached = np.random.default_rng(seed), 0
     each = max(1, CHUNK // first.size)
     for start in range(0, EXCHANGES, each):
         swap = rng.random((min(each, EXCHANGES - start), len(first), 1)) < 0.5
         one, other = np.where(swap, second, first), np.where(swap, first, second)
-        apart = np.abs(pooled(summary, one) - pooled(summary, other))
+        apart = np.abs(pooled(measure, one) - pooled(measure, other))
         reached += int((apart >= seen * (1.0 - SAME)).sum())
     return (reached + 1) / (EXCHANGES + 1)
 

@@ -15,8 +15,8 @@ import pandas as pd
 from sparsefit.study.evidence.candidates import Candidate, candidates_of
 from sparsefit.study.evidence.constraints import Breach, breaches
 from sparsefit.study.evidence.deploy import cells_of
-from sparsefit.study.evidence.resampling import Difference, draws, interval
-from sparsefit.study.evidence.selection import Selection, loss_of
+from sparsefit.study.evidence.resampling import Difference, interval
+from sparsefit.study.evidence.selection import Selection
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -78,10 +78,10 @@ def check_of(study: Study, selection: Selection, cases: pd.DataFrame) -> Check:
     keys = {cell.key for cell in cells_of(study, selection.chosen.candidate)}
     own = next(place for place, one in enumerate(tried) if _keys(one) <= keys)
     grids = [criterion.grid(one.trials["evaluate"]) for one in tried]
-    losses = [loss_of(criterion, grid) for grid in grids]
+    losses = [float(criterion.loss_of(grid)) for grid in grids]
     best = min(range(len(tried)), key=lambda at: (losses[at], at != own))
-    drawn = draws(len(grids[own]), selection.rule.seed)
-    resampled = {at: criterion.resampled(grids[at], drawn) for at in (own, best)}
+    seed = selection.rule.seed
+    resampled = {at: criterion.resampled(grids[at], seed) for at in (own, best)}
     apart = resampled[own] - resampled[best]
     trial = tried[own].trials["evaluate"]
     return Check(

@@ -28,7 +28,7 @@ from sparsefit.study.evidence.cases import (
     groups_by,
     level_text,
 )
-from sparsefit.study.evidence.measure import SUMMARY_WORDS, TINY, Failure, Measure, together
+from sparsefit.study.evidence.measure import Failure, Measure, together
 from sparsefit.study.evidence.sentence import (
     capital,
     extremes,
@@ -37,6 +37,7 @@ from sparsefit.study.evidence.sentence import (
     shown,
     some,
 )
+from sparsefit.study.evidence.summary import SUMMARY_WORDS, TINY
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study

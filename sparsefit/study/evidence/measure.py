@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.study.evidence.cases import SYMBOLS, TEX_SYMBOLS
+from sparsefit.study.evidence.cases import SYMBOLS, TEX_SYMBOLS, in_a_flow
 from sparsefit.study.evidence.sentence import gathered, listed
+from sparsefit.study.evidence.summary import SUMMARY_WORDS, reduce
 from sparsefit.study.evidence.table import SIGNIFICANT, sized
 
 Read: TypeAlias = Callable[[pd.DataFrame], Array]
 NORMAL_95 = 1.959963984540054
-TINY = 1e-6  # percent: a smaller error is quadrature and rounding, no ratio of them says anything
 
 
 class Failure(StrEnum):
@@ -102,25 +102,30 @@ class Measure:
         """How a failure counts, in words."""
         return FAILURE_WORDS[self.failure].format(miss=self.miss)
 
-    def values(self, cases: pd.DataFrame) -> Array:
-        """The numbers of the cases: (rows,), or fewer where one is left out or does not apply."""
-        read = self.read(cases[self.applies(cases)] if self.applies else cases)
+    def per_case(self, cases: pd.DataFrame) -> Array:
+        """(rows,) the number of each case, NaN where it has none; a failure counts as it says.
+
+        Only a flight in a flow can fail: of one in still air there is nothing to say.
+        """
+        of = self.applies(cases) if self.applies else np.ones(len(cases), dtype=bool)
+        read: Array = np.where(of, self.read(cases), np.nan)
         if self.failure is Failure.LEFT_OUT:
-            return read[~np.isnan(read)]
-        return np.where(np.isnan(read), math.inf if self.failure is Failure.INFINITE else self.miss,
-                        read)  # fmt: skip
+            return read
+        worst = math.inf if self.failure is Failure.INFINITE else self.miss
+        return np.where(np.isnan(read) & of & in_a_flow(cases), worst, read)
+
+    def reduce(self, values: Array) -> Array:
+        """(...,) the summary of (..., n) numbers of cases, over what is not NaN."""
+        return reduce(self.summary, values, observed=self.failure is Failure.INFINITE)
 
     def summarise(self, cases: pd.DataFrame, summary: str = "") -> float:
         """The summary of a group of cases; NaN of none, and where it applies to none."""
-        values, summary = self.values(cases), summary or self.summary
-        if not values.size:
-            return 0 if summary == "number" and not self.applies else math.nan
-        if summary not in QUANTILES:
-            return SUMMARIES[summary](values)
-        # Nothing lies halfway to infinity: there, a quantile is an observed value.
-        observed = self.failure is Failure.INFINITE or np.isinf(values).any()
-        method: Literal["inverted_cdf", "linear"] = "inverted_cdf" if observed else "linear"
-        return float(np.quantile(values, QUANTILES[summary], method=method))
+        told = replace(self, summary=summary) if summary else self
+        values = told.per_case(cases)
+        if not (~np.isnan(values)).any():
+            return 0 if told.summary == "number" and not self.applies else math.nan
+        value = float(told.reduce(values))
+        return int(value) if told.summary == "number" else value
 
     def say(self, value: float) -> str:
         """A summary as a sentence has it, with its unit."""
@@ -137,27 +142,6 @@ class Measure:
         return f"{value:{self.format}}{unit}" if signed else f"{sized(value, self.least)}{unit}"
 
 
-QUANTILES = {
-    "median": 0.5,
-    "first quartile": 0.25,
-    "third quartile": 0.75,
-    "9 of 10": 0.9,
-    "95th percentile": 0.95,
-}
-SUMMARIES: dict[str, Callable[[Array], float]] = {
-    "mean": lambda values: float(np.mean(values)),
-    "geometric mean": lambda values: float(np.exp(np.mean(np.log(np.maximum(values, TINY))))),
-    "rms": lambda values: float(np.sqrt(np.mean(values**2))),
-    "share": lambda values: 100.0 * float(np.mean(values)),
-    "largest": lambda values: float(np.max(values)),
-    "number": lambda values: int(np.sum(values)),
-}
-SUMMARY_WORDS = {name: name for name in (*QUANTILES, *SUMMARIES)} | {
-    "share": "share of",
-    "number": "number of",
-}
-
-
 @dataclass(frozen=True)
 class Share:
     """`part` of `whole` cases, and the interval that holds the true share in 95 % of studies."""
@@ -168,8 +152,8 @@ class Share:
     @classmethod
     def of(cls, measure: Measure, cases: pd.DataFrame) -> Share:
         """Count a measure that is 1 or 0."""
-        values = measure.values(cases)
-        return cls(int(values.sum()), len(values))
+        values = measure.per_case(cases)
+        return cls(int(np.nansum(values)), int((~np.isnan(values)).sum()))
 
     @property
     def percent(self) -> float:

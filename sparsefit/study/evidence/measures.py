@@ -22,7 +22,7 @@ from sparsefit.study.evidence.cases import (
     in_a_flow,
     numbers,
 )
-from sparsefit.study.evidence.measure import TINY, Failure, Measure, Read
+from sparsefit.study.evidence.measure import Failure, Measure, Read
 from sparsefit.study.evidence.readings import (
     OFF,
     bounded,
@@ -42,6 +42,7 @@ from sparsefit.study.evidence.readings import (
     sizes,
     where,
 )
+from sparsefit.study.evidence.summary import TINY
 
 HAIR = 1e-6  # 1.3 L / L is not 1.3 in binary, and stored scales keep 7 digits
 OWN = "own"  # in place of a unit: that of the parameter

@@ -6,6 +6,8 @@ profile lies above another, it is better at every level of error that anyone may
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +23,8 @@ from sparsefit.study.evidence.columns import (
     setting_columns,
     table_of,
 )
-from sparsefit.study.evidence.measure import Measure
-from sparsefit.study.evidence.per_flight import by_flight, pooled, share_interval
+from sparsefit.study.evidence.measure import Failure, Measure
+from sparsefit.study.evidence.resampling import interval_of
 from sparsefit.study.evidence.sentence import shown
 from sparsefit.study.evidence.table import Column, Table, Value
 
@@ -36,7 +38,7 @@ NOTE = (
 )
 
 
-def reached(measure: Measure, cases: pd.DataFrame, most: float) -> Array:
+def reached(measure: Measure, most: float, cases: pd.DataFrame) -> Array:
     """(rows,) 1 where the number of a case is at most `most`; 0 where more, or where it failed."""
     read = np.abs(measure.read(cases))
     return np.where(in_a_flow(cases), (read <= most).astype(float), np.nan)
@@ -73,11 +75,12 @@ def profiles(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
 
 def _within(measure: Measure, most: float, *, many: bool) -> Statistic:
     def told(cases: pd.DataFrame) -> Value:
-        grid = by_flight(reached(measure, cases, most), cases)
-        share = float(pooled("share", grid))
+        within = replace(measure, read=partial(reached, measure, most), summary="share",
+                         failure=Failure.LEFT_OUT)  # fmt: skip
+        share = within.summarise(cases)
         if np.isnan(share):
             return None
-        low, high = share_interval(grid)
+        low, high = interval_of(within, cases)
         ends = "" if np.isnan(low) else f" ({shown(low)} to {shown(high)})"
         return f"{shown(share)}{ends}"
 

@@ -12,70 +12,83 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.measure import QUANTILES, TINY
+from sparsefit.study.evidence.measure import Measure, Share
+from sparsefit.study.evidence.summary import quantile
 
 Draws: TypeAlias = NDArray[np.int64]
 RESAMPLES = 2000
+SEED = 0
+CHUNK = 4_000_000  # numbers resampled at once
 ENDS = (0.025, 0.975)
 SAME = 1e-9  # of the larger of two numbers: rounding, no difference
 
 
-def reduce(summary: str, values: Array) -> Array:
-    """(...,) a summary of the last axis of (..., n), over what is not NaN; NaN of nothing."""
-    if summary in QUANTILES:
-        return quantile(values, QUANTILES[summary])
-    return _REDUCED[summary](values)
+def by_flight(values: Array, cases: pd.DataFrame, flights: pd.Index[int] | None = None) -> Array:
+    """(flights, cases of each) numbers of the rows, NaN where a flight has fewer.
+
+    flights: in this order, where several grids are to be paired.
+    """
+    known = pd.Index(cases["flight"].unique()) if flights is None else flights
+    place = known.get_indexer(pd.Index(cases["flight"]))
+    within = cases.groupby("flight", sort=False).cumcount().to_numpy()
+    grid = np.full((len(known), int(within.max(initial=-1)) + 1), np.nan)
+    grid[place, within] = values
+    return grid
 
 
-def _mean(values: Array) -> Array:
-    known = ~np.isnan(values)
-    count = known.sum(axis=-1)
-    total: Array = np.where(known, values, 0.0).sum(axis=-1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+def pooled(measure: Measure, grid: Array) -> Array:
+    """(...,) the summary of (..., flights, cases of each), all cases together."""
+    return measure.reduce(grid.reshape(*grid.shape[:-2], -1))
 
 
-_REDUCED: dict[str, Callable[[Array], Array]] = {
-    "mean": _mean,
-    "share": lambda values: 100.0 * _mean(values),
-    "rms": lambda values: np.sqrt(_mean(values**2)),
-    "geometric mean": lambda values: np.exp(_mean(np.log(np.maximum(values, TINY)))),
-    "largest": lambda values: -np.sort(-values, axis=-1)[..., 0],
-    "number": lambda values: np.nansum(values, axis=-1),
-}
+def resampled(
+    statistic: Callable[[Draws], Array],
+    flights: int,
+    *,
+    width: int = 1,
+    seed: int = SEED,
+    resamples: int = RESAMPLES,
+) -> Array:
+    """(resamples,) a statistic of flights drawn with replacement, as many as there are each time.
 
-
-def quantile(values: Array, share: float) -> Array:
-    """(...,) the quantile of what is not NaN along the last axis, linear between observations."""
-    ordered = np.sort(values, axis=-1)  # NaN comes last
-    count = (~np.isnan(ordered)).sum(axis=-1)
-    place = share * np.maximum(count - 1, 0)
-    low = np.floor(place).astype(np.int64)
-    high = np.minimum(low + 1, np.maximum(count - 1, 0))
-    first, second = (
-        np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (low, high)
-    )
-    # Between two infinities, or at an observation, there is nothing to interpolate.
-    exact = (first == second) | (place == low)
-    start, end = np.where(exact, 0.0, first), np.where(exact, 0.0, second)
-    between: Array = start + (place - low) * (end - start)
-    return np.where(count > 0, np.where(exact, first, between), np.nan)
-
-
-def draws(flights: int, seed: int, resamples: int = RESAMPLES) -> Draws:
-    """(resamples, flights) flights drawn with replacement, as many as there are each time."""
-    return np.random.default_rng(seed).integers(flights, size=(resamples, flights))
+    statistic: of the places of drawn flights (n, flights), (n,); the same seed draws the same.
+    width: the numbers of a flight, by which work is cut to what memory holds.
+    """
+    rng = np.random.default_rng(seed)
+    each = max(1, CHUNK // max(1, flights * width))
+    sizes = [min(each, resamples - start) for start in range(0, resamples, each)]
+    return np.concatenate([statistic(rng.integers(flights, size=(n, flights))) for n in sizes])
 
 
 def interval(distribution: Array) -> tuple[float, float]:
     """The 95 % percentile interval of resampled values; NaN of none."""
-    known = distribution[~np.isnan(distribution)]
-    if not known.size:
+    low, high = (float(quantile(distribution, end)) for end in ENDS)
+    return low, high
+
+
+def bootstrap(
+    statistic: Callable[[Draws], Array], flights: int, width: int = 1
+) -> tuple[float, float]:
+    """The 95 % interval of a statistic of drawn flights; NaN where they are too few to draw."""
+    if flights < 2:
         return math.nan, math.nan
-    low, high = np.quantile(known, ENDS)
-    return float(low), float(high)
+    return interval(resampled(statistic, flights, width=width))
+
+
+def interval_of(measure: Measure, cases: pd.DataFrame) -> tuple[float, float]:
+    """The 95 % interval of the summary of a group of cases, by bootstrap over its flights.
+
+    None or all of a sample say nothing of its spread: a share is Wilson's over the flights there.
+    """
+    grid = by_flight(measure.per_case(cases), cases)
+    if measure.summary == "share" and (share := float(pooled(measure, grid))) in (0.0, 100.0):
+        flights = int((~np.isnan(grid)).any(axis=1).sum())
+        return Share(flights if share else 0, flights).interval
+    return bootstrap(lambda at: pooled(measure, grid[at]), *grid.shape)
 
 
 @dataclass(frozen=True)
@@ -119,16 +132,20 @@ class Difference:
 
 def best_probabilities(distributions: Array) -> Array:
     """(candidates,) how often each has the least of (candidates, resamples); ties are shared."""
-    least = np.nanmin(distributions, axis=0)
-    is_least = distributions <= least + SAME * np.abs(least)
+    known = distributions[:, ~np.isnan(distributions).all(axis=0)]
+    least = np.nanmin(known, axis=0)
+    is_least = known <= least + SAME * np.abs(least)
     return np.asarray((is_least / is_least.sum(axis=0)).mean(axis=1))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """p-values adjusted for as many tests by Holm's step-down rule (Holm, 1979)."""
-    order = np.argsort(p_values)
-    count, worst, adjusted = len(order), 0.0, [0.0] * len(order)
-    for rank, place in enumerate(order):
-        worst = max(worst, min(1.0, (count - rank) * p_values[place]))
-        adjusted[int(place)] = worst
+    """p-values adjusted for as many tests by Holm's step-down rule (Holm, 1979).
+
+    NaN, where nothing could be tested, stays NaN and is no test.
+    """
+    tested = sorted((p, place) for place, p in enumerate(p_values) if not math.isnan(p))
+    adjusted, worst = [math.nan] * len(p_values), 0.0
+    for rank, (p, place) in enumerate(tested):
+        worst = max(worst, min(1.0, (len(tested) - rank) * p))
+        adjusted[place] = worst
     return adjusted

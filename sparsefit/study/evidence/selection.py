@@ -23,7 +23,6 @@ from sparsefit.study.evidence.resampling import (
     SAME,
     Difference,
     best_probabilities,
-    draws,
     interval,
 )
 from sparsefit.study.evidence.worlds import in_regimes, regime_names
@@ -155,14 +154,12 @@ def _decide(
         split: [criterion.grid(one.trials[split]) for one in candidates]
         for split in ("validate", "evaluate")
     }
-    losses = [loss_of(criterion, grid) for grid in grids["validate"]]
+    losses = [float(criterion.loss_of(grid)) for grid in grids["validate"]]
     order = sorted(range(len(candidates)), key=lambda at: (losses[at], at))
     passing = [at for at in order if not found[at] and not math.isnan(losses[at])]
     chosen = _simplest(rule, losses, passing, latencies, criterion.measure.least)
     resampled = {
-        split: [
-            criterion.resampled(grid, draws(len(grid), rule.seed + place)) for grid in grids[split]
-        ]
+        split: [criterion.resampled(grid, rule.seed + place) for grid in grids[split]]
         for place, split in enumerate(grids)
     }
     shares = dict.fromkeys(range(len(candidates)), 0.0)
@@ -175,7 +172,7 @@ def _decide(
             return None
         first, second = grids[split][at], grids[split][other]
         drawn = resampled[split][at] - resampled[split][other]
-        effect = loss_of(criterion, first) - loss_of(criterion, second)
+        effect = float(criterion.loss_of(first) - criterion.loss_of(second))
         floor = criterion.measure.least
         same = bool(np.allclose(first, second, rtol=SAME, atol=floor, equal_nan=True))
         return Difference.of(effect, drawn, len(first), same=same)
@@ -198,7 +195,7 @@ def _decide(
         )
         for at in order
     }
-    later = [loss_of(criterion, grid) for grid in grids["evaluate"]]
+    later = [float(criterion.loss_of(grid)) for grid in grids["evaluate"]]
     hindsight = min(passing, key=lambda at: (later[at], at != chosen), default=None)
     regret = None
     if chosen is not None and hindsight is not None:
@@ -215,11 +212,6 @@ def _decide(
         hindsight=None if hindsight is None else scored[hindsight],
         flights={split: len(each[0]) for split, each in grids.items()},
     )
-
-
-def loss_of(criterion: Criterion, grid: Array) -> float:
-    """The criterion of a candidate so that less is better."""
-    return float(criterion.loss(criterion.score(criterion.by_regime(grid))))
 
 
 def _simplest(

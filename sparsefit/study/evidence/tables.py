@@ -41,11 +41,12 @@ from sparsefit.study.evidence.columns import (
     with_status,
 )
 from sparsefit.study.evidence.contrasts import contrasts
-from sparsefit.study.evidence.measure import TINY, Measure, Share
+from sparsefit.study.evidence.measure import Measure, Share
 from sparsefit.study.evidence.measures import MEASURES, names, three
 from sparsefit.study.evidence.profiles import profiles
 from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.reference import closest_readings, sensitivity
+from sparsefit.study.evidence.summary import TINY
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value, plain
 from sparsefit.study.spec.outputs import Entry
 

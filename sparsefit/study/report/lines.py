@@ -26,8 +26,9 @@ from sparsefit.study.evidence.cases import (
     level_text,
     numeric_factors,
 )
-from sparsefit.study.evidence.measure import TINY, Failure, Measure
+from sparsefit.study.evidence.measure import Failure, Measure
 from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.summary import TINY
 from sparsefit.study.report.drawing import (
     COLOURS,
     GREY,

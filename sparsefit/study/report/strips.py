@@ -18,7 +18,8 @@ from sparsefit.study.evidence.cases import (
     in_a_flow,
     level_text,
 )
-from sparsefit.study.evidence.measure import TINY, Measure, Share
+from sparsefit.study.evidence.measure import Measure, Share
+from sparsefit.study.evidence.summary import TINY
 from sparsefit.study.report.drawing import (
     COLOURS,
     GREY,

@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.measure import TINY, Measure
+from sparsefit.study.evidence.measure import Measure
+from sparsefit.study.evidence.summary import TINY
 
 HAIR = 1e-9  # of the summary: two machines agree to that
 
