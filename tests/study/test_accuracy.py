@@ -73,7 +73,7 @@ class TestEfficiency:
         )
         measures = ["length-scale-efficiency", "mean-velocity-efficiency"]
         said = ANSWERS.make({"measure": measures}, STUDY, cases)
-        assert said.startswith("Rms L_w and U0 error / Cramér-Rao bound (1 flights).")
+        assert said.startswith("Rms L_w and U0 error / Cramér-Rao bound (1 flight).")
         assert "L_w 3.00 (all), U0 2.00 (lasso) to 8.00 (stlsq)" in said
 
 

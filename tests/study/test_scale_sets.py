@@ -216,7 +216,7 @@ def test_the_answer_is_of_the_cases() -> None:
     said = ANSWERS.make(FOUND, STUDY, pd.DataFrame(far + near))
     assert "Where cells flown at least 30, scale ratio at least 1.3" in said
     assert "100 % (group-lasso), 50 % (best-scale)." in said
-    assert "Elsewhere (1 flights): 0 % (all)." in said
+    assert "Elsewhere (1 flight): 0 % (all)." in said
     blank = pd.DataFrame([row(true_scales="", extent=math.nan)])
     assert ANSWERS.make(FOUND, STUDY, blank).startswith("No case")
 
