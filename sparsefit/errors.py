@@ -14,6 +14,8 @@ from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import TypeGuard
 
+LONGEST = 60  # characters of a value that a message shows
+
 
 class SparsefitError(Exception):
     """Anything this package raises on purpose."""
@@ -120,7 +122,7 @@ def pair(name: str, value: object, unit: str = "") -> tuple[float, float]:
     """Return ``value`` as two floats, or raise `InputError` unless it is two finite numbers."""
     items = getattr(value, "tolist", lambda: value)()  # what an array holds
     if not isinstance(items, tuple | list) or len(items) != 2:
-        raise InputError(f"{name} must be two numbers, (x, y){_in(unit)}; got {value!r}")
+        raise InputError(f"{name} must be two numbers, (x, y){_in(unit)}; got {_shown(value)}")
     return finite(f"{name}[0]", items[0], unit), finite(f"{name}[1]", items[1], unit)
 
 
@@ -128,7 +130,7 @@ def integer(name: str, value: int, least: int, *, odd: bool = False) -> int:
     """Return ``value`` as an int, or raise `InputError` unless it is an (odd) integer >= least."""
     if not is_integer(value, least, odd=odd):
         kind = "an odd integer" if odd else "an integer"
-        raise InputError(f"{name} must be {kind}, {least} or above; got {value!r}")
+        raise InputError(f"{name} must be {kind}, {least} or above; got {_shown(value)}")
     return int(value)
 
 
@@ -151,7 +153,7 @@ def number_setting(
     bracket = "(" if open_low else "["
     upper = f"{high:g}]" if math.isfinite(high) else "inf)"
     raise InputError(
-        f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {value!r}"
+        f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {_shown(value)}"
         + (f"; {meaning}" if meaning else "")
     )
 
@@ -159,19 +161,30 @@ def number_setting(
 def integer_setting(owner: str, name: str, value: object, *, least: int) -> None:
     """Raise `InputError` unless ``value`` is an integer of at least ``least``."""
     if not is_integer(value, least):
-        raise InputError(f"{owner}: {name} must be an integer, at least {least}, not {value!r}")
+        raise InputError(
+            f"{owner}: {name} must be an integer, at least {least}, not {_shown(value)}"
+        )
 
 
 def flag_setting(owner: str, name: str, value: object) -> None:
     """Raise `InputError` unless ``value`` is True or False."""
     if not isinstance(value, bool):
-        raise InputError(f"{owner}: {name} must be true or false, not {value!r}")
+        raise InputError(f"{owner}: {name} must be true or false, not {_shown(value)}")
 
 
 def _quantity(name: str, value: object, good: bool, which: str, unit: str) -> float:
     if not good:
-        raise InputError(f"{name} must be a finite number{which}{_in(unit)}; got {value!r}")
+        raise InputError(f"{name} must be a finite number{which}{_in(unit)}; got {_shown(value)}")
     return _real(value)
+
+
+def _shown(value: object) -> str:
+    """A value on one line, cut where it is long."""
+    try:
+        text = one_line(repr(value))
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        text = "a number of more than 4300 digits"
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 def _real(value: object) -> float:

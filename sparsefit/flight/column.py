@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
-from sparsefit.flight.anchor import moment_of
+from sparsefit.flight.anchor import moment_at, moment_of
 from sparsefit.flight.layout import is_number
 from sparsefit.flight.table import number
 
@@ -92,8 +92,7 @@ class Column:
                 raise InputError(f"{place} is empty; repair or drop it")
             if not len(self.cells):
                 return np.zeros(0), None
-            start = int(self.cells[0].astype("datetime64[us]").astype(np.int64))
-            epoch = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=start)
+            epoch = moment_at(int(self.cells[0].astype("datetime64[us]").astype(np.int64)))
             return (self.cells - self.cells[0]) / np.timedelta64(1, "s"), epoch
         moments: list[datetime] = []
         for row, text in enumerate(self.cells):

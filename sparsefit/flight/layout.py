@@ -106,6 +106,10 @@ def _pairs(columns: Columns) -> Iterable[tuple[str, str]]:
         return []
     if isinstance(columns, Mapping):
         return [(str(name), str(text)) for name, text in columns.items()]
+    if not isinstance(columns, str):
+        raise InputError(
+            f"columns must be text or a mapping, as time=t,x=lon,y=lat; got {columns!r}"
+        )
     pairs = [pair.partition("=") for pair in columns.split(",")]
     for name, equals, text in pairs:
         if not equals or not name.strip() or not text.strip():
@@ -122,7 +126,7 @@ def _source(name: str, text: str) -> Source:
 
 
 def _only(text: str) -> tuple[str, str]:
-    column, equals, value = text.partition("=")
+    column, equals, value = str(text).partition("=")
     if not equals or not column.strip():
         raise InputError(f'"{text}" is not column=value, as in id=7')
     return column.strip(), value.strip()

@@ -49,7 +49,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
 
         sheet = Sheet(file.schema_arrow.names, read, "row {}".format, settings, frame)
         return sheet.flight_table(layout)
-    except (arrow.ArrowException, OSError):
+    except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 from contextlib import redirect_stdout
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from importlib import import_module
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight.anchor import Anchor
+from sparsefit.flight.anchor import Anchor, moment_at
 from sparsefit.flight.layout import Layout
 from sparsefit.flight.plane import plane_of
 from sparsefit.flight.record import MOST_SAMPLES
@@ -161,8 +161,7 @@ def _epoch(log: Any, local: dict[str, Any], kept: BoolArray) -> datetime | None:
         return None
     row = int(np.argmax(fixes["time_utc_usec"] > 0))
     since_boot = int(_stamps(local)[kept][0]) - int(fixes["timestamp"][row])
-    told = int(fixes["time_utc_usec"][row]) + since_boot
-    return datetime.fromtimestamp(0, UTC) + timedelta(microseconds=told)
+    return moment_at(int(fixes["time_utc_usec"][row]) + since_boot)
 
 
 def _at(table: FlightTable, origin: tuple[float, float] | None) -> FlightTable:

@@ -241,6 +241,14 @@ def test_junk_is_not_parquet(tmp_path, content):
         read_flight(path)
 
 
+def test_parquet_whose_names_are_damaged(tmp_path):
+    path = tmp_path / "a.parquet"
+    write_flight(flight_with(), path)
+    path.write_bytes(path.read_bytes().replace(b"time", b"\xf1ime"))
+    with pytest.raises(InputError, match="not a Parquet file, or a damaged one"):
+        read_flight(path)
+
+
 def test_parquet_without_pyarrow_tells_how_to_install_it(tmp_path, monkeypatch):
     def absent(name):
         raise ImportError(name)

@@ -200,6 +200,7 @@ def test_the_frame_is_written_and_read(tmp_path):
     ("columns", "words"),
     [
         ("t", 'columns: "t" is not field=column'),
+        (5, "columns must be text or a mapping"),
         ("tim=t", 'unknown field "tim": did you mean "time"'),
         ("time=t,time=q", "time is given twice"),
         ("time=t[fortnight]", 'time: unknown unit "fortnight"'),
@@ -253,6 +254,15 @@ def test_columns_between_blanks(file):
     text = "  time   x  y\n" + "\n".join(f" {t:5.1f}  {t:g} {2 * t:g} " for t in (0.0, 1.0, 2.0))
     flight = sf.read_flight(file(text, "log.dat"), vehicle=VEHICLE)
     assert flight.position.tolist() == [[0, 0], [1, 2], [2, 4]]
+
+
+def test_times_beyond_all_calendars_are_read_without_an_epoch(tmp_path):
+    times = pa.array([2**60, 2**60 + 1, 2**60 + 2], pa.timestamp("us"))
+    still = pa.array([0.0, 1.0, 2.0])
+    pq.write_table(pa.table({"time": times, "x": still, "y": still}), tmp_path / "log.parquet")
+    table = read_table(tmp_path / "log.parquet")
+    np.testing.assert_allclose(table.columns["time"], [0.0, 1e-6, 2e-6])
+    assert table.anchor.epoch is None
 
 
 def test_a_vehicle_that_no_row_is_of(file):
