@@ -80,9 +80,8 @@ def compare(args: argparse.Namespace) -> int:
     if args.json:
         print_json(_record(both, tables, [str(path) for path in written]))
     else:
-        shown = [table for table in tables if table.visible_rows]
-        print("\n".join(to_text(table, width=terminal_width()) for table in shown))
-        print("\n".join([both.sentence, *(f"written: {path}" for path in written[-1:])]))
+        shown = [to_text(one, width=terminal_width()) for one in tables if one.visible_rows]
+        print("\n".join([*shown, both.sentence, *(f"written: {path}" for path in written[-1:])]))
     differs = bool(both.changed.any()) or any(both.only)
     if args.fail_on == "worse":
         return int(worse(both, tables[0]))

@@ -279,6 +279,13 @@ class TestRenderers:
         assert max(map(display_width, text.splitlines())) <= width
         assert all(text.count(f"{number:.3f}") == 2 for number in numbers)
 
+    def test_words_behind_the_numbers_stand_once(self):
+        columns = (Column("who", align="left"), *(Column(f"number {n}") for n in range(4)),
+                   Column("verdict", align="left"))  # fmt: skip
+        text = to_text(Table("T", columns, (("lasso", 1.0, 2.0, 3.0, 4.0, "worse"),)), width=30)
+        assert (text.count("lasso"), text.count("worse")) == (3, 1)
+        assert max(map(len, text.splitlines())) <= 30
+
     def test_text_cuts_the_middle_of_names(self):
         rows = tuple((f"alpha_fraction_of_the_largest={i}", 1.0) for i in range(2))
         text = to_text(Table("T", (Column("s", align="left"), Column("x")), rows), width=24)

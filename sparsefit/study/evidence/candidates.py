@@ -50,10 +50,11 @@ class Trial:
         grid[tuple(self.at)] = values
         return grid
 
-    @property
-    def flights(self) -> int:
-        """How many flights there are."""
-        return self.shape[0]
+
+def over_flights(grid: Array) -> Array:
+    """(..., regimes, all) of (..., flights, regimes, cases): what is summarised together."""
+    swapped = np.moveaxis(grid, -3, -2)
+    return swapped.reshape(*swapped.shape[:-2], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +115,7 @@ class Criterion:
 
     def by_regime(self, grid: Array) -> Array:
         """(..., regimes) the summary of (..., flights, regimes, cases) in each regime."""
-        swapped = np.moveaxis(grid, -3, -2)
-        return self.measure.reduce(swapped.reshape(*swapped.shape[:-2], -1))
+        return self.measure.reduce(over_flights(grid))
 
     def score(self, by_regime: Array) -> Array:
         """(...,) the one number of (..., regimes)."""

@@ -163,7 +163,9 @@ def effects_table(both: Compared) -> Table:
     return Table("What changed, setting by setting", columns, tuple(ordered), notes, moved)
 
 
-def _verdict(low: float, high: float) -> str:
+def _verdict(low: float, high: float) -> str | None:
+    if np.isnan(low):
+        return None
     if low > JUDGED.least:
         return "worse"
     return "better" if high < -JUDGED.least else "tie"

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.candidates import Trial
+from sparsefit.study.evidence.candidates import Trial, over_flights
 from sparsefit.study.evidence.cases import estimated, has_status, in_a_flow, in_still_air
 from sparsefit.study.evidence.readings import is_off, sizes, where
 from sparsefit.study.evidence.sentence import shown
@@ -59,15 +59,12 @@ class Kept:
         Where there is, and no case has the number, it is infinite: nobody keeps a limit of an
         error by never giving an answer.
         """
-        flow = reduce("largest", _by_regime(trial, in_a_flow(trial.cases).astype(float)))
-        values = reduce(self.summary, _by_regime(trial, self.read(trial.cases)))
+        in_one, read = (
+            over_flights(trial.grid(values))
+            for values in (in_a_flow(trial.cases).astype(float), self.read(trial.cases))
+        )
+        flow, values = reduce("largest", in_one), reduce(self.summary, read)
         return np.where(np.isnan(values) & (flow > 0), np.inf, values)
-
-
-def _by_regime(trial: Trial, values: Array) -> Array:
-    """(regimes, cases) of the rows."""
-    grid = np.moveaxis(trial.grid(values), 0, 1)
-    return grid.reshape(len(grid), -1)
 
 
 KEPT: Mapping[str, Kept] = {

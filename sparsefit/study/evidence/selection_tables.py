@@ -56,12 +56,17 @@ def _ordered(selection: Selection) -> list[Scored]:
 
 
 def _row(selection: Selection, place: int, one: Scored) -> tuple[Value, ...]:
-    named = (*setting_values(one.candidate.group), *one.candidate.factors.values())
+    named = _named(one)
     best = 100.0 * one.best if one.passes else None
     more = one.apart.more_flights if one.apart and one.apart.tie else None
     at_validate = (one.validate, *_apart(one.apart), best, more)
     at_evaluate = (one.evaluate, *_apart(one.confirmed))
     return (place, *named, *at_validate, *at_evaluate, verdict(selection, one))
+
+
+def _named(one: Scored) -> tuple[Value, ...]:
+    """What a candidate has in the columns of its setting and factors."""
+    return (*setting_values(one.candidate.group), *one.candidate.factors.values())
 
 
 def _apart(apart: Difference | None) -> tuple[Value, Value, Value]:
@@ -83,8 +88,7 @@ def regime_table(selection: Selection) -> Table:
     )
     rows = tuple(
         (
-            *setting_values(one.candidate.group),
-            *one.candidate.factors.values(),
+            *_named(one),
             *map(float, one.by_regime),
             one.evaluate,
             "kept" if one.passes else ", ".join(breach.constraint for breach in one.breaches),
@@ -130,8 +134,7 @@ def latency_table(selection: Selection, processor: str = "") -> Table | None:
     )
     rows = tuple(
         (
-            *setting_values(one.candidate.group),
-            *one.candidate.factors.values(),
+            *_named(one),
             1e3 * one.latency.median,
             1e3 * one.latency.p99,
             one.latency.memory,

@@ -23,10 +23,11 @@ def headline(selection: Selection) -> str:
         return f"None of the {len(selection.ranked)} candidates keeps every constraint."
     others = len(selection.tied)
     tie = f", in a tie with {others} other{'s' if others > 1 else ''}" if others else ""
+    low, high = chosen.between
     return (
         f"{chosen.candidate.title}{tie}: {say(criterion, chosen.evaluate)} "
-        f"{criterion.words} on {selection.flights['evaluate']} flights that had no part in the "
-        "choice."
+        f"(95 % interval {shown(low)} to {shown(high)}) {criterion.words} on "
+        f"{selection.flights['evaluate']} flights that had no part in the choice."
     )
 
 
@@ -80,11 +81,16 @@ def _how(selection: Selection) -> str:
     first = "listed first" if rule.simplest == "listed" else "fastest"
     criterion = selection.criterion
     counted = f" ({criterion.measure.convention})" if criterion.measure.unit else ""
-    return (
+    tried = (
         f"{len(selection.ranked)} candidates in {len(criterion.regimes)} "
         f"{'regimes' if len(criterion.regimes) > 1 else 'regime'}, chosen on "
-        f"{selection.flights['validate']} flights{kept}. Of those within {100 * rule.margin:g} % "
-        f"of the best by {criterion.words}{counted}, the one {first} is chosen."
+        f"{selection.flights['validate']} flights{kept}."
+    )
+    if not passing:
+        return tried
+    return (
+        f"{tried} Of those within {100 * rule.margin:g} % of the best by "
+        f"{criterion.words}{counted}, the one {first} is chosen."
     )
 
 
@@ -102,7 +108,7 @@ def _tie(selection: Selection) -> str:
         easiest = min(needed, key=_more)
         hardest = max(needed, key=_more)
         many = f"{_more(easiest):.0f} more flight{'s' if _more(easiest) > 1 else ''}"
-        said += f" Some {many} would tell it from {easiest.candidate.title}"
+        said += f" About {many} would tell it from {easiest.candidate.title}"
         if hardest is not easiest:
             said += f", {_more(hardest):.0f} from {hardest.candidate.title}"
         said += ", if the differences are what they seem."

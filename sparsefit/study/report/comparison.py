@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -14,17 +13,16 @@ from sparsefit.study.evidence.table import Table
 from sparsefit.study.report.drawing import (
     COLOURS,
     GREY,
-    STYLE,
+    figure_files,
+    laid_out,
     legend,
     logarithmic,
     panels,
     shortened,
-    to_png,
-    to_svg,
 )
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.render import to_csv, to_markdown
-from sparsefit.whole_file import write_whole
+from sparsefit.whole_file import write_files
 
 LOW, HIGH = 1e-4, 300.0  # percent: the frame; what lies outside stands on its edge
 CAPTION = (
@@ -40,11 +38,7 @@ def write_comparison(both: Compared, made: tuple[Table, Table], folder: Path) ->
     """
     folder.mkdir(parents=True, exist_ok=True)
     tables = dict(zip(("effects", "changes"), made, strict=True))
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(STYLE)
-        figure = errors_figure(both)
-        files = {"comparison.svg": to_svg(figure), "comparison.png": to_png(figure)}
+    files = figure_files("comparison", laid_out(lambda: errors_figure(both)))
     files |= {f"{name}.csv": to_csv(table).encode() for name, table in tables.items()}
     parts = [
         f"# {escape_markdown(' and '.join(both.names))}",
@@ -53,9 +47,7 @@ def write_comparison(both: Compared, made: tuple[Table, Table], folder: Path) ->
         *(to_markdown(table).strip("\n") for table in tables.values()),
     ]
     files["comparison.md"] = ("\n\n".join(parts) + "\n").encode()
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    return [folder / name for name in files]
+    return write_files(folder, files)
 
 
 def errors_figure(both: Compared) -> Figure:

@@ -145,6 +145,11 @@ def to_svg(figure: Figure) -> bytes:
     return settled(_saved(figure, "svg", {"Date": None, "Creator": None}).decode()).encode()
 
 
+def figure_files(name: str, figure: Figure) -> dict[str, bytes]:
+    """Return the figure as NAME.svg and .png."""
+    return {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
+
+
 def to_inline(figure: Figure, name: str, title: str) -> str:
     """Return the figure as an element of a page (`vector.inlined`), its labels as text."""
     svg = _saved(figure, "svg", {"Date": None, "Creator": None}, {"svg.fonttype": "none"})

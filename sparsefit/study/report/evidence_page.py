@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
 
 from sparsefit.study.evidence.fresh import Check
@@ -16,14 +15,14 @@ from sparsefit.study.evidence.selection import Selection
 from sparsefit.study.evidence.selection_tables import latency_table, regime_table, selection_table
 from sparsefit.study.evidence.table import Table
 from sparsefit.study.evidence.verdicts import checked, headline, sentences
-from sparsefit.study.report.drawing import STYLE, to_inline, to_png, to_svg
+from sparsefit.study.report.drawing import figure_files, laid_out, to_inline
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.html_page import Code, Page, Part, Picture, Section, to_html
 from sparsefit.study.report.pareto import CAPTION, pareto
-from sparsefit.study.report.render import to_csv, to_latex, to_markdown
+from sparsefit.study.report.render import table_files, to_markdown
 from sparsefit.study.run.latency import processor_of
 from sparsefit.study.run.manifest import sparsefit_version
-from sparsefit.whole_file import write_whole
+from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -43,9 +42,7 @@ def write_evidence(
         The files written, the page last.
     """
     files = evidence_files(study, selection, processor_of(folder), check)
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    return [folder / name for name in files]
+    return write_files(folder, files)
 
 
 def evidence_files(
@@ -53,16 +50,13 @@ def evidence_files(
 ) -> dict[str, bytes]:
     """The files of the evidence by name, the page last; times in files of their own."""
     tables = evidence_tables(selection, processor)
-    files = dict(_table_files(study, tables))
+    files = table_files(study.name, tables)
     pictures: list[Picture] = []
     if _timed(selection):
-        with mpl.rc_context():
-            mpl.rcdefaults()
-            mpl.rcParams.update(STYLE)
-            figure = pareto(selection)
-            files |= {"pareto.svg": to_svg(figure), "pareto.png": to_png(figure)}
-            inline = to_inline(figure, "p1", "Accuracy and latency")
-            pictures.append(Picture(inline, "Accuracy and latency", CAPTION))
+        figure = laid_out(lambda: pareto(selection))
+        files |= figure_files("pareto", figure)
+        inline = to_inline(figure, "p1", "Accuracy and latency")
+        pictures.append(Picture(inline, "Accuracy and latency", CAPTION))
     page = _page(study, selection, check, list(tables.values()), pictures)
     files["evidence.html"] = to_html(page).encode()
     files[PAGE] = evidence_markdown(study, selection, check).encode()
@@ -77,13 +71,6 @@ def evidence_tables(selection: Selection, processor: str = "") -> dict[str, Tabl
         "regimes": regime_table(selection),
         **({"latency": timed} if timed else {}),
     }
-
-
-def _table_files(study: Study, tables: Mapping[str, Table]) -> Iterator[tuple[str, bytes]]:
-    for name, table in tables.items():
-        yield f"{name}.md", to_markdown(table).encode()
-        yield f"{name}.tex", to_latex(table, label=f"tab:{study.name}-{name}").encode()
-        yield f"{name}.csv", to_csv(table).encode()
 
 
 def _page(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,17 +18,17 @@ from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.table import Table
 from sparsefit.study.evidence.tables import TABLES, statuses, tables_of
 from sparsefit.study.evidence.worlds import planned_regimes
-from sparsefit.study.report.drawing import to_inline, to_png, to_svg
+from sparsefit.study.report.drawing import figure_files, to_inline
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.figures import FIGURES, caption, figures_for
 from sparsefit.study.report.html_page import Picture, Section, to_html
-from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.report.render import table_files, to_markdown, to_text
 from sparsefit.study.report.study_page import study_page
 from sparsefit.study.run.folder import CASES, made_folder
 from sparsefit.study.run.manifest import MANIFEST
 from sparsefit.study.spec.outputs import Entry
 from sparsefit.study.spec.selection import AVERAGE, WORST
-from sparsefit.whole_file import write_whole
+from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
@@ -62,12 +62,12 @@ def write_report(
     folder = made_folder(study, results_dir)
     tables = tables_of(study, cases)
     entries: Sequence[Entry] = study.figures or figures_for(cases, weights)
-    files, captions = dict(_table_files(study, tables)), {}
+    files, captions = table_files(study.name, tables), {}
     pictures: list[Picture] = []
     for asked in map(FIGURES.read, entries):
         name, figure = asked.file_name, FIGURES.make(asked, study, cases, weights)
         title = asked.title or capital(name.replace("-", " "))
-        files |= {f"{name}.svg": to_svg(figure), f"{name}.png": to_png(figure)}
+        files |= figure_files(name, figure)
         captions[name] = caption(asked)
         inline = to_inline(figure, f"p{len(pictures) + 1}", title)
         pictures.append(Picture(inline, title, captions[name]))
@@ -75,7 +75,7 @@ def write_report(
     page = study_page(study, cases, folder, tables, pictures, answers, progress, more)
     files[PAGE] = to_html(page).encode()
     files["README.md"] = readme(study, cases, tables, captions, answers).encode()
-    return _write(folder, files)
+    return write_files(folder, files)
 
 
 def check_outputs(study: Study) -> None:
@@ -99,7 +99,7 @@ def check_outputs(study: Study) -> None:
 
 def write_table(study: Study, folder: Path, name: str, table: Table) -> list[Path]:
     """Write one table as `name`.md, .tex and .csv into the results folder of the study."""
-    return _write(folder, dict(_table_files(study, {name: table})))
+    return write_files(folder, table_files(study.name, {name: table}))
 
 
 def render_show(study: Study, cases: pd.DataFrame, *, width: int = 100) -> str:
@@ -171,16 +171,3 @@ def _progress(study: Study, cases: pd.DataFrame) -> str:
 def _refuse_empty(study: Study, cases: pd.DataFrame) -> None:
     if cases.empty:
         raise InputError(f"{study.name} has no cases yet: run it first (sparsefit study run)")
-
-
-def _table_files(study: Study, tables: dict[str, Table]) -> Iterator[tuple[str, bytes]]:
-    for name, table in tables.items():
-        yield f"{name}.md", to_markdown(table).encode()
-        yield f"{name}.tex", to_latex(table, label=f"tab:{study.name}-{name}").encode()
-        yield f"{name}.csv", to_csv(table).encode()
-
-
-def _write(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    return [folder / name for name in files]

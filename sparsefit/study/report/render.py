@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from sparsefit.study.evidence.table import Column, Table, Value, column_widths, padded
 from sparsefit.study.report.escape import escape_markdown
@@ -14,7 +14,20 @@ from sparsefit.study.report.terminal import to_text
 
 CSV_DIGITS = 6
 
-__all__ = ["to_csv", "to_latex", "to_markdown", "to_text"]
+__all__ = ["table_files", "to_csv", "to_latex", "to_markdown", "to_text"]
+
+
+def table_files(study: str, tables: Mapping[str, Table]) -> dict[str, bytes]:
+    """Return every table as NAME.md, .tex and .csv; `study` is in its label."""
+    return {
+        f"{name}.{suffix}": text.encode()
+        for name, table in tables.items()
+        for suffix, text in (
+            ("md", to_markdown(table)),
+            ("tex", to_latex(table, label=f"tab:{study}-{name}")),
+            ("csv", to_csv(table)),
+        )
+    }
 
 
 def to_markdown(table: Table) -> str:

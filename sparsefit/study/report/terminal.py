@@ -23,7 +23,8 @@ def to_text(table: Table, *, width: int = 100) -> str:
     """Return the table for a terminal `width` columns wide.
 
     Numbers are never cut: columns that do not fit follow in a further block, behind the same
-    names. Names that take more than their share lose letters in their middle.
+    names. Names that take more than their share lose letters in their middle; words behind the
+    numbers, a verdict, stand once.
     """
     cells = table.texts
     heads = [column.heading for column in table.columns]
@@ -38,8 +39,7 @@ def to_text(table: Table, *, width: int = 100) -> str:
 
 def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> list[int]:
     """Shrink the widest name column, one letter at a time, while the names take too much."""
-    widths = list(natural)
-    names = [place for place, column in enumerate(columns) if column.align == "left"]
+    widths, names = list(natural), _names(columns)
     if sum(widths) + 2 * (len(widths) - 1) <= width:
         return widths
     while sum(widths[place] + 2 for place in names) > _NAMES_SHARE * width:
@@ -47,26 +47,37 @@ def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> li
         if widths[widest] <= _NARROWEST_NAME:
             break
         widths[widest] -= 1
-    return widths
+    room = max(width - sum(widths[place] + 2 for place in names), _NARROWEST_NAME)
+    behind = {place for place, column in enumerate(columns) if column.align == "left"} - {*names}
+    return [min(one, room) if place in behind else one for place, one in enumerate(widths)]
+
+
+def _names(columns: Sequence[Column]) -> list[int]:
+    """The places of the columns that say what a row is: those of words before any number."""
+    left = [place for place, column in enumerate(columns) if column.align == "left"]
+    first = next((place for place in left if place + 1 not in left), 0)
+    return [place for place in left if place <= first]
 
 
 def _blocks(columns: Sequence[Column], widths: Sequence[int], width: int) -> list[list[int]]:
     """Column numbers of each block: the names, then as many groups of numbers as fit."""
-    names = [place for place, column in enumerate(columns) if column.align == "left"]
+    names = _names(columns)
     room = width - sum(widths[place] + 2 for place in names) + 2
     blocks: list[list[int]] = [[]]
-    for run in _runs(columns, widths, room):
+    for run in _runs(columns, widths, room, set(names)):
         if blocks[-1] and sum(widths[place] + 2 for place in [*blocks[-1], *run]) > room:
             blocks.append([])
         blocks[-1] += run
     return [sorted([*names, *block]) for block in blocks]
 
 
-def _runs(columns: Sequence[Column], widths: Sequence[int], room: int) -> list[list[int]]:
+def _runs(
+    columns: Sequence[Column], widths: Sequence[int], room: int, names: set[int]
+) -> list[list[int]]:
     """Column numbers that stay together: a group where it fits a line, else each alone."""
     runs, start = [], 0
     for name, span in column_groups(columns):
-        run = [place for place in range(start, start + span) if columns[place].align == "right"]
+        run = [place for place in range(start, start + span) if place not in names]
         together = name and sum(widths[place] + 2 for place in run) <= room
         runs += [run] if together else [[place] for place in run]
         start += span
