@@ -17,7 +17,7 @@ from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.sentence import extremes, listed, some
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.run.execution import run_flight
-from sparsefit.study.run.jobs import solver_seconds
+from sparsefit.study.run.jobs import SolverTime
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.store import cases_table
 from sparsefit.study.spec.draw import SIMULATION, stream
@@ -252,6 +252,13 @@ def ran(tmp_path_factory):
     return study, every, sorted(rows, key=lambda row: row.cell)
 
 
+def seconds_of(study, rows):
+    time = SolverTime(study)
+    for row in rows:
+        time.note(row)
+    return time.total
+
+
 class TestRows:
     def test_the_bound_is_that_of_the_flight_as_flown(self, ran):
         study, every, rows = ran
@@ -270,9 +277,9 @@ class TestRows:
         study, every, rows = ran
         fits = {fit_key(every[row.cell]): row["seconds"] for row in rows}
         assert len(fits) == len(rows) / 2
-        assert solver_seconds(study, rows) == pytest.approx(sum(fits.values()))
+        assert seconds_of(study, rows) == pytest.approx(sum(fits.values()))
         lent = [replace(row, values={"seconds": 2.0}, shared_seconds=1.5) for row in rows]
-        assert solver_seconds(study, lent) == pytest.approx(0.5 * len(fits))
+        assert seconds_of(study, lent) == pytest.approx(0.5 * len(fits))
 
     def test_columns_of_uncertainty_are_absent_numbers_where_there_is_none(self, ran):
         study, _, rows = ran

@@ -229,7 +229,7 @@ def _flow_is(cases: pd.DataFrame, *words: str) -> BoolArray:
     """(rows,) whether the column `flow`, which older files lack, holds one of these words."""
     if "flow" not in cases:
         return np.zeros(len(cases), dtype=bool)
-    return np.array([plain(value) in words for value in cases["flow"]], dtype=bool)
+    return cases["flow"].isin(words).to_numpy(dtype=bool)
 
 
 def called_empty(cases: pd.DataFrame) -> BoolArray:

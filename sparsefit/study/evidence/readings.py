@@ -116,8 +116,7 @@ def on_a_grid(cases: pd.DataFrame) -> BoolArray:
 
 def nearest_hits(cases: pd.DataFrame) -> Array:
     """(rows,) whether a case chose the grid scale nearest the truth."""
-    hit = np.array([plain(value) is True for value in cases["hit"]], dtype=bool)
-    return where(estimated(cases), hit)
+    return where(estimated(cases), cases["hit"].isin([True]).to_numpy(dtype=bool))
 
 
 def regimes(cases: pd.DataFrame) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -56,14 +56,6 @@ class SolverTime:
     def total(self) -> float:
         """The seconds [s] of all fits so far."""
         return float(self._seconds.sum())
-
-
-def solver_seconds(study: Study, rows: Iterable[Outcome]) -> float:
-    """The seconds [s] in back-ends of these rows."""
-    time = SolverTime(study)
-    for outcome in rows:
-        time.note(outcome)
-    return time.total
 
 
 def _numbered(cells: Sequence[Cell]) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
