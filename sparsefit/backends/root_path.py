@@ -92,11 +92,12 @@ class _Search:
         high = np.where(excess >= 0, x, self.high[at])
         low = np.where(excess <= 0, x, self.low[at])
         near = np.abs(excess) <= SETTLED * x
-        near |= (np.abs(excess) <= slope * off) & (newton > self.least)
-        beyond = (newton <= self.least) & ~floor  # perhaps no residual is left: look there
+        hidden = (misfit <= 2.0 * off) & ~near  # perhaps no residual is left: look there
+        near |= (np.abs(excess) <= slope * off) & (newton > self.least) & ~hidden
+        beyond = ((newton <= self.least) | hidden) & ~floor
         inside = (newton > low) & (newton < high)
         following = np.where(beyond, self.least, np.where(inside, newton, np.sqrt(low * high)))
-        gone = (x <= self.least) & (excess >= 0)
+        gone = (x <= self.least) & ((excess >= 0) | hidden)
         narrow = high <= low * (1.0 + SETTLED)
         return replace(
             self,
