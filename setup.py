@@ -9,7 +9,7 @@ import os
 from setuptools import Extension, setup
 
 LOOPS = (
-    *("active_set", "homotopy_walk"),
+    *("active_set", "homotopy_point", "homotopy_walk"),
     *("variational_step", "variational_point", "variational_search"),
 )  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
 KERNELS = ("regression._gram",)  # C

@@ -69,8 +69,7 @@ class BestSubset:
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
         """The support after the best exchange of one group for another, where one fits better."""
         parts, support = self._parts(problem), np.zeros(weights.shape, dtype=bool)
-        for i, part in enumerate(parts):
-            targets = slice(i, i + 1) if self.separate else slice(None)
+        for part, targets in zip(parts, problem.together(not self.separate), strict=True):
             support[:, targets] = _exchanged(part, weights[:, targets]) != 0
         return support
 

@@ -115,7 +115,7 @@ class Ensemble:
         if alpha == 0.0:
             return np.zeros(statistics.cross.shape)
         exact = VARIATIONAL if grouped else HOMOTOPY
-        each = [slice(None)] if grouped else [slice(t, t + 1) for t in range(problem.targets)]
+        each = problem.together(grouped)
         found = [exact.solve(statistics, penalty, np.array([alpha]), part) for part in each]
         return np.concatenate([points.weights[0] for points in found], axis=1)
 

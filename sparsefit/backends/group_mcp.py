@@ -107,9 +107,8 @@ class GroupMCP:
 
     def _systems(self, problem: RegressionProblem) -> "list[_System]":
         """All targets together, or one by one."""
-        each = [slice(t, t + 1) for t in range(problem.targets)]
-        together = each if self.separate else [slice(None)]
-        return [_System(problem, self.penalty(problem), part, self.gamma) for part in together]
+        penalty, together = self.penalty(problem), problem.together(not self.separate)
+        return [_System(problem, penalty, targets, self.gamma) for targets in together]
 
 
 @dataclass(frozen=True, eq=False)

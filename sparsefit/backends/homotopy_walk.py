@@ -5,10 +5,8 @@ types of compiled/homotopy_walk.pxd, to a loop that holds no interpreter lock.  
 whole arrays is a function of `dense`, which has both forms.
 """
 
-import numpy as np
-
-from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.backends import active_set, dense
+from sparsefit.arrays import Array, BoolArray
+from sparsefit.backends import active_set, dense, homotopy_point
 
 OPTIMAL_WITHIN = 1e-9  # excess of a correlation over alpha, relative to alpha
 ROUNDING = 1e-13  # the same, absolute, in units of the largest |c|
@@ -29,102 +27,7 @@ SINGULAR = active_set.SINGULAR
 NO_MEMORY = active_set.NO_MEMORY
 
 
-class Walk(active_set.ActiveSet):
-    """Where the path stands, for G = `gram` (k, k) and c = `cross` (k,): at w = 0.
-
-    `weights` and `slope` (k + 1,): the signed active weights and their growth per unit of alpha;
-    `correlation` c - G w (k,), `descent` its decrease per unit of alpha; `open` (k,): 0 for columns
-    that may not enter, the active ones and the first `waits` of `waiting`, which depend on these;
-    `known` (k,): the weights at the last penalty where they are an optimum; `steps` taken.
-    """
-
-    cross: Array
-    weights: Array
-    slope: Array
-    correlation: Array
-    descent: Array
-    open: Array
-    known: Array
-    waiting: IntArray
-    rates: Array
-
-    def __init__(self, gram: Array, cross: Array) -> None:
-        super().__init__(gram)
-        self.cross, self.waits, self.steps = cross, 0, 0
-        self.waiting, self.rates = np.zeros(self.k + 1, np.intp), np.zeros(2 * self.k + 2)
-        self.place(np.zeros((6, self.k + 1)))
-
-    def place(self, rows: Array) -> None:
-        """Give each vector its memory (k + 1,)."""
-        self.weights, self.slope, self.known = rows[0], rows[1], rows[2]
-        self.correlation, self.descent, self.open = rows[3], rows[4], rows[5]
-
-
-def enter(walk: Walk, column: int, sign: float) -> int:
-    """Let a column in with weight zero and bend the slope; a dependent one has to wait."""
-    n = walk.n
-    walk.open[column] = 0.0
-    outcome = walk.entering(column, sign)
-    if outcome == DEPENDENT:
-        walk.waiting[walk.waits] = column
-        walk.waits += 1
-    if outcome == FINE:
-        outcome = walk.enter()
-    if outcome != FINE:
-        return outcome
-    amount = (1.0 - sign * walk.descent[column]) / walk.pivot
-    walk.weights[n] = walk.slope[n] = 0.0
-    dense.add(n + 1, amount, walk.step, walk.slope)
-    dense.add(walk.k, amount, walk.product, walk.descent)
-    return FINE
-
-
-def leave(walk: Walk, position: int) -> int:
-    """Take a column out at weight zero and bend the slope; those that waited may try again."""
-    n, last, column = walk.n, walk.n - 1, walk.index[position]
-    if walk.leaving(position) == SINGULAR:
-        return SINGULAR
-    amount = walk.slope[position] / walk.pivot
-    dense.add(n, -amount, walk.step, walk.slope)
-    dense.add(walk.k, -amount, walk.product, walk.descent)
-    walk.leave(position)
-    walk.weights[position], walk.slope[position] = walk.weights[last], walk.slope[last]
-    walk.open[column] = 1.0
-    while walk.waits > 0:
-        walk.waits -= 1
-        walk.open[walk.waiting[walk.waits]] = 1.0
-    return FINE
-
-
-def start(walk: Walk, caution: float) -> None:
-    """Back to w = 0; `caution` makes more columns count as dependent."""
-    walk.n = walk.age = walk.waits = 0
-    walk.below = caution * active_set.DEPENDENT_BELOW
-    dense.copy(walk.k, walk.cross, walk.correlation)
-    dense.fill(walk.k, 0.0, walk.descent)
-    dense.fill(walk.k, 1.0, walk.open)
-
-
-def start_at(walk: Walk, weights: Array, caution: float) -> int:
-    """At `weights` (k,), entered largest first and without those that depend on others."""
-    start(walk, caution)
-    k, left = walk.k, walk.rates
-    dense.sizes(k, weights, walk.open, left)
-    for _ in range(k):
-        column = dense.highest(k, left)
-        size = left[column]
-        if not size > 0.0:
-            break
-        left[column] = 0.0
-        outcome = enter(walk, column, 1.0 if weights[column] > 0.0 else -1.0)
-        if outcome == FINE:
-            walk.weights[walk.n - 1] = size
-        elif outcome != DEPENDENT:
-            return outcome
-    return FINE
-
-
-def follow(walk: Walk, alpha: float, goal: float, limit: int) -> int:
+def follow(walk: homotopy_point.Walk, alpha: float, goal: float, limit: int) -> int:
     """Walk from event to event until alpha is `goal`, or `limit` events are past."""
     for _ in range(limit):
         n, near, exit_ = walk.n, FLAT * alpha + TINY, 0.0
@@ -145,16 +48,16 @@ def follow(walk: Walk, alpha: float, goal: float, limit: int) -> int:
         walk.steps += 1
         alpha -= length
         if exit_ >= entry:
-            outcome = leave(walk, position)
+            outcome = homotopy_point.leave(walk, position)
         else:
             first = dense.position(2 * walk.k, entry, walk.rates)
-            outcome = enter(walk, first % walk.k, 1.0 if first < walk.k else -1.0)
+            outcome = homotopy_point.enter(walk, first % walk.k, 1.0 if first < walk.k else -1.0)
         if outcome in (SINGULAR, NO_MEMORY):
             return outcome
     return FINE
 
 
-def correlate(walk: Walk, alpha: float) -> None:
+def correlate(walk: homotopy_point.Walk, alpha: float) -> None:
     """Exact c - G w into `correlation`, the active ones less `alpha` into `error`."""
     n = walk.n
     walk.product_of(walk.weights, n, walk.correlation)
@@ -163,7 +66,7 @@ def correlate(walk: Walk, alpha: float) -> None:
     dense.shift(n, -alpha, walk.error)
 
 
-def polish(walk: Walk, alpha: float) -> float:
+def polish(walk: homotopy_point.Walk, alpha: float) -> float:
     """Newton steps from exact correlations; the breach of optimality left, in units of the margin.
 
     At most 1 is optimal.
@@ -190,7 +93,7 @@ def polish(walk: Walk, alpha: float) -> float:
     return breach if slack / margin + excess + wrong < HOPELESS else HOPELESS
 
 
-def freshen(walk: Walk) -> None:
+def freshen(walk: homotopy_point.Walk) -> None:
     """Correct the slope where the updates have worn it: H slope = 1."""
     n = walk.n
     walk.gather(walk.descent, walk.error)
@@ -201,7 +104,7 @@ def freshen(walk: Walk) -> None:
         walk.product_of(walk.slope, n, walk.descent)
 
 
-def settle(walk: Walk, alpha: float, limit: int) -> int:
+def settle(walk: homotopy_point.Walk, alpha: float, limit: int) -> int:
     """Primal active set at one `alpha` from any weights: descends until no column objects."""
     enough, near = alpha * (1.0 + 0.1 * OPTIMAL_WITHIN) + 0.1 * ROUNDING, FLAT * alpha + TINY
     k, excess = walk.k, walk.rates
@@ -214,7 +117,7 @@ def settle(walk: Walk, alpha: float, limit: int) -> int:
             ratio = -walk.fix[position] / max(walk.weights[position], near)
         if ratio > 1.0:
             dense.add(n, 1.0 / ratio, walk.fix, walk.weights)
-            outcome = leave(walk, position)
+            outcome = homotopy_point.leave(walk, position)
         else:
             dense.add(n, 1.0, walk.fix, walk.weights)
             correlate(walk, alpha)
@@ -223,7 +126,7 @@ def settle(walk: Walk, alpha: float, limit: int) -> int:
             if not excess[column] > max(enough, 0.0):  # a NaN, too
                 return FINE
             sign = 1.0 if walk.correlation[column] > 0.0 else -1.0
-            outcome = enter(walk, column, sign)
+            outcome = homotopy_point.enter(walk, column, sign)
             if outcome == DEPENDENT:
                 outcome = exchange(walk, column, sign)
         walk.steps += 1
@@ -232,7 +135,7 @@ def settle(walk: Walk, alpha: float, limit: int) -> int:
     return FINE
 
 
-def exchange(walk: Walk, column: int, sign: float) -> int:
+def exchange(walk: homotopy_point.Walk, column: int, sign: float) -> int:
     """Let a dependent column in for the active one that its entering drives to zero first.
 
     Along a null direction of G no correlation changes and the objective falls in proportion.
@@ -245,22 +148,15 @@ def exchange(walk: Walk, column: int, sign: float) -> int:
         return FINE
     amount = max(walk.weights[position], TINY) / -walk.step[position]
     dense.add(n, amount, walk.step, walk.weights)
-    outcome = leave(walk, position)
+    outcome = homotopy_point.leave(walk, position)
     if outcome == FINE:
-        outcome = enter(walk, column, sign)
+        outcome = homotopy_point.enter(walk, column, sign)
     if outcome == FINE:
         walk.weights[walk.n - 1] = amount
     return outcome
 
 
-def full(walk: Walk, out: Array) -> None:
-    """Weights (k,) in the order of the columns."""
-    dense.fill(walk.k, 0.0, out)
-    dense.multiply(walk.n, walk.sign, walk.weights, walk.fix)
-    dense.put(walk.n, walk.fix, walk.index, out)
-
-
-def reach(walk: Walk, alpha: float, goal: float, found: Array) -> int:
+def reach(walk: homotopy_point.Walk, alpha: float, goal: float, found: Array) -> int:
     """Follow the path to `goal`; where it breaks, settle there, at last from the `known` weights.
 
     `found` (k,) becomes the weights of the optimum, or of the attempt that came closest: FINE
@@ -273,7 +169,7 @@ def reach(walk: Walk, alpha: float, goal: float, found: Array) -> int:
         if attempt == 0:
             outcome = follow(walk, alpha, goal, limit)
         elif attempt > 1:
-            outcome = start_at(walk, walk.known, caution)
+            outcome = homotopy_point.start_at(walk, walk.known, caution)
             caution *= CAUTION
         if attempt > 0 and outcome == FINE:
             outcome = settle(walk, goal, limit)
@@ -282,16 +178,19 @@ def reach(walk: Walk, alpha: float, goal: float, found: Array) -> int:
         breach = polish(walk, goal) if outcome == FINE else HOPELESS
         if breach < least:
             least = breach
-            full(walk, found)
+            homotopy_point.full(walk, found)
         if breach <= 1.0:
             return FINE
     return SINGULAR
 
 
-def visit(walk: Walk, alphas: Array, weights: Array, complete: BoolArray) -> int:
-    """Every penalty in turn: weights (p, k), complete (p,), both zero before."""
+def visit(walk: homotopy_point.Walk, alphas: Array, weights: Array, complete: BoolArray) -> int:
+    """Every penalty in turn: weights (p, k), complete (p,), both zero before; the steps taken.
+
+    Negative where memory is out.
+    """
     highest = alpha = dense.largest(walk.k, walk.cross)
-    start(walk, 1.0)
+    homotopy_point.start(walk, 1.0)
     for point in range(len(alphas)):
         goal = alphas[point]
         if goal >= highest:
@@ -299,12 +198,12 @@ def visit(walk: Walk, alphas: Array, weights: Array, complete: BoolArray) -> int
             continue
         outcome = reach(walk, alpha, goal, weights[point])
         if outcome == NO_MEMORY:
-            return NO_MEMORY
+            return -1
         if outcome == FINE:
             complete[point] = True
             dense.copy(walk.k, weights[point], walk.known)
         alpha = goal
-    return FINE
+    return walk.steps
 
 
 def path(gram: Array, cross: Array, alphas: Array, weights: Array, complete: BoolArray) -> int:
@@ -318,9 +217,9 @@ def path(gram: Array, cross: Array, alphas: Array, weights: Array, complete: Boo
         raise ValueError(
             "path wants gram (k, k), cross (k,), alphas (p,), weights (p, k) and complete (p,)"
         )
-    walk, held = Walk(gram, cross), dense.unlock()
-    outcome = visit(walk, alphas, weights, complete)
+    walk, held = homotopy_point.Walk(gram, cross), dense.unlock()
+    steps = visit(walk, alphas, weights, complete)
     dense.lock(held)
-    if outcome == NO_MEMORY:
+    if steps < 0:
         raise MemoryError
-    return walk.steps
+    return steps

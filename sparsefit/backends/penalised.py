@@ -121,8 +121,7 @@ class PenalisedPath(ABC):
         if self.solver != self.exact.name:
             return solve_by(self.solver, problem, penalty, alpha_fractions, tolerance)
         alphas = alpha_max(statistics.cross, penalty) * np.array(alpha_fractions)
-        each = [slice(t, t + 1) for t in range(problem.targets)]
-        together = [slice(None)] if penalty.coupled else each
+        together = problem.together(penalty.coupled)
         paths = [self.exact.solve(statistics, penalty, alphas, targets) for targets in together]
         weights = np.concatenate([path.weights for path in paths], axis=2)
         complete = np.all([path.complete for path in paths], axis=0)

@@ -7,7 +7,7 @@ of columns and targets are stored as (n, k).  One source for two loops, as in `h
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.backends import dense, linear
+from sparsefit.backends import dense, dense_groups, linear
 
 LOST = 1e-14  # of the terms of a curvature, which may cancel: a negative one sends eta to infinity
 NEW_GROUPS = 8  # more violators at once only make the subproblem larger: most do not stay
@@ -125,7 +125,9 @@ def evaluate(problem: Problem, x: Point) -> int:
     is that of K = D^-1/2 (I - A^-1) D^-1/2, which needs no product with G.
     """
     n = problem.targets
-    x.s = dense.support(problem.groups, x.eta, problem.starts, x.group, x.begin, x.label, x.column)
+    x.s = dense_groups.support(
+        problem.groups, x.eta, problem.starts, x.group, x.begin, x.label, x.column
+    )
     x.c = x.begin[x.s]
     x.value = 0.0
     s, c = x.s, x.c
@@ -145,7 +147,7 @@ def evaluate(problem: Problem, x: Point) -> int:
     for t in range(n):
         dense.multiply(c, x.root, x.inner[t], x.weights[t])
         dense.divide(c, x.root, x.inner[t], x.inner[t])
-        x.value -= 0.5 * dense.picked_product(c, problem.cross[t], x.column, x.weights[t])
+        x.value -= 0.5 * dense_groups.picked_product(c, problem.cross[t], x.column, x.weights[t])
     correlate(problem, x, x.weights, x.correlation)
     curve(problem, x)
     return FINE
@@ -161,7 +163,7 @@ def curve(problem: Problem, x: Point) -> None:
     for a in range(s):
         dense.fill(s, 0.0, x.hessian[a])
     for t in range(problem.targets):
-        dense.spread(s, c, t, x.label, x.inner[t], x.half)
+        dense_groups.spread(s, c, t, x.label, x.inner[t], x.half)
     first = 0
     while first < s:
         last = min(first + part, s)
@@ -169,9 +171,9 @@ def curve(problem: Problem, x: Point) -> None:
         first = last
     for t in range(problem.targets):
         linear.less_overlaps(c, 0, s, t, x.half, x.hessian)
-    dense.group_products(s, x.begin, x.inner, x.inner, x.square)
-    dense.add_diagonal(s, 1.0 + LOST, x.square, x.hessian)
-    dense.mirror(0, s, x.width, x.hessian)
+    dense_groups.group_products(s, x.begin, x.inner, x.inner, x.square)
+    dense_groups.add_diagonal(s, 1.0 + LOST, x.square, x.hessian)
+    dense_groups.mirror(0, s, x.width, x.hessian)
 
 
 def bordered(
@@ -192,7 +194,7 @@ def bordered(
         dense.fill(s, 0.0, out[s + h])
         for g in range(h + 1):
             first, last = problem.starts[new[g]], problem.starts[new[g] + 1]
-            out[s + h, s + g] = dense.inner_product(first, last, x.correlation, product)
+            out[s + h, s + g] = dense_groups.inner_product(first, last, x.correlation, product)
         for t in range(n):
             dense.take(c, product[t], x.column, x.spread)
             dense.multiply(c, x.root, x.spread, x.half[s + h, t])
@@ -200,4 +202,4 @@ def bordered(
     linear.forward(c, 0, s, total, x.factor, x.half)
     for t in range(n):
         linear.less_overlaps(c, s, total, t, x.half, out)
-    dense.mirror(s, total, x.width, out)
+    dense_groups.mirror(s, total, x.width, out)

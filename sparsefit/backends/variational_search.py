@@ -6,7 +6,7 @@ Notation and source there.  One source for two loops, as in `homotopy_walk`.
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.backends import dense, linear, variational_point, variational_step
+from sparsefit.backends import dense, dense_groups, linear, variational_point, variational_step
 
 ITERATIONS = 80
 HALVINGS = 30
@@ -62,25 +62,19 @@ class Search(variational_point.Problem):
         self.trial_correlation = matrices[6]
 
 
-def copied(n: int, rows: int, x: Array, out: Array) -> None:
-    """The first `n` entries of every row of x into those of out."""
-    for t in range(rows):
-        dense.copy(n, x[t], out[t])
-
-
 def relative_gap(
     z: Search, x: variational_point.Point, weights: Array, correlation: Array
 ) -> float:
     """Relative duality gap of W with dual point s R: (1-s)^2 R'R + 2 (alpha |W| - s <C, W>)."""
     product, explained = 0.0, 0.0
-    dense.group_products(z.groups, z.starts, correlation, correlation, z.square)
+    dense_groups.group_products(z.groups, z.starts, correlation, correlation, z.square)
     top = dense.root(dense.largest(z.groups, z.square))
     shrink = 1.0 if top <= z.alpha else z.alpha / top
     for t in range(z.targets):
-        product += dense.picked_product(x.c, correlation[t], x.column, weights[t])
-        explained += dense.picked_product(x.c, z.cross[t], x.column, weights[t])
-    dense.group_products(x.s, x.begin, weights, weights, z.square)
-    norm = dense.root_sum(x.s, z.square)
+        product += dense_groups.picked_product(x.c, correlation[t], x.column, weights[t])
+        explained += dense_groups.picked_product(x.c, z.cross[t], x.column, weights[t])
+    dense_groups.group_products(x.s, x.begin, weights, weights, z.square)
+    norm = dense_groups.root_sum(x.s, z.square)
     residual = max(0.0, 1.0 - explained - product)
     gap = residual * (1.0 - shrink) * (1.0 - shrink) + 2.0 * (z.alpha * norm - shrink * product)
     return 0.0 if gap < 0.0 else gap
@@ -88,8 +82,8 @@ def relative_gap(
 
 def keep(z: Search, x: variational_point.Point, weights: Array, correlation: Array) -> None:
     """Remember weights (n, c) and correlation (n, k) as those of the best chord step."""
-    copied(x.c, z.targets, weights, z.weights)
-    copied(z.columns, z.targets, correlation, z.correlation)
+    dense.copy_rows(x.c, z.targets, weights, z.weights)
+    dense.copy_rows(z.columns, z.targets, correlation, z.correlation)
 
 
 def predict(z: Search, x: variational_point.Point) -> None:
@@ -106,11 +100,11 @@ def predict(z: Search, x: variational_point.Point) -> None:
     if s == 0:
         z.gap = relative_gap(z, x, x.weights, x.correlation)
         return
-    copied(c, n, x.inner, z.inner)
+    dense.copy_rows(c, n, x.inner, z.inner)
     dense.take(s, x.eta, x.group, z.width)
     for _ in range(1 + CHORDS):
-        dense.group_products(s, x.begin, z.inner, z.inner, z.square)
-        dense.secular_drive(s, z.square, z.alpha, z.bounded.drive)
+        dense_groups.group_products(s, x.begin, z.inner, z.inner, z.square)
+        dense_groups.secular_drive(s, z.square, z.alpha, z.bounded.drive)
         dense.copy(s, z.width, z.bounded.lower)
         dense.scale(s, -1.0, z.bounded.lower)
         z.bounded.minimise(s, x.hessian)
@@ -118,13 +112,13 @@ def predict(z: Search, x: variational_point.Point) -> None:
         dense.divide(c, x.root, z.spread, z.spread)
         for t in range(n):
             dense.multiply(c, z.spread, z.inner[t], z.pushed[t])
-            dense.add_ratio(c, -1.0, z.pushed[t], x.root, z.inner[t])
+            dense_groups.add_ratio(c, -1.0, z.pushed[t], x.root, z.inner[t])
         linear.solve(c, n, x.factor, z.pushed)
         dense.add(s, 1.0, z.bounded.step, z.width)
         dense.clip(s, z.width)
         dense.take(c, z.width, x.label, z.spread)
         for t in range(n):
-            dense.add_ratio(c, 1.0, z.pushed[t], x.root, z.inner[t])
+            dense_groups.add_ratio(c, 1.0, z.pushed[t], x.root, z.inner[t])
             dense.multiply(c, z.spread, z.inner[t], z.trial[t])
         variational_point.correlate(z, x, z.trial, z.trial_correlation)
         gap = relative_gap(z, x, z.trial, z.trial_correlation)
@@ -133,7 +127,7 @@ def predict(z: Search, x: variational_point.Point) -> None:
         keep(z, x, z.trial, z.trial_correlation)
         z.gap = gap
         dense.put(s, z.width, x.group, z.eta)
-        dense.drop_negligible(z.groups, NEGLIGIBLE, z.power, z.eta)
+        dense_groups.drop_negligible(z.groups, NEGLIGIBLE, z.power, z.eta)
         if gap <= z.goal or gap > POOR:
             break
         for t in range(n):
@@ -142,14 +136,14 @@ def predict(z: Search, x: variational_point.Point) -> None:
             dense.multiply(c, x.root, z.pushed[t], z.pushed[t])
         linear.solve(c, n, x.factor, z.pushed)
         for t in range(n):
-            dense.add_ratio(c, 1.0, z.pushed[t], x.root, z.inner[t])
+            dense_groups.add_ratio(c, 1.0, z.pushed[t], x.root, z.inner[t])
 
 
 def find_violators(z: Search, x: variational_point.Point) -> None:
     """Groups at eta = 0 whose correlation exceeds alpha, the worst few, ascending."""
     square, fresh = z.square, z.fresh
-    dense.group_products(z.groups, z.starts, z.correlation, z.correlation, square)
-    dense.violations(z.groups, x.eta, z.alpha * z.alpha, square)
+    dense_groups.group_products(z.groups, z.starts, z.correlation, z.correlation, square)
+    dense_groups.violations(z.groups, x.eta, z.alpha * z.alpha, square)
     z.count = 0
     while z.count < min(NEW_GROUPS, z.groups):
         group = dense.highest(z.groups, square)
@@ -171,7 +165,7 @@ def enlarge(z: Search, x: variational_point.Point, secular: bool) -> None:
     """
     s, total = x.s, x.s + z.count
     variational_point.bordered(z, x, z.fresh, z.count, z.pushed, z.hessian)
-    dense.group_products(z.groups, z.starts, x.correlation, x.correlation, z.square)
+    dense_groups.group_products(z.groups, z.starts, x.correlation, x.correlation, z.square)
     dense.take(s, x.eta, x.group, z.width)
     dense.copy(s, x.square, z.spread)
     for h in range(z.count):
@@ -180,16 +174,16 @@ def enlarge(z: Search, x: variational_point.Point, secular: bool) -> None:
     dense.copy(total, z.width, z.bounded.lower)
     dense.scale(total, -1.0, z.bounded.lower)
     if secular:
-        dense.secular_drive(total, z.spread, z.alpha, z.bounded.drive)
+        dense_groups.secular_drive(total, z.spread, z.alpha, z.bounded.drive)
     else:
-        dense.plain_drive(total, z.spread, z.alpha, z.bounded.drive)
+        dense_groups.plain_drive(total, z.spread, z.alpha, z.bounded.drive)
     z.bounded.minimise(total, z.hessian)
     dense.add(total, 1.0, z.bounded.step, z.width)
     dense.copy(z.groups, x.eta, z.eta)
     dense.put(s, z.width, x.group, z.eta)
     for h in range(z.count):
         z.eta[z.fresh[h]] = z.width[s + h]
-    dense.drop_negligible(z.groups, NEGLIGIBLE, z.power, z.eta)
+    dense_groups.drop_negligible(z.groups, NEGLIGIBLE, z.power, z.eta)
 
 
 def objective(z: Search, x: variational_point.Point) -> float:
@@ -267,7 +261,7 @@ def visit(
         if iterations[i] < 0:
             return NO_MEMORY
         gaps[i] = z.best_gap
-        copied(z.columns, z.targets, z.best, weights[i])
+        dense.copy_rows(z.columns, z.targets, z.best, weights[i])
     return FINE
 
 

@@ -8,7 +8,7 @@ Source: Nocedal and Wright, "Numerical Optimization" (2006), section 16.5.
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.backends import dense, linear
+from sparsefit.backends import dense, dense_groups, linear
 
 RIDGE = 1e-13  # on the unit diagonal: duplicated groups make H singular
 ROUNDING = 1e-13  # of the largest pull: what a bound that is left must exceed
@@ -57,22 +57,22 @@ class Bounded:
         """Fill `step` (n,) for H (n, n), `drive` and `lower`."""
         if n == 0:
             return
-        dense.unit_scale(n, hessian, self.scale)
+        dense_groups.unit_scale(n, hessian, self.scale)
         dense.multiply(n, self.scale, self.drive, self.pull)
         dense.divide(n, self.scale, self.lower, self.floor)
-        dense.scaled(n, self.scale, hessian, self.block)
+        dense_groups.scaled(n, self.scale, hessian, self.block)
         dense.lift(n, RIDGE, self.block)
         settled = linear.factorised(n, self.block)
         if settled:
             dense.copy(n, self.pull, self.right[0])
             linear.solve(n, 1, self.block, self.right)
             dense.copy(n, self.right[0], self.x)
-            settled = dense.all_above(n, self.floor, self.x)
+            settled = dense_groups.all_above(n, self.floor, self.x)
         else:
             dense.copy(n, self.pull, self.x)
         if not settled:
-            dense.start_free(n, self.floor, self.x, self.free)
-            dense.scaled(n, self.scale, hessian, self.unit)
+            dense_groups.start_free(n, self.floor, self.x, self.free)
+            dense_groups.scaled(n, self.scale, hessian, self.unit)
             dense.lift(n, RIDGE, self.unit)
             self.search(n)
         dense.multiply(n, self.scale, self.x, self.step)
@@ -84,15 +84,15 @@ class Bounded:
         for _ in range(TURNS * n + TURNS):
             dense.copy(n, self.x, self.target)
             self.face(n)
-            hit = dense.first_bound(n, self.free, self.floor, self.x, self.target)
+            hit = dense_groups.first_bound(n, self.free, self.floor, self.x, self.target)
             if hit >= 0:
                 reach = (self.floor[hit] - self.x[hit]) / (self.target[hit] - self.x[hit])
-                dense.advance(n, reach, self.target, self.floor, self.free, self.x)
+                dense_groups.advance(n, reach, self.target, self.floor, self.free, self.x)
                 continue
             dense.copy(n, self.target, self.x)
             dense.apply(n, self.unit, self.x, pull)
             dense.subtract(n, self.pull, pull)
-            dense.opposite(n, self.free, self.fixed)
+            dense_groups.opposite(n, self.free, self.fixed)
             dense.multiply(n, self.fixed, pull, pull)
             worst = dense.highest(n, pull)
             if not pull[worst] > slack:
@@ -101,8 +101,8 @@ class Bounded:
 
     def face(self, n: int) -> None:
         """Minimiser over the free variables, the others fixed; a larger ridge where singular."""
-        count, right = dense.chosen(n, self.free, self.inside), self.right[0]
-        dense.opposite(n, self.free, self.fixed)
+        count, right = dense_groups.chosen(n, self.free, self.inside), self.right[0]
+        dense_groups.opposite(n, self.free, self.fixed)
         dense.multiply(n, self.x, self.fixed, self.fixed)
         dense.apply(n, self.unit, self.fixed, right)
         dense.subtract(n, self.pull, right)

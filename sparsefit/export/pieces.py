@@ -27,8 +27,16 @@ SWEEPS = """
 UNBIAS = """\
         sf_solve_on(flow, support, n, SF_R(0), unit, of_target, v);
 """
+PAIRS = {  # of two samples: in words, and the state that their row has
+    "forward": ("v' by the forward difference, at the first of two samples", "flow->window[0][c]"),
+    "midpoint": (
+        "difference quotient and mean of two samples",
+        "SF_R(0.5) * (flow->window[0][c] + flow->window[1][c])",
+    ),
+}
 ESTIMATE = {
-    "scales": "    sf_read(flow, answer);",
+    "refined": "    sf_read(flow, answer);",
+    "least": "    sf_read(flow, sf_least(flow), answer);",
     "columns": """\
     {
         const uint32_t scale = sf_choose(flow, answer);

@@ -14,7 +14,15 @@ from sparsefit.backends.stlsq import STLSQ
 from sparsefit.codec import plain
 from sparsefit.export.layout import constants, ram
 from sparsefit.export.model import GENERATED
-from sparsefit.export.pieces import COLUMNS, ESTIMATE, STEP_TEST, STEP_TUNABLE, SWEEPS, UNBIAS
+from sparsefit.export.pieces import (
+    COLUMNS,
+    ESTIMATE,
+    PAIRS,
+    STEP_TEST,
+    STEP_TUNABLE,
+    SWEEPS,
+    UNBIAS,
+)
 from sparsefit.export.plan import COARSE, END, STEPS, Plan
 
 READ = ("length_scale", "mean_velocity", "refine", "precision")  # of a readout, on board
@@ -111,13 +119,16 @@ def header(plan: Plan, told: dict[str, str]) -> str:
 
 def body(plan: Plan) -> str:
     """sf_flow.c."""
-    parts = ["head.c", f"rows_{plan.derivative.method}.c", "scales.c", "tell.c"]
+    method = plan.derivative.method
+    rows = ["rows_savgol.c"] if method == "savgol" else ["seconds.c", "rows_central.c"]
+    if method in PAIRS:
+        rows[-1] = "rows_pair.c"
+    parts = ["head.c", *rows, "scales.c", "tell.c"]
     if plan.columns:
         parts += ["columns.c", f"choice_{plan.backend.name}.c"]
-    if plan.refined:
-        parts += ["refine.c", "answer_refined.c"]
-    else:
-        parts.append("answer_grid.c" if plan.columns else "answer_least.c")
+    elif not plan.refined:
+        parts.append("answer_least.c")
+    parts += ["refine.c", "answer_refined.c"] if plan.refined else ["answer_grid.c"]
     values = _numbers(plan) | _settings_of(plan) | _hooks(plan)
     return "".join(filled(part, values) for part in [*parts, "api.c"])
 
@@ -169,8 +180,8 @@ def _hooks(plan: Plan) -> dict[str, str]:
     words, summed, least = READOUTS[plan.estimator.readout.length_scale]
     step = STEP_TEST["savgol" if plan.derivative.method == "savgol" else "gap"]
     own, math = bool(plan.columns), functions(plan)
-    grid = own and not plan.refined
-    estimate = Template(ESTIMATE["columns" if own else "scales"])
+    answer = "columns" if own else "refined" if plan.refined else "least"
+    pair_words, pair_state = PAIRS.get(plan.derivative.method, ("", ""))
     return (
         (COLUMNS if own else dict.fromkeys(COLUMNS, ""))
         | math
@@ -180,8 +191,11 @@ def _hooks(plan: Plan) -> dict[str, str]:
             "least_weight": least,
             "step_test": Template(step).substitute(math),
             "estimate_const": "" if own else "const ",
-            "candidate_parameter": "uint32_t best, " if grid else "",
-            "estimate_body": estimate.substitute(candidate="scale, " if grid else ""),
+            "pair_words": f"{pair_words} ".ljust(82, "-"),
+            "pair_state": pair_state,
+            "estimate_body": Template(ESTIMATE[answer]).substitute(
+                candidate="" if plan.refined else "scale, "
+            ),
         }
     )
 

@@ -165,6 +165,10 @@ class RegressionProblem:
         """Number of targets n."""
         return int(self.target.shape[1])
 
+    def together(self, coupled: bool) -> list[slice]:
+        """The targets that are one problem: all of them where ``coupled``, else each by itself."""
+        return [slice(None)] if coupled else [slice(t, t + 1) for t in range(self.targets)]
+
     @cached_property
     def statistics(self) -> Statistics:
         """Sufficient statistics in scaled columns, shared by all back-ends."""

@@ -1,31 +1,19 @@
-from sparsefit.backends.compiled cimport active_set, dense
+from sparsefit.backends.compiled cimport active_set, dense, homotopy_point
+from sparsefit.backends.compiled.homotopy_point cimport Walk
 
 cdef double OPTIMAL_WITHIN, ROUNDING, FLAT, TINY, FRESH_SLOPE_ABOVE, CAUTION
 cdef double NEWTON_SHARE, HOPELESS
 cdef Py_ssize_t REPAIRS, NEWTON_STEPS, STEPS_PER_COLUMN, STEPS_AT_LEAST
 cdef int FINE, DEPENDENT, SINGULAR, NO_MEMORY
 
-cdef class Walk(active_set.ActiveSet):
-    cdef Py_ssize_t waits, steps
-    cdef const double[::1] cross
-    cdef Py_ssize_t[::1] waiting
-    cdef double[::1] weights, slope, correlation, descent, open, known, rates
-
-    cdef void place(self, double[:, ::1] rows) noexcept nogil
-
-cdef int enter(Walk walk, Py_ssize_t column, double sign) noexcept nogil
-cdef int leave(Walk walk, Py_ssize_t position) noexcept nogil
-cdef void start(Walk walk, double caution) noexcept nogil
-cdef int start_at(Walk walk, const double[::1] weights, double caution) noexcept nogil
 cdef int follow(Walk walk, double alpha, double goal, Py_ssize_t limit) noexcept nogil
 cdef void correlate(Walk walk, double alpha) noexcept nogil
 cdef double polish(Walk walk, double alpha) noexcept nogil
 cdef void freshen(Walk walk) noexcept nogil
 cdef int settle(Walk walk, double alpha, Py_ssize_t limit) noexcept nogil
 cdef int exchange(Walk walk, Py_ssize_t column, double sign) noexcept nogil
-cdef void full(Walk walk, double[::1] out) noexcept nogil
 cdef int reach(Walk walk, double alpha, double goal, double[::1] found) noexcept nogil
-cdef int visit(
+cdef Py_ssize_t visit(
     Walk walk, const double[::1] alphas, double[:, ::1] weights, unsigned char[::1] complete
 ) noexcept nogil
 cpdef Py_ssize_t path(

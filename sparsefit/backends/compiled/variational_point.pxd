@@ -1,4 +1,4 @@
-from sparsefit.backends.compiled cimport dense, linear
+from sparsefit.backends.compiled cimport dense, dense_groups, linear
 
 cdef double LOST
 cdef Py_ssize_t NEW_GROUPS, ROOM, PARTS, LARGE

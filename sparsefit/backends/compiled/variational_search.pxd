@@ -1,4 +1,4 @@
-from sparsefit.backends.compiled cimport dense, linear, variational_point, variational_step
+from sparsefit.backends.compiled cimport dense, dense_groups, linear, variational_point, variational_step
 from sparsefit.backends.compiled.variational_point cimport Point, Problem
 
 cdef double SHRINKING, POOR, NEGLIGIBLE, FLOOR, ROUNDING, NEVER
@@ -15,9 +15,6 @@ cdef class Search(Problem):
 
     cdef void place(self, double[:, ::1] rows, double[:, :, ::1] matrices) noexcept nogil
 
-cdef void copied(
-    Py_ssize_t n, Py_ssize_t rows, const double[:, ::1] x, double[:, ::1] out
-) noexcept nogil
 cdef double relative_gap(
     Search z, Point x, const double[:, ::1] weights, const double[:, ::1] correlation
 ) noexcept nogil

@@ -1,6 +1,6 @@
 cimport cython
 
-from sparsefit.backends.compiled cimport dense, linear
+from sparsefit.backends.compiled cimport dense, dense_groups, linear
 
 cdef double RIDGE, ROUNDING, FIRST_RIDGE
 cdef Py_ssize_t RIDGES, TURNS

@@ -1,6 +1,6 @@
 /* ---- the answer: the 8 columns of one length scale of the grid ------------------------------- */
 
-static void sf_read(const sf_flow *flow, ${candidate_parameter}sf_answer *answer)
+static void sf_read(const sf_flow *flow, uint32_t best, sf_answer *answer)
 {
     sf_real terms[SF_ORDERS][SF_TERMS];
     sf_fit fit;

@@ -1,6 +1,6 @@
 /* ---- the answer: the deepest lobe, off the grid, and its rival ------------------------------- */
 
-static void sf_read(const sf_flow *flow, ${candidate_parameter}sf_answer *answer)
+static void sf_read(const sf_flow *flow, sf_answer *answer)
 {
     const sf_real square = sf_phi_square(flow);
     sf_place best;

@@ -1,10 +1,5 @@
 /* ---- rows: v' from three samples, the quotients weighted by the opposite step --------------- */
 
-static sf_real sf_seconds(const sf_flow *flow, uint32_t from)
-{
-    return (sf_real)(uint32_t)(flow->time_us[from + 1u] - flow->time_us[from]) * SF_R(1e-6);
-}
-
 /* State x, y, vx, vy and acceleration of the window's row. */
 static void sf_differentiate(const sf_flow *flow, sf_real state[4], sf_real rate[2])
 {
