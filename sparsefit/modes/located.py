@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.modes.projection import Projection
 from sparsefit.modes.space import SIGNIFICANCE, WIND, SearchSpace
 
@@ -58,7 +59,7 @@ class Located:
         """The number of parameters of all modes beyond those of a uniform wind."""
         return self.space.parameters * len(self.candidates) - WIND
 
-    @property
+    @cached_property
     def detected(self) -> bool:
         """Whether the modes explain more than chance does beyond a uniform wind.
 

@@ -102,7 +102,7 @@ def _basis(gram: Array) -> Array:
     """Weights (k, rank) of orthonormal columns, from the Gram matrix (k, k) less its null space."""
     scale = np.sqrt(np.diagonal(gram))
     scale = np.where(scale > 0, scale, 1.0)
-    roots, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    roots, vectors = np.linalg.eigh(gram / (scale[:, None] * scale))
     kept = roots > RANK * roots[-1]
     basis: Array = vectors[:, kept] / np.sqrt(roots[kept]) / scale[:, None]
     return basis
@@ -124,9 +124,8 @@ def _moves(side: Array, rest: Array, squares: Array) -> Array:
     scale = np.sqrt(np.where(free, np.diagonal(curvature), 1.0))
     if len(scale) == 1:
         return np.where(free, slope / scale**2, 0.0)
-    roots, vectors = np.linalg.eigh(
-        np.where(np.outer(free, free), curvature, 0.0) / np.outer(scale, scale)
-    )
+    own = free[:, None] & free
+    roots, vectors = np.linalg.eigh(np.where(own, curvature, 0.0) / (scale[:, None] * scale))
     kept = roots > RANK
     inverse = np.where(kept, 1.0 / np.where(kept, roots, 1.0), 0.0)
     moves: Array = vectors @ (inverse * (vectors.T @ (np.where(free, slope, 0.0) / scale))) / scale

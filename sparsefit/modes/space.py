@@ -23,7 +23,7 @@ from sparsefit.library.family import Family
 from sparsefit.library.nuisance import Nuisance, regressed
 from sparsefit.library.scan import Bounds, CellScan, extent_of, scan_steps
 from sparsefit.modes.fitted_rows import Rows
-from sparsefit.modes.projection import ROUNDING, Projection, project, secant
+from sparsefit.modes.projection import ROUNDING, Projection, left_beside, project, secant
 from sparsefit.modes.stack import (
     CORRELATION,
     Pair,
@@ -122,14 +122,10 @@ class SearchSpace:
     @cached_property
     def null_residual(self) -> float:
         """RSS [m^2/s^2] of a uniform wind, and the nuisance columns."""
-        ones = np.ones((1, len(self.rows.target), 1))
-        if self.rows.scale is not None:
-            ones[0, :, 0] = self.rows.scale
-        wind = np.concatenate([np.kron(np.eye(2)[:, None, [t]], ones) for t in range(2)], axis=2)
+        wind = np.zeros((2, len(self.rows.target), WIND))
+        wind[0, :, 0] = wind[1, :, 1] = 1.0 if self.rows.scale is None else self.rows.scale
         both = np.concatenate([self.rows.nuisance, wind], axis=2)
-        return project(
-            self.family, replace(self.rows, nuisance=both), self.empty.parameters
-        ).residual
+        return float(np.sum(left_beside(both, self.rows.target)[0] ** 2))
 
     @cached_property
     def extent(self) -> float:

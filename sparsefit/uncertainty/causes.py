@@ -37,11 +37,11 @@ from enum import StrEnum
 
 import numpy as np
 
-from sparsefit.arrays import Array, ComplexArray
+from sparsefit.arrays import Array
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.influence import raw_plain
 from sparsefit.uncertainty.noise import Observed
-from sparsefit.uncertainty.spectra import frequency_weights
+from sparsefit.uncertainty.spectra import forms, frequency_weights
 from sparsefit.uncertainty.turbulence import TRUNCATION, Turbulence
 
 CHANCE = 1e-4  # of a score as large, at most: seven causes are tried
@@ -207,21 +207,12 @@ def _covariance(observed: Observed, columns: Array) -> Array:
     fit, passage = observed.fit, observed.passage
     spectra, weight = np.fft.rfft(columns, passage.size), frequency_weights(passage.size)
     if fit.stretch is None:
-        return _products(spectra, weight * (observed.amounts @ observed.shapes))
+        return forms(spectra, weight * (observed.amounts @ observed.shapes))
     kicked = np.fft.rfft(fit.stretched(columns), passage.size) * passage.kicks
     every = [*raw_plain(fit, passage, columns, spectra), kicked]
-    each = [
-        level * _products(own, weight) for level, own in zip(observed.levels, every, strict=True)
-    ]
+    each = [level * forms(own, weight) for level, own in zip(observed.levels, every, strict=True)]
     total: Array = np.sum(each, axis=0)
     return total
-
-
-def _products(spectra: ComplexArray, weight: Array) -> Array:
-    """Weighted products (k, k) of the spectra (k, 2, frequencies) of both components."""
-    parts = np.ascontiguousarray(spectra).view(np.float64).reshape(len(spectra), -1)
-    products: Array = (parts * np.tile(np.repeat(weight, 2), 2)) @ parts.T
-    return products
 
 
 def _told(cause: Cause, size: Array) -> tuple[float, ...]:

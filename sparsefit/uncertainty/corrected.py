@@ -104,10 +104,9 @@ def _through_filters(
 ) -> Known:
     """Values and standard errors where the filters are known."""
     every = bias.every_without_truncation(fits, model)
-    by_theta = model.information.solved(reading.gradients.T)
-    seen = [
-        _Seen.of(fit, less, fit.weight**2 * by_theta) for fit, less in zip(fits, every, strict=True)
-    ]
+    basis, mix = _few(model, reading.gradients)
+    pairs = zip(fits, every, strict=True)
+    seen = [_Seen.of(fit, less, fit.weight**2 * basis, mix) for fit, less in pairs]
     each = [one.variances(model, reading.gradients) for one in seen]
     variance = np.sum([own for own, _ in each], axis=0)
     freedom = _freedom(each, variance)
@@ -175,9 +174,9 @@ class _Seen:
     influence: Influence
 
     @classmethod
-    def of(cls, fit: Filtered, less: bias.Truncated, by_theta: Array) -> _Seen:
+    def of(cls, fit: Filtered, less: bias.Truncated, by_theta: Array, mix: Array | None) -> _Seen:
         observed = noise.Observed(fit, less.at_samples)
-        return cls(fit, less, Turbulence(observed), Influence.of(observed, by_theta))
+        return cls(fit, less, Turbulence(observed), Influence.of(observed, by_theta, mix))
 
     @cached_property
     def scores(self) -> dict[str, Array]:
@@ -207,19 +206,26 @@ class _Seen:
             coloured, freedom = self.left.variances(influence)
             both = coloured if apart is None else 0.5 * (coloured + apart)
             variance = np.maximum(variance, both)
-        return variance + self._coherent(influence.rows), freedom
+        return variance + self._coherent(influence), freedom
 
-    def _coherent(self, rows: Array) -> Array:
-        """The square (f,) of what residuals without noise may add up to; 0 with noise.
-
-        rows (f, 2, q): the influence of errors of the rows.
-        """
+    def _coherent(self, influence: Influence) -> Array | float:
+        """The square (f,) of what residuals without noise may add up to; 0 with noise."""
         square = float(np.sum(self.less.errors**2))
         if square > EXACT**2 * float(np.sum(self.fit.model.flow**2)):
-            return np.zeros(len(rows))
+            return 0.0
         share = COHERENT if self.fit.samples.weak is None else QUADRATURE
-        added: Array = share**2 * square * np.sum(rows**2, axis=(1, 2))
+        added: Array = share**2 * square * influence.squares
         return added
+
+
+def _few(model: Model, gradients: Array) -> tuple[Array, Array | None]:
+    """How theta moves by functions, gradients (f, n): (n, f); or, of many, by few that make them.
+
+    Those are orthonormal for the rows, so that no function is a small difference of large parts.
+    """
+    basis = model.information.basis
+    mix = basis.T @ gradients.T
+    return (basis, mix) if mix.shape[1] > mix.shape[0] else (basis @ mix, None)
 
 
 def _freedom(each: Sequence[tuple[Array, Array]], variance: Array) -> Array:

@@ -7,7 +7,7 @@ noise adds is the power of the influence's transform times the passage (`noise.P
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.lags import products
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.noise import Observed, Passage
-from sparsefit.uncertainty.spectra import frequency_weights, power
+from sparsefit.uncertainty.spectra import forms, frequency_weights, mixed
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -33,31 +33,48 @@ class Influence:
         fit: of rows that are made of filtered samples.
         rows: c (f, 2, q): errors e of the rows move the functions by c.e.
         samples: the transforms (f, 2, size/2 + 1) of the same for errors of Phi at the samples.
+        mix: where many functions are asked for (f,), their parts (k, f) of the k that the others
+            then are of: what unit noise adds is a form of those; None: these are they.
     """
 
     fit: Filtered
     passage: Passage
     rows: Array
     samples: ComplexArray
+    mix: Array | None = None
 
     @classmethod
-    def of(cls, observed: Observed, by_theta: Array) -> Influence:
-        """The influence J times `by_theta` (n, f) of theta."""
+    def of(cls, observed: Observed, by_theta: Array, mix: Array | None = None) -> Influence:
+        """The influence J times `by_theta` (n, k) of theta, of k functions or what makes f."""
         fit, passage = observed.fit, observed.passage
         rows = fit.model.jacobian.times(by_theta)
         if fit.samples.weak is None:
             spectra = fit.model.jacobian.turned(by_theta, observed.spectra)
         else:
             spectra = np.fft.rfft(averaged_by(fit.samples.weak.operator, rows), passage.size)
-        return cls(fit, passage, rows, spectra)
+        return cls(fit, passage, rows, spectra, mix)
+
+    @property
+    def apart(self) -> Influence:
+        """The same of every function by itself."""
+        if self.mix is None:
+            return self
+        rows, samples = (np.tensordot(self.mix.T, one, 1) for one in (self.rows, self.samples))
+        return replace(self, rows=rows, samples=samples, mix=None)
+
+    @property
+    def squares(self) -> Array:
+        """Sums of squares (f,) over the rows: what unit white errors of these add."""
+        flat = self.rows.reshape(len(self.rows), -1)
+        return mixed(flat @ flat.T, self.mix)
 
     @property
     def by_noise(self) -> Array:
         """What unit noise of raw position, velocity and tau times acceleration adds, (3, f)."""
         weak = self.fit.samples.weak
         if weak is None:
-            return powers(self.fit, self.passage, self.rows, self.samples)
-        return weak_powers(self.fit, weak, self.passage, self.rows)
+            return powers(self.fit, self.passage, self.rows, self.samples, self.mix)
+        return weak_powers(self.fit, weak, self.passage, self.rows, self.mix)
 
     def by_source(self, squares: Array) -> Array:
         """What measured noise and kicks of level 1 add, (2, f).
@@ -69,7 +86,7 @@ class Influence:
         measured = squares @ own[:2]
         if wander.rms:
             # By lags: a transform of the flight's length would join its ends.
-            raw = np.fft.irfft(self._raw()[0], self.passage.size)
+            raw = np.fft.irfft(self.apart._raw()[0], self.passage.size)
             alike = products(raw, raw.shape[-1] - 1).sum(axis=1)
             alike[:, 1:] *= 2
             measured = measured + alike @ wander.covariance(alike.shape[1])
@@ -84,17 +101,25 @@ class Influence:
     def under(self, shapes: Array) -> Array:
         """What errors of Phi of these spectra (n, size/2 + 1) add, (n, f)."""
         weight = frequency_weights(self.passage.size)
-        return np.array([power(self.samples, weight * shape) for shape in shapes])
+        return np.array([mixed(forms(self.samples, weight * one), self.mix) for one in shapes])
 
 
-def powers(fit: Filtered, passage: Passage, influence: Array, spectra: ComplexArray) -> Array:
+def powers(
+    fit: Filtered,
+    passage: Passage,
+    influence: Array,
+    spectra: ComplexArray,
+    mix: Array | None = None,
+) -> Array:
     """What unit noise of raw position, velocity and tau times acceleration adds, (3, f).
 
-    influence c (f, 2, m) of the samples, and its transforms (f, 2, size/2 + 1).
+    influence c (k, 2, m) of the samples, and its transforms (k, 2, size/2 + 1); mix: (k, f) of f
+    functions that these make, None: these are they.
     """
     weight, kicked = frequency_weights(passage.size), np.abs(passage.kicks) ** 2
-    by_raw = [power(one, weight) for one in raw_plain(fit, passage, influence, spectra)]
-    return np.array([*by_raw, power(_of_kicks(fit, passage, influence, spectra), weight * kicked)])
+    every = [forms(one, weight) for one in raw_plain(fit, passage, influence, spectra)]
+    every.append(forms(_of_kicks(fit, passage, influence, spectra), weight * kicked))
+    return np.array([mixed(form, mix) for form in every])
 
 
 def _of_kicks(
@@ -120,17 +145,20 @@ def raw_plain(
     return [spectra * speed + pushed * rate - bent * place for speed, rate, place in each]
 
 
-def weak_powers(fit: Filtered, weak: WeakRows, passage: Passage, influence: Array) -> Array:
-    """As `powers`, for the influence (f, 2, q) of weak rows of the samples."""
+def weak_powers(
+    fit: Filtered, weak: WeakRows, passage: Passage, influence: Array, mix: Array | None = None
+) -> Array:
+    """As `powers`, for the influence (k, 2, q) of weak rows of the samples."""
     size, rate = passage.size, averaged_by(weak.rate, influence)
     weight = frequency_weights(size)
-    by_raw = [power(one, weight) for one in raw_weak(fit, weak, passage, influence)]
+    every = [forms(one, weight) for one in raw_weak(fit, weak, passage, influence)]
     # A kick in every raw step moves the velocities after it, and the rate operator sees these.
     slope = np.fft.rfft(rate, size)[:, :, None]
     raw = np.fft.irfft(slope * passage.velocity, size)
     step = float(np.mean(np.diff(fit.samples.time)))
-    kicked = [sum(np.sum(kicks_through(one, step) ** 2) for one in both) for both in raw]
-    return np.array([*by_raw, kicked])
+    kicks = np.array([[kicks_through(one, step) for one in both] for both in raw])
+    flat = kicks.reshape(len(kicks), -1)
+    return np.array([mixed(form, mix) for form in (*every, flat @ flat.T)])
 
 
 def raw_weak(

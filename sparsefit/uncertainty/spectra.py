@@ -14,10 +14,17 @@ def frequency_weights(size: int) -> Array:
     return twice
 
 
-def power(spectra: ComplexArray, weight: Array) -> Array:
-    """Sums of squares in time (f,) of the spectra (f, 2, frequencies) of both components."""
-    total: Array = (spectra.real**2 + spectra.imag**2).sum(axis=1) @ weight
-    return total
+def forms(spectra: ComplexArray, weight: Array) -> Array:
+    """Weighted products (k, k) of the spectra (k, 2, frequencies) of both components."""
+    parts = np.ascontiguousarray(spectra).view(np.float64).reshape(len(spectra), -1)
+    products: Array = (parts * np.tile(np.repeat(weight, 2), 2)) @ parts.T
+    return products
+
+
+def mixed(form: Array, mix: Array | None) -> Array:
+    """Squares (f,) under a form (k, k), of mixes (k, f) of what it is of; None: of each itself."""
+    squares: Array = np.diagonal(form) if mix is None else np.sum(mix * (form @ mix), axis=0)
+    return squares
 
 
 def paired(values: Array) -> Array:
