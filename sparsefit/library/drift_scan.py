@@ -72,19 +72,21 @@ class DriftScan:
         halves, steps = self._halves, self.steps
         size = tuple(2 * half + 1 for half in halves)
         k, omega = (steps[i] * np.arange(-halves[i], halves[i] + 1.0) for i in (0, 2))
-        gains = np.zeros(size)
+        right = np.zeros((halves[0] + 1, *size[1:]))  # of k_x >= 0; -k and -omega are the same wave
+        plan = finufft.Plan(
+            1, size, eps=ACCURACY, isign=1, nthreads=1, upsampfac=1.25, dtype="complex64"
+        )
         for place, errors in zip(
             _cut(self.position, self.pieces), _cut(rest, self.pieces), strict=True
         ):
             middle = 0.5 * (place.max(axis=0) + place.min(axis=0))
-            nodes = np.ascontiguousarray(((place - middle) * steps * (1, 1, -1)).T)
+            nodes = ((place - middle) * steps * (1, 1, -1)).T.astype(np.float32, order="C")
             moved = errors - errors.mean(axis=0)
-            both = finufft.nufft3d1(
-                *nodes, moved[:, 0] + 1j * moved[:, 1], size, eps=ACCURACY, isign=1, nthreads=1,
-                upsampfac=1.25,
-            )  # fmt: skip
-            load = across(both, k)
-            gains += (2 / len(place)) * (load.real**2 + load.imag**2)
+            plan.setpts(*nodes)
+            both = plan.execute((moved[:, 0] + 1j * moved[:, 1]).astype(np.complex64))
+            load = across(both, k, halves[0])
+            right += (2 / len(place)) * (load.real**2 + load.imag**2)
+        gains = np.concatenate([right[:0:-1, ::-1, ::-1], right])
         radius = np.hypot(k[:, None], k)
         least, largest = self.radii
         gains *= ((radius >= least) & (radius <= largest))[..., None]

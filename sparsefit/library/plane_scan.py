@@ -80,16 +80,25 @@ class PlaneScan:
         least, largest = self.radii
         return ((radius >= least) & (radius <= largest)).astype(float)
 
+    @cached_property
+    def _weights(self) -> Array:
+        return np.ones(len(self.position)) if self.weight is None else self.weight
+
+    @cached_property
+    def _own(self) -> tuple[ComplexArray, ComplexArray]:
+        """Means of exp(i k.x) and of exp(2 i k.x) over the rows, whatever is explained of these."""
+        loads = (self._weights**2).astype(complex)
+        return self._sums(loads, 1) / loads.sum(), self._sums(loads, 2) / loads.sum()
+
     def gains(self, rest: Array) -> Array:
         """What one wave explains of rows (m, 2) [m^2/s^2], over the grid (n, n)."""
-        weight, moved = np.ones(len(rest)), rest - rest.mean(axis=0)
+        weight, moved = self._weights, rest - rest.mean(axis=0)
         if self.weight is not None:
-            weight = self.weight
             constant = weight @ rest / float(weight @ weight)
             moved = weight[:, None] * (rest - np.outer(weight, constant))
         count = float(np.sum(weight**2))
         both = self._sums(moved[:, 0] + 1j * moved[:, 1], 1)
-        once, twice = (self._sums((weight**2).astype(complex), times) / count for times in (1, 2))
+        once, twice = self._own
         load = across(both, self.axis)
         # The Gram matrix over m: of cos^2, sin cos and sin^2, less what constants take.
         first = 0.5 + 0.5 * twice.real - once.real**2
@@ -112,15 +121,20 @@ class PlaneScan:
         return sums
 
 
-def across(both: ComplexArray, axis: Array) -> ComplexArray:
-    """(k_y, -k_x)/|k| . sum exp(i k.x) Phi of the sums (n, n, ...) of u + i v, Phi real."""
-    back = np.conj(both[::-1, ::-1] if both.ndim == 2 else both[::-1, ::-1, ::-1])
-    along_x, along_y = 0.5 * (both + back), -0.5j * (both - back)
-    k_y = axis.reshape(-1, *[1] * (both.ndim - 2))
-    k_x = k_y[:, None]
+def across(both: ComplexArray, axis: Array, first: int = 0) -> ComplexArray:
+    """(k_y, -k_x)/|k| . sum exp(i k.x) Phi of the sums (n, n, ...) of u + i v, Phi real.
+
+    first: of the places along k_x for which it is asked.
+    """
+    kept, precision = both[first:], both.real.dtype
+    back = np.conj(np.flip(both)[first:])
+    k_y = axis.reshape(-1, *[1] * (both.ndim - 2)).astype(precision)
+    k_x = k_y[first:, None]
     radius = np.hypot(k_x, k_y)
     radius[radius == 0] = 1.0
-    load: ComplexArray = (k_y / radius) * along_x - (k_x / radius) * along_y
+    # Sums of u are half of both + back, sums of v half of both - back over i.
+    of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
+    load: ComplexArray = (of_u + of_v) * kept + (of_u - of_v) * back
     return load
 
 
