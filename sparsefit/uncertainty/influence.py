@@ -59,7 +59,10 @@ class Influence:
         """The same of every function by itself."""
         if self.mix is None:
             return self
-        rows, samples = (np.tensordot(self.mix.T, one, 1) for one in (self.rows, self.samples))
+        rows, samples = (
+            np.tensordot(self.mix.T, self.rows, 1),
+            np.tensordot(self.mix.T, self.samples, 1),
+        )
         return replace(self, rows=rows, samples=samples, mix=None)
 
     @property
