@@ -153,17 +153,16 @@ class CellScan:
 
         Products of two waves a and b are waves of a + b and a - b.
         """
-        sums = np.empty((25, len(self.wavenumbers)), complex)  # (p, q) = divmod(i, 5) - 2
-        sums[12] = self.mass
-        for i, wave in enumerate(OF_GRAM):
-            sums[i] = self.ones(wave)
-            sums[24 - i] = sums[i].conj()
-        minus, plus = (sums[(WAVES[:, None] + sign * WAVES + 2) @ (5, 1)] for sign in (-1, 1))
-        gram = np.empty((2, 4, 2, 4, len(self.wavenumbers)))
-        gram[0, :, 0], gram[0, :, 1] = plus.real + minus.real, plus.imag - minus.imag
-        gram[1, :, 0], gram[1, :, 1] = plus.imag + minus.imag, minus.real - plus.real
-        gram *= 0.5
-        return gram.reshape(8, 8, -1)
+        sums = {wave: self.ones(wave) for wave in OF_GRAM} | {(0, 0): np.array(self.mass + 0j)}
+        sums |= {(-p, -q): values.conj() for (p, q), values in sums.items()}
+        gram = np.empty((8, 8, len(self.wavenumbers)))
+        for i, j in zip(*np.tril_indices(4), strict=True):
+            minus, plus = (sums[tuple((WAVES[i] + sign * WAVES[j]).tolist())] for sign in (-1, 1))
+            gram[i, j] = gram[j, i] = 0.5 * (plus.real + minus.real)
+            gram[4 + i, 4 + j] = gram[4 + j, 4 + i] = 0.5 * (minus.real - plus.real)
+            gram[4 + i, j] = gram[j, 4 + i] = 0.5 * (plus.imag + minus.imag)
+            gram[i, 4 + j] = gram[4 + j, i] = 0.5 * (plus.imag - minus.imag)
+        return gram
 
     def cross(self, loads: Array) -> Array:
         """Inner products (8, j, q) of the waves' cosines and sines with loads (j, m)."""

@@ -62,6 +62,10 @@ class Lookout:
         return project(Waves(), self.thin, np.zeros((0, 2))).rest
 
     @cached_property
+    def _power(self) -> Array:
+        return _power(self.target)
+
+    @cached_property
     def scan(self) -> PlaneScan:
         """The plane of wavevectors of square cells between the bounds of the length scale."""
         return PlaneScan.of(self.thin.position, self._radii, self.thin.scale)
@@ -103,9 +107,7 @@ class Lookout:
         size = float(np.sum(rest**2)) / (float(np.sum(self.target**2)) or 1.0)
         if size <= EXACT:
             return True
-        own, left = (
-            np.sum(np.abs(np.fft.rfft(one, axis=0)) ** 2, axis=1) for one in (self.target, rest)
-        )
+        own, left = self._power, _power(rest)
         if not own.any():
             return True
         share = own / own.sum()
@@ -209,6 +211,13 @@ class Lookout:
             if pieces == 1 or fit.residual > goal:
                 return fit
             parameters, pieces = fit.parameters, (pieces + 1) // 2
+
+
+def _power(values: Array) -> Array:
+    """The power (f,) of both components of values (m, 2), by frequency."""
+    spectra = np.fft.rfft(values, axis=0)
+    power: Array = np.sum(spectra.real**2 + spectra.imag**2, axis=1)
+    return power
 
 
 def _heading(waves: Array) -> Array:
