@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 SLIGHT = 1e-3  # of U0: turbulence below it is none that anybody felt
-EXACT = 1e-12  # of |Phi|^2: what is left below it is rounding, and need not be white
+NOTHING = 5e-7  # of |Phi|^2: where R² is printed as 1, what is left is nobody's noise
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
     "normal_equations": "relative gradient of the least-squares fit",
@@ -67,13 +67,12 @@ def _flight(
     log: Log, estimate: Estimate, own: Estimate | FlightEstimate, unknown: tuple[str, ...]
 ) -> list[tuple[str, str]]:
     """What was flown, logged and mended; own: what is estimated of the flight."""
-    vehicle = [words for key, words in _known(log.flight).items() if key not in unknown]
     return [
         ("flight", f"{one_line(log.path)}: {_measured(log.flight)}"),
         *log.rows(estimate),
         *([("repaired", own.repairs.words)] if own.repairs.words else []),
         *_wander(own),
-        ("vehicle", ", ".join(vehicle) or "unknown"),
+        ("vehicle", _known(log.flight, unknown)),
     ]
 
 
@@ -99,18 +98,20 @@ def _constancy(estimate: Estimate) -> list[tuple[str, str]]:
     return [("change of U0", f"{words}; p = {known.p_value:.2g} if it is constant")]
 
 
-def _known(flight: Flight) -> dict[str, str]:
-    """What is told of a vehicle, by the name of what could be unknown of it."""
-    craft, known = flight.vehicle, {}
+def _known(flight: Flight, unknown: tuple[str, ...]) -> str:
+    """What is told of a vehicle but for what is unknown of it."""
+    craft, told = flight.vehicle, []
     ax, ay = craft.thrust_acceleration
-    if math.isfinite(craft.response_time):
-        known["response_time"] = f"response time {craft.response_time:g} s"
-    if craft.drag:
-        known["drag"] = f"quadratic drag {craft.drag:g} 1/m"
-    known["thrust_acceleration"] = f"thrust ({ax:g}, {ay:g}) m/s^2"
+    if math.isfinite(craft.response_time) and "response_time" not in unknown:
+        told.append(f"response time {craft.response_time:g} s")
+    if craft.drag and "drag" not in unknown:
+        told.append(f"quadratic drag {craft.drag:g} 1/m")
     if flight.thrust is not None:
-        known["thrust_scale"] = f"and {craft.thrust_scale:g} times the measured one"
-    return known
+        scaled = craft.thrust_scale != 1.0 and "thrust_scale" not in unknown
+        told.append(f"{craft.thrust_scale:g} times " * scaled + "the measured thrust")
+    if "thrust_acceleration" not in unknown and (flight.thrust is None or ax or ay):
+        told.append(f"thrust ({ax:g}, {ay:g}) m/s^2")
+    return ", ".join(told) or "unknown"
 
 
 def _measured(flight: Flight) -> str:
@@ -130,7 +131,8 @@ def _shape(estimate: Estimate) -> list[tuple[str, str]]:
         return rows
     if shape != "axis":
         degrees, spread = (math.degrees(one) for one in (estimate.heading, known.heading))
-        rows.append(("heading", f"{degrees:.4f} degrees  ± {spread:.2g}"))
+        places = _places(spread) if math.isfinite(spread) else 4
+        rows.append(("heading", f"{degrees:.{places}f} degrees  ± {spread:.2g}"))
     if shape in ("rectangle", "pair"):
         sides = estimate.length_scales
         rows.append(("length scales  x, y", _pair(sides, "m", known.length_scales)))
@@ -144,7 +146,7 @@ def _goodness(estimate: Estimate) -> list[tuple[str, str]]:
     known = estimate.goodness
     if known is None:
         return []
-    white = "" if 1 - known.r_squared < EXACT else _structure(known.whiteness)
+    white = "" if 1 - known.r_squared < NOTHING else _structure(known.whiteness)
     rows = [("goodness of fit", f"R² {known.r_squared:.6f}{white}")]
     if known.turbulence_share > SLIGHT:
         share = 100 * known.turbulence_share

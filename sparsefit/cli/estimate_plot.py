@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,6 +45,7 @@ def write_plot(
     Of several flights all tracks are drawn, and the residual of the first.
     """
     from sparsefit.derivative import Derivative
+    from sparsefit.errors import one_line
     from sparsefit.study.report.drawing import to_pdf, to_png, to_svg
     from sparsefit.study.report.estimate_figure import estimate_figure
     from sparsefit.study.report.flown import flown_by
@@ -53,6 +55,8 @@ def write_plot(
     first, *beside = flights
     flown = flown_by(first, estimator.derivative(first), found, beside)
     more = f" and {len(beside)} more" if beside else ""
-    figure = estimate_figure(flown, f"{names[0]}{more}")
     encode = dict(zip(SUFFIXES, (to_png, to_svg, to_pdf), strict=True))[Path(path).suffix.lower()]
-    write_whole(path, encode(figure))
+    with warnings.catch_warnings():  # a name in letters that the font has not is drawn as boxes
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        content = encode(estimate_figure(flown, f"{one_line(names[0])}{more}"))
+    write_whole(path, content)

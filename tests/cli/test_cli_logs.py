@@ -101,9 +101,12 @@ def test_a_log_of_the_earth_beside_one_of_nowhere_is_refused(capsys):
 
 
 def test_the_log_is_told_before_the_estimate(capsys):
-    code, out, _ = run(capsys, "flight.csv", *GRID, "--from", "1", "--to", "4", "--plot", "a.png")
+    name = "two\nlines $x_$ \udcff 飛行.csv"
+    os.link("flight.csv", name)
+    code, out, _ = run(capsys, name, *GRID, "--from", "1", "--to", "4", "--plot", "a.png")
     lines = {line[:20].strip(): (place, line[22:]) for place, line in enumerate(out.splitlines())}
     assert code == 0
+    assert lines["flight"][1].startswith("two lines $x_$ \\udcff 飛行.csv: ")
     assert lines["flight"][1].endswith("301 samples over 3 s")
     assert lines["log"][0] < lines["frame"][0] < lines["mean velocity  U0"][0]
     assert lines["log"][1].startswith("100 Hz, even steps; no gaps; ")
