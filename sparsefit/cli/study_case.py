@@ -10,8 +10,6 @@ from sparsefit.cli.output import check_output, print_json, table_record, termina
 from sparsefit.cli.parser import Parser
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from sparsefit.study.evidence.table import Table
     from sparsefit.study.run.one_case import OneCase
     from sparsefit.study.spec.study import Study
@@ -40,13 +38,14 @@ def show_case(args: argparse.Namespace) -> int:
     """Exit 0 if the case could be run, whatever it is called."""
     from sparsefit.study.report.case import case_table, row_of
     from sparsefit.study.report.render import to_text
+    from sparsefit.study.run.held import cases_of
     from sparsefit.study.run.one_case import find_case, run_again
     from sparsefit.study.spec.study import Study
 
     study = Study.load(args.study)
     case = find_case(study, args.case)
     file = _file(args, study, case.case_id)
-    stored = row_of(_rows(args, study), case.case_id)
+    stored = row_of(cases_of(study, Path(args.results) / study.name), case.case_id)
     again = run_again(study, case)
     table = case_table(study, again, stored)
     _draw(file, study, again, table)
@@ -68,20 +67,6 @@ def _file(args: argparse.Namespace, study: Study, case_id: str) -> Path:
         raise InputError(f"--output: {file} must end in {', '.join(SUFFIXES)}: no other is drawn")
     check_output(args.output, force=args.force)
     return file
-
-
-def _rows(args: argparse.Namespace, study: Study) -> pd.DataFrame:
-    """The rows that are there, none of a study that was not run."""
-    import pandas as pd
-
-    from sparsefit.study.run import held, runner, store
-
-    found = runner.status(study, args.results)
-    if found.finished:
-        return store.read_cases(found.folder)
-    if found.done:
-        return held.cases_so_far(study, found.folder)
-    return pd.DataFrame({"case_id": []})
 
 
 def _draw(file: Path, study: Study, again: OneCase, table: Table) -> None:

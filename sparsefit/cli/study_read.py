@@ -154,16 +154,15 @@ RUNS: dict[str, Run] = {"status": status, "errors": errors, "show": show, "repor
 def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
     from sparsefit.errors import InputError
-    from sparsefit.study.run import held, runner, store
+    from sparsefit.study.run import runner
+    from sparsefit.study.run.held import cases_of
     from sparsefit.study.spec.load import load_study
 
     study = load_study(args.study)
     found = runner.status(study, args.results)
-    if found.finished:
-        return Stored(study, found, store.read_cases(found.folder))
     if not found.done:
         raise InputError(_unfinished(args, found))
-    return Stored(study, found, held.cases_so_far(study, found.folder))
+    return Stored(study, found, cases_of(study, found.folder))
 
 
 def _unfinished(args: argparse.Namespace, found: RunStatus) -> str:

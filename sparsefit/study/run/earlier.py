@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from sparsefit.arrays import BoolArray
 from sparsefit.study.run.columns import Kind as ColumnKind
 from sparsefit.study.run.folder import CASES, WEIGHTS
 from sparsefit.study.run.kinds import kind_of
@@ -18,6 +17,7 @@ from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.store import BATCH, reading
 from sparsefit.study.spec.identity import AnyStudy
 
+Weights: TypeAlias = tuple[tuple[float, float], ...]  # (length scale [m], weight) pairs
 ENDED = ("status", "reason", "version")  # what every row has
 
 
@@ -77,39 +77,38 @@ def note_earlier(ledger: Ledger, folder: Path) -> int:
     return unplanned
 
 
-def earlier_rows(ledger: Ledger, folder: Path, keep: BoolArray) -> Iterator[Outcome]:
-    """The rows that stand in `cases.parquet`, of the cases to ``keep`` (flights, cells)."""
-    if not (keep & ledger.earlier).any():
+def earlier_rows(ledger: Ledger, folder: Path) -> Iterator[Outcome]:
+    """The rows of the plan that stand in `cases.parquet` and nowhere else."""
+    if not ledger.earlier.any():
         return
-    weights, read = _Weights(ledger.study, folder), _read(ledger.study)
-    with reading(folder / CASES) as file:
-        known = _known(ledger, folder, set(file.schema_arrow.names))
-        number = 0
-        for batch in file.iter_batches(batch_size=BATCH):
-            for row in batch.to_pylist():
-                pairs = weights.of(row["case_id"])
-                case = known.of(row)
-                if case and keep[case] and ledger.place[case] == -2 - number:
-                    row.setdefault("version", known.version)
-                    yield _outcome(read, row, case, pairs)
-                number += 1
+    read = _read(ledger.study)
+    for number, (known, row, weights) in enumerate(_rows_of_file(ledger, folder)):
+        case = known.of(row)
+        if case and ledger.place[case] == -2 - number:
+            yield _outcome(read, row, case, weights)
 
 
 def unplanned_rows(ledger: Ledger, folder: Path) -> Iterator[tuple[str, Outcome]]:
     """(identity, row) of the rows of `cases.parquet` that the study does not plan."""
     if not (folder / CASES).exists():
         return
-    weights, read = _Weights(ledger.study, folder), _read(ledger.study)
-    with reading(folder / CASES) as file:
-        known = _known(ledger, folder, set(file.schema_arrow.names))
+    read = _read(ledger.study)
+    for known, row, weights in _rows_of_file(ledger, folder):
         if known.column != "identity":  # the same study, or one from before there were any
             return
+        if known.of(row) is None:
+            yield row["identity"], _outcome(read, row, (_flight(row), 0), weights)
+
+
+def _rows_of_file(ledger: Ledger, folder: Path) -> Iterator[tuple[Known, dict[str, Any], Weights]]:
+    """Every row of `cases.parquet` with its weights, and how it names its case."""
+    weights = _Weights(ledger.study, folder)
+    with reading(folder / CASES) as file:
+        known = _known(ledger, folder, set(file.schema_arrow.names))
         for batch in file.iter_batches(batch_size=BATCH):
             for row in batch.to_pylist():
-                pairs = weights.of(row["case_id"])
-                if known.of(row) is None:
-                    row.setdefault("version", known.version)
-                    yield row["identity"], _outcome(read, row, (_flight(row), 0), pairs)
+                row.setdefault("version", known.version)
+                yield known, row, weights.of(row["case_id"])
 
 
 def _known(ledger: Ledger, folder: Path, names: set[str]) -> Known:
@@ -134,7 +133,7 @@ def _outcome(
     read: Mapping[str, ColumnKind],
     row: Mapping[str, Any],
     case: tuple[int, int],
-    weights: tuple[tuple[float, float], ...],
+    weights: Weights,
 ) -> Outcome:
     values = {name: kind.of(row[name]) for name, kind in read.items() if name in row}
     status, reason, version = (str(row[name]) for name in ENDED)
@@ -149,7 +148,7 @@ class _Weights:
         self._cases = _grouped(folder / WEIGHTS) if kept else iter(())
         self._next = next(self._cases, None)
 
-    def of(self, case_id: str) -> tuple[tuple[float, float], ...]:
+    def of(self, case_id: str) -> Weights:
         """(length scale [m], weight) pairs of a case; every case is asked for, in the order."""
         if self._next is None or self._next[0] != case_id:
             return ()
@@ -157,7 +156,7 @@ class _Weights:
         return pairs
 
 
-def _grouped(path: Path) -> Iterator[tuple[str, tuple[tuple[float, float], ...]]]:
+def _grouped(path: Path) -> Iterator[tuple[str, Weights]]:
     for case_id, rows in groupby(_rows(path), key=lambda row: row["case_id"]):
         yield case_id, tuple((row["length_scale"], row["weight"]) for row in rows)
 

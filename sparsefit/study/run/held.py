@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.errors import InputError
 from sparsefit.study.run import partial
 from sparsefit.study.run.ledger import Ledger
-from sparsefit.study.run.manifest import read_manifest
+from sparsefit.study.run.manifest import read_manifest, sparsefit_version
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.identity import AnyStudy
 
 if TYPE_CHECKING:
@@ -55,13 +57,27 @@ def is_finished(study: AnyStudy, folder: Path, ledger: Ledger) -> bool:
     return same and not partial.begun(folder) and bool(ledger.earlier.all())
 
 
-def cases_so_far(study: AnyStudy, folder: Path) -> pd.DataFrame:
+def begin(study: AnyStudy, folder: Path) -> None:
+    """Start with unfinished rows of a study, or go on with what is there."""
+    told = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
+    partial.begin(folder, told | {"study": study.name, "planned": study.planned})
+
+
+def rows_of(ledger: Ledger, folder: Path) -> Iterator[Outcome]:
+    """Every row that a folder holds of a study, of an earlier run and of the unfinished one."""
+    from sparsefit.study.run.earlier import earlier_rows  # Arrow, as above
+
+    yield from earlier_rows(ledger, folder)
+    yield from ledger.rows(folder)
+
+
+def cases_of(study: AnyStudy, folder: Path) -> pd.DataFrame:
     """The rows that a folder holds of a study, finished or not, in plan order."""
-    from sparsefit.study.run.earlier import earlier_rows
-    from sparsefit.study.run.store import cases_table
+    from sparsefit.study.run.store import cases_table, read_cases
 
     ledger = found(study, folder)
-    rows = [*earlier_rows(ledger, folder, ledger.earlier), *ledger.rows(folder)]
-    rows.sort(key=lambda row: (row.flight, row.cell))
+    if is_finished(study, folder, ledger):
+        return read_cases(folder)
+    rows = sorted(rows_of(ledger, folder), key=lambda row: (row.flight, row.cell))
     frame: pd.DataFrame = cases_table(study, rows).to_pandas()
     return frame

@@ -70,6 +70,11 @@ class Ledger:
                 ledger.note(*case, line.record["status"], line.record["version"], line.place)
         return ledger
 
+    def enter(self, rows: partial.Writer, row: Outcome) -> None:
+        """Append a row of the plan to the unfinished ones, and note where it stands."""
+        place = rows.append(row, self.names.of(row.flight, row.cell))
+        self.note(row.flight, row.cell, row.status, row.version, place)
+
     def note(self, flight: int, cell: int, status: str, version: str, place: int) -> None:
         """A row of this case begins at ``place``; it takes the place of an earlier one."""
         self.place[flight, cell] = place
@@ -128,9 +133,5 @@ class Ledger:
         flights, cells = np.nonzero(self.place >= 0)
         if not len(flights):
             return
-        reader = partial.Reader(folder)
-        try:
-            for flight, cell in zip(flights, cells, strict=True):
-                yield reader.at(int(self.place[flight, cell]), int(flight), int(cell))
-        finally:
-            reader.close()
+        places = (self.place[flights, cells], flights, cells)
+        yield from partial.rows_at(folder, zip(*(one.tolist() for one in places), strict=True))

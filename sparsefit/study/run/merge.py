@@ -9,21 +9,18 @@ solvers are taken by whole comparisons, and from one machine only.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sparsefit.errors import InputError, told_with
 from sparsefit.study.run import partial
 from sparsefit.study.run.folder import CASES, made_folder
-from sparsefit.study.run.held import found
+from sparsefit.study.run.held import begin, found, rows_of
 from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
-from sparsefit.study.run.manifest import sparsefit_version
-from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.runner import run
-from sparsefit.study.run.summary import RunSummary
 from sparsefit.study.spec.identity import AnyStudy
 
 ALIKE = 1e-6  # relative: what another machine's rounding may change
@@ -89,15 +86,14 @@ def merge(
     folder = made_folder(study, results_dir)
     with locked(folder):
         ledger = found(study, folder)
-        header = {"study_hash": study.hash, "sparsefit": sparsefit_version()}
-        partial.begin(folder, header | {"study": study.name, "planned": study.planned})
+        begin(study, folder)
         merged = tuple(
             replace(_take(ledger, folder, part, held), alike=alike, other=other)
             for (part, held), (alike, other) in zip(told, counts, strict=True)
         )
         done = int(ledger.done.sum())
-    if done == study.planned:
-        _finish(study, results_dir)
+    if done == study.planned:  # what is left is to put it in order
+        run(study, results_dir, processes=1)
     return Merged(folder, merged, study.planned, done)
 
 
@@ -108,11 +104,6 @@ def _check_beside(study: AnyStudy, held: Sequence[tuple[Path, Ledger]]) -> None:
         with told_with(folder):
             for _, other in nonempty[:place]:
                 kind.takes(ledger, other)
-
-
-def _finish(study: AnyStudy, results_dir: str | Path) -> RunSummary:
-    """Everything is there: what is left is to put it in order."""
-    return run(study, results_dir, processes=1)
 
 
 def _folder(study: AnyStudy, part: Path) -> Path:
@@ -139,7 +130,7 @@ def _compared(
     counts, clashes = [], []
     for folder, ledger in held:
         alike = other = 0
-        for row in _rows(ledger, folder):
+        for row in rows_of(ledger, folder):
             own = (folder, row.status, tuple(float(row[name]) for name in kind.judged))
             first = said.setdefault((row.flight, row.cell), own)
             if _same(first, own):
@@ -176,17 +167,9 @@ def _take(ledger: Ledger, folder: Path, part: Path, held: Ledger) -> Part:
     taken, count = 0, 0
     wanted = kind_of(ledger.study).takes(held, ledger)
     with partial.appending(folder) as rows:
-        for outcome in _rows(held, part):
-            count, case = count + 1, (outcome.flight, outcome.cell)
-            if wanted[case]:
-                place = rows.append(outcome, ledger.names.of(*case))
-                ledger.note(*case, outcome.status, outcome.version, place)
+        for outcome in rows_of(held, part):
+            count += 1
+            if wanted[outcome.flight, outcome.cell]:
+                ledger.enter(rows, outcome)
                 taken += 1
     return Part(part, count, taken)
-
-
-def _rows(held: Ledger, part: Path) -> Iterator[Outcome]:
-    from sparsefit.study.run.earlier import earlier_rows  # Arrow: workers import the runner
-
-    yield from earlier_rows(held, part, held.earlier)
-    yield from held.rows(part)

@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -104,23 +104,16 @@ def _line(line: bytes, place: int) -> Line | None:
     return Line(record["flight"], record.pop("identity"), place, record)
 
 
-class Reader:
-    """Reads single rows back from the places where they begin; to be closed."""
-
-    def __init__(self, folder: Path) -> None:
-        self._file = (folder / FOLDER / ROWS).open("rb")
-
-    def at(self, place: int, flight: int, cell: int) -> Outcome:
-        """The row that begins there, of this case of the plan."""
-        self._file.seek(place)
-        record = unpacked(self._file.readline())
-        if record is None:
-            raise InputError(f"{self._file.name}: changed while it was read: run the study again")
-        return replace(outcome_of(record), flight=flight, cell=cell)
-
-    def close(self) -> None:
-        """Leave the file."""
-        self._file.close()
+def rows_at(folder: Path, places: Iterable[tuple[int, int, int]]) -> Iterator[Outcome]:
+    """The rows of (where it begins, flight, cell), of these cases of the plan."""
+    path = folder / FOLDER / ROWS
+    with path.open("rb") as file:
+        for place, flight, cell in places:
+            file.seek(place)
+            record = unpacked(file.readline())
+            if record is None:
+                raise InputError(f"{path}: changed while it was read: run the study again")
+            yield replace(outcome_of(record), flight=flight, cell=cell)
 
 
 @dataclass

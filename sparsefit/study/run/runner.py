@@ -17,13 +17,13 @@ from sparsefit.errors import InputError, SparsefitError, is_integer, one_of
 from sparsefit.study.run import partial
 from sparsefit.study.run.again import Again, stale
 from sparsefit.study.run.folder import clear, made_folder
-from sparsefit.study.run.held import found, is_finished
+from sparsefit.study.run.held import begin, found, is_finished
 from sparsefit.study.run.interrupts import counted_interrupts
 from sparsefit.study.run.kind import Kind, Place, Spent
 from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lock import locked
-from sparsefit.study.run.manifest import sparsefit_version, write_manifest
+from sparsefit.study.run.manifest import write_manifest
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.summary import RunStatus, RunSummary
 from sparsefit.study.run.unplanned import set_aside, take_back
@@ -139,15 +139,10 @@ class _Run:
         """What an earlier run left goes where the rows of this one will be."""
         from sparsefit.study.run.earlier import earlier_rows  # Arrow: workers import this module
 
-        told = {"study_hash": self.study.hash, "sparsefit": sparsefit_version()}
-        counted = {"study": self.study.name, "planned": self.study.planned}
-        partial.begin(self.folder, {**told, **counted})
-        ledger = self.ledger
+        begin(self.study, self.folder)
         with partial.appending(self.folder) as rows:
-            for outcome in earlier_rows(ledger, self.folder, ledger.earlier):
-                place = rows.append(outcome, ledger.names.of(outcome.flight, outcome.cell))
-                ended = (outcome.status, outcome.version, place)
-                ledger.note(outcome.flight, outcome.cell, *ended)
+            for outcome in earlier_rows(self.ledger, self.folder):
+                self.ledger.enter(rows, outcome)
 
     def _work(self, wanted: BoolArray, solving: Spent) -> BoolArray:
         """Each row is on the disk before the next is waited for; which of those wanted came."""
@@ -164,13 +159,10 @@ class _Run:
             closing(kind.compute(wanted, self.place, stop)) as arriving,
         ):
             for outcome, seconds in arriving:
-                flight, cell = outcome.flight, outcome.cell
-                made = replace(outcome, version=versions[cell])
-                place = rows.append(made, ledger.names.of(flight, cell))
-                ledger.note(flight, cell, made.status, made.version, place)
-                came[flight, cell] = True
+                ledger.enter(rows, replace(outcome, version=versions[outcome.cell]))
+                came[outcome.flight, outcome.cell] = True
                 solving.note(outcome)
-                pace.note(cell, seconds)
+                pace.note(outcome.cell, seconds)
                 report.done += 1
                 report.say(pace)
             if stop() and not came[wanted].all():

@@ -6,10 +6,12 @@ They stand in `unplanned.jsonl`, line by line as those of an unfinished run (`pa
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from sparsefit.study.run import partial
 from sparsefit.study.run.folder import UNPLANNED
+from sparsefit.study.run.held import begin
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.lines import Record, outcome_of, packed, record_of
 from sparsefit.whole_file import whole_file
@@ -25,12 +27,10 @@ def take_back(ledger: Ledger, folder: Path) -> None:
     ]
     if not planned:
         return
-    partial.begin(folder, {"study": ledger.study.name, "study_hash": ledger.study.hash})
+    begin(ledger.study, folder)
     with partial.appending(folder) as rows:
-        for case, line in planned:
-            row = outcome_of(line.record)
-            place = rows.append(row, line.identity)
-            ledger.note(*case, row.status, row.version, place)
+        for (flight, cell), line in planned:
+            ledger.enter(rows, replace(outcome_of(line.record), flight=flight, cell=cell))
 
 
 def set_aside(ledger: Ledger, folder: Path) -> None:
