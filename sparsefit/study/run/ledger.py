@@ -26,7 +26,6 @@ NOWHERE = -1
 class Ledger:
     """The plan of a study, flights by cells, against the rows of its unfinished run.
 
-
     Of a study of solvers a problem stands for a flight, and a solver at a tolerance for a cell.
     place: where each row begins, `NOWHERE` for a case without one, and below that for one that an
     earlier run has left (`earlier.py`); status and version: how it ended and what made it, as

@@ -1,8 +1,9 @@
 """A regression problem from a file of numbers: theta, target and, where it has any, groups.
 
 ``.npz``: arrays ``theta`` (m, k), ``target`` (m,) or (m, n) and ``groups`` (k,). ``.parquet``: the
-columns whose names begin with ``target`` are targets, all others are columns of theta. Sizes are
-read before the numbers are, and nothing in a file is ever run.
+columns whose names begin with ``target`` are targets, all others are columns of theta; ``.csv``: the
+same, under a line of names. Sizes are read before the numbers are, of a ``.csv`` its bytes, and
+nothing in a file is ever run.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import hashlib
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
@@ -23,7 +24,7 @@ Arrays: TypeAlias = tuple[Array, Array, Array | None]
 MOST_VALUES = 64_000_000  # numbers in a problem: half a gigabyte
 MOST_BYTES = 1 << 30  # of a file
 MOST_COLUMNS = 10_000  # beyond, Z'Z alone takes a gigabyte
-SUFFIXES = (".npz", ".parquet")
+SUFFIXES = (".npz", ".parquet", ".csv")
 WIDEST = 256  # bytes of a label of a group
 TARGET = "target"
 
@@ -44,7 +45,7 @@ def read_data(path: Path) -> Arrays:
     """
     _check_file(path)
     try:
-        return _read_npz(path) if path.suffix == ".npz" else _read_parquet(path)
+        return READERS[path.suffix](path)
     except InputError:
         raise
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError) as error:
@@ -54,7 +55,7 @@ def read_data(path: Path) -> Arrays:
 
 def _check_file(path: Path) -> None:
     if path.suffix not in SUFFIXES:
-        raise InputError(f"{path}: must be a file of kind {' or '.join(SUFFIXES)}")
+        raise InputError(f"{path}: must be a file of kind {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(f"{path}: no such file: it is sought beside the study file")
     if path.stat().st_size > MOST_BYTES:
@@ -104,23 +105,50 @@ def _read_parquet(path: Path) -> Arrays:
 
     try:
         file = pq.ParquetFile(path)
-        rows, names = file.metadata.num_rows, file.schema_arrow.names
-        _check_size(path, rows * len(names))
-        targets = [name for name in names if name.startswith(TARGET)]
-        columns = [name for name in names if name not in targets]
-        shapes: dict[str, tuple[int, ...]] = {"theta": ()} if columns else {}
-        _check_names(path, shapes | ({TARGET: ()} if targets else {}))
-        for field in file.schema_arrow:
-            if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
-                raise InputError(f'{path}: column "{field.name}" holds {field.type}, not numbers')
-        table = file.read()
+        _check_size(path, file.metadata.num_rows * len(file.schema_arrow.names))
+        _check_columns(path, file.schema_arrow)
+        return _arrays(file.read())
     except pa.ArrowException as error:
         raise ValueError(str(error)) from None
+
+
+def _read_csv(path: Path) -> Arrays:
+    import pyarrow as pa
+    import pyarrow.csv
+
+    try:
+        table = pyarrow.csv.read_csv(path)
+    except pa.ArrowException as error:
+        raise ValueError(str(error)) from None
+    _check_columns(path, table.schema)
+    return _arrays(table)
+
+
+def _check_columns(path: Path, schema: Any) -> None:
+    """Columns of numbers, targets among them; the types come before their numbers are used."""
+    import pyarrow as pa
+
+    for field in schema:
+        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
+            raise InputError(f'{path}: column "{field.name}" holds {field.type}, not numbers')
+    if len(set(schema.names)) < len(schema.names):
+        raise InputError(f"{path}: has two columns of one name: give each its own")
+    targets = [name for name in schema.names if name.startswith(TARGET)]
+    shapes: dict[str, tuple[int, ...]] = {} if len(targets) == len(schema.names) else {"theta": ()}
+    _check_names(path, shapes | ({TARGET: ()} if targets else {}))
+
+
+def _arrays(table: Any) -> Arrays:
+    targets = [name for name in table.column_names if name.startswith(TARGET)]
+    columns = [name for name in table.column_names if name not in targets]
     theta, target = (
         np.column_stack([table[name].to_numpy().astype(np.float64) for name in kept])
         for kept in (columns, targets)
     )
     return theta, target, None
+
+
+READERS = {".npz": _read_npz, ".parquet": _read_parquet, ".csv": _read_csv}
 
 
 def _check_names(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
