@@ -18,6 +18,7 @@ from sparsefit.library import LengthScaleGrid, Library, WaveGrid
 from sparsefit.modes import Readout
 from sparsefit.online.stream import Stream
 from sparsefit.study.evidence.asked import Asked
+from sparsefit.study.spec.contenders import RESERVED as CONTENDER_KEYS
 from sparsefit.study.spec.flights import WORDS
 from sparsefit.study.spec.logs import KEYS as LOG_KEYS
 from sparsefit.study.spec.outputs import KINDS, Reference
@@ -62,6 +63,7 @@ def sections() -> dict[str, list[Key]]:
         "outputs.reference": _of(Reference),
         "outputs.tables": _of(Asked),
         "solvers": [Key(name) for name in SOLVER_KEYS],
+        "contenders": [Key(name) for name in (*CONTENDER_KEYS, "solver")],
         "problems": [Key(name) for name in PROBLEM_KEYS],
         "path": _of(PathRule),
         "clock": _of(Clock),

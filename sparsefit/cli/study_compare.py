@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from sparsefit.study.evidence.compared import Compared
+    from sparsefit.study.evidence.solver_compared import SolversCompared
     from sparsefit.study.evidence.table import Table
     from sparsefit.study.run.merge import Part
 
@@ -68,14 +69,27 @@ def compare(args: argparse.Namespace) -> int:
     """Show what changed; 1 where that is more than was asked for."""
     from sparsefit.errors import non_negative
     from sparsefit.study.evidence.compared import changes_table, compared, effects_table, worse
+    from sparsefit.study.evidence.solver_compared import (
+        solver_changes,
+        solver_effects,
+        solvers_compared,
+        solvers_worse,
+    )
     from sparsefit.study.report.comparison import write_comparison
     from sparsefit.study.report.render import to_text
 
     tolerance = non_negative("--tolerance", args.tolerance)
     names = (args.first, args.second)
     first, second = (_cases(name, args.results) for name in names)
-    both = compared(first, second, names, tolerance)
-    tables = (effects_table(both), changes_table(both))
+    both: Compared | SolversCompared
+    if {"solver", "cpu"} <= set(first.columns) & set(second.columns):
+        both = solvers = solvers_compared(first, second, names)
+        tables = (solver_effects(solvers), solver_changes(solvers))
+        became_worse = solvers_worse(solvers, tables[0])
+    else:
+        both = flights = compared(first, second, names, tolerance)
+        tables = (effects_table(flights), changes_table(flights))
+        became_worse = worse(flights, tables[0])
     written = write_comparison(both, tables, Path(args.output)) if args.output else []
     if args.json:
         print_json(_record(both, tables, [str(path) for path in written]))
@@ -84,7 +98,7 @@ def compare(args: argparse.Namespace) -> int:
         print("\n".join([*shown, both.sentence, *(f"written: {path}" for path in written[-1:])]))
     differs = bool(both.changed.any()) or any(both.only)
     if args.fail_on == "worse":
-        return int(worse(both, tables[0]))
+        return int(became_worse)
     return int(differs and args.fail_on == "changed")
 
 
@@ -98,7 +112,11 @@ def _cases(name: str, results: str) -> pd.DataFrame:
     return read_cases(Path(results) / load_study(name).name)
 
 
-def _record(both: Compared, tables: tuple[Table, Table], written: list[str]) -> dict[str, object]:
+def _record(
+    both: Compared | SolversCompared, tables: tuple[Table, Table], written: list[str]
+) -> dict[str, object]:
+    import numpy as np
+
     from sparsefit.codec import finite_or_none
 
     record: dict[str, object] = {
@@ -109,7 +127,7 @@ def _record(both: Compared, tables: tuple[Table, Table], written: list[str]) -> 
         "changed_status": int(both.restated.sum()),
         "only_first": both.only[0],
         "only_second": both.only[1],
-        "largest_change": float(both.change.max(initial=0.0)),
+        "largest_change": float(np.nanmax(both.change, initial=0.0)),
         "effects": table_record(tables[0]),
         "changes": table_record(tables[1]),
         "written": written,

@@ -7,11 +7,14 @@ import os
 import signal
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sparsefit.cli import main
 from sparsefit.errors import InputError
-from sparsefit.study.run import runner, solver_crew
+from sparsefit.study.evidence.solver_compared import solvers_compared
+from sparsefit.study.evidence.solver_ratios import ratios
+from sparsefit.study.run import runner, solver_crew, solver_kind
 from sparsefit.study.run.solver_clock import Repeats, median_interval
 from sparsefit.study.run.solver_solve import (
     Task,
@@ -33,6 +36,7 @@ TEXT = (
     + 'question = "Which?"\ntolerances = [1e-3, 1e-8]\naccuracies = [1e-6]\n'
     + '[[problems]]\nfile = "one.npz"\n[[problems]]\nfile = "two.npz"\n'
     + LASSO
+    + '[[backends]]\nname = "lasso"\ncertified = true\n'
     + STLSQ
     + "[path]\npoints = 4\n[clock]\nrepeats = 3\nseconds = 0.2\n"
 )
@@ -84,7 +88,7 @@ def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
 
     def answers(_, ask):
         asked.append(ask)
-        if len(asked) == 14:
+        if len(asked) == 18:
             raise KeyboardInterrupt
         verdict = Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4)
         return Answer(Timing(0.01, 0.01), verdict, 1.0)
@@ -101,7 +105,7 @@ def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
     assert (done.resumed, done.finished, told[-1][0]) == (half.done, True, study.planned)
     assert len(read_cases(tmp_path / study.name)) == study.planned
     turns = [ask.case for ask in asked if ask.what == "time"]
-    assert turns[:3] == turns[5:2:-1]  # by turns, in alternating order
+    assert turns[:4] == turns[7:3:-1]  # by turns, in alternating order
 
 
 def test_what_took_too_long_is_not_tried_at_a_tighter_tolerance(finished, tmp_path, monkeypatch):
@@ -166,6 +170,92 @@ def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
     assert list(rows["case_id"].str[:3].unique()) == ["000", "001", "002"]
     with pytest.raises(InputError, match="different study"):
         ran(TEXT.replace("repeats = 3", "repeats = 4"))
+
+
+def answered(*_):
+    return Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4), 1.0)
+
+
+def test_only_computes_whole_turns_and_parts_of_one_machine_come_together(
+    finished, tmp_path, monkeypatch, capsys
+):
+    study, path, _ = finished
+    monkeypatch.setattr(solver_crew.Crew, "ask", answered)
+    for place, name in (("a", "one"), ("b", "two")):
+        done = runner.run(study, tmp_path / place, only=[name])
+        assert 0 < done.computed == done.done < study.planned
+    turns = runner.run(study, tmp_path / "c", only=["clarabel-direct"])
+    lasso = [cell for cell in study.cells if cell.label == "lasso"]
+    assert turns.done == study.count * len(lasso)
+    parts = [str(tmp_path / place / study.name) for place in "ab"]
+    merged = ["study", "merge", str(path), *parts, "--results", str(tmp_path / "all")]
+    assert main(merged) == 0
+    assert "finished" in capsys.readouterr().out
+    assert len(read_cases(tmp_path / "all" / study.name)) == study.planned
+    monkeypatch.setattr(solver_kind, "processor", lambda: "another")
+    runner.run(study, tmp_path / "d", only=["two"])
+    elsewhere = ["study", "merge", str(path), parts[0], str(tmp_path / "d")]
+    assert main([*elsewhere, "--results", str(tmp_path / "none")]) == 2
+    assert "another machine" in capsys.readouterr().err
+    assert not (tmp_path / "none" / study.name / "cases.parquet").exists()
+
+
+def test_what_was_timed_on_another_machine_is_stale_and_no_part_of_a_new_comparison(
+    finished, tmp_path, monkeypatch
+):
+    study, *_ = finished
+    monkeypatch.setattr(solver_crew.Crew, "ask", answered)
+    runner.run(study, tmp_path, only=["one"])
+    monkeypatch.setattr(solver_kind, "processor", lambda: "another")
+    assert runner.status(study, tmp_path).stale == study.planned // 2
+    assert runner.run(study, tmp_path).computed == study.planned
+    again = runner.run(study, tmp_path)
+    assert (again.computed, again.stale, again.finished) == (0, 0, True)
+
+
+def test_two_runs_are_held_against_each_other(finished, tmp_path, capsys):
+    study, path, results = finished
+    first = results / study.name
+    rows = read_cases(first)
+    slower = rows.assign(cpu=np.where(rows["solver"] == "homotopy", 3 * rows["cpu"], rows["cpu"]))
+    slower.loc[slower["solver"] == "stlsq", "status"] = "error"
+    (tmp_path / "second").mkdir()
+    slower.to_parquet(tmp_path / "second" / "cases.parquet")
+    pair = ["study", "compare", str(path), str(tmp_path / "second"), "--results", str(results)]
+    assert main([*pair, "--json", "--fail-on", "worse", "-o", str(tmp_path / "told")]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert (told["changed"], told["cases"]) == (study.count, study.planned)
+    assert told["largest_change"] == pytest.approx(2.0)
+    assert (tmp_path / "told" / "comparison.svg").exists()
+    assert main(["study", "compare", str(path), str(path), "--results", str(results)]) == 0
+    many = [
+        pd.concat(
+            [
+                one.assign(problem=one["problem"] + str(n), case_id=one["case_id"] + str(n))
+                for n in range(3)
+            ]
+        )
+        for one in (rows, slower)
+    ]
+    both = solvers_compared(*many, ("a", "b"))
+    assert "1 slower, 0 faster" in both.sentence
+
+
+def test_an_exact_path_may_be_charged_for_its_certificates(finished):
+    study, _, results = finished
+    rows = read_cases(results / study.name)
+    plain = rows[rows["solver"] == "homotopy"]["excess"].to_numpy()
+    charged = rows[rows["solver"] == "homotopy, certified"]["excess"].to_numpy()
+    assert len(charged) == study.count
+    assert np.allclose(plain, charged, atol=1e-12)
+    table = ratios(study, rows, "lasso")
+    assert {row[0] for row in table.rows} == {"homotopy", "homotopy, certified"}
+    best = [row for row in table.rows if row[1] == "best of the others"]
+    direct = rows[(rows["solver"] == "clarabel-direct") & (rows["excess"] <= 1e-6)]
+    exact = rows[rows["solver"] == "homotopy"].set_index("problem")["cpu"]
+    for place, name in enumerate(("one", "two"), 2):
+        ratio = direct[direct["problem"] == name]["cpu"].min() / exact[name]
+        assert float(best[0][place]) == pytest.approx(ratio, rel=0.01)
 
 
 def test_pages_name_every_contender_and_say_what_they_cannot_tell(finished):

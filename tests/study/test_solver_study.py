@@ -158,7 +158,7 @@ def test_the_size_is_read_before_the_numbers(tmp_path):
         (LASSO, "missing: write one [[problems]]"),
         ('[[problems]]\ndataset = "diabets"\n' + LASSO, 'did you mean "diabetes"'),
         ('[[problems]]\nfile = "nosuch.npz"\n' + LASSO, "no such file"),
-        ('[[problems]]\nfile = "one.csv"\n' + LASSO, ".npz or .parquet"),
+        ('[[problems]]\nfile = "one.txt"\n' + LASSO, ".npz, .parquet, .csv"),
         ('[[problems]]\nname = "f"\nflights = {}\n' + LASSO, "exactly two of"),
         (ONE + LASSO.replace("homotopy", "homotpy"), 'did you mean "homotopy"'),
         (ONE + LASSO.replace('"lasso"', '"laso"'), 'did you mean "lasso"'),
@@ -213,3 +213,20 @@ def test_a_study_of_flights_is_no_study_of_solvers(tmp_path):
     path.write_text('kind = "solver"\n', encoding="utf-8")
     with pytest.raises(InputError, match="has unknown value"):
         is_solver_study(path)
+
+
+def test_a_csv_file_is_a_problem_and_says_what_is_wrong_with_it(tmp_path):
+    text = HEAD + '[[problems]]\nfile = "mine.csv"\ngroups = 2\n' + LASSO
+    lines = ["a,b,c,d,target"] + [f"{i},{i % 3},{(-1) ** i},{i * i % 7},{2 * i}" for i in range(9)]
+    (tmp_path / "mine.csv").write_text("\n".join(lines), encoding="utf-8")
+    (problem,) = loaded(tmp_path, text).build()
+    assert (problem.samples, problem.columns, problem.targets) == (9, 4, 1)
+    assert problem.groups.tolist() == [0, 0, 1, 1]
+    for words, content in (
+        ("holds string, not numbers", [*lines, "x,1,1,1,1"]),
+        ("two columns of one name", ["a,a,c,d,target", *lines[1:]]),
+        ("holds no target", ["a,b,c,d,e", *lines[1:]]),
+        ("not readable", [*lines, "1,2"]),
+    ):
+        (tmp_path / "mine.csv").write_text("\n".join(content), encoding="utf-8")
+        assert words in refusal(tmp_path, text)

@@ -88,7 +88,24 @@ def compared(
     for name, cases in zip(names, (first, second), strict=True):
         if missing := [column for column in NEEDED if column not in cases]:
             raise InputError(f"{name}: holds no cases of flights, without a column {missing[0]}")
-    for key in KEYS:
+    one, other, only = paired(first, second, names, KEYS)
+    return Compared(names, one, other, only, _change(one, other), tolerance)
+
+
+def paired(
+    first: pd.DataFrame,
+    second: pd.DataFrame,
+    names: tuple[str, str],
+    keys: Sequence[Sequence[str]],
+) -> tuple[pd.DataFrame, pd.DataFrame, tuple[int, int]]:
+    """The cases that both runs have, row by row, and how many only one has.
+
+    keys: columns by which cases are known; the first by which any are the same counts.
+
+    Raises:
+        InputError: if they have no case in common.
+    """
+    for key in keys:
         if not set(key) <= set(first.columns) & set(second.columns):
             continue
         places = [_places(cases, key) for cases in (first, second)]
@@ -98,8 +115,7 @@ def compared(
                 cases.iloc[[at[name] for name in shared]].reset_index(drop=True)
                 for cases, at in zip((first, second), places, strict=True)
             )
-            only = (len(first) - len(shared), len(second) - len(shared))
-            return Compared(names, one, other, only, _change(one, other), tolerance)
+            return one, other, (len(first) - len(shared), len(second) - len(shared))
     raise InputError(
         f"{names[0]} and {names[1]} have no case in common: compare two runs of one study"
     )

@@ -1,9 +1,9 @@
 """A regression problem from a file of numbers: theta, target and, where it has any, groups.
 
-``.npz``: arrays ``theta`` (m, k), ``target`` (m,) or (m, n) and ``groups`` (k,). ``.parquet``: the
-columns whose names begin with ``target`` are targets, all others are columns of theta; ``.csv``: the
-same, under a line of names. Sizes are read before the numbers are, of a ``.csv`` its bytes, and
-nothing in a file is ever run.
+``.npz``: arrays ``theta`` (m, k), ``target`` (m,) or (m, n) and ``groups`` (k,). ``.parquet`` and
+``.csv``, which begins with a line of names: the columns whose names begin with ``target`` are
+targets, all others are columns of theta. Sizes are read before the numbers are, of a ``.csv`` its
+bytes, and nothing in a file is ever run.
 """
 
 from __future__ import annotations
