@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.estimate import read_estimator
+from sparsefit.cli.estimator_options import read_estimator
 from sparsefit.cli.parser import Verbs, number, verb, whole
 
 if TYPE_CHECKING:
