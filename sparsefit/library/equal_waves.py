@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.library.waves import AXIS, Pattern, Waves
+from sparsefit.library.waves import ACROSS, AXIS, Pattern, Waves, along_path
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,16 @@ class EqualWaves:
 
     def values(self, position: Array, parameters: Array) -> Array:
         """Columns (s, 2, 2 m) at positions (m, 2) or (m, 3), for parameters (s, p)."""
-        own = self.waves.values(position, self._of_pattern(parameters))
-        values: Array = _mixed(self._deltas(parameters))[0].swapaxes(1, 2) @ own
-        return values
+        phases = self.pattern.phases(self._of_pattern(parameters))
+        theta = along_path(phases, position) - self._delays(parameters)
+        both = np.stack([-np.sin(theta), np.cos(theta)], axis=1)  # g of cos and of sin
+        values: Array = (phases @ ACROSS).swapaxes(1, 2)[:, None] @ both
+        return values.reshape(len(phases), 2, 2 * len(position))
 
     def bent(self, position: Array, parameters: Array, values: Array, weights: Array) -> Array:
         """The derivatives of each mode's flow by its parameters, (s, p, 2 m, 1)."""
-        of_pattern, mixed = self._of_pattern(parameters), _mixed(self._deltas(parameters))[0]
-        bent, late = self.waves.bent_and_late(position, of_pattern, mixed @ weights)
+        of_pattern, delays = self._of_pattern(parameters), self._delays(parameters)
+        bent, late = self.waves.bent_and_late(position, of_pattern, weights, delays)
         return np.concatenate([bent, -late[:, 1:]], axis=1)
 
     def bound(self, parameters: Array, weights: Array) -> Array:
@@ -77,6 +79,11 @@ class EqualWaves:
 
     def _deltas(self, parameters: Array) -> Array:
         return parameters[:, self.pattern.parameters :]
+
+    def _delays(self, parameters: Array) -> Array:
+        """What is taken from the phases of all waves, (s, J, 1)."""
+        deltas = self._deltas(parameters)
+        return np.concatenate([np.zeros((len(deltas), 1)), deltas], axis=1)[:, :, None]
 
 
 def _mixed(deltas: Array) -> tuple[Array, Array]:

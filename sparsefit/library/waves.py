@@ -157,7 +157,7 @@ class Waves:
     def values(self, position: Array, parameters: Array) -> Array:
         """Columns (s, 2 J, 2 m) at positions (m, 2) or (m, 3), for parameters (s, p)."""
         phases = self.pattern.phases(parameters)
-        theta, across = _along_path(phases, position), (phases @ ACROSS)[..., None]
+        theta, across = along_path(phases, position), (phases @ ACROSS)[..., None]
         values = np.empty((*theta.shape[:2], 2, 2, theta.shape[2]))
         np.multiply(across, -np.sin(theta)[:, :, None], out=values[:, :, 0])  # g of cos
         np.multiply(across, np.cos(theta)[:, :, None], out=values[:, :, 1])  # g of sin
@@ -167,7 +167,7 @@ class Waves:
         """Their first derivatives by the parameters, (s, p, 2 J, 2 m)."""
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
         waves, across = self._waves(phases, values), phases @ ACROSS
-        later, moved = _along(waves), _along_path(by_q, position)
+        later, moved = _along(waves), along_path(by_q, position)
         slopes = _product(by_q @ ACROSS, waves[:, None])
         slopes += _product(across[:, None], later[:, None] * moved[:, :, :, None])
         return self._joined(slopes)
@@ -176,13 +176,13 @@ class Waves:
         """Their second derivatives by the parameters, (s, p, p, 2 J, 2 m)."""
         pattern = self.pattern
         phases, by_q = pattern.phases(parameters), pattern.slopes(parameters)
-        twice, moved = pattern.bends(parameters), _along_path(by_q, position)
+        twice, moved = pattern.bends(parameters), along_path(by_q, position)
         waves = self._waves(phases, values)
         later, across, turned = _along(waves), phases @ ACROSS, by_q @ ACROSS
         first = moved[:, :, None, :, None] * later[:, None, None]
         second = moved[:, None, :, :, None] * later[:, None, None]
         square = (moved[:, :, None] * moved[:, None])[:, :, :, :, None] * waves[:, None, None]
-        bow = _along_path(twice, position)[:, :, :, :, None] * later[:, None, None]
+        bow = along_path(twice, position)[:, :, :, :, None] * later[:, None, None]
         bends = _product(twice @ ACROSS, waves[:, None, None])
         bends += _product(turned[:, None], first) + _product(turned[:, :, None], second)
         bends += _product(across[:, None, None], bow - square)
@@ -196,14 +196,17 @@ class Waves:
         return self.bent_and_late(position, parameters, weights)[0]
 
     def bent_and_late(
-        self, position: Array, parameters: Array, weights: Array
+        self, position: Array, parameters: Array, weights: Array, delays: Array | float = 0.0
     ) -> tuple[Array, Array]:
-        """`bent`, and the derivatives of each wave's flow by its own phase, (s, J, 2 m, 1)."""
+        """`bent`, and the derivatives of each wave's flow by its own phase, (s, J, 2 m, 1).
+
+        delays (s, J, 1): that waves' phases are less by; weights of (s, 2, 1) are those of all.
+        """
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
-        flow, later = _flows(phases, position, weights)
+        flow, later = _flows(along_path(phases, position) - delays, weights)
         across, rows = phases @ ACROSS, 2 * len(position)
         bent: Array = (by_q @ ACROSS).swapaxes(2, 3) @ flow[:, None]
-        bent += across.swapaxes(1, 2)[:, None] @ (_along_path(by_q, position) * later[:, None])
+        bent += across.swapaxes(1, 2)[:, None] @ (along_path(by_q, position) * later[:, None])
         late = across[..., None] * later[:, :, None]
         return bent.reshape(*bent.shape[:2], rows, 1), late.reshape(*late.shape[:2], rows, 1)
 
@@ -212,8 +215,8 @@ class Waves:
     ) -> Array:
         """The derivatives of `bent` by x and by y, (2, s, p, 2 m, 1)."""
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
-        flow, later = _flows(phases, position, weights)
-        moved, across, turned = _along_path(by_q, position), phases @ ACROSS, by_q @ ACROSS
+        flow, later = _flows(along_path(phases, position), weights)
+        moved, across, turned = along_path(by_q, position), phases @ ACROSS, by_q @ ACROSS
         both = []
         for axis in range(2):
             k, k_by_q = phases[..., axis], by_q[..., axis]
@@ -253,7 +256,7 @@ class Waves:
         return joined
 
 
-def _along_path(phases: Array, position: Array) -> Array:
+def along_path(phases: Array, position: Array) -> Array:
     """Theta (..., m) at positions (m, 2), or (m, 3) with the time, of waves (..., 3)."""
     if position.shape[1] == 2:
         return phases[..., :2] @ position.T
@@ -261,9 +264,8 @@ def _along_path(phases: Array, position: Array) -> Array:
     return theta
 
 
-def _flows(phases: Array, position: Array, weights: Array) -> tuple[Array, Array]:
-    """psi's derivative by theta and its next one, of every wave, (s, J, m) each."""
-    theta = _along_path(phases, position)
+def _flows(theta: Array, weights: Array) -> tuple[Array, Array]:
+    """psi's derivative by theta (s, J, m) and its next one, of every wave, (s, J, m) each."""
     sin, cos, a, b = np.sin(theta), np.cos(theta), weights[:, ::2], weights[:, 1::2]
     return b * cos - a * sin, -a * cos - b * sin
 
