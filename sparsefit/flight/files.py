@@ -1,4 +1,4 @@
-"""Flights in files: ``.csv`` and ``.parquet``, exact both ways; ``.ulg`` and ``.igc`` are read."""
+"""Flights in files: ``.csv`` and ``.parquet``, exact both ways; others are read."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ def read_flight(
     origin: tuple[float, float] | None = None,
     epoch: str | datetime | None = None,
 ) -> Flight:
-    """Read a flight from a ``.csv`` or ``.parquet`` table, a PX4 log (``.ulg``) or an IGC file.
+    """Read a flight from a table, a PX4 log (``.ulg``) or an IGC file.
 
-    Of a table: columns ``time, x, y, vx, vy`` [s, m, m, m/s, m/s] in any order; others are ignored.
+    Of a table (``.csv``, ``.parquet``, ``.txt``, ``.tsv``, ``.dat``): columns ``time, x, y, vx,
+    vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; others are ignored.
     Without both ``vx`` and ``vy`` it has positions only (`Flight.from_positions`). The vehicle:
     ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
     not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet; likewise
@@ -50,9 +51,10 @@ def read_flight(
         path: the file.
         vehicle: used in place of the one in the file.
         columns: of a table with other columns which of them are read, and their units:
-            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"`` or a mapping of the same. Longitude
-            and latitude, degrees, become metres on a local plane about their middle, x east and y
-            north; times may be ISO 8601, and then are seconds since the first.
+            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"`` or a mapping of the same; without a
+            unit that in the header holds. Longitude and latitude, degrees, become metres on a local
+            plane about their middle, x east and y north; times may be ISO 8601, and then are
+            seconds since the first.
         only: ``"column=value"``: the rows to read, of a table that holds several vehicles.
         origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that tells
             places on the Earth: several logs then have one frame. By default its own middle.
