@@ -12,10 +12,15 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.continuum import Continuum
+from sparsefit.regression.given import (
+    fitting,
+    numbers_of,
+    refuse_large,
+    refuse_small,
+    refuse_zeros,
+    rows_of,
+)
 from sparsefit.regression.statistics import Statistics
-
-FIRST_ROWS = 32  # a column that is not zero in these is not a column of zeros
-LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose products all are in range
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +73,10 @@ class RegressionProblem:
 
     def __post_init__(self) -> None:
         _check_shapes(self)
-        _refuse_large(self.theta, self.names, "")
-        _refuse_zeros(self.theta, self.names)
-        _refuse_large(self.target, self.target_names, "of the target ")
-        _refuse_small(self.target, self.target_names)
+        refuse_large(self.theta, self.names, "")
+        refuse_zeros(self.theta, self.names)
+        refuse_large(self.target, self.target_names, "of the target ")
+        refuse_small(self.target, self.target_names)
         for name in ("theta", "target"):
             object.__setattr__(self, name, _read_only(getattr(self, name)))
 
@@ -95,19 +100,12 @@ class RegressionProblem:
         these. Raises InputError on shapes that do not match, subgroups that span groups, values
         that are not finite, columns of zeros, and arrays that are sparse or masked.
         """
-        design = _floats(theta, "theta")
-        values = _floats(target, "target")
-        values = values[:, None] if values.ndim == 1 else values
-        if design.ndim != 2 or values.ndim != 2:
-            raise InputError(
-                f"theta must have shape (m, k) and target (m,) or (m, n), not {design.shape} and "
-                f"{values.shape}"
-            )
+        design, values = rows_of(theta, target)
         labels = np.arange(design.shape[1]) if groups is None else groups
-        numbers = _numbers(labels, design.shape[1], "groups")
+        numbers = numbers_of(labels, design.shape[1], "groups")
         inner = None
         if subgroups is not None:
-            inner = _numbers(subgroups, design.shape[1], "subgroups")
+            inner = numbers_of(subgroups, design.shape[1], "subgroups")
         if isinstance(names, str) or not isinstance(names, Iterable | None):
             raise InputError(f"names must be a list with one name per column, not {names!r}")
         columns = tuple(map(str, range(design.shape[1]) if names is None else names))
@@ -117,7 +115,7 @@ class RegressionProblem:
     @classmethod
     def from_blocks(
         cls,
-        blocks: Iterable[tuple[Array, Array]],
+        blocks: Iterable[tuple[ArrayLike, ArrayLike]],
         groups: ArrayLike | None = None,
         names: Sequence[str] | None = None,
     ) -> "RegressionProblem":
@@ -125,9 +123,10 @@ class RegressionProblem:
 
         Each block is folded into the triangle of a QR decomposition of [theta, target]. QR, and
         not Z'Z, because the certificate takes residuals of these rows: orthogonal
-        transformations keep them to rounding, where Z'Z would lose half the digits.
+        transformations keep them to rounding, where Z'Z would lose half the digits. Raises
+        InputError as `from_arrays` does, and on blocks that do not fit each other.
         """
-        triangle, count, columns = compressed(blocks)
+        triangle, count, columns = compressed(fitting(blocks))
         plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
         return replace(plain, sample_count=count)
 
@@ -206,35 +205,6 @@ def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
     return triangle, count, columns
 
 
-def _floats(values: ArrayLike, name: str) -> Array:
-    if hasattr(values, "toarray"):
-        raise InputError(f"{name} is a sparse matrix: hand in {name}.toarray()")
-    if np.ma.is_masked(values):
-        raise InputError(f"{name} is masked: drop the rows whose values are missing")
-    try:
-        if np.asarray(values).dtype.kind in "cmM":
-            raise TypeError("it holds complex numbers or times")
-        return np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of real numbers: {error}") from None
-
-
-def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
-    """Numbers from 0 for the labels of the columns, in the order of the labels."""
-    given = np.asarray(labels)
-    if given.shape != (columns,):
-        raise InputError(
-            f"{name} must have one label per column: {columns} columns, {name} of shape "
-            f"{given.shape}"
-        )
-    if np.any(given != given):
-        raise InputError(f"{name} holds NaN: each column needs a label")
-    try:
-        return np.unique(given, return_inverse=True)[1].astype(np.intp)
-    except TypeError:
-        raise InputError(f"{name} must have labels of one kind, such as all numbers") from None
-
-
 def _check_shapes(problem: RegressionProblem) -> None:
     (m, k), rows = problem.theta.shape, problem.target.shape[0]
     if rows != m:
@@ -258,36 +228,3 @@ def _read_only(values: Array) -> Array:
     view = values.view()
     view.flags.writeable = False
     return view
-
-
-def _refuse_large(values: Array, names: Sequence[str], which: str) -> None:
-    flat = values.ravel(order="K")
-    if not np.vdot(flat, flat) <= LARGEST**2:  # one fast sum clears every column, or none
-        bad = ~(_squares(values) <= LARGEST**2)
-        what = f"{which}holds NaN, infinity or values above {LARGEST:g}"
-        _refuse_columns(bad, names, f"{what}; clean the data or change the unit")
-
-
-def _refuse_zeros(values: Array, names: Sequence[str]) -> None:
-    small = np.flatnonzero(_squares(values[:FIRST_ROWS]) < SMALLEST**2)  # few, but in odd data
-    zero = np.zeros(len(names), dtype=bool)
-    zero[small] = _squares(values[:, small]) < SMALLEST**2
-    what = f"is zero in every sample (or below {SMALLEST:g})"
-    _refuse_columns(zero, names, f"{what}; drop it or change the unit")
-
-
-def _refuse_small(values: Array, names: Sequence[str]) -> None:
-    small = (_squares(values) < SMALLEST**2) & values.any(axis=0)
-    _refuse_columns(small, names, f"of the target is below {SMALLEST:g}, not 0; change the unit")
-
-
-def _squares(values: Array) -> Array:
-    squares: Array = np.einsum("ij,ij->j", values, values)
-    return squares
-
-
-def _refuse_columns(bad: BoolArray, names: Sequence[str], what: str) -> None:
-    found = np.flatnonzero(bad)
-    if len(found):
-        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-        raise InputError(f"column {names[found[0]]!r}{more} {what}")

@@ -5,7 +5,8 @@ import pytest
 import scipy.sparse
 
 from sparsefit.errors import InputError
-from sparsefit.regression.problem import FIRST_ROWS, RegressionProblem
+from sparsefit.regression.given import FIRST_ROWS
+from sparsefit.regression.problem import RegressionProblem
 
 ROWS = 3 * FIRST_ROWS
 
@@ -102,3 +103,24 @@ def test_arrays_that_only_look_like_numbers_are_refused(change, words):
 def test_labels_that_are_missing_are_refused(labels, words):
     with pytest.raises(InputError, match=words):
         RegressionProblem.from_arrays(columns(), np.ones(ROWS), **labels)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "words"),
+    [
+        ([np.ones((3, 2))], "block 0: it must be a pair"),
+        ([(np.ones((3, 2)), np.ones(3)), (np.ones((3, 1)), np.ones(3))], "block 1: theta"),
+        ([(np.ones((3, 2)), np.ones(2))], "block 0: theta"),
+        ([(np.ones((3, 2)), [1.0, np.nan, 1.0])], "block 0: column '0' of the target holds NaN"),
+    ],
+)
+def test_blocks_that_do_not_fit_are_named(blocks, words):
+    with pytest.raises(InputError, match=words):
+        RegressionProblem.from_blocks(blocks)
+
+
+def test_blocks_may_have_targets_of_one_dimension():
+    theta = np.arange(12.0).reshape(6, 2) ** 2 + 1.0
+    blocks = [(theta[:3], [1.0, 2.0, 3.0]), (theta[3:], [1.0, 0.0, 1.0])]
+    problem = RegressionProblem.from_blocks(blocks)
+    assert (problem.samples, problem.columns, problem.targets) == (6, 2, 1)
