@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.resampling import (
     Difference,
     best_probabilities,
@@ -89,3 +90,9 @@ def test_flights_drawn_in_parts_are_the_same_flights(monkeypatch):
     whole = resampled(lambda at: at.sum(axis=1), 7, resamples=50)
     monkeypatch.setattr("sparsefit.study.evidence.resampling.CHUNK", 21)
     assert np.array_equal(resampled(lambda at: at.sum(axis=1), 7, resamples=50), whole)
+
+
+def test_more_answers_called_ok_are_better_and_a_mean_of_counts_keeps_its_fraction():
+    assert MEASURES["called-ok"].more
+    assert not MEASURES["called-misfit"].more
+    assert [MEASURES["unseen"].say(value) for value in (3.0, 11.75)] == ["3", "11.8"]

@@ -133,7 +133,7 @@ class Measure:
         if math.isnan(value) or math.isinf(value):
             return "no answer"
         if self.summary == "number":
-            return f"{value:.0f}"
+            return f"{value:.0f}" if value == round(value) else f"{value:.1f}"  # of regimes
         if self.summary == "share":
             # No rounding up to all, or down to none.
             near = 0 < value < 1 or 99 < value < 100

@@ -193,7 +193,8 @@ _EVERY = (
     _share("silent-misses", f"were called ok and off by more than {OFF:g} %", _silent,
            column="silent misses", format=".2f"),
     _share("misfits", "were called a misfit", _misfit, column="misfit", format=".1f"),
-    *(_share(f"called-{status}", f"ended as {status}", _ended(status), column=status, format=".1f")
+    *(_share(f"called-{status}", f"ended as {status}", _ended(status), more=status == "ok",
+             column=status, format=".1f")
       for status in ("ok", "misfit", "unidentifiable")),
     Measure("r-squared", "R² of the fit", "", _column("r_squared"), more=True, column="R²",
             format=".4f"),
