@@ -67,7 +67,7 @@ class Group:
 
 def groups_by(cases: pd.DataFrame, names: Sequence[str]) -> list[Group]:
     """Groups in the order in which they first appear; an absent value is a value."""
-    keyed = _rows_by(cases, names)
+    keyed = rows_by(cases, names)
     if not keyed:
         return []
     ordered = cases.iloc[np.concatenate([rows for _, rows in keyed])]
@@ -78,7 +78,7 @@ def groups_by(cases: pd.DataFrame, names: Sequence[str]) -> list[Group]:
     ]
 
 
-def _rows_by(
+def rows_by(
     cases: pd.DataFrame, names: Sequence[str]
 ) -> list[tuple[tuple[Value, ...], NDArray[np.intp]]]:
     """The values of each group and the places of its rows, as `groups_by` has them."""
@@ -127,7 +127,7 @@ def by_level(cases: pd.DataFrame, factor: str) -> list[Group]:
 
 
 def _setting_names(cases: pd.DataFrame) -> dict[tuple[Value, ...], str]:
-    every = [key for key, _ in _rows_by(cases, SETTING[1:])]
+    every = [key for key, _ in rows_by(cases, SETTING[1:])]
     varied, labels = varied_settings(cases), [label for _, label, _ in every]
     names = {}
     for key in every:
@@ -147,7 +147,7 @@ def _identity(group: Group) -> tuple[Value, ...]:
 def varied_settings(cases: pd.DataFrame) -> dict[str, list[str]]:
     """For each back-end, the names of its settings that take at least two values."""
     every: dict[str, list[dict[str, Value]]] = {}
-    for (backend, settings), _ in _rows_by(cases, ("backend", "settings")):
+    for (backend, settings), _ in rows_by(cases, ("backend", "settings")):
         every.setdefault(str(backend), []).append(parsed(settings))
     return {backend: _varied(settings) for backend, settings in every.items()}
 

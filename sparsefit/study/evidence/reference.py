@@ -20,6 +20,7 @@ from sparsefit.study.evidence.cases import (
     failures,
     groups_by,
     parsed,
+    rows_by,
     varied_settings,
 )
 from sparsefit.study.evidence.columns import (
@@ -34,6 +35,7 @@ from sparsefit.study.evidence.columns import (
 )
 from sparsefit.study.evidence.measure import Measure
 from sparsefit.study.evidence.measures import MEASURES, three
+from sparsefit.study.evidence.readings import percent_errors
 from sparsefit.study.evidence.table import SIGNIFICANT, Column, Table, Value
 from sparsefit.study.spec.outputs import Reference
 
@@ -66,7 +68,7 @@ def printed(reference: Reference | None, measure: Measure) -> float | None:
     return values[PARAMETERS.index(measure.of)] if values else None
 
 
-def distance(percent: Sequence[float], printed: Sequence[float]) -> float:
+def distance(percent: Sequence[float] | Array, printed: Sequence[float]) -> float:
     """Return the root mean square difference of three percentage errors to three others [pp].
 
     NaN as soon as one of the three is: a reading without estimates is at no distance.
@@ -89,7 +91,7 @@ def closest_readings(asked: Asked, study: Study, cases: pd.DataFrame) -> Table:
     wanted = reference.signed_error
 
     def away(group: pd.DataFrame) -> float:
-        return distance([measure.summarise(group) for measure in SIGNED], wanted)
+        return distance(SIGNED[0].reduce(percent_errors(group).T), wanted)
 
     swept, numbers = factors(cases), ", ".join(f"{percent:.2f}" for percent in wanted)
     table = table_of(
@@ -141,9 +143,8 @@ def sensitivity_rows(cases: pd.DataFrame) -> list[tuple[Value, ...]]:
     swept = factors(cases)
     # What all of them name together is summarised once, and compared in every way after.
     every = groups_by(cases, ["protocol", "backend", "settings", *swept])
-    told = np.array(
-        [[one.summarise(group.cases) for one in (*SIZES, *SIGNED)] for group in every]
-    ).reshape(len(every), -1)
+    percent = [percent_errors(group.cases).T for group in every]  # of all three, read once
+    told = np.array([[*SIZES[0].reduce(np.abs(one)), *SIGNED[0].reduce(one)] for one in percent])
     failed = np.array([failures(group.cases) for group in every])
     keys = pd.DataFrame([group.key for group in every])
     rows = [
@@ -205,6 +206,10 @@ def _contexts(keys: pd.DataFrame, varied: list[str], fixed: list[str]) -> tuple[
 
     What varies and what is fixed name one row of the keys together.
     """
-    split = [groups_by(group.cases, varied) for group in groups_by(keys, fixed)]
-    contexts = [[level.cases.index[0] for level in levels] for levels in split if len(levels) > 1]
-    return len(groups_by(keys, varied)), contexts
+    split = [(at, rows_by(keys.iloc[at], varied)) for _, at in rows_by(keys, fixed)]
+    contexts = [
+        [int(keys.index[at[rows[0]]]) for _, rows in levels]
+        for at, levels in split
+        if len(levels) > 1
+    ]
+    return len(rows_by(keys, varied)), contexts
