@@ -97,7 +97,8 @@ class Log:
         from sparsefit.flight.record import FRAMES
 
         crossed, frame = _crossed(estimate, self.flight), self.quality.frame
-        words = self.quality.words + (f"; {crossed} cells crossed" if crossed else "")
+        cells = "cell" if crossed == 1 else "cells"
+        words = self.quality.words + (f"; {crossed} {cells} crossed" if crossed else "")
         told = f"{frame}: {FRAMES[frame]}" if frame else f"not told: {FRAMES['']}"
         read = [("read as" if not place else "", note) for place, note in enumerate(self.notes)]
         return [("log", words), ("frame", told), *read]
