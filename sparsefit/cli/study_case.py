@@ -12,6 +12,7 @@ from sparsefit.cli.parser import Parser
 if TYPE_CHECKING:
     from sparsefit.study.evidence.table import Table
     from sparsefit.study.run.one_case import OneCase
+    from sparsefit.study.spec.solver_study import SolverStudy
     from sparsefit.study.spec.study import Study
 
 SUFFIXES = (".html", ".svg", ".png")
@@ -40,9 +41,12 @@ def show_case(args: argparse.Namespace) -> int:
     from sparsefit.study.report.render import to_text
     from sparsefit.study.run.held import cases_of
     from sparsefit.study.run.one_case import find_case, run_again
-    from sparsefit.study.spec.study import Study
+    from sparsefit.study.spec.load import load_study
+    from sparsefit.study.spec.solver_study import SolverStudy
 
-    study = Study.load(args.study)
+    study = load_study(args.study)
+    if isinstance(study, SolverStudy):
+        return _show_solve(args, study)
     case = find_case(study, args.case)
     file = _file(args, study, case.case_id)
     stored = row_of(cases_of(study, Path(args.results) / study.name), case.case_id)
@@ -53,6 +57,31 @@ def show_case(args: argparse.Namespace) -> int:
         print_json({"case": case.case_id, "picture": str(file), **table_record(table)})
     else:
         print(f"{to_text(table, width=terminal_width())}\nwritten to {file}")
+    return 0
+
+
+def _show_solve(args: argparse.Namespace, study: SolverStudy) -> int:
+    """The same of a study of solvers: solved and judged again, alone, and nothing drawn."""
+    from sparsefit.errors import InputError
+    from sparsefit.study.evidence.table import Column, Table, plain
+    from sparsefit.study.report.render import to_text
+    from sparsefit.study.run.held import cases_of
+    from sparsefit.study.run.one_case import solved_again
+    from sparsefit.study.run.store import cases_table
+
+    if args.output is not None:
+        raise InputError("--output: there is no flight to draw in a study of solvers")
+    again = cases_table(study, [solved_again(study, args.case)]).to_pylist()[0]
+    rows = cases_of(study, Path(args.results) / study.name)
+    stored = rows[rows["case_id"] == args.case].to_dict("records")
+    before = {str(name): plain(value) for row in stored[:1] for name, value in row.items()}
+    columns = (Column("what", align="left"), Column("stored"), Column("now"))
+    told = [(name, str(before.get(name, "–")), str(value)) for name, value in again.items()]
+    table = Table(f"Case {args.case}", columns, tuple(told))
+    if args.json:
+        print_json({"case": args.case, **table_record(table)})
+    else:
+        print(to_text(table, width=terminal_width()))
     return 0
 
 

@@ -291,6 +291,11 @@ def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
     assert "finished" in capsys.readouterr().out
     assert main(["study", "show", *where, "--table", "times"]) == 0
     assert "homotopy" in capsys.readouterr().out
+    case = study.case_id(study.case(1, 0))
+    assert main(["study", "show", *where, "--case", case, "--json"]) == 0
+    assert case in capsys.readouterr().out
+    assert main(["study", "show", *where, "--case", "000-nothing"]) == 2
+    assert "plans no case" in capsys.readouterr().err
     assert main(["study", "errors", *where]) == 0
     assert main(["study", "run", *where, "--processes", "2"]) == 2
     assert "one process" in capsys.readouterr().err

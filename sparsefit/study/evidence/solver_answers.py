@@ -11,6 +11,7 @@ from sparsefit.study.evidence.solver_measures import level_text, missing, object
 from sparsefit.study.evidence.solver_ratios import against_others
 from sparsefit.study.evidence.solver_tables import interval_text, solved_text
 from sparsefit.study.evidence.table import significant
+from sparsefit.study.spec.contenders import CERTIFIED
 from sparsefit.study.spec.solver_study import SolverStudy
 
 
@@ -47,6 +48,8 @@ def _sentence(study: SolverStudy, cases: pd.DataFrame, objective: str) -> str:
         f"{at.solvers[order[0]]} is fastest, {significant(float(mean))} ms on average, and solves"
     )
     words = f"{start}{first} {solved_text(at, order[0])}"
+    charged = at.solvers[order[0]] + CERTIFIED  # the same, and no competitor
+    order = [place for place in order if at.solvers[place] != charged]
     if len(order) < 2:
         return words + "."
     second = order[1]

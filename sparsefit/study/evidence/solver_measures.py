@@ -50,12 +50,13 @@ class Times:
             ratio: Array = np.where(self.solved, self.seconds / best, np.inf)
         return ratio
 
-    def over(self, reference: int, others: Sequence[int], *, limit: float) -> Array:
+    def over(self, reference: int, others: Sequence[int], *, limits: Sequence[float]) -> Array:
         """(problems,) times of the best of `others` over those of `reference`, by their places.
 
-        What is unsolved counts at the limit [s]: where the others did not, the ratio is a bound.
+        What is unsolved counts at the limit [s] of its solver: where none of the others solves a
+        problem, the ratio is a bound.
         """
-        charged = np.minimum(self.seconds, limit)
+        charged = np.minimum(self.seconds, np.array(limits))
         found: Array = charged[:, list(others)].min(axis=1) / charged[:, reference]
         return found
 

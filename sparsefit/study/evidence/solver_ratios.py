@@ -39,13 +39,15 @@ def compared(study: SolverStudy, at: Times) -> Iterator[Against]:
     """Every exact path that solves all against the best other, and against each that solves any."""
     exact = {one.solver for one in study.contenders if one.form.startswith(EXACT)}
     others = [place for place, name in enumerate(at.solvers) if name not in exact]
+    own = {one.solver: one.limit for one in study.contenders if one.objective == at.objective}
+    limits = [own.get(name) or study.clock.limit for name in at.solvers]
     for place, name in enumerate(at.solvers):
         if name not in exact or not others or not at.solved[:, place].all():
             continue
-        limit, any_solved = study.clock.limit, [one for one in others if at.solved[:, one].any()]
+        any_solved = [one for one in others if at.solved[:, one].any()]
         for label, group in ((BEST, others), *((at.solvers[one], [one]) for one in any_solved)):
             solved = np.asarray(at.solved[:, group].any(axis=1))
-            yield Against(name, label, at.over(place, group, limit=limit), ~solved)
+            yield Against(name, label, at.over(place, group, limits=limits), ~solved)
 
 
 def ratios(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Table:
@@ -63,8 +65,8 @@ def ratios(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Table:
         rows.append((one.exact, one.other, *cells, _ratio(one.mean, bool(one.bound.any()))))
     note = (
         "How many times longer the other takes. best of the others: whichever is fastest on each "
-        f"problem. ≥: it does not solve the problem within {study.clock.limit:g} s, which count as "
-        'its time. "certified": the checks of the data and the certificates of all points are in '
+        "problem. ≥: it does not solve the problem within its limit, which counts as its time. "
+        '"certified": the checks of the data and the certificates of all points are in '
         "the time of the exact path, and nothing of the kind in that of the others."
     )
     title = f"{objective}: times the exact path, to a certified {level_text(accuracy)}"

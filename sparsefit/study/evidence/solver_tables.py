@@ -135,6 +135,10 @@ def _cautions(study: SolverStudy, cases: pd.DataFrame, objective: str) -> Iterat
     if short:
         told = f"{', '.join(short)}: never asked for {level_text(strict)} or less"
         yield f"{told}; smaller tolerances in the study file would tell."
+    hasty = [one for one in study.contenders if one.objective == objective and one.limit]
+    for limit in sorted({one.limit for one in hasty if one.limit}):
+        named = ", ".join(one.solver for one in hasty if one.limit == limit)
+        yield f"{named}: killed after {limit:g} s already, by the study file."
     if (here["certificate_kind"] == "fixed_point").any():
         yield (
             "Certified here is a fixed point, the share of the support that the method's own rule "

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from sparsefit.codec import shown
 from sparsefit.errors import InputError, SparsefitError, one_line
@@ -14,8 +16,12 @@ from sparsefit.flight.flow import Flow
 from sparsefit.regression.fit import Fit
 from sparsefit.study.run.columns import Value, values_of
 from sparsefit.study.run.execution import fly
+from sparsefit.study.run.kind import Place
+from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.reading import Reading
+from sparsefit.study.run.solver_kind import SolverKind
 from sparsefit.study.spec.plan import Case
+from sparsefit.study.spec.solver_study import SolverStudy
 from sparsefit.study.spec.study import Study
 
 
@@ -54,6 +60,25 @@ def find_case(study: Study, case_id: str) -> Case:
         f"{study.name} plans no case {shown(case_id)}: ids stand in its cases.parquet and "
         f"report.html, {near} say"
     )
+
+
+def solved_again(study: SolverStudy, case_id: str) -> Outcome:
+    """Solve, judge and time one case of a study of solvers, alone in a process of its own.
+
+    Raises:
+        InputError: if the study plans none of this id.
+    """
+    kind = SolverKind(study)
+    case = kind.find(case_id)
+    if case is None:
+        raise InputError(
+            f"{study.name} plans no case {shown(case_id)}: ids stand in its cases.parquet, "
+            f"{kind.case_id(0, 0)} say"
+        )
+    wanted = np.zeros((study.count, len(study.cells)), dtype=bool)
+    wanted[case] = True
+    ((outcome, _),) = kind.compute(wanted, Place(), lambda: False)
+    return replace(outcome, version=kind.version(case[1]))
 
 
 def run_again(study: Study, case: Case) -> OneCase:
