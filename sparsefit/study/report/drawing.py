@@ -103,6 +103,13 @@ def ticked(axes: Axes, levels: Array) -> None:
     axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
 
 
+def unanswered(axes: Axes) -> None:
+    """Say in an empty panel that there is no answer, over a range that a log scale takes."""
+    axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
+    axes.tick_params(labelleft=False)
+    axes.set_ylim(1.0, 10.0)
+
+
 def share_y(row: list[Axes], *, alike: bool, highest: float) -> None:
     """Number the logarithmic y axes of a row; those that show alike share their range."""
     ends = [axes.get_ylim() for axes in row]

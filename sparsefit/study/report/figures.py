@@ -5,7 +5,7 @@ A figure of a study's own names its measures and a comparison of `FIGURES` that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import pandas as pd
@@ -14,13 +14,14 @@ from matplotlib.figure import Figure
 from sparsefit.study.evidence.along import words_of
 from sparsefit.study.evidence.asked import DURATION, MEASUREMENT_NOISE, Asked, Kind
 from sparsefit.study.evidence.cases import factors, groups_by, in_a_flow, numeric_factors
+from sparsefit.study.evidence.measure import Failure, Measure
 from sparsefit.study.evidence.measures import names
 from sparsefit.study.evidence.readings import bounded
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.tables import has_any, many_levels
 from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.drawing import laid_out
-from sparsefit.study.report.lines import OTHERS, SETTING, lines, pooling_note
+from sparsefit.study.report.lines import OTHERS, SETTING, lines
 from sparsefit.study.report.plane import plane_figure
 from sparsefit.study.report.profiles import profiles
 from sparsefit.study.report.scatter import scatter
@@ -123,8 +124,18 @@ def caption(asked: Asked) -> str:
     along = words_of(asked.along) if asked.along else "each swept number"
     quartiles = ", with quartiles" if asked.band or asked.along == "protocol" else ""
     first = "" if asked.settings == "every" else " First listed setting of each back-end."
-    note = pooling_note(asked.measures)
+    note = _pooling_note(asked.measures)
     return f"{words}, along {along}{quartiles}.{first} Other swept factors are pooled. {note}"
+
+
+def _pooling_note(measures: Sequence[Measure]) -> str:
+    """How failures count in a picture of these measures, in a sentence."""
+    said = {
+        Failure.INFINITE: "A failure counts as infinite: where it decides, the line breaks.",
+        Failure.MISS: "A failure counts as a miss.",
+        Failure.LEFT_OUT: "Failures are left out; their number is in the tables.",
+    }
+    return " ".join(dict.fromkeys(said[one.failure] for one in measures))
 
 
 def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:

@@ -26,7 +26,7 @@ from sparsefit.study.evidence.cases import (
     level_text,
     numeric_factors,
 )
-from sparsefit.study.evidence.measure import Failure, Measure
+from sparsefit.study.evidence.measure import Measure
 from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.summary import TINY
 from sparsefit.study.report.drawing import (
@@ -40,6 +40,7 @@ from sparsefit.study.report.drawing import (
     share_y,
     shortened,
     ticked,
+    unanswered,
     with_unit,
 )
 from sparsefit.study.report.typical import typical
@@ -206,9 +207,7 @@ def _draw(axes: Axes, panel: Panel, asked: Asked, series: Series) -> None:
         )  # fmt: skip
         _lead(axes, panel, group.cases, at, middle)
     if not any(np.isfinite(one.get_ydata()).any() for one in axes.lines):
-        axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
-        axes.tick_params(labelleft=False)
-        axes.set_ylim(1.0, 10.0)
+        unanswered(axes)
     if panel.measure.beside:
         _beside(axes, panel, [group.cases for group in groups])
     if panel.measure.target is not None:
@@ -301,13 +300,3 @@ def _explained(asked: Asked, styles: Sequence[str]) -> Iterator[Line2D]:
         yield Line2D([], [], color="black", lw=1.0, label="Cramér-Rao bound")
     for place, name in enumerate(styles if len(styles) > 1 else ()):
         yield Line2D([], [], color=GREY, ls=STYLES[place % len(STYLES)], label=name)
-
-
-def pooling_note(measures: Sequence[Measure]) -> str:
-    """How failures count in a picture of these measures, in a sentence."""
-    said = {
-        Failure.INFINITE: "A failure counts as infinite: where it decides, the line breaks.",
-        Failure.MISS: "A failure counts as a miss.",
-        Failure.LEFT_OUT: "Failures are left out; their number is in the tables.",
-    }
-    return " ".join(dict.fromkeys(said[one.failure] for one in measures))
