@@ -27,8 +27,6 @@ from sparsefit.study.spec.solver_study import SolverStudy
 
 NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 FAILURES_SHOWN = 40
-
-
 NAMES = ("summary", "ratios", "times", "failures", "growth", "clock", "contenders", "problems")
 
 
