@@ -337,7 +337,7 @@ def test_unfinished_rows_that_are_all_of_another_study_are_refused(
     (folder / ".partial" / "header.json").write_text(header)
     with partial.appending(folder) as rows:
         rows.append(Outcome(0, 0, "ok"), "0123456789abcdef")
-    with pytest.raises(InputError, match=r"(different|unknown) study.*--fresh to start over"):
+    with pytest.raises(InputError, match=r"(different|unknown) study.*--fresh starts over"):
         run(study, tmp_path, processes=1)
 
 

@@ -15,6 +15,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.evidence.solver_compared import solvers_compared
 from sparsefit.study.evidence.solver_ratios import ratios
 from sparsefit.study.run import runner, solver_crew, solver_kind
+from sparsefit.study.run.merge import merge
 from sparsefit.study.run.solver_clock import Repeats, median_interval
 from sparsefit.study.run.solver_solve import (
     Task,
@@ -188,9 +189,7 @@ def test_only_computes_whole_turns_and_parts_of_one_machine_come_together(
     lasso = [cell for cell in study.cells if cell.label == "lasso"]
     assert turns.done == study.count * len(lasso)
     parts = [str(tmp_path / place / study.name) for place in "ab"]
-    merged = ["study", "merge", str(path), *parts, "--results", str(tmp_path / "all")]
-    assert main(merged) == 0
-    assert "finished" in capsys.readouterr().out
+    assert merge(study, tmp_path / "all", parts).finished
     assert len(read_cases(tmp_path / "all" / study.name)) == study.planned
     monkeypatch.setattr(solver_kind, "processor", lambda: "another")
     runner.run(study, tmp_path / "d", only=["two"])
@@ -301,9 +300,8 @@ def test_the_verbs_work_on_a_study_of_solvers(finished, capsys):
     assert "one process" in capsys.readouterr().err
     assert main(["study", "run", *where, "--executor", "dask"]) == 2
     assert "this machine" in capsys.readouterr().err
-    assert main(["study", "run", *where, "--stale", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["computed"], told["stale"], told["done"]) == (0, 0, study.planned)
+    told = runner.run(study, results, renew_stale=True)
+    assert (told.computed, told.stale, told.done) == (0, 0, study.planned)
     assert main(["study", "run", *where, "--only", "lasoo"]) == 2
     assert "a problem, a back-end, an objective, a solver" in capsys.readouterr().err
     assert main(["study", "show", *where, "--table", "tims"]) == 2

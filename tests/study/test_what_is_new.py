@@ -104,7 +104,7 @@ def test_a_changed_study_computes_what_is_new_and_drops_what_it_no_longer_plans(
     before = by_identity(went)
     study = load(*changes)
     if computed is None:  # no case of it was there
-        with pytest.raises(InputError, match="no case of it is of this one: use --fresh"):
+        with pytest.raises(InputError, match="no case of it is of this one: study run --fresh"):
             run(study, went.parent, processes=1)
         return
     expected = study.planned - computed

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 SETTING = "setting"  # as a dimension, beside the protocol and the swept factors
 OTHERS = "others"  # as rows: every swept factor that has no other place
 SPREAD = 0.62  # of the distance between two names on an axis
+LETTERS = 96  # of a label in the width of a page
 HIGHEST = 300.0  # percent: what is worse is no answer, and leaves a frame that has limits
 
 
@@ -119,7 +120,9 @@ def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> 
         for panel, axes in zip(row, axes_row, strict=True):
             _draw(axes, panel, asked, series)
             if panel.along != "protocol" and lowest[panel.along] == place:
-                axes.set_xlabel(with_unit(words_of(panel.along), unit_of(panel.along)))
+                words = with_unit(words_of(panel.along), unit_of(panel.along))
+                broken = words if len(words) <= LETTERS // len(row) else words.replace(" [", "\n[")
+                axes.set_xlabel(broken)
         _finish(row, axes_row, asked)
     every = [axes for row in axes_grid for axes in row]
     if asked.limits:

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from sparsefit.arrays import Array
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.evidence.cases import (
     Group,
@@ -54,11 +56,17 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
     figure, (row,) = panels(1, len(asked.measures), height=1.0 + 0.27 * len(groups))
     colour = colours(list(dict.fromkeys(group.protocol for group in groups)))
     for measure, axes in zip(asked.measures, row, strict=True):
-        for place, group in enumerate(groups):
-            if shares:
+        if shares:
+            for place, group in enumerate(groups):
                 _interval(axes, measure, group.cases, place)
-            else:
+        else:
+            every_strip = [
                 _strip(axes, measure, group.cases, place, colour[group.protocol])
+                for place, group in enumerate(groups)
+            ]
+            # One cloud for all rows: each rasterised artist is an image of its own in the file.
+            x, y, shades = (np.concatenate(parts) for parts in zip(*every_strip, strict=True))
+            axes.scatter(x, y, s=3, c=shades, alpha=0.45, linewidth=0, rasterized=True)
         axes.set_ylim(len(groups) - 0.4, -0.6)
         axes.set_yticks(range(len(groups)), [""] * len(groups))
         axes.grid(False, axis="y")
@@ -85,21 +93,21 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
     return figure
 
 
-def _strip(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int, colour: str) -> None:
+def _strip(
+    axes: Axes, measure: Measure, cases: pd.DataFrame, place: int, colour: str
+) -> tuple[Array, Array, Array]:
+    """Draw quartiles and the largest errors of a row; x, y and colour (n, 3) of all the others."""
     values = np.maximum(measure.read(cases), TINY)
     order = np.argsort(values, kind="stable")[: np.isfinite(values).sum()]
     sizes = values[order]
     if not sizes.size:
-        return
+        return sizes, sizes, np.empty((0, 3))
     # A fixed pattern instead of random jitter: the same cases give the same picture.
     height = place + 0.28 * np.resize([-1.0, 0.2, 0.8, -0.4, 0.5, -0.7, 1.0, 0.0], sizes.size)
-    for part, raster in ((slice(None, -WORST), True), (slice(-WORST, None), False)):
-        points = axes.scatter(
-            sizes[part], height[part], s=3, color=colour, alpha=0.45, linewidth=0,
-            rasterized=raster,
-        )  # fmt: skip
-        if not raster:
-            linked(points, cases.iloc[order[part]])
+    points = axes.scatter(
+        sizes[-WORST:], height[-WORST:], s=3, color=colour, alpha=0.45, linewidth=0
+    )
+    linked(points, cases.iloc[order[-WORST:]])
     low, first, median, third, high = np.quantile(sizes, [0.05, 0.25, 0.5, 0.75, 0.95])
     axes.plot([low, high], [place, place], color="black", lw=0.6, zorder=3)
     axes.barh(
@@ -107,6 +115,8 @@ def _strip(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int, colour
         linewidth=0.6, alpha=0.75, zorder=4,
     )  # fmt: skip
     axes.plot([median, median], [place - 0.25, place + 0.25], color=colour, lw=2.2, zorder=5)
+    others = sizes[:-WORST]
+    return others, height[: len(others)], np.tile(to_rgb(colour), (len(others), 1))
 
 
 def _interval(axes: Axes, measure: Measure, cases: pd.DataFrame, place: int) -> None:

@@ -42,11 +42,11 @@ def _refuse_foreign(study: AnyStudy, folder: Path, ledger: Ledger) -> None:
             short = str(made.get("study_hash"))[:12]
             raise InputError(
                 f"{folder} was made by a different study (hash {short}), and no case of it is of "
-                "this one: use --fresh to start over, or rename this study"
+                "this one: study run --fresh starts over, or rename this study"
             )
     if ledger.unplanned:
         raise InputError(
-            f"{folder} holds cases of an unknown study: use --fresh to start over, or rename"
+            f"{folder} holds cases of an unknown study: study run --fresh starts over, or rename"
         )
 
 

@@ -45,7 +45,7 @@ def begun(folder: Path) -> bool:
     """Whether a run is under way here, or was left unfinished."""
     path = folder / FOLDER
     if path.is_symlink() or path.is_file():
-        raise InputError(f"{path}: no folder of rows: remove it, or use --fresh to start over")
+        raise InputError(f"{path}: no folder of rows: remove it, or study run --fresh starts over")
     return path.is_dir()
 
 
@@ -85,7 +85,7 @@ def lines_of(path: Path) -> Iterator[Line | None]:
     if not path.exists():
         return
     if not path.is_file():  # a pipe may have no end
-        raise InputError(f"{path}: no regular file: use --fresh to start over")
+        raise InputError(f"{path}: no regular file: study run --fresh starts over")
     place = 0
     try:
         with path.open("rb") as file:
@@ -93,7 +93,7 @@ def lines_of(path: Path) -> Iterator[Line | None]:
                 yield _line(line, place)
                 place += len(line)
     except OSError as error:
-        remedy = "use --fresh to start over"
+        remedy = "study run --fresh starts over"
         raise InputError(f"{path}: cannot be read: {error.strerror}: {remedy}") from None
 
 
