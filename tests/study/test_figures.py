@@ -433,6 +433,12 @@ def test_a_failed_first_panel_hides_no_legend():
     assert "chosen scale" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
+def test_a_picture_of_errors_is_drawn_where_none_is_known():
+    cases = synthetic(4, protocols=("paper",))
+    cases[[name for name in cases if name.startswith("est_")]] = math.nan
+    assert to_svg(FIGURES.make("errors", study(), cases, None))
+
+
 def test_an_efficiency_picture_of_many_rows_is_drawn_only_when_asked_for():
     few = bounded(synthetic(2, PROCESS_NOISES))
     many = bounded(

@@ -66,7 +66,8 @@ def strips(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) ->
             ]
             # One cloud for all rows: each rasterised artist is an image of its own in the file.
             x, y, shades = (np.concatenate(parts) for parts in zip(*every_strip, strict=True))
-            axes.scatter(x, y, s=3, c=shades, alpha=0.45, linewidth=0, rasterized=True)
+            if x.size:
+                axes.scatter(x, y, s=3, c=shades, alpha=0.45, linewidth=0, rasterized=True)
         axes.set_ylim(len(groups) - 0.4, -0.6)
         axes.set_yticks(range(len(groups)), [""] * len(groups))
         axes.grid(False, axis="y")
