@@ -12,8 +12,8 @@ from written import escaped, parsed
 
 from sparsefit import backends
 from sparsefit.study.evidence.answers import ANSWERS
-from sparsefit.study.evidence.summary import SUMMARY_WORDS
 from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.summary import SUMMARY_WORDS
 from sparsefit.study.evidence.tables import TABLES
 from sparsefit.study.report.figures import FIGURES
 
