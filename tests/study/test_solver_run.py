@@ -39,7 +39,7 @@ TEXT = (
     + LASSO
     + '[[backends]]\nname = "lasso"\ncertified = true\n'
     + STLSQ
-    + "[path]\npoints = 4\n[clock]\nrepeats = 3\nseconds = 0.2\n"
+    + "[path]\npoints = 4\n[clock]\nrepeats = 3\nseconds = 9.0\n"
 )
 
 
