@@ -4,12 +4,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.flight import Flight, parquet_file, read_flight, simulate_flight, write_flight
 from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+from sparsefit.flight.record import SMALLEST_STEP
 from sparsefit.flight.vehicle import PointMassVehicle
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
@@ -48,6 +49,7 @@ FLOWS = st.one_of(
 @st.composite
 def flights(draw):
     time = sorted(draw(st.sets(st.floats(-1e3, 1e9), min_size=3, max_size=6)))
+    assume(time[-1] - time[0] > SMALLEST_STEP * len(time))
     plane = st.lists(st.tuples(NUMBERS, NUMBERS), min_size=len(time), max_size=len(time))
     vehicle = PointMassVehicle(draw(POSITIVE), draw(st.tuples(NUMBERS, NUMBERS)))
     return Flight(time, draw(plane), draw(plane), vehicle, draw(FLOWS))
