@@ -1,6 +1,7 @@
-"""The arrays that the package's signatures speak of, named once."""
+"""The arrays that signatures speak of, named once, and records that print the shapes of theirs."""
 
-from typing import TypeAlias
+from dataclasses import MISSING, Field, fields, is_dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +17,39 @@ def local_maxima(curve: Array) -> IntArray:
     padded = np.concatenate([[-np.inf], curve, [-np.inf]])
     tops = np.flatnonzero((curve >= padded[:-2]) & (curve >= padded[2:]))
     return tops[np.argsort(-curve[tops], kind="stable")]
+
+
+class Brief:
+    """A dataclass whose repr fits a screen; to be declared with ``repr=False``.
+
+    An array is told by its shape, a long tuple by how many are in it, a number to six digits, and
+    a field at its default not at all.
+    """
+
+    def __repr__(self) -> str:
+        told = [
+            f"{field.name}={_brief(getattr(self, field.name))}"
+            for field in fields(self)  # type: ignore[arg-type]  # who inherits is a dataclass
+            if field.repr and not _is_default(field, getattr(self, field.name))
+        ]
+        return f"{type(self).__name__}({', '.join(told)})"
+
+
+def _is_default(field: "Field[Any]", value: object) -> bool:
+    known = field.default is not MISSING
+    return known and (value is field.default or repr(value) == repr(field.default))
+
+
+def _brief(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"<array {value.shape}>"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple):
+        if len(value) > 3 and (len(value) > 8 or is_dataclass(value[0])):
+            return f"<{len(value)} {type(value[0]).__name__}>"
+        told = ", ".join(map(_brief, value))
+        return f"({told},)" if len(value) == 1 else f"({told})"
+    if is_dataclass(value) and not isinstance(value, type):
+        return Brief.__repr__(value)  # type: ignore[arg-type]  # its fields are all that is read
+    return repr(value)

@@ -6,7 +6,6 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.estimate_lines import lines
 from sparsefit.cli.estimate_log import Log, add_log, quality_of_log, read_logs, refuse_frames
 from sparsefit.cli.estimate_plot import add_plot, check_plot, write_plot
 from sparsefit.cli.estimator_options import add_estimator, estimator_of
@@ -73,6 +72,8 @@ def add(verbs: Verbs) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Estimate, print, and tell by the exit code whether the status is ok."""
+    from sparsefit.cli.estimate_lines import lines
+
     check_plot(args)
     estimator = estimator_of(args)
     tables = read_logs(args)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from sparsefit.cli.output import duration, proof
 from sparsefit.cli.parser import shown
 from sparsefit.errors import one_line
+from sparsefit.estimator.estimate import FINEST, decimals
 
 if TYPE_CHECKING:
     from sparsefit.cli.estimate_log import Log
     from sparsefit.estimator.estimate import Estimate, FlightEstimate, ScaleEstimate
     from sparsefit.flight import Flight
 
-FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 SLIGHT = 1e-3  # of U0: turbulence below it is none that anybody felt
 NOTHING = 5e-7  # of |Phi|^2: where R² is printed as 1, what is left is nobody's noise
 MEANINGS = {
@@ -131,7 +131,7 @@ def _shape(estimate: Estimate) -> list[tuple[str, str]]:
         return rows
     if shape != "axis":
         degrees, spread = (math.degrees(one) for one in (estimate.heading, known.heading))
-        places = _places(spread) if math.isfinite(spread) else 4
+        places = decimals(spread)
         rows.append(("heading", f"{degrees:.{places}f} degrees  ± {spread:.2g}"))
     if shape in ("rectangle", "pair"):
         sides = estimate.length_scales
@@ -194,18 +194,13 @@ def _estimated(estimate: Estimate | FlightEstimate) -> list[tuple[str, str]]:
 def _pair(values: tuple[float, float], unit: str, spreads: tuple[float, float] | None) -> str:
     """Two values to two digits of the smaller standard error, and these."""
     known = spreads is not None and all(map(math.isfinite, spreads))
-    places = _places(min(spreads)) if spreads is not None and known else 4
+    places = decimals(min(spreads)) if spreads is not None and known else 4
     words = f"({values[0]:.{places}f}, {values[1]:.{places}f}) {unit}"
     if spreads is None:
         return words
     kind = f".{places}f" if known and min(spreads) >= FINEST else ".1e"
     told = f"({spreads[0]:{kind}}, {spreads[1]:{kind}})" if known else "unknown"
     return f"{words}  ± {told}"
-
-
-def _places(spread: float) -> int:
-    """Decimals that show two digits of a standard error; four where it is next to nothing."""
-    return max(0, 1 - math.floor(math.log10(spread))) if spread >= FINEST else 4
 
 
 def _scales(estimate: Estimate) -> list[tuple[str, str]]:
@@ -267,7 +262,7 @@ def _quantity(
         return f"{value:>9.4f} {unit}"
     if not math.isfinite(spread):
         return f"{value:>9.4f} {unit:<3}  ± unknown"
-    places = _places(spread)
+    places = decimals(spread)
     words = f"{value:>9.{places}f} {unit:<3}  ± "
     if spread < FINEST:
         return f"{words}{spread:.1e}"

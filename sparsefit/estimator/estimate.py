@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
 from sparsefit.derivative import Agreement, Repairs
 from sparsefit.estimator.doubt import Doubt
@@ -21,6 +22,19 @@ if TYPE_CHECKING:  # who reads an estimator need not wait for it
         Uncertainty,
         VehicleUncertainty,
     )
+
+
+FINEST = 1e-6  # of a standard error: below it, more digits say nothing
+PARAMETERS = (
+    ("U0", "mean_velocity", "m/s"),
+    ("L_w", "length_scale", "m"),
+    ("tau_w", "timescale", "s"),
+)
+
+
+def decimals(spread: float) -> int:
+    """Decimals that show two digits of a standard error; four where it is tiny or not known."""
+    return max(0, 1 - math.floor(math.log10(spread))) if FINEST <= spread < math.inf else 4
 
 
 @dataclass(frozen=True)
@@ -90,8 +104,8 @@ class FlightEstimate:
     agreement: Agreement | None = None
 
 
-@dataclass(frozen=True)
-class Estimate:
+@dataclass(frozen=True, repr=False)
+class Estimate(Brief):
     """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
 
     status ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
@@ -157,6 +171,17 @@ class Estimate:
     constancy: Constancy | None = None
     drag: float = math.nan
     thrust_scale: float = math.nan
+
+    def __str__(self) -> str:
+        """The status and its reason, or the parameters with their standard errors: one line."""
+        if self.status != "ok":
+            return f"{self.status}: {self.reason}"
+        told = []
+        for symbol, name, unit in PARAMETERS:
+            spread = getattr(self.uncertainty, name, math.nan)
+            error = f" ± {spread:.2g}" if math.isfinite(spread) else ""
+            told.append(f"{symbol} = {getattr(self, name):.{decimals(spread)}f}{error} {unit}")
+        return f"ok: {', '.join(told)}"
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None. `flow_uncertainty` is left out."""

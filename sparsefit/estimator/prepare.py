@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, Brief
 from sparsefit.cached import cached_property
 from sparsefit.derivative import Derivative, Samples
 from sparsefit.errors import InputError, told_of
@@ -30,8 +30,8 @@ from sparsefit.uncertainty import LAGS
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prepared(Brief):
     """One flight, or several through one flow, and what is worked out for all back-ends.
 
     Args:

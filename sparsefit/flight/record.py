@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, Brief
 from sparsefit.errors import InputError, one_of
 from sparsefit.flight.flow import FLOWS, Flow
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -22,8 +22,8 @@ FRAMES = {
 LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
 
 
-@dataclass(frozen=True, eq=False)
-class Flight:
+@dataclass(frozen=True, eq=False, repr=False)
+class Flight(Brief):
     """What a vehicle logged: time, position and velocity on the same samples.
 
     The arrays are stored as read-only float64 copies. Rows count from 0 in every message.

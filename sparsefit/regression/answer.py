@@ -4,15 +4,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array, Brief, IntArray
 from sparsefit.regression.backend import Backend
 from sparsefit.regression.certificate import Certificate
 from sparsefit.regression.penalty_choice import PenaltyChoice
 from sparsefit.regression.problem import RegressionProblem
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Brief):
     """A back-end's weights with what the caller verified about them.
 
     weights (k, n) in the original units of theta, NaN throughout where there is no solution;
@@ -57,8 +57,8 @@ class Fit:
         return self.problem.statistics.rank
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
+@dataclass(frozen=True, eq=False, repr=False)
+class Path(Brief):
     """Fits along descending penalties: alpha = alpha_fraction * alpha_max."""
 
     alpha_fractions: Array

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.continuum import Continuum
@@ -43,8 +43,8 @@ class Spectrum:
         return kept
 
 
-@dataclass(frozen=True, eq=False)
-class RegressionProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
     theta and target are finite; norms of their columns are in [1e-140, 1e140], or 0 of a target.
