@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import json
+from functools import cache
 
 import cvxpy
 import numpy as np
@@ -92,6 +93,12 @@ def solved(problem, backend):
     return found
 
 
+@cache
+def answered(backend):
+    """The certified fit of the one problem: many laws are about it and a changed problem's."""
+    return solved(PROBLEM, backend)
+
+
 every = pytest.mark.parametrize("case", CASES, ids=describe)
 CONVEX = [c for c in CASES if backends.load(c[0]).certificate_kind == "duality_gap"]
 convex = pytest.mark.parametrize("case", CONVEX, ids=describe)
@@ -100,7 +107,7 @@ SPARSE = [case for case in CONVEX if case[0] != "ridge"]  # no ridge has a solut
 
 @every
 def test_the_answer_is_certified(case):
-    found = solved(PROBLEM, backends.get(case[0], **case[1]))
+    found = answered(backends.get(case[0], **case[1]))
     assert found.certificate.value <= 1e-6
     assert found.certificate.kind == found.backend.certificate_kind
     assert found.weights.shape == (PROBLEM.columns, PROBLEM.targets)
@@ -149,7 +156,7 @@ def test_permuted_columns_permute_the_weights(case):
     backend = backends.get(case[0], **case[1])
     order = np.random.default_rng(0).permutation(PROBLEM.columns)
     moved = rebuilt(PROBLEM, theta=PROBLEM.theta[:, order], groups=PROBLEM.groups[order])
-    expected = solved(PROBLEM, backend).weights[order]
+    expected = answered(backend).weights[order]
     assert solved(moved, backend).weights == close(backend, expected)
 
 
@@ -158,7 +165,7 @@ def test_permuted_samples_and_targets_change_nothing_else(case):
     backend = backends.get(case[0], **case[1])
     rows = np.random.default_rng(1).permutation(PROBLEM.samples)
     moved = rebuilt(PROBLEM, PROBLEM.theta[rows], PROBLEM.target[rows][:, ::-1])
-    expected = solved(PROBLEM, backend).weights[:, ::-1]
+    expected = answered(backend).weights[:, ::-1]
     assert solved(moved, backend).weights == close(backend, expected)
 
 
@@ -172,7 +179,7 @@ def test_repeated_samples_change_nothing(case):
     if depends_on_samples(backend):
         pytest.skip("its loss is the plain sum of squares: more samples weaken ridge and threshold")
     twice = rebuilt(PROBLEM, np.tile(PROBLEM.theta, (2, 1)), np.tile(PROBLEM.target, (2, 1)))
-    expected = solved(PROBLEM, backend).weights
+    expected = answered(backend).weights
     assert solved(twice, backend).weights == close(backend, expected)
 
 
@@ -185,7 +192,7 @@ def test_units_of_a_column_are_units_of_its_weight(case):
     span = 1e3 if case[0] == "least-squares" else 1e6
     units = np.geomspace(1 / span, span, PROBLEM.columns)
     changed = rebuilt(PROBLEM, theta=PROBLEM.theta * units)
-    expected = solved(PROBLEM, backend).weights
+    expected = answered(backend).weights
     assert solved(changed, backend).weights * units[:, None] == close(backend, expected)
 
 
@@ -196,7 +203,7 @@ def test_units_of_the_target_are_units_of_the_weights(case, unit):
     if depends_on_samples(backend) and unit != -1.0:
         pytest.skip("its threshold has the unit of the weights")
     changed = rebuilt(PROBLEM, target=PROBLEM.target * unit)
-    expected = solved(PROBLEM, backend).weights
+    expected = answered(backend).weights
     assert solved(changed, backend).weights / unit == close(backend, expected)
 
 
@@ -243,7 +250,7 @@ def objective(problem, backend, weights):
 @convex
 def test_random_perturbations_never_lower_the_objective(case):
     backend, rng = backends.get(case[0], **case[1]), np.random.default_rng(5)
-    found = solved(PROBLEM, backend)
+    found = answered(backend)
     least, null = objective(PROBLEM, backend, found.weights), PROBLEM.statistics.null_objective
     assert least == pytest.approx(found.certificate.primal, rel=1e-12)
     for size in np.geomspace(1e-6, 1.0, 60):
@@ -283,7 +290,7 @@ def test_groups_of_one_reproduce_the_lasso(fraction, solver):
     single = rebuilt(PROBLEM, groups=np.arange(PROBLEM.columns))
     more = {"solver": solver} if solver else {}
     grouped = backends.get("group-lasso", alpha_fraction=fraction, separate=True, **more)
-    expected = solved(PROBLEM, backends.get("lasso", alpha_fraction=fraction)).weights
+    expected = answered(backends.get("lasso", alpha_fraction=fraction)).weights
     assert solved(single, grouped).weights == close(grouped, expected)
     one = rebuilt(single, target=PROBLEM.target[:, :1])
     joint = dataclasses.replace(grouped, separate=False)
