@@ -27,6 +27,7 @@ from sparsefit.study.report.drawing import (
     GREY,
     MARKERS,
     STYLES,
+    laid_out,
     logarithmic,
     panels,
     shortened,
@@ -51,15 +52,15 @@ CAPTIONS = {
 def figures_of(study: SolverStudy, cases: pd.DataFrame) -> dict[str, Figure]:
     """The pictures by the name of their file; those that have something to show."""
     look = _looks(cases)
-    figures = {
-        "profiles": _profiles(study, cases, look, _performance),
-        "data-profiles": _profiles(study, cases, look, _data),
-        "accuracy": _accuracy(study, cases, look),
+    draw = {
+        "profiles": lambda: _profiles(study, cases, look, _performance),
+        "data-profiles": lambda: _profiles(study, cases, look, _data),
+        "accuracy": lambda: _accuracy(study, cases, look),
     }
     grown = growth(cases, study.accuracies[len(study.accuracies) // 2])
     if len(grown):
-        figures["growth"] = _growth(grown, look)
-    return figures
+        draw["growth"] = lambda: _growth(grown, look)
+    return {name: laid_out(figure) for name, figure in draw.items()}
 
 
 def _looks(cases: pd.DataFrame) -> Look:

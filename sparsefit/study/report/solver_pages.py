@@ -6,14 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import matplotlib as mpl
 import pandas as pd
 from matplotlib.figure import Figure
 
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.solver_answers import limits, sentences
 from sparsefit.study.evidence.solver_tables import tables_of
-from sparsefit.study.report.drawing import STYLE, to_inline, to_png, to_svg
+from sparsefit.study.report.drawing import to_inline, to_png, to_svg
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.html_page import Page, Picture, Section, to_html
 from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
@@ -43,8 +42,7 @@ def write_solver_report(
         write(f"{name}.md", to_markdown(table))
         write(f"{name}.tex", to_latex(table))
         write(f"{name}.csv", to_csv(table))
-    with mpl.rc_context(STYLE):
-        figures = figures_of(study, cases)
+    figures = figures_of(study, cases)
     for name, figure in figures.items():
         write(f"{name}.svg", to_svg(figure))
         write(f"{name}.png", to_png(figure))
