@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.library.phase import sines_and_cosines
 from sparsefit.library.waves import ACROSS, AXIS, Pattern, Waves, along_path
 
 
@@ -45,7 +46,8 @@ class EqualWaves:
         """Columns (s, 2, 2 m) at positions (m, 2) or (m, 3), for parameters (s, p)."""
         phases = self.pattern.phases(self._of_pattern(parameters))
         theta = along_path(phases, position) - self._delays(parameters)
-        both = np.stack([-np.sin(theta), np.cos(theta)], axis=1)  # g of cos and of sin
+        sine, cosine = sines_and_cosines(theta)
+        both = np.stack([-sine, cosine], axis=1)  # g of cos and of sin
         values: Array = (phases @ ACROSS).swapaxes(1, 2)[:, None] @ both
         return values.reshape(len(phases), 2, 2 * len(position))
 

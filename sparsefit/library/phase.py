@@ -12,11 +12,10 @@ def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
 
     Both are rational in the tangent of half the phase: with t = tan(phase / 2)
 
-        sin = 2 t / (1 + t^2),   cos = (1 - t^2) / (1 + t^2),
+        sin = 2 t / (1 + t^2),   cos = 2 / (1 + t^2) - 1,
 
     one transcendental function instead of two, and the one that numpy evaluates side by side.
     """
     half = np.tan(0.5 * phase)
-    square = half * half
-    share = 1.0 / (1.0 + square)
-    return 2.0 * half * share, (1.0 - square) * share
+    share = 2.0 / (1.0 + half * half)
+    return half * share, share - 1.0

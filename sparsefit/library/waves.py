@@ -20,6 +20,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
+from sparsefit.library.phase import sines_and_cosines
 
 Coefficients = tuple[tuple[float, ...], ...]
 
@@ -159,8 +160,9 @@ class Waves:
         phases = self.pattern.phases(parameters)
         theta, across = along_path(phases, position), (phases @ ACROSS)[..., None]
         values = np.empty((*theta.shape[:2], 2, 2, theta.shape[2]))
-        np.multiply(across, -np.sin(theta)[:, :, None], out=values[:, :, 0])  # g of cos
-        np.multiply(across, np.cos(theta)[:, :, None], out=values[:, :, 1])  # g of sin
+        sine, cosine = sines_and_cosines(theta)
+        np.multiply(-across, sine[:, :, None], out=values[:, :, 0])  # g of cos
+        np.multiply(across, cosine[:, :, None], out=values[:, :, 1])  # g of sin
         return self._joined(values)
 
     def slopes(self, position: Array, parameters: Array, values: Array) -> Array:
@@ -266,7 +268,7 @@ def along_path(phases: Array, position: Array) -> Array:
 
 def _flows(theta: Array, weights: Array) -> tuple[Array, Array]:
     """psi's derivative by theta (s, J, m) and its next one, of every wave, (s, J, m) each."""
-    sin, cos, a, b = np.sin(theta), np.cos(theta), weights[:, ::2], weights[:, 1::2]
+    (sin, cos), a, b = sines_and_cosines(theta), weights[:, ::2], weights[:, 1::2]
     return b * cos - a * sin, -a * cos - b * sin
 
 
