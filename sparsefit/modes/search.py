@@ -51,7 +51,10 @@ def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
     starts = lobes[: DESCENDED if space.known is None else LOOKED_AT].tolist()
     if candidate is not None:
         starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
-    fits = [space.descend(np.array([k]), rough=True) for k in dict.fromkeys(starts)]
+    fits: list[Projection] = []
+    for start in dict.fromkeys(starts):
+        if not _too_shallow(space, start, fits):
+            fits.append(space.descend(np.array([start]), rough=True))
     fits.sort(key=lambda fit: fit.residual)
     best = space.descend(fits[0].parameters[:, 0], start=fits[0])
     k = float(best.parameters[0, 0])
@@ -60,6 +63,12 @@ def locate_one(space: SearchSpace, candidate: float | None = None) -> Located:
     proposed = (k if candidate is None else candidate,)
     ends = tuple(float(fit.parameters[0, 0]) for fit in (best, *fits[1:]))
     return Located(space, best, proposed, rival, math.nan, _correlation(space, best), ends)
+
+
+def _too_shallow(space: SearchSpace, start: float, fits: list[Projection]) -> bool:
+    """Whether a lobe can be neither the best nor its rival: two fits apart are lower already."""
+    lower = [fit.parameters[0, 0] for fit in fits if fit.residual < space.least(start)]
+    return bool(lower) and max(lower) - min(lower) > 2 * SAME * space.scan.step
 
 
 def _other(space: SearchSpace, fits: list[Projection], best: Projection) -> Projection | None:

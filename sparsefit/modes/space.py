@@ -39,6 +39,7 @@ ITERATIONS, HALVINGS = 60, 12  # of a descent, and of one of its moves
 FOLLOWED = 2  # moves of a lobe that was known: what it has not reached is left to the next answer
 END = 1e-15  # of a parameter: moves below it are rounding
 FLOOR = 1e-15  # of |Phi|^2: residuals below it are rounding
+BELOW = 1e-2  # of |Phi|^2: descents end at most 0.1 of this below the scan's point of their lobe
 ROUGH = 1e-2  # in scan steps, 1e-7 of a lobe's depth: where a rival's descent may stop
 FALSE_ALARM = 1e-3  # of a detection, over all lobes of a flight
 SIGNIFICANCE = 0.01  # of a lobe being mistaken for another
@@ -145,7 +146,19 @@ class SearchSpace:
     @cached_property
     def minima(self) -> Array:
         """Wavenumbers (l,) [1/m] of the lobes of one mode's residual, the deepest first."""
-        return self.lobes(self.empty) if self.known is None else self.known
+        return self.lobes_of(self._curve) if self.known is None else self.known
+
+    @cached_property
+    def _curve(self) -> Array:
+        """RSS (q,) of one mode at the scanned wavenumbers."""
+        return self.residuals(self.empty)
+
+    def least(self, wavenumber: float) -> float:
+        """What a descent of one mode from a scanned lobe [1/m] leaves, at least; 0: not known."""
+        if self.known is not None or self.sampled is not self.rows:
+            return 0.0
+        place = round((wavenumber - self.scan.wavenumbers[0]) / self.scan.step)
+        return float(self._curve[place]) - BELOW * float(np.sum(self.rows.target**2))
 
     def lobes(self, fit: Projection) -> Array:
         """Wavenumbers (l,) [1/m] where one mode more explains most of what a fit leaves."""
