@@ -187,15 +187,14 @@ def likeliest(shapes: Array, observed: Array, rounds: int = ROUNDS) -> Array:
     size = shapes.mean(axis=1)
     size[size == 0] = 1.0
     scaled = shapes / size[:, None]
-    level = np.full(len(shapes), observed.mean() / len(shapes))
-    least = 1e-300 + 1e-12 * float(observed.max())
+    loaded, least = scaled * observed, 1e-300 + 1e-12 * float(observed.max())
+    every = np.vstack([scaled, np.full(len(observed), least)])  # the last of level 1
+    levels = np.append(np.full(len(shapes), observed.mean() / len(shapes)), 1.0)
+    level, inverse = levels[:-1], np.empty(len(observed))
     for _ in range(rounds):
-        inverse = level @ scaled
-        inverse += least
-        np.reciprocal(inverse, out=inverse)
-        below = scaled @ inverse
+        np.reciprocal(np.dot(levels, every, out=inverse), out=inverse)
+        level /= np.dot(scaled, inverse)
         inverse *= inverse
-        inverse *= observed
-        level = level * (scaled @ inverse) / below
+        level *= np.dot(loaded, inverse)
     found: Array = level / size
     return found
