@@ -8,6 +8,7 @@ from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import Backend
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import path as certified_path
+from sparsefit.regression.penalty_choice import FRACTIONS
 from sparsefit.regression.problem import RegressionProblem
 
 
@@ -25,14 +26,15 @@ def fit(problem: RegressionProblem, backend: Backend | str, *, tolerance: float 
 def path(
     problem: RegressionProblem,
     backend: Backend | str,
-    alpha_fractions: Any,
+    alpha_fractions: Any = FRACTIONS,
     *,
     tolerance: float = TOLERANCE,
 ) -> Path:
     """Solve along a penalty grid, in any order given, and certify every point.
 
     backend: as in `fit`. alpha_fractions: numbers in (0, 1], the penalties as fractions of the
-    smallest one whose solution is zero. Back-ends without a path of their own are run point by
-    point. Raises InputError for back-ends that have no penalty, and as `fit` does.
+    smallest one whose solution is zero; by default 30 from 1 to 1e-3. Back-ends without a path
+    of their own are run point by point. Raises InputError for back-ends that have no penalty, and
+    as `fit` does.
     """
     return certified_path(problem, named(backend), alpha_fractions, tolerance=tolerance)

@@ -81,15 +81,15 @@ def _fit(problem: RegressionProblem, backend: Backend, tolerance: float) -> Fit:
 def path(
     problem: RegressionProblem,
     backend: Backend,
-    alpha_fractions: Any,
+    alpha_fractions: Any = FRACTIONS,
     *,
     tolerance: float = TOLERANCE,
 ) -> Path:
     """Solve along a penalty grid, in any order given, and certify every point.
 
     alpha_fractions: numbers in (0, 1], the penalties as fractions of the smallest one whose
-    solution is zero. Back-ends without a path of their own are run point by point. Raises
-    InputError for back-ends that have no penalty, and as `fit` does.
+    solution is zero; by default 30 from 1 to 1e-3. Back-ends without a path of their own are run
+    point by point. Raises InputError for back-ends that have no penalty, and as `fit` does.
     """
     _check(problem, tolerance)
     if not isinstance(backend, PathBackend) and not isinstance(backend, PenalisedBackend):

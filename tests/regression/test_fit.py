@@ -141,6 +141,13 @@ def test_a_path_that_the_gram_matrix_proves_never_reads_the_rows(monkeypatch):
     assert all(0 < each.certificate.rounding <= 1e-9 for each in found.fits)
 
 
+def test_a_path_with_no_grid_given_has_thirty_points_down_to_a_thousandth():
+    found = sf.path(PROBLEM, "lasso")
+    assert found.alpha_fractions == pytest.approx(10.0 ** (-3 * np.arange(30) / 29), rel=1e-12)
+    assert len(found.fits) == 30
+    assert not found.fits[0].weights.any()
+
+
 @pytest.mark.parametrize(("tolerance", "wrong"), [(1e-8, 1.001), (1e-14, 1.0)])
 def test_the_rows_decide_what_the_gram_matrix_cannot_prove(tolerance, wrong):
     backend = backends.get("lasso", alpha_fraction=0.1)
