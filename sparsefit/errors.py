@@ -8,6 +8,7 @@ with its owner, by `number_setting`, `integer_setting`, `flag_setting` and `one_
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -49,10 +50,23 @@ def told_of(what: str, number: int, count: int) -> Iterator[None]:
         yield
 
 
-def one_line(text: str) -> str:
-    """The text on one line that any terminal and file can hold; what cannot be shown as `\\x1b`."""
-    words = " ".join(text.split())
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
+def one_line(text: str, most: int = sys.maxsize) -> str:
+    """The text on one line that any terminal and file can hold; what cannot be shown as `\\x1b`.
+
+    most: letters, of which the last are `...` where it is cut.
+    """
+    words = " ".join(text[: 4 * most].split())
+    line = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def described(error: BaseException, most: int = 500) -> str:
+    """`ValueError: what it says`, on one line, of any exception; saying it may fail too."""
+    try:
+        said = str(error)
+    except Exception:
+        said = "(its message cannot be told)"
+    return one_line(f"{type(error).__name__}: {said}", most)
 
 
 def suggestion(name: str, valid: Iterable[str]) -> str:

@@ -91,7 +91,7 @@ def test_a_run_that_was_stopped_goes_on(finished, tmp_path, monkeypatch):
         asked.append(ask)
         if len(asked) == 18:
             raise KeyboardInterrupt
-        verdict = Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4)
+        verdict = Verdict("duality_gap", 0.0, 0.0, "", 4, 4)
         return Answer(Timing(0.01, 0.01), verdict, 1.0)
 
     monkeypatch.setattr(solver_crew.Crew, "ask", answers)
@@ -124,7 +124,7 @@ def test_what_failed_is_timed_again_with_all_that_took_turns_with_it(
     finished, tmp_path, monkeypatch
 ):
     study, *_ = finished
-    good = Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4), 1.0)
+    good = Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "", 4, 4), 1.0)
     lost = Lost("crashed", "the process died")
     asked = []
 
@@ -150,7 +150,7 @@ def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
 
     def answers(_, ask):
         asked.append(ask.case.problem)
-        return Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4), 1.0)
+        return Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "", 4, 4), 1.0)
 
     def ran(text):
         asked.clear()
@@ -174,7 +174,7 @@ def test_a_changed_file_keeps_what_was_timed_together(tmp_path, monkeypatch):
 
 
 def answered(*_):
-    return Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "ok", "", 4, 4), 1.0)
+    return Answer(Timing(0.01, 0.01), Verdict("duality_gap", 0.0, 0.0, "", 4, 4), 1.0)
 
 
 def test_only_computes_whole_turns_and_parts_of_one_machine_come_together(

@@ -1,33 +1,25 @@
-"""What a worker tells its parent: a line a message, checked, and never waited for.
+"""What a worker tells its parent: a record a line, checked, and never waited for.
 
-Code of others runs in the worker and may write anything anywhere. A message that is not whole, or
+Code of others runs in the worker and may write anything anywhere. A line that is not whole, or
 is none, ends the worker; it cannot hold up the parent.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from sparsefit.study.run.lines import outcome_of, packed, record_of, unpacked
-from sparsefit.study.run.outcome import Event, Outcome, Stage
+from sparsefit.study.run.lines import Record, packed, unpacked
 
 CHUNK = 1 << 16
 CHUNKS = 16  # that are read of one worker at a time
-LONGEST = 64 << 20  # bytes of one message
-
-
-@dataclass(frozen=True)
-class Ready:
-    """The worker has started, or has ended its job."""
-
-
-Message = Event | Ready
+LONGEST = 64 << 20  # bytes of one record
+GARBLED = "the message channel of the worker process was written into"
 
 
 class Garbled(Exception):  # noqa: N818 - says what is the matter
-    """What came through the channel is no message."""
+    """What came through the channel is no record."""
 
 
 @dataclass
@@ -40,18 +32,18 @@ class Sender:
     descriptor: int
     owner: int
 
-    def send(self, message: Message) -> None:
+    def send(self, record: Mapping[str, object]) -> None:
         """Write all of it; BrokenPipeError where the parent is gone."""
         if os.getpid() != self.owner:
             os._exit(0)
-        line = _line(message)
+        line = packed(record)
         while line:
             line = line[os.write(self.descriptor, line) :]
 
 
 @dataclass
 class Receiver:
-    """The parent's end, which does not block; `waiting` holds the start of a message."""
+    """The parent's end, which does not block; `waiting` holds the start of a record."""
 
     descriptor: int
     waiting: bytes = b""
@@ -60,12 +52,12 @@ class Receiver:
     def __post_init__(self) -> None:
         os.set_blocking(self.descriptor, False)
 
-    def messages(self) -> Iterator[Message]:
+    def records(self) -> Iterator[Record]:
         """Those that have come by now; `more` where that was too much for one time.
 
         Raises:
             EOFError: the other end is closed, and all was read.
-            Garbled: what came is no message of ours.
+            Garbled: what came is no record.
         """
         self.more = True
         for _ in range(CHUNKS):
@@ -80,27 +72,7 @@ class Receiver:
             if len(self.waiting) > LONGEST:
                 raise Garbled
             for line in whole:
-                yield _message(line + b"\n")
-
-
-def _line(message: Message) -> bytes:
-    if isinstance(message, Ready):
-        return packed({"ready": True})
-    if isinstance(message, Stage):
-        return packed({"stage": message.name, "cells": message.cells, "fits": message.fits})
-    try:
-        return packed(record_of(message))
-    except (ValueError, TypeError, OverflowError, RecursionError) as error:
-        reason = f"what was read cannot be written: {type(error).__name__}"
-        return packed(record_of(Outcome(message.flight, message.cell, "error", reason)))
-
-
-def _message(line: bytes) -> Message:
-    record = unpacked(line)
-    if record is None:
-        raise Garbled
-    if "ready" in record:
-        return Ready()
-    if "stage" in record:
-        return Stage(record["stage"], tuple(record["cells"]), record["fits"])
-    return outcome_of(record)
+                record = unpacked(line + b"\n")
+                if record is None:
+                    raise Garbled
+                yield record

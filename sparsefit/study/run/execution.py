@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar, cast
 
-from sparsefit.errors import one_line
+from sparsefit.errors import described, one_line
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
@@ -188,7 +188,7 @@ def _outcome(context: _Context, prepared: Prepared, cell: Cell, fit: Fit) -> Out
         context.flight,
         cell.index,
         estimate.status,
-        _one_line(estimate.reason or ""),
+        one_line(estimate.reason or "", MAX_REASON),
         values_of(reading),
         shared_seconds=float(fit.shared_seconds),
         weights=tuple(sorted((float(scale), float(weight)) for scale, weight in weights)),
@@ -200,29 +200,16 @@ def _attempt(step: Callable[[], Result]) -> Result | _Failed:
     try:
         return step()
     except Exception as error:
-        failed = _Failed(_one_line(f"{type(error).__name__}: {_told(error)}"))
+        failed = _Failed(described(error, MAX_REASON))
         memory = isinstance(error, MemoryError)
     if memory:  # what the failed step held is not charged to the next
         gc.collect()
     return failed
 
 
-def _told(error: Exception) -> str:
-    """What it says; nothing where saying it fails too."""
-    try:
-        return str(error)
-    except Exception:
-        return "(its message cannot be told)"
-
-
 def _failed(flight: int, cells: Sequence[Cell], failed: _Failed) -> Iterator[Outcome]:
     for cell in cells:
         yield Outcome(flight, cell.index, "error", failed.reason)
-
-
-def _one_line(reason: str) -> str:
-    words = one_line(reason)
-    return words if len(words) <= MAX_REASON else words[: MAX_REASON - 3] + "..."
 
 
 def _indices(cells: Sequence[Cell]) -> tuple[int, ...]:

@@ -20,8 +20,8 @@ Record: TypeAlias = dict[str, Any]
 
 
 def packed(record: Mapping[str, object]) -> bytes:
-    """The line of a record; ValueError where JSON or UTF-8 cannot hold it."""
-    body = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
+    """The line of a record; ValueError or TypeError where JSON cannot hold it."""
+    body = json.dumps(record, separators=(",", ":")).encode()
     return b"%08x %s\n" % (crc32(body), body)
 
 

@@ -16,7 +16,7 @@ from importlib import import_module
 from itertools import islice
 from typing import Any
 
-from sparsefit.errors import InputError, MissingExtra, one_line
+from sparsefit.errors import InputError, MissingExtra, described
 from sparsefit.study.run.lines import Record, outcome_of, record_of
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.pool import Timed, outcomes
@@ -97,7 +97,7 @@ class _Tasks:
                 self._submit([replace(job, deaths=1)])
             return
         error = future.exception()
-        reason = one_line(f"the dask task failed: {type(error).__name__}: {error}")[:500]
+        reason = f"the dask task failed: {described(error)}"
         for cell in given[0].cells:
             yield Outcome(given[0].flight, cell, "crashed", reason), float("nan")
 
@@ -124,7 +124,7 @@ def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) 
     try:
         return stack.enter_context(dask.Client(scheduler, timeout=CONNECT_SECONDS))
     except (OSError, ValueError) as error:
-        cause = one_line(str(error)) or type(error).__name__
+        cause = described(error)
         raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None
 
 

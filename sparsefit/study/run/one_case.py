@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.codec import shown
-from sparsefit.errors import InputError, SparsefitError, one_line
+from sparsefit.errors import InputError, SparsefitError, described
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
@@ -100,6 +100,5 @@ def run_again(study: Study, case: Case) -> OneCase:
     except InputError:
         raise
     except Exception as error:
-        words = one_line(f"{type(error).__name__}: {error}")
-        raise SparsefitError(f"{case.case_id} ends in an error: {words}") from error
+        raise SparsefitError(f"{case.case_id} ends in an error: {described(error)}") from error
     return OneCase(case, fleet[0], draw.flow, prepared, fit, estimate, values)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from multiprocessing.connection import wait
 
 from sparsefit.errors import SparsefitError
-from sparsefit.study.run.channel import Garbled, Ready
+from sparsefit.study.run.channel import GARBLED, Garbled
 from sparsefit.study.run.outcome import READING, Outcome, Stage
-from sparsefit.study.run.worker import Job, Worker
+from sparsefit.study.run.worker import Job, Ready, Worker
 from sparsefit.study.spec.study import Study
 
 START_SECONDS = 180.0
@@ -19,7 +19,6 @@ MAX_DEATHS = 3
 MAX_KILLED = 30  # while they started, in a row: who is killed from outside starts anew
 TICK = 0.5  # seconds between looks at the clock, at most
 ASLEEP = 3.0  # seconds between them after which this process itself must have been stopped
-GARBLED = "the message channel of the worker process was written into"
 
 Timed = tuple[Outcome, float]
 
@@ -139,7 +138,7 @@ class _Pool:
         """Take the messages that have come, of one worker not for ever; False when it is gone."""
         alive = worker.child.process.is_alive()
         try:
-            for message in worker.receiver.messages():
+            for message in worker.told():
                 if isinstance(message, Stage) and message.name != READING and self.stop():
                     worker.stage = None  # what it was told before is done, and this is not begun
                     return True

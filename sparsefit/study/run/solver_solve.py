@@ -29,6 +29,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.backends import Backend, Solution
 from sparsefit.backends.penalised import PenalisedPath
+from sparsefit.errors import one_line
 from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_fraction
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.fit import path as certified_path
@@ -65,14 +66,13 @@ class Verdict:
     """What the referee says of the answers of a task.
 
     gap: its own duality gap (or the certificate of another kind), worst over the path; excess: as
-    in the head of this file. Infinite where a point has no finite answer. status: the back-end's
-    own word, the worst; words: the solver's of that point, with the reason.
+    in the head of this file. Infinite where a point has no finite answer. words: the solver's own
+    of the worst point, with the reason.
     """
 
     kind: str
     gap: float
     excess: float
-    status: str
     words: str
     answered: int
     asked: int
@@ -179,9 +179,9 @@ def judged(
     backend, asked = task.backend, max(len(task.fractions or _own(task.backend)), 1)
     answered = [i for i, each in enumerate(solutions) if _answers(each)]
     worst = max(solutions, key=lambda each: RANK.get(each.status, 3))
-    words = " ".join(f"{worst.solver_status} {worst.reason}".split())[:200]
+    words = one_line(f"{worst.solver_status} {worst.reason}", 200)
     kind = str(backend.certificate_kind)
-    counted = (worst.status, words, len(answered), asked)
+    counted = (words, len(answered), asked)
     if len(answered) < asked:
         return Verdict(kind, math.inf, math.inf, *counted)
     if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):

@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -19,9 +19,11 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.child import Child
-from sparsefit.errors import SparsefitError
+from sparsefit.errors import SparsefitError, described
 from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.study.run.channel import GARBLED, Garbled, Receiver, Sender
+from sparsefit.study.run.lines import Record
 from sparsefit.study.run.solver_solve import (
     PeakMemory,
     Task,
@@ -41,6 +43,7 @@ START_SECONDS = 120.0
 HAND_SECONDS = 300.0  # until it says that it begins
 FIRST_SECONDS = 180.0  # of the first call: it may compile
 JUDGE_SECONDS = 120.0
+LONGEST_REASON = 300  # letters
 PATIENCE = 10.0  # times the limit on the wall clock: a machine that is busy fails nobody
 
 
@@ -85,22 +88,29 @@ class Lost:
     reason: str
 
 
-def work(study: SolverStudy, pipe: Connection) -> None:
+def work(study: SolverStudy, asks: Connection, answers: Connection) -> None:
     """The worker's life: answer what is asked, until the parent is gone."""
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)
-    desk = _Desk(study, pipe)
+    sender = Sender(answers.fileno(), os.getpid())
+    desk = _Desk(study, sender)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        pipe.send(Answer())
+        sender.send(asdict(Answer()))
         while True:
-            ask: Ask | Hand = pipe.recv()
+            ask: Ask | Hand = asks.recv()
             try:
                 answer = desk.answer(ask)
             except Exception as error:  # a solver may raise anything
-                words = " ".join(f"{type(error).__name__}: {error}".split())
-                answer = Answer(error=words[:300])
-            pipe.send(answer)
+                answer = Answer(error=described(error, LONGEST_REASON))
+            sender.send(asdict(answer))
+
+
+def _message(record: Record) -> Begun | Answer:
+    if "seconds" in record:
+        return Begun(**record)
+    timing, verdict = record.pop("timing"), record.pop("verdict")
+    return Answer(timing and Timing(**timing), verdict and Verdict(**verdict), **record)
 
 
 @dataclass
@@ -108,7 +118,7 @@ class _Desk:
     """The problem in hand with its reference bounds, by what is minimised."""
 
     study: SolverStudy
-    pipe: Connection
+    sender: Sender
     problem: RegressionProblem | None = None
     bounds: dict[str, Array] = field(default_factory=dict)
 
@@ -141,7 +151,7 @@ class _Desk:
         return Answer(timing, judged(self.problem, task, solutions, bounds), megabytes)
 
     def _begin(self, seconds: float, what: str) -> None:
-        self.pipe.send(Begun(seconds, what))
+        self.sender.send(asdict(Begun(seconds, what)))
 
     def _bounds(self, solved: str, task: Task) -> Array:
         if solved not in self.bounds and self.problem is not None:
@@ -157,72 +167,95 @@ def small_problem() -> RegressionProblem:
     return RegressionProblem.from_arrays(theta, target, np.arange(12) // 3)
 
 
+@dataclass(frozen=True)
+class _Process:
+    """A process that works, and both channels to it."""
+
+    child: Child
+    asks: Connection
+    answers: Connection
+    receiver: Receiver
+
+    @classmethod
+    def start(cls, study: SolverStudy) -> _Process:
+        asks, ours = multiprocessing.Pipe(duplex=False)
+        answers, theirs = multiprocessing.Pipe(duplex=False)
+        child = Child.start(work, study, asks, theirs)
+        asks.close()
+        theirs.close()
+        return cls(child, ours, answers, Receiver(answers.fileno()))
+
+    def how_it_ended(self) -> str:
+        self.child.process.join(timeout=2.0)
+        return self.child.end
+
+    def end(self) -> None:
+        self.child.kill()
+        self.asks.close()
+        self.answers.close()
+
+
 class Worker:
     """The parent's end of a process; started when first asked, and again after a loss."""
 
     def __init__(self, study: SolverStudy) -> None:
         self._study = study
-        self._child: Child | None = None
-        self._pipe: Connection | None = None
+        self._process: _Process | None = None
 
     @property
     def pid(self) -> int | None:
         """The process, where there is one now."""
-        return None if self._child is None else self._child.process.pid
+        return None if self._process is None else self._process.child.process.pid
 
     def ask(self, ask: Ask | Hand) -> Answer | Lost:
         """The answer, or how the process was lost over it."""
-        if self._child is None:
-            self._start()
-        assert self._pipe is not None
+        process = self._process or self._start()
         try:
-            self._pipe.send(ask)
+            process.asks.send(ask)
         except OSError:
-            return self._lost(Lost("crashed", "the process died before the solve"))
-        return self._receive(HAND_SECONDS)
+            return self._lost("crashed", "the process died before the solve")
+        return self._receive(process, HAND_SECONDS)
 
     def close(self) -> None:
         """End the process for real, and wait until it is gone."""
-        if self._child is not None and self._pipe is not None:
-            self._child.kill()
-            self._pipe.close()
-        self._child = self._pipe = None
+        if self._process is not None:
+            self._process.end()
+        self._process = None
 
-    def _start(self) -> None:
-        self._pipe, theirs = multiprocessing.Pipe()
-        self._child = Child.start(work, self._study, theirs)
-        theirs.close()
-        started = self._receive(START_SECONDS)
+    def _start(self) -> _Process:
+        self._process = process = _Process.start(self._study)
+        started = self._receive(process, START_SECONDS)
         if isinstance(started, Lost):
             raise SparsefitError(
                 f"the worker process could not start ({started.reason}): in a script, call run() "
                 'under if __name__ == "__main__"'
             )
+        return process
 
-    def _receive(self, seconds: float) -> Answer | Lost:
+    def _receive(self, process: _Process, seconds: float) -> Answer | Lost:
         """Wait for the answer; every `Begun` sets a new limit.
 
         Seconds are of the process's CPU where the system tells them, so that a busy machine fails
         no solver, and then `PATIENCE` times as many on the wall.
         """
-        assert self._pipe is not None
         what, began = "the process", self._clocks()
         while True:
+            process.answers.poll(self._left(began, seconds))
             try:
-                if not self._pipe.poll(self._left(began, seconds)):
-                    if self._left(began, seconds) > 0.0:
-                        continue
-                    cpu = self._clocks()[0] - began[0]
-                    kind = "" if not cpu < seconds else f" ({cpu:.1f} s of CPU)"
-                    limit = seconds * PATIENCE if kind else seconds
-                    words = f"{what} took longer than {limit:g} s{kind}"
-                    return self._lost(Lost("timeout", words))
-                message = self._pipe.recv()
+                for record in process.receiver.records():
+                    message = _message(record)
+                    if isinstance(message, Answer):
+                        return message
+                    what, seconds, began = message.what, message.seconds, self._clocks()
+            except Garbled:
+                return self._lost("crashed", f"{what}: {GARBLED}")
             except (EOFError, OSError):
-                return self._lost(Lost("crashed", f"{what}: the process {self._end()}"))
-            if isinstance(message, Answer):
-                return message
-            what, seconds, began = message.what, message.seconds, self._clocks()
+                return self._lost("crashed", f"{what}: the process {process.how_it_ended()}")
+            if self._left(began, seconds) <= 0.0:
+                cpu = self._clocks()[0] - began[0]
+                kind = "" if not cpu < seconds else f" ({cpu:.1f} s of CPU)"
+                limit = seconds * PATIENCE if kind else seconds
+                return self._lost("timeout", f"{what} took longer than {limit:g} s{kind}")
 
     def _clocks(self) -> tuple[float, float]:
         """CPU seconds of the process (NaN where unknown), and of the wall."""
@@ -235,14 +268,9 @@ class Worker:
             return max(seconds - wall, 0.0)
         return max(min(seconds - cpu, PATIENCE * seconds - wall), 0.0)
 
-    def _end(self) -> str:
-        assert self._child is not None
-        self._child.process.join(timeout=2.0)
-        return self._child.end
-
-    def _lost(self, lost: Lost) -> Lost:
+    def _lost(self, status: str, reason: str) -> Lost:
         self.close()
-        return lost
+        return Lost(status, reason)
 
 
 def _cpu_seconds(pid: int | None) -> float:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from typing import TypeAlias
 
 from sparsefit.child import Child
 from sparsefit.estimator.estimator import Estimator
@@ -15,10 +17,19 @@ from sparsefit.flight import simulate_flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.study.run.channel import Message, Ready, Receiver, Sender
+from sparsefit.study.run.channel import Receiver, Sender
 from sparsefit.study.run.execution import run_flight
-from sparsefit.study.run.outcome import Outcome, Stage
+from sparsefit.study.run.lines import Record, outcome_of, record_of
+from sparsefit.study.run.outcome import Event, Outcome, Stage
 from sparsefit.study.spec.study import Study
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The worker has started, or has ended its job."""
+
+
+Message: TypeAlias = Event | Ready
 
 
 @dataclass(frozen=True)
@@ -36,13 +47,32 @@ def work(study: Study, jobs: Connection, messages: Connection) -> None:
     sender = Sender(messages.fileno(), os.getpid())
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         _load()
-        sender.send(Ready())
+        sender.send({"ready": True})
         while True:
             job: Job = jobs.recv()
             todo = [study.cells[index] for index in job.cells]
             for event in run_flight(study, job.flight, todo, alone=job.alone):
-                sender.send(event)
-            sender.send(Ready())
+                _send(sender, event)
+            sender.send({"ready": True})
+
+
+def _send(sender: Sender, event: Event) -> None:
+    if isinstance(event, Stage):
+        sender.send({"stage": event.name, "cells": event.cells, "fits": event.fits})
+        return
+    try:
+        sender.send(record_of(event))
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        reason = f"what was read cannot be written: {type(error).__name__}"
+        sender.send(record_of(Outcome(event.flight, event.cell, "error", reason)))
+
+
+def _message(record: Record) -> Message:
+    if "ready" in record:
+        return Ready()
+    if "stage" in record:
+        return Stage(record["stage"], tuple(record["cells"]), record["fits"])
+    return outcome_of(record)
 
 
 def _load() -> None:
@@ -99,6 +129,10 @@ class Worker:
         # If it has died meanwhile, the end of its pipe says so, and the job goes to another.
         with suppress(OSError):
             self.jobs.send(job)
+
+    def told(self) -> Iterator[Message]:
+        """What has come by now, as of `Receiver.records`."""
+        return map(_message, self.receiver.records())
 
     def take(self, message: Message) -> tuple[Outcome, float] | None:
         """Note what happened; an outcome comes back with the seconds it took, or NaN."""
