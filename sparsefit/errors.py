@@ -75,18 +75,22 @@ def suggestion(name: str, valid: Iterable[str]) -> str:
     return _did_you_mean(name, known) or f" (known: {', '.join(known)})"
 
 
-def unknown(kind: str, name: object, valid: Iterable[str]) -> InputError:
-    """Return (not raise) the error for a name that is not among ``valid``."""
+def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> InputError:
+    """Return (not raise) the error for a name that is not among ``valid``.
+
+    listed: where they stand, if they are too many for a line.
+    """
     known = list(valid)
     hint = _did_you_mean(str(name), known)
-    return InputError(f'unknown {kind} "{name}"{hint} (known: {", ".join(known)})')
+    every = f"listed in {listed}" if listed else f"known: {', '.join(known)}"
+    return InputError(f'unknown {kind} "{name}"{hint} ({every})')
 
 
-def one_of(kind: str, value: object, valid: Iterable[str]) -> None:
-    """Raise `InputError`, which names the nearest, unless ``value`` is one of the valid names."""
+def one_of(kind: str, value: object, valid: Iterable[str], listed: str = "") -> None:
+    """Raise `InputError`, as of `unknown`, unless ``value`` is one of the valid names."""
     known = tuple(valid)
     if not isinstance(value, str) or value not in known:
-        raise unknown(kind, str(value), known)
+        raise unknown(kind, str(value), known, listed)
 
 
 def _did_you_mean(name: str, valid: Iterable[str]) -> str:

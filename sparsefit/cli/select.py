@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import check_output, print_json, table_record, terminal_width
+from sparsefit.cli.output import check_output, print_json, table_record
 from sparsefit.cli.parser import Parser, Verbs, add_results, number, verb, whole
+from sparsefit.cli.study_read import unfinished
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,8 +102,10 @@ def run(args: argparse.Namespace) -> int:
     study = Study.load(args.study)
     here = Place(args.study, "select")
     rule = changed(study.selection, _options(args), study.protocols, study.sweep, here)
-    folder = runner.status(study, args.results).folder  # refuses the results of another study
-    cases = read_cases(folder)
+    found = runner.status(study, args.results)  # refuses the results of another study
+    if not found.finished:
+        raise unfinished(args.study, found)
+    folder, cases = found.folder, read_cases(found.folder)
     times = _times(study, cases, folder, rule, again=args.measure_again)
     selection = select(study, cases, rule=rule, latencies=times)
     check = _check(study, selection, folder, args)
@@ -233,19 +236,11 @@ def _record(told: _Told) -> dict[str, object]:
 
 
 def _lines(told: _Told) -> list[str]:
-    from sparsefit.study.evidence.selection_tables import (
-        latency_table,
-        regime_table,
-        selection_table,
-    )
+    """The choice, why, and where all else stands: tables of it are files beside the page."""
     from sparsefit.study.evidence.verdicts import headline
-    from sparsefit.study.report.render import to_text
 
-    selection = told.selection
-    tables = (selection_table(selection), regime_table(selection), latency_table(selection))
-    shown = [to_text(table, width=terminal_width()) for table in tables if table]
-    lines = [*shown, headline(selection), *(f"- {one}" for one in told.sentences)]
-    lines.append(f"evidence: {told.page}")
-    if selection.chosen is None:
+    lines = [headline(told.selection), *(f"- {one}" for one in told.sentences)]
+    lines.append(f"every candidate, regime and time: {told.page}, or evidence.html beside it")
+    if told.selection.chosen is None:
         return [*lines, f"nothing was chosen, and {told.output} is not written"]
     return [*lines, f"use it: sparsefit estimate FLIGHT --estimator {told.output}"]

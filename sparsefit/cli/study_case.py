@@ -27,6 +27,7 @@ def add_options(show: Parser) -> None:
         "stored ones; ids stand in cases.parquet, in `errors` and in report.html",
     )
     show.add_argument(
+        "-o",
         "--output",
         metavar="FILE",
         help="picture of the case, .html, .svg or .png; default: case-CASE_ID.html in the "
@@ -47,14 +48,14 @@ def show_case(args: argparse.Namespace) -> int:
     study = load_study(args.study)
     if isinstance(study, SolverStudy):
         return _show_solve(args, study)
-    case = find_case(study, args.case)
-    file = _file(args, study, case.case_id)
-    stored = row_of(cases_of(study, Path(args.results) / study.name), case.case_id)
-    again = run_again(study, case)
+    find_case(study, args.case)
+    file = _file(args, study, args.case)
+    stored = row_of(cases_of(study, Path(args.results) / study.name), args.case)
+    again = run_again(study, args.case)
     table = case_table(study, again, stored)
     _draw(file, study, again, table)
     if args.json:
-        print_json({"case": case.case_id, "picture": str(file), **table_record(table)})
+        print_json({"case": args.case, "picture": str(file), **table_record(table)})
     else:
         print(f"{to_text(table, width=terminal_width())}\nwritten to {file}")
     return 0

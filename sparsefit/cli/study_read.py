@@ -13,6 +13,7 @@ from sparsefit.cli.output import print_json, table_record, terminal_width
 from sparsefit.cli.parser import Parser, Run
 from sparsefit.cli.study_case import show_case
 from sparsefit.cli.study_run import by_status, stale_note
+from sparsefit.errors import InputError, one_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,8 +73,6 @@ def status(args: argparse.Namespace) -> int:
 
 def errors(args: argparse.Namespace) -> int:
     """Cases that are not ok, by back-end, status and reason; numbers in a reason may differ."""
-    from sparsefit.errors import one_line
-
     stored = _stored(args)
     groups = _grouped(stored.study, stored.cases[stored.cases["status"] != "ok"])
     if args.json:
@@ -129,7 +128,6 @@ def show(args: argparse.Namespace) -> int:
 
 def report(args: argparse.Namespace) -> int:
     """Tables, figures and report anew; the cases stay as they are."""
-    from sparsefit.errors import InputError
     from sparsefit.study.report.kind_pages import pages_of
     from sparsefit.study.run import runner
     from sparsefit.study.run.store import read_cases
@@ -138,7 +136,7 @@ def report(args: argparse.Namespace) -> int:
     study = load_study(args.study)
     found = runner.status(study, args.results)
     if not found.finished:
-        raise InputError(_unfinished(args, found))
+        raise unfinished(args.study, found)
     if found.stale:
         print(stale_note(found.stale), file=sys.stderr)
     cases = read_cases(found.folder)
@@ -153,7 +151,6 @@ RUNS: dict[str, Run] = {"status": status, "errors": errors, "show": show, "repor
 
 def _stored(args: argparse.Namespace) -> Stored:
     """The cases of a finished study, or those that a run has left or is making."""
-    from sparsefit.errors import InputError
     from sparsefit.study.run import runner
     from sparsefit.study.run.held import cases_of
     from sparsefit.study.spec.load import load_study
@@ -161,14 +158,15 @@ def _stored(args: argparse.Namespace) -> Stored:
     study = load_study(args.study)
     found = runner.status(study, args.results)
     if not found.done:
-        raise InputError(_unfinished(args, found))
+        raise unfinished(args.study, found)
     return Stored(study, found, cases_of(study, found.folder))
 
 
-def _unfinished(args: argparse.Namespace, found: RunStatus) -> str:
-    return (
+def unfinished(study: str, found: RunStatus) -> InputError:
+    """Return (not raise) the refusal of what needs more cases of a study file than there are."""
+    return InputError(
         f"{found.folder}: {found.done} of {found.planned} cases are there; "
-        f"run them first: sparsefit study run {args.study}"
+        f"run them first: sparsefit study run {study}"
     )
 
 

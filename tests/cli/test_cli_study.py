@@ -270,8 +270,8 @@ def test_report_writes_the_same_again(capsys, finished):
 def test_select_writes_the_estimator_of_the_winner(capsys, finished):
     code, out, _ = run(capsys, "select", finished, *UNTIMED)
     assert code == 0
-    assert out.startswith("Candidates of the selection (small)")
-    assert "evidence: results/small/evidence.md" in out
+    assert out.startswith("lasso ")  # the choice comes first
+    assert "regime and time: results/small/evidence.md" in out
     assert "use it: sparsefit estimate FLIGHT --estimator estimator.json" in out
     text = Path("estimator.json").read_text()
     _, out, _ = run(capsys, "select", finished, *UNTIMED, "--force", "--json")
@@ -355,7 +355,7 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
         (("-o", "small.toml"), "small.toml exists; add --force"),
         (("-o", "nowhere/e.json"), "cannot write nowhere/e.json"),
         (("-o", "small.toml/e.json"), "cannot write small.toml/e.json"),
-        (("--results", "elsewhere"), "run the study first"),
+        (("--results", "elsewhere"), "run them first"),
     ],
 )
 def test_select_refuses(capsys, finished, options, words):

@@ -49,9 +49,7 @@ def study(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cases(study):
-    return {
-        cell.backend: run_again(study, find_case(study, f"0001-{cell.key}")) for cell in study.cells
-    }
+    return {cell.backend: run_again(study, f"0001-{cell.key}") for cell in study.cells}
 
 
 def test_the_numbers_are_those_of_the_run(study, cases):
@@ -121,4 +119,4 @@ def test_a_case_that_fails_says_why(study, monkeypatch):
 
     monkeypatch.setattr("sparsefit.estimator.estimator.Estimator.read", broken)
     with pytest.raises(SparsefitError, match="ends in an error: ZeroDivisionError: of its own"):
-        run_again(study, find_case(study, f"0000-{study.cells[0].key}"))
+        run_again(study, f"0000-{study.cells[0].key}")

@@ -25,8 +25,11 @@ from sparsefit.study.run import partial, pool, runner
 from sparsefit.study.run.lock import LOCK, locked
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.worker import Worker
+from sparsefit.study.spec.solver_study import SolverStudy
 from tests.conftest import SECONDS
 from tests.study import hostile
+from tests.study.solver_files import HEAD as HEAD_OF_SOLVERS
+from tests.study.solver_files import write_data, write_study
 
 ROOT = Path(__file__).parents[2]
 HEAD = """
@@ -279,6 +282,20 @@ def test_what_a_back_end_breaks_is_its_own_row(
     assert not math.isnan(told["work"].est_length_scale)
     assert (told["late"].status, told["late"].reason) == ("error", "RuntimeError: not here")
     assert capfd.readouterr().out == ""
+
+
+def test_what_a_solver_says_or_writes_is_its_own_row(tmp_path: Path) -> None:
+    write_data(tmp_path)
+    entries = "".join(
+        f'[[backends]]\nname = "hostile"\nlabel = "{deed}"\ndeed = "{deed}"\n'
+        for deed in ("name", "scribble")
+    )
+    problem = '[[problems]]\nfile = "one.npz"\n[clock]\nlimit = 5\n'
+    path = write_study(tmp_path, HEAD_OF_SOLVERS + problem + entries)
+    cases = read_cases(run(SolverStudy.load(path), tmp_path).folder).set_index("objective")
+    assert cases["status"].to_dict() == {"name": "error", "scribble": "crashed"}
+    assert cases.loc["name", "reason"] == "ValueError: \\udcff\\x1b"
+    assert "message channel" in cases.loc["scribble", "reason"]
 
 
 @pytest.mark.usefixtures("in_process")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Generic, Literal, TypeAlias, TypeVar
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, unknown
 from sparsefit.study.evidence.measure import Failure, Measure
-from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.measures import LISTED, MEASURES
 from sparsefit.study.evidence.summary import SUMMARY_WORDS
 from sparsefit.study.spec.outputs import Entry
 
@@ -71,7 +71,7 @@ class Asked:
 
     def __post_init__(self) -> None:
         for name in (*(name.rpartition(" ")[2] for name in self.measure), *self.at_least):
-            one_of("measure", name, MEASURES)
+            one_of("measure", name, MEASURES, LISTED)
         for summary in (self.summary, *(name.rpartition(" ")[0] for name in self.measure)):
             if summary:
                 one_of("summary", summary, SUMMARY_WORDS)

@@ -19,7 +19,7 @@ from sparsefit.errors import InputError, one_of, unknown
 from sparsefit.study.evidence.along import at_level
 from sparsefit.study.evidence.cases import DEFAULT, Group, by_setting, factors
 from sparsefit.study.evidence.measure import Failure, Measure
-from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.evidence.measures import LISTED, MEASURES
 from sparsefit.study.evidence.resampling import resampled
 from sparsefit.study.evidence.sentence import listed
 from sparsefit.study.evidence.summary import SUMMARY_WORDS, reduce
@@ -156,7 +156,7 @@ def measure_of(rule: SelectionRule) -> Measure:
         InputError: with the nearest, if there is no such measure or summary.
     """
     summary, name = rule.measure
-    one_of("measure in criterion =", name, MEASURES)
+    one_of("measure in criterion =", name, MEASURES, LISTED)
     if summary:
         one_of("summary in criterion =", summary, SUMMARY_WORDS)
     measure = MEASURES[name]

@@ -45,6 +45,7 @@ from sparsefit.study.evidence.readings import (
 from sparsefit.study.evidence.summary import TINY
 
 HAIR = 1e-6  # 1.3 L / L is not 1.3 in binary, and stored scales keep 7 digits
+LISTED = "docs/study-file.md"  # where a reader finds all names
 OWN = "own"  # in place of a unit: that of the parameter
 # Of each parameter: `words` with its symbol in place of {}, `read` gives (rows, 3).
 FAMILIES = (

@@ -30,20 +30,20 @@ def selection_table(selection: Selection) -> Table:
     columns = (
         Column("rank", format="d"),
         *setting_columns(names),
-        *(of(name, "validate") for name in ("criterion", "minus chosen", "95 % from", "to")),
+        *(of(name, "validate") for name in ("criterion", "worse by", "95 % from", "to")),
         Column("best", "%", ".0f", group="validate"),
         Column("more flights", "", ".0f", group="validate"),
-        *(of(name, "evaluate") for name in ("criterion", "minus chosen", "95 % from", "to")),
+        *(of(name, "evaluate") for name in ("criterion", "worse by", "95 % from", "to")),
         Column("verdict", align="left"),
     )
     ordered = _ordered(selection)
     rows = tuple(_row(selection, place, one) for place, one in enumerate(ordered, 1))
     notes = (
-        f"Criterion: {criterion.words}; {criterion.measure.convention}. Minus chosen: positive is "
-        f"worse. Intervals and the probability to be the best are by bootstrap over flights "
-        f"({RESAMPLES} draws, the same flights for every candidate, seed {selection.rule.seed}). "
-        "An interval that holds 0 is a tie; more flights: how many would end it, if the "
-        "difference is what it seems (∞: there is none).",
+        f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the chosen "
+        "one; below 0 is better. Intervals and the probability to be the best are by bootstrap "
+        f"over flights ({RESAMPLES} draws, the same flights for every candidate, seed "
+        f"{selection.rule.seed}). An interval that holds 0 is a tie; more flights: how many would "
+        "end it, if the difference is what it seems (∞: there is none).",
     )
     title = f"Candidates of the selection ({selection.study})"
     return Table(title, columns, rows, notes, SHOWN)

@@ -21,7 +21,8 @@ from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.tables import has_any, many_levels
 from sparsefit.study.report.certificate import certificate_figure
 from sparsefit.study.report.drawing import laid_out
-from sparsefit.study.report.lines import OTHERS, SETTING, lines
+from sparsefit.study.report.line_panels import OTHERS, SETTING
+from sparsefit.study.report.lines import lines
 from sparsefit.study.report.plane import plane_figure
 from sparsefit.study.report.profiles import profiles
 from sparsefit.study.report.scatter import scatter

@@ -14,19 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sparsefit.arrays import Array
-from sparsefit.study.evidence.along import at_level, unit_of, words_of
-from sparsefit.study.evidence.asked import Asked, refuse
-from sparsefit.study.evidence.cases import (
-    Group,
-    by_level,
-    by_setting,
-    factors,
-    first_settings,
-    groups_by,
-    level_text,
-    numeric_factors,
-)
-from sparsefit.study.evidence.measure import Measure
+from sparsefit.study.evidence.along import unit_of, words_of
+from sparsefit.study.evidence.asked import Asked
+from sparsefit.study.evidence.cases import Group, by_level, factors, groups_by, level_text
 from sparsefit.study.evidence.measures import MEASURES
 from sparsefit.study.evidence.summary import TINY
 from sparsefit.study.report.drawing import (
@@ -38,39 +28,20 @@ from sparsefit.study.report.drawing import (
     markers,
     panels,
     share_y,
-    shortened,
     ticked,
     unanswered,
     with_unit,
 )
+from sparsefit.study.report.line_panels import SETTING, Panel, checked_axes, rows_of, titled
 from sparsefit.study.report.typical import typical
 from sparsefit.study.report.vector import linked
 
 if TYPE_CHECKING:
     from sparsefit.study.spec.study import Study
 
-SETTING = "setting"  # as a dimension, beside the protocol and the swept factors
-OTHERS = "others"  # as rows: every swept factor that has no other place
 SPREAD = 0.62  # of the distance between two names on an axis
 LETTERS = 96  # of a label in the width of a page
 HIGHEST = 300.0  # percent: what is worse is no answer, and leaves a frame that has limits
-
-
-@dataclass(frozen=True)
-class Panel:
-    """What one panel shows: cases, a measure, its horizontal axis, and its two titles."""
-
-    cases: pd.DataFrame
-    measure: Measure
-    along: str
-    rows: tuple[str, ...]
-    title: str
-    heading: str = ""
-
-    @property
-    def named(self) -> bool:
-        """Whether the axis has names instead of numbers."""
-        return self.along not in numeric_factors(self.cases)
 
 
 @dataclass(frozen=True)
@@ -106,9 +77,9 @@ def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> 
     Raises:
         InputError: if the factor is not swept, or no case has the measure.
     """
-    axes_of = _checked_axes(asked, study, cases)
-    shown = _titled(cases, every=asked.settings == "every")
-    grid = [row for along in axes_of for row in _rows(asked, shown, along)]
+    axes_of = checked_axes(asked, study, cases)
+    shown = titled(cases, every=asked.settings == "every")
+    grid = [row for along in axes_of for row in rows_of(asked, shown, along)]
     each = 2.1 if len(grid) < 4 else 1.6
     figure, axes_grid = panels(len(grid), len(grid[0]), height=0.9 + each * len(grid))
     line = "protocol" if asked.over == "protocol" else SETTING
@@ -129,62 +100,6 @@ def lines(asked: Asked, study: Study, cases: pd.DataFrame, _: object = None) -> 
         share_y(every, alike=True, highest=HIGHEST)
     legend(figure, every, list(_explained(asked, series.protocols)))
     return figure
-
-
-def _checked_axes(asked: Asked, study: Study, cases: pd.DataFrame) -> list[str]:
-    """The factors that the entry draws along, each of them there and with something to show."""
-    asked.needs(study.name, "measure")
-    output, dimensions = f'the figure "{asked.file_name}"', ("protocol", SETTING, *factors(cases))
-    axes_of = [asked.along] if asked.along else numeric_factors(cases)
-    for name in (*axes_of, *asked.columns, *(one for one in asked.rows if one != OTHERS)):
-        if name not in dimensions:
-            raise refuse(study.name, f'does not sweep "{name}"', output)
-    if not axes_of:
-        raise refuse(study.name, "sweeps no number", output)
-    if not any(np.isfinite(one.read(cases)).any() for one in asked.measures):
-        raise refuse(study.name, f"has no {asked.first.words}", output)
-    return axes_of
-
-
-def _titled(cases: pd.DataFrame, *, every: bool) -> pd.DataFrame:
-    """The cases of the settings to draw, with the setting's title as a column."""
-    groups = by_setting(cases) if every else first_settings(cases)
-    return pd.concat([group.cases.assign(**{SETTING: group.title}) for group in groups])
-
-
-def _rows(asked: Asked, cases: pd.DataFrame, along: str) -> list[list[Panel]]:
-    """The panels of one axis: a list per row."""
-    placed = {along, *asked.columns}
-    if OTHERS in asked.rows:
-        names = [name for name in factors(cases) if name not in placed]
-    else:
-        free = asked.over != "protocol" and "protocol" not in placed
-        names = [*(asked.rows or (["protocol"] if free else []))]
-    rows = []
-    for row in groups_by(cases, names) if names else [Group({}, cases)]:
-        many = cases["protocol"].nunique() > 1 or names != ["protocol"]
-        title = _words(row) if names and many else ""
-        parts = [Group({}, row.cases)]
-        if asked.columns:
-            every = [level for name in asked.columns for level in by_level(row.cases, name)]
-            parts = every[:4] if SETTING in asked.columns else every
-        rows.append(
-            [
-                Panel(part.cases, measure, along, tuple(names), title, _words(part))
-                for part in parts
-                for measure in asked.measures
-            ]
-        )
-    return rows
-
-
-def _words(group: Group) -> str:
-    return ", ".join(
-        shortened(str(level).replace("alpha_fraction=", "alpha "), 24)
-        if name in ("protocol", SETTING)
-        else at_level(name, level)
-        for name, level in group.key.items()
-    )
 
 
 def _draw(axes: Axes, panel: Panel, asked: Asked, series: Series) -> None:

@@ -17,9 +17,10 @@ from sparsefit.regression.fit import Fit
 from sparsefit.study.run.columns import Value, values_of
 from sparsefit.study.run.execution import fly
 from sparsefit.study.run.kind import Place
+from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.reading import Reading
-from sparsefit.study.run.solver_kind import SolverKind
+from sparsefit.study.spec.identity import AnyStudy
 from sparsefit.study.spec.plan import Case
 from sparsefit.study.spec.solver_study import SolverStudy
 from sparsefit.study.spec.study import Study
@@ -42,19 +43,18 @@ class OneCase:
     values: dict[str, Value]
 
 
-def find_case(study: Study, case_id: str) -> Case:
-    """Return the planned case of this id, `0007-3f9c0d6a41b2e857`.
+def find_case(study: AnyStudy, case_id: str) -> tuple[int, int]:
+    """Return (flight, cell) of the planned case of this id, `0007-3f9c0d6a41b2e857`.
 
     Raises:
         InputError: if the study plans none of this id, with the nearest that it does.
     """
-    number, _, key = case_id.partition("-")
-    flight = int(number) if number.isdecimal() and len(number) < 10 else -1
-    for cell in study.cells if 0 <= flight < study.count else ():
-        if cell.key == key:
-            return Case(flight, cell)
-    at = min(max(flight, 0), study.count - 1)
-    ids = [Case(at, cell).case_id for cell in study.cells]
+    kind = kind_of(study)
+    if (case := kind.find(case_id)) is not None:
+        return case
+    number = case_id.partition("-")[0]
+    flight = int(number) if number.isdecimal() and len(number) < 10 else 0
+    ids = [kind.case_id(min(flight, study.count - 1), cell.index) for cell in study.cells]
     near = (difflib.get_close_matches(case_id, ids, 1) or ids)[0]
     raise InputError(
         f"{study.name} plans no case {shown(case_id)}: ids stand in its cases.parquet and "
@@ -68,26 +68,22 @@ def solved_again(study: SolverStudy, case_id: str) -> Outcome:
     Raises:
         InputError: if the study plans none of this id.
     """
-    kind = SolverKind(study)
-    case = kind.find(case_id)
-    if case is None:
-        raise InputError(
-            f"{study.name} plans no case {shown(case_id)}: ids stand in its cases.parquet, "
-            f"{kind.case_id(0, 0)} say"
-        )
+    kind, case = kind_of(study), find_case(study, case_id)
     wanted = np.zeros((study.count, len(study.cells)), dtype=bool)
     wanted[case] = True
     ((outcome, _),) = kind.compute(wanted, Place(), lambda: False)
     return replace(outcome, version=kind.version(case[1]))
 
 
-def run_again(study: Study, case: Case) -> OneCase:
+def run_again(study: Study, case_id: str) -> OneCase:
     """Fly, fit and read one case, alone, as `study run` does.
 
     Raises:
-        InputError: if what it asks for cannot be.
+        InputError: if the study plans none of this id, or what it asks for cannot be.
         SparsefitError: if the case fails, as it then did in the run, with what it raised.
     """
+    flight, cell = find_case(study, case_id)
+    case = Case(flight, study.cells[cell])
     draw = study.draw(case.flight, case.cell)
     try:
         fleet, yardstick = fly(study, case.flight, draw)

@@ -87,7 +87,8 @@ def read_contenders(
     seen: set[tuple[str, str]] = set()
     for one in found:
         if (one.objective, one.solver) in seen:
-            raise here.error(f'lists "{one.solver}" twice for "{one.objective}": give a label')
+            remedy = "one label is one objective, so give each of its settings a label of its own"
+            raise here.error(f'lists "{one.solver}" twice for "{one.objective}": {remedy}')
         seen.add((one.objective, one.solver))
     return tuple(found)
 
