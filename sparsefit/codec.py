@@ -13,7 +13,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from sparsefit.errors import InputError, is_integer, is_number, is_real, suggestion
+from sparsefit.errors import (
+    LONGEST,
+    InputError,
+    is_integer,
+    is_number,
+    is_real,
+    one_line,
+    suggestion,
+)
 
 Record = TypeVar("Record")
 CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
@@ -39,7 +47,7 @@ class Place:
     def error(self, problem: str) -> InputError:
         """The refusal of what stands here: `file: [section] key "x" problem`."""
         section = f"[{self.section}] " if self.section else ""
-        key = f'key "{self.key}" ' if self.key else ""
+        key = f'key "{one_line(self.key, LONGEST)}" ' if self.key else ""
         return InputError(f"{self.file}: {self.via}{section}{key}{problem}")
 
 
@@ -66,7 +74,7 @@ def made(kind: type[Record], values: Mapping[str, Any], place: Place) -> Record:
     try:
         return kind(**values)
     except (InputError, TypeError, ValueError) as error:
-        raise place.error(" ".join(str(error).split())) from None
+        raise place.error(str(error)) from None
 
 
 def plain(record: object) -> dict[str, Any]:

@@ -20,7 +20,10 @@ REAL = (float, int, Real)  # an abstract class alone takes ten times as long to 
 
 
 class SparsefitError(Exception):
-    """Anything this package raises on purpose."""
+    """Anything this package raises on purpose. The message is one line, whatever it quotes."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(message))
 
 
 class InputError(SparsefitError, ValueError):
@@ -83,7 +86,7 @@ def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> 
     known = list(valid)
     hint = _did_you_mean(str(name), known)
     every = f"listed in {listed}" if listed else f"known: {', '.join(known)}"
-    return InputError(f'unknown {kind} "{name}"{hint} ({every})')
+    return InputError(f'unknown {kind} "{one_line(str(name), LONGEST)}"{hint} ({every})')
 
 
 def one_of(kind: str, value: object, valid: Iterable[str], listed: str = "") -> None:

@@ -14,7 +14,11 @@ from typing import BinaryIO
 
 from sparsefit.errors import InputError
 
-FULL = (errno.ENOSPC, errno.EDQUOT)
+REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "make room, or choose another folder"),
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EISDIR: "choose another name",
+}
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes | str) -> None:
@@ -94,7 +98,6 @@ def refusing(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        full = error.errno in FULL
-        remedy = "make room, or choose another folder" if full else "check the folder"
+        remedy = REMEDIES.get(error.errno or 0, "check the folder")
         cause = error.strerror or error
         raise InputError(f"cannot write {os.fspath(path)}: {cause}; {remedy}") from None

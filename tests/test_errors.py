@@ -123,3 +123,10 @@ def test_a_setting_is_refused_with_its_owner():
         with pytest.raises(InputError) as error:
             check()
         assert str(error.value).startswith(f"grid: count must be {words}")
+
+
+def test_a_message_is_one_printable_line_whatever_it_quotes():
+    error = InputError("a\nfile \udcff\x1b[31m of\u2028names")
+    assert str(error) == "a file \\udcff\\x1b[31m of names"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert len(str(unknown("key", "x" * 10_000, ["y"]))) < 100

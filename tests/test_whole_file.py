@@ -49,8 +49,12 @@ def test_a_full_disk_is_told_with_file_and_folder(tmp_path, monkeypatch):
 
 def test_no_folder_no_file_and_a_folder_in_the_way(tmp_path):
     (tmp_path / "taken").mkdir()
-    for name, cause in (("absent/a", "No such file or directory"), ("taken", "Is a directory")):
-        with pytest.raises(InputError, match=rf"^cannot write .*: {cause}; check the folder$"):
+    for name, cause in (
+        ("absent/a", "No such file or directory; check the folder"),
+        ("taken", "Is a directory; choose another name"),
+        ("a" * 300, "File name too long; choose a shorter name"),
+    ):
+        with pytest.raises(InputError, match=rf"^cannot write .*: {cause}$"):
             write_whole(tmp_path / name, "text")
     assert os.listdir(tmp_path) == ["taken"]
 

@@ -68,6 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _refused(error: BaseException) -> int:
     """Exit code of what a user can mend, said on one line; a bug of ours is raised again."""
     from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
+    from sparsefit.whole_file import REMEDIES
 
     if isinstance(error, SparsefitError):
         message, code = str(error), BAD_INPUT if isinstance(error, InputError | MissingExtra) else 1
@@ -77,7 +78,8 @@ def _refused(error: BaseException) -> int:
         message, code = "not enough memory; use fewer length scales or samples", BAD_INPUT
     elif isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
-        message, code = f"{place}{error.strerror or error}; check the path", BAD_INPUT
+        remedy = REMEDIES.get(error.errno or 0, "check the path")
+        message, code = f"{place}{error.strerror or error}; {remedy}", BAD_INPUT
     else:
         raise error
     print(f"sparsefit: error: {one_line(message)}", file=sys.stderr)
@@ -85,7 +87,9 @@ def _refused(error: BaseException) -> int:
 
 
 def _print_what_can_be_printed() -> None:
-    """A terminal that has no `τ` shows `?`: no reason to fail."""
+    """A terminal that has no `τ` shows `?`, and nobody sees what is closed: no reasons to fail."""
+    sys.stdout = sys.stdout or io.StringIO()
+    sys.stderr = sys.stderr or sys.stdout
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -99,7 +99,7 @@ def _record_apart(name: str) -> dict[str, Any]:
 
 def _record(name: str) -> dict[str, Any]:
     from sparsefit import backends
-    from sparsefit.errors import InputError, MissingExtra
+    from sparsefit.errors import InputError, MissingExtra, one_line
 
     try:
         loaded = backends.load(name)
@@ -107,7 +107,7 @@ def _record(name: str) -> dict[str, Any]:
     except MissingExtra as error:
         return {"name": name, "missing": str(error)}
     except (InputError, TypeError) as error:  # a plug-in whose settings have no defaults
-        return {"name": name, "error": " ".join(str(error).split())}
+        return {"name": name, "error": one_line(str(error))}
     # Each of our own is a module of its own, whose first line says more than its class's.
     ours = name in backends.BACKENDS or name in backends.PUBLIC
     described = sys.modules[loaded.__module__] if ours else loaded

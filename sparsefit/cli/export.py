@@ -82,7 +82,7 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the C, and say what it takes."""
-    from sparsefit.errors import InputError
+    from sparsefit.errors import InputError, one_line
     from sparsefit.export import Plan, answers, package, refuse_large
     from sparsefit.export.measure import footprint
     from sparsefit.export.package import asked_at
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / path, content)
     scales = f"{len(plan.scales)} scales, {plan.scales[0]:g} to {plan.scales[-1]:g} m"
-    print(f"{folder}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
+    print(f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
     print(f"       {plan.backend.name}, {scales}, {plan.real}")
     print("\n".join(lines(plan, measured)))
     if all(answer.doubt for answer in told):

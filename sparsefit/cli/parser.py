@@ -9,6 +9,8 @@ import tomllib
 from collections.abc import Callable, Iterable
 from typing import NoReturn, TypeAlias
 
+from sparsefit.errors import InputError, one_line
+
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Value: TypeAlias = bool | int | float | str
 Run: TypeAlias = Callable[[argparse.Namespace], int]
@@ -39,8 +41,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit 2 with the cause and where the remedy stands."""
-        line = " ".join(message.split())
-        print(f"sparsefit: error: {line}; see {self.prog} --help", file=sys.stderr)
+        print(f"sparsefit: error: {one_line(message)}; see {self.prog} --help", file=sys.stderr)
         sys.exit(2)
 
 
@@ -121,8 +122,6 @@ def scalar(text: str) -> Value:
 
 def collected(pairs: Iterable[tuple[str, Value]] | None) -> dict[str, Value]:
     """Settings by key, none where the option was not given; InputError on one given twice."""
-    from sparsefit.errors import InputError
-
     settings: dict[str, Value] = {}
     for key, value in pairs or ():
         if key in settings:

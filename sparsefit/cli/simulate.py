@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from sparsefit.cli.output import check_output
 from sparsefit.cli.parser import Verbs, number, verb, whole
@@ -16,6 +17,7 @@ EXAMPLE = """\
   sparsefit simulate --mean-velocity 8 --length-scale 4 --drag 0.3 -o drag.csv
   sparsefit simulate --mean-velocity 8 --length-scale 4 --thrust-turn 6 5 -o circling.csv
 """
+MANY = 100_000  # samples: beyond them a flight takes long enough to be told of
 FAULTY = 100  # the child of the seed that faults are drawn from, as in a study
 
 
@@ -103,9 +105,13 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.flight import simulate_flight, write_flight
     from sparsefit.flight.faults import LogFaults
     from sparsefit.flight.files import WRITTEN
+    from sparsefit.flight.record import MOST_SAMPLES
 
     check_output(args.output, force=args.force, endings=WRITTEN)
     flow, faults, (vehicle, thrust) = flow_of(args), faults_of(args), vehicle_of(args)
+    samples = args.duration * args.sample_rate
+    if MANY < samples <= MOST_SAMPLES:
+        print(f"flying {samples:.3g} samples; Ctrl-C stops it, and writes nothing", file=sys.stderr)
     flight = simulate_flight(
         flow,
         vehicle,

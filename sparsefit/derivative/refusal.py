@@ -110,7 +110,7 @@ def _check_apart(flight: Flight, largest: float) -> None:
     if apart > largest:
         raise InputError(
             f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
-            f": no flow of that size shows; raise the grid's bounds, above {apart:.2g} m"
+            f": no flow of that size shows; raise the grid's bounds (--grid-lower, --grid-upper)"
         )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_number, non_negative, positive
-from sparsefit.flight.record import MINIMUM_SAMPLES, Flight
+from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, level_of
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class LogFaults:
 
     def __post_init__(self) -> None:
         """Check every fault."""
-        non_negative("wander", self.wander, "m")
+        level_of("wander", self.wander, "m")
         positive("wander_time", self.wander_time, "s")
         if not is_number(self.outliers, 0.0, 1.0):
             raise InputError(f"outliers is a share of the samples, 0 to 1; got {self.outliers!r}")
-        non_negative("outlier_size", self.outlier_size, "m/s")
+        level_of("outlier_size", self.outlier_size, "m/s")
         integer("jumps", self.jumps, 0)
-        non_negative("jump_size", self.jump_size, "m")
+        level_of("jump_size", self.jump_size, "m")
         integer("gaps", self.gaps, 0)
         non_negative("gap_duration", self.gap_duration, "s")
 

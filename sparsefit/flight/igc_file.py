@@ -82,7 +82,7 @@ def _fixes(text: str, *, fine: bool) -> tuple[list[dict[str, Any]], bool]:
             "no date (HFDTE record) before the first fix; is it an IGC file?"
         ) from None
     except Exception as error:  # what aerofiles makes of a foreign file may be anything
-        words = " ".join(str(error).split())[:100] or type(error).__name__
+        words = str(error)[:100] or type(error).__name__
         raise InputError(f"not an IGC file, or a damaged one: {words}") from None
     errors, fixes = read["fix_records"]
     if not fixes:

@@ -200,7 +200,7 @@ def _lacks(missing: list[str], names: list[str]) -> str:
     lack, header = ", ".join(missing), ascii(", ".join(names)[:200])[1:-1] or "nothing"
     if names and all(is_number(name) for name in names):
         return f"no column {lack}: the first line holds numbers; put the names of columns above it"
-    remedy = "rename or add it, or give columns: time=t,x=lon,..."
+    remedy = "rename or add it, or say which it is: --columns time=t,x=lon,..."
     return f"no column {lack}; found {header}; {remedy}"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array, Brief
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError, non_negative, one_of
 from sparsefit.flight.flow import FLOWS, Flow
 from sparsefit.flight.vehicle import PointMassVehicle
 
@@ -178,6 +178,14 @@ def _check_increasing(time: Array) -> None:
     step = float(time[-1] - time[0]) / (len(time) - 1)
     if step < SMALLEST_STEP:
         raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")
+
+
+def level_of(name: str, value: object, unit: str) -> float:
+    """Return a level of noise, or raise `InputError` unless it is one that a flight may have."""
+    level = non_negative(name, value, unit)
+    if level > LARGEST:
+        raise InputError(f"{name} is {level:g} {unit}: no flight has as much; lower it")
+    return level
 
 
 def check_models(vehicle: object, flow: object) -> None:

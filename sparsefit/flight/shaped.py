@@ -20,6 +20,8 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, finite, is_number, non_negative, pair, positive
 from sparsefit.flight.waves import PointVelocity, WaveFlow
 
+THINNEST = 1e6  # the longer side of a cell over the other
+
 
 @dataclass(frozen=True)
 class ShapedCells:
@@ -57,6 +59,9 @@ class ShapedCells:
         """Check the parameters and store them as floats."""
         given = self.length_scales
         sides = pair("length_scales", (given, given) if is_number(given) else given, "m")
+        sides = (positive("length_scales", sides[0], "m"), positive("length_scales", sides[1], "m"))
+        if max(sides) > THINNEST * min(sides):
+            raise InputError(f"length_scales differ by more than {THINNEST:g} times: no cells")
         angle = positive("angle", self.angle, "rad")
         if angle >= math.pi:
             raise InputError(f"angle must lie between 0 and pi [rad]; got {angle!r}")
@@ -65,7 +70,7 @@ class ShapedCells:
             raise InputError(f"swell is a share of mean_velocity, below 1; got {swell!r}")
         checked = {
             "mean_velocity": positive("mean_velocity", self.mean_velocity, "m/s"),
-            "length_scales": tuple(positive("length_scales", side, "m") for side in sides),
+            "length_scales": sides,
             "heading": finite("heading", self.heading, "rad"),
             "angle": angle,
             "offset": pair("offset", self.offset, "m"),

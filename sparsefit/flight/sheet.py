@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from shlex import quote
 
 import numpy as np
 
@@ -121,7 +122,7 @@ def _check_one_vehicle(column: str, counts: Mapping[str, int]) -> None:
     first = min(counts)
     raise InputError(
         f"column {column} names {len(counts)} vehicles ({_listed(counts)}): a flight is of one; "
-        f"read the rows of one (--only {column}={first}, from Python only=...)"
+        f"read the rows of one (--only {quote(f'{column}={first}')}, from Python only=...)"
     )
 
 

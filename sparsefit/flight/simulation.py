@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import (
-    InputError,
-    integer,
-    is_integer,
-    is_number,
-    non_negative,
-    pair,
-    positive,
-)
+from sparsefit.errors import InputError, integer, is_integer, is_number, pair, positive
 from sparsefit.flight.flow import Flow
-from sparsefit.flight.record import MINIMUM_SAMPLES, MOST_SAMPLES, Flight, check_models
+from sparsefit.flight.interrupts import interrupts_kept
+from sparsefit.flight.record import (
+    MINIMUM_SAMPLES,
+    MOST_SAMPLES,
+    SMALLEST_STEP,
+    Flight,
+    check_models,
+    level_of,
+)
 from sparsefit.flight.thrust import ThrustSeries
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import PointVelocity
 
 if TYPE_CHECKING:
     from scipy.integrate import ode
@@ -92,9 +93,9 @@ def simulate_flight(
         *pair("initial_velocity", initial_velocity, "m/s"),
     )
     kicks = _kicks(process_noise, time, integer("substeps", substeps, 1), process_stream)
-    blur = non_negative("position_noise", position_noise, "m")
-    jitter = non_negative("velocity_noise", velocity_noise, "m/s")
-    level = non_negative("thrust_noise", thrust_noise, "m/s^2")
+    blur = level_of("position_noise", position_noise, "m")
+    jitter = level_of("velocity_noise", velocity_noise, "m/s")
+    level = level_of("thrust_noise", thrust_noise, "m/s^2")
     logged = None if thrust is None else thrust.at(time)
     states = _integrate(_right_hand_side(flow, vehicle, thrust), state, time, kicks)
     if logged is not None:
@@ -133,6 +134,8 @@ def _sample_times(duration: float, sample_rate: float) -> Array:
         raise InputError(
             f"duration * sample_rate is {span * rate:.3g} samples; keep it below {MOST_SAMPLES}"
         )
+    if rate > 1.0 / SMALLEST_STEP:
+        raise InputError(f"sample_rate is {rate:g} Hz; keep it below {1.0 / SMALLEST_STEP:g} Hz")
     intervals = round(span * rate)
     if intervals + 1 < MINIMUM_SAMPLES:
         raise InputError(
@@ -171,7 +174,7 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
     standard deviation ``level``; their power is that of the mean interval where times jitter.
     Without noise: one substep that is not kicked.
     """
-    sigma = non_negative("process_noise", level, "m/s^2")
+    sigma = level_of("process_noise", level, "m/s^2")
     if sigma == 0.0:
         return np.zeros((len(time) - 1, 1, 2))
     kicks = stream.standard_normal((len(time) - 1, substeps, 2))
@@ -187,7 +190,7 @@ def _right_hand_side(
     flow: Flow | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None = None
 ) -> RightHandSide:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more."""
-    flow_at = flow.pointwise() if flow else _still
+    flow_at = _anywhere(flow.pointwise()) if flow else _still
     rate, drag = vehicle.rate, vehicle.drag
     ax, ay = vehicle.thrust_acceleration
     if drag or thrust is not None:
@@ -208,6 +211,21 @@ def _right_hand_side(
         return [vx, vy, (wx - vx) * rate + ax, (wy - vy) * rate + ay]
 
     return derivative
+
+
+def _anywhere(flow_at: PointVelocity) -> PointVelocity:
+    """The same, NaN where a step has left all places, which `math.sin` refuses; `_advance` sees it.
+
+    What the compiled integrator calls must raise nothing.
+    """
+
+    def velocity(x: float, y: float, t: float) -> tuple[float, float]:
+        try:
+            return flow_at(x, y, t)
+        except (ValueError, OverflowError):
+            return math.nan, math.nan
+
+    return velocity
 
 
 def _still(_x: float, _y: float, _t: float) -> tuple[float, float]:
@@ -237,9 +255,11 @@ def _integrate(
     fly = _advance_kicked if kicks.any() else _advance
     states = np.empty((len(time), 4))
     states[0] = start
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), interrupts_kept() as interrupts:
         warnings.simplefilter("ignore", UserWarning)  # _advance raises in its place
         for row, interval in enumerate(kicks, start=1):
+            if interrupts:
+                break
             fly(solver, float(time[row]), interval)
             states[row] = solver.y
     return states

@@ -93,7 +93,7 @@ def _parsed(content: bytes) -> Any:
     except EOFError:
         raise InputError(CUT) from None
     except Exception as error:  # a damaged log may raise anything
-        words = " ".join(str(error).split())[:100] or type(error).__name__
+        words = str(error)[:100] or type(error).__name__
         raise InputError(f"not a ULog of PX4, or a damaged one: {words}") from None
 
 

@@ -454,6 +454,13 @@ def test_a_reader_that_leaves_early_is_no_error(flight):
         assert process.wait() == 141
 
 
+def test_streams_that_are_closed_are_no_traceback(flight, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    assert main(["estimate", str(flight)]) == 0
+    assert main(["estimate", "absent.csv"]) == 2
+
+
 def test_ctrl_c_is_130_without_traceback(capsys, flight, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -1,4 +1,5 @@
 import math
+import signal
 
 import numpy as np
 import pytest
@@ -190,6 +191,45 @@ def test_bad_arguments_are_named(changes, message):
 
 
 @pytest.mark.filterwarnings("error")
+def test_ctrl_c_in_a_flight_is_raised_between_its_samples(monkeypatch):
+    asked = []
+
+    def pressed(x, y, t):
+        if t > 0.1 and not asked:
+            asked.append(t)
+            signal.raise_signal(signal.SIGINT)
+        assert t < 0.2
+        return (0.0, 0.0)
+
+    monkeypatch.setattr(CellularFlow, "pointwise", lambda _: pressed)
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        fly()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_steps_out_of_all_places_are_tried_again():
+    flight = fly(vehicle=PointMassVehicle(math.inf, (5.0, 3.0), drag=1e9), duration=0.03)
+    air = FLOW.velocity(*flight.position[1:].T)
+    np.testing.assert_allclose(flight.velocity[1:], air, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"sample_rate": 2e9, "duration": 1e-3},
+            "sample_rate is 2e\\+09 Hz; keep it below 1e\\+09 Hz",
+        ),
+        ({"velocity_noise": 1e308}, "velocity_noise is 1e\\+308 m/s: no flight has as much"),
+    ],
+)
+def test_what_no_flight_has_is_refused_before_it_is_flown(changes, words, monkeypatch):
+    monkeypatch.setattr(CellularFlow, "pointwise", None)
+    with pytest.raises(InputError, match=words):
+        fly(**changes)
+
+
 def test_an_equation_too_stiff_is_refused():
     with pytest.raises(InputError, match="too stiff or too fast; raise response_time"):
         fly(vehicle=PointMassVehicle(1e-9))

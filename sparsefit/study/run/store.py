@@ -71,8 +71,7 @@ def reading(path: Path) -> Iterator[pq.ParquetFile]:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             yield file
     except (OSError, pa.ArrowException) as error:
-        cause = " ".join(str(error).split())
-        raise InputError(f"{path}: not readable ({cause}): run the study with --fresh") from None
+        raise InputError(f"{path}: not readable ({error}): run the study with --fresh") from None
 
 
 def write_cases(study: AnyStudy, outcomes: Iterable[Outcome], folder: Path) -> None:

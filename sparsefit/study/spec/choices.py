@@ -80,7 +80,7 @@ def _accepted(name: str, settings: Mapping[str, Setting], place: Place) -> None:
     try:
         make_backend(name, settings)
     except (SparsefitError, TypeError, ValueError) as error:
-        raise place.error(" ".join(str(error).split())) from None
+        raise place.error(str(error)) from None
 
 
 def _values(value: object, place: Place) -> tuple[Setting, ...]:

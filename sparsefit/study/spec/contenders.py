@@ -142,12 +142,12 @@ def _contender(
     try:
         backend = make_backend(name, settings)
     except MissingExtra as error:
-        words = " ".join(str(error).split()).removeprefix(f"{name}: ")
+        words = str(error).removeprefix(f"{name}: ")
         form = known.form if known else ""
         stops = tolerances if known and known.stops else NO_TOLERANCE
         return Contender(objective, name, settings, solver or name, stops, form, words)
     except (SparsefitError, TypeError, ValueError) as error:
-        raise place.error(" ".join(str(error).split())) from None
+        raise place.error(str(error)) from None
     if not isinstance(backend, PenalisedPath):
         form = (load(name).__doc__ or "").strip().split("\n")[0]
         return Contender(objective, name, settings, solver or name, NO_TOLERANCE, form, family=name)

@@ -49,7 +49,7 @@ def read_data(path: Path) -> Arrays:
     except InputError:
         raise
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError) as error:
-        words = " ".join(str(error).split()) or type(error).__name__
+        words = str(error) or type(error).__name__
         raise InputError(f"{path}: not readable: {words[:200]}") from None
 
 
