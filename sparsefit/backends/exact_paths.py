@@ -22,13 +22,18 @@ STOP = 1e-11  # the solvers' own stop, far below any tolerance the certificate i
 
 
 def ridge_weights(gram: Array, cross: Array, alpha: float) -> tuple[Array, bool]:
-    """V = (G + alpha I)^-1 C (k, n), and whether G + alpha I has a Cholesky factor."""
+    """V = (G + alpha I)^-1 C (k, n), and whether G + alpha I has a Cholesky factor.
+
+    Where it has none, as alpha is lost beside G in rounding, V is the least squares of least norm.
+    """
     from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
 
     shifted = gram.copy()
     shifted.flat[:: len(gram) + 1] += alpha
     _, values, failed = dposv(shifted.T, cross, lower=1, overwrite_a=1)
-    return (np.zeros(cross.shape), False) if failed else (values, True)
+    if failed:
+        values = np.linalg.lstsq(gram, cross, rcond=None)[0]
+    return values, not failed
 
 
 def _homotopy(statistics: Statistics, penalty: Penalty, alphas: Array, targets: slice) -> Points:

@@ -83,9 +83,12 @@ class GroupMCP:
             solved = [system.fixed_point(fraction * unit) for system in systems]
             weights = np.concatenate([values for values, _ in solved], axis=1)
             rounds = max(count for _, count in solved)
-            words = "fixed point" if rounds < ROUNDS else "still moving"
             scaled = weights / problem.statistics.rms[:, None]
-            solutions.append(Solution(scaled, solver_status=words, iterations=rounds))
+            solution = Solution(scaled, solver_status="fixed point", iterations=rounds)
+            if rounds == ROUNDS:
+                reason = f"the weights still move after {ROUNDS} approximations"
+                solution = Solution(scaled, "inaccurate", reason, "still moving", rounds)
+            solutions.append(solution)
         return tuple(solutions)
 
     def referee(self) -> None:

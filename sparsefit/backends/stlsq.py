@@ -11,7 +11,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.errors import InputError, flag_setting, is_integer, number_setting, one_of
+from sparsefit.errors import InputError, flag_setting, integer_setting, number_setting, one_of
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
@@ -51,11 +51,7 @@ class STLSQ:
             object.__setattr__(self, "threshold", DEFAULT_THRESHOLD[self.mode])
         number_setting(self.name, "threshold", self.threshold, low=0.0)
         number_setting(self.name, "ridge", self.ridge, low=0.0)
-        number_setting(self.name, "max_iterations", self.max_iterations, low=1.0)
-        if not is_integer(self.max_iterations):
-            raise InputError(
-                f"stlsq: max_iterations must be an integer, not {self.max_iterations!r}"
-            )
+        integer_setting(self.name, "max_iterations", self.max_iterations, least=1)
         for flag in ("unbias", "normalize_columns"):
             flag_setting(self.name, flag, getattr(self, flag))
         if self.normalize_columns and self.mode == "scaled":

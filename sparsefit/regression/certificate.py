@@ -42,6 +42,7 @@ of more samples, they are the data. No product underflows: `problem` refuses wha
 Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), sections 3.1 and 3.5.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -74,9 +75,14 @@ class Certificate:
     dual: float = float("nan")
     rounding: float = float("nan")
 
+    @property
+    def bound(self) -> float:
+        """The value with all that rounding can hide of it; the value where that is not known."""
+        return self.value + (0.0 if math.isnan(self.rounding) else self.rounding)
+
     def proves(self, tolerance: float) -> bool:
         """Whether the value is below the tolerance whatever the rounding was, which is small."""
-        return self.rounding <= 0.1 * tolerance and self.value + self.rounding <= tolerance
+        return self.rounding <= 0.1 * tolerance and self.bound <= tolerance
 
 
 @dataclass(frozen=True, eq=False)

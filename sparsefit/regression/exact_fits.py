@@ -26,7 +26,7 @@ from sparsefit.regression.statistics import Statistics
 def sharpened(
     statistics: Statistics, weights: Array, alpha: float, known: Certificate
 ) -> Certificate:
-    """The certificate ``known`` of weights (k, n), or that of the signs where its gap is smaller.
+    """The certificate ``known`` of weights (k, n), or that of the signs where it proves more.
 
     known: computed from the rows; alpha: the penalty, in the unit of Z'Y/m.
     """
@@ -47,12 +47,12 @@ def sharpened(
     longer = norm * (1.0 + gamma) + gamma * float(np.sum(size**2))
     sure = min(alpha / wider, total / np.sqrt(longer)) * (product - gamma * float(size @ level))
     null = total**2
-    if known.primal - dual >= known.value * null:
-        return known
     reach = float(np.sum(level + np.abs(weights * statistics.rms[:, None]).sum(axis=0)))
     doubt = total * gamma * (total + reach) + 4.0 * gamma * (known.primal + abs(dual))
     value = max(known.primal - dual, 0.0) / null
     most = max(known.primal - sure + doubt, 0.0) / null
+    if max(value, most) >= known.bound:
+        return known
     return replace(known, value=value, dual=dual, rounding=max(most - value, 0.0))
 
 

@@ -45,11 +45,12 @@ TOLERANCE = 1e-8
 def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLERANCE) -> Fit:
     """Solve one problem and certify the answer.
 
-    A certificate above ``tolerance`` gives status ``inaccurate``, with the best solution found.
-    An alpha_fraction of "auto" is chosen first: the fit is the chosen point of the path. Raises
-    InputError on what is not a problem, a back-end or a tolerance >= 0.
+    A certificate above ``tolerance``, with all that rounding can hide of it, gives status
+    ``inaccurate``, with the best solution found. An alpha_fraction of "auto" is chosen first: the
+    fit is the chosen point of the path. Raises InputError on what is not a problem, a back-end or a
+    tolerance >= 0.
     """
-    _check(problem, tolerance)
+    _check(problem, backend, tolerance)
     if is_foreign(backend):
         _check_backend(backend)
         with quiet():
@@ -59,14 +60,15 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
 
 def _fit(problem: RegressionProblem, backend: Backend, tolerance: float) -> Fit:
     # To recognise a protocol takes longer than many a solve: the most common is asked for first.
-    if isinstance(backend, PathBackend):
-        if backend.alpha_fraction == "auto" and isinstance(backend, ChoosingBackend):
-            return _chosen(problem, backend, tolerance)
-        fraction = numeric_fraction(backend.name, backend.alpha_fraction)
-        return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
-    _check_backend(backend)
-    convex = backend.certificate_kind == "duality_gap" and not isinstance(backend, OffGridBackend)
-    if convex and isinstance(backend, PenalisedBackend):
+    if not isinstance(backend, PathBackend):
+        _check_backend(backend)
+    elif backend.alpha_fraction == "auto" and isinstance(backend, ChoosingBackend):
+        return _chosen(problem, backend, tolerance)
+    if isinstance(backend, PathBackend) or (
+        backend.certificate_kind == "duality_gap"
+        and isinstance(backend, PenalisedBackend)
+        and not isinstance(backend, OffGridBackend)
+    ):
         fraction = numeric_fraction(backend.name, backend.alpha_fraction)
         return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
     given = lent(problem) if is_foreign(backend) else problem
@@ -91,12 +93,13 @@ def path(
     solution is zero; by default 30 from 1 to 1e-3. Back-ends without a path of their own are run
     point by point. Raises InputError for back-ends that have no penalty, and as `fit` does.
     """
-    _check(problem, tolerance)
+    _check(problem, backend, tolerance)
     if not isinstance(backend, PathBackend) and not isinstance(backend, PenalisedBackend):
         _check_backend(backend)
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
     try:
-        asked = np.atleast_1d(np.asarray(alpha_fractions, dtype=float))
+        given = np.atleast_1d(np.asarray(alpha_fractions))
+        asked = given.astype(float) if given.dtype.kind in "fiuO" else np.empty(0)
     except (TypeError, ValueError):
         asked = np.empty(0)
     if asked.ndim != 1 or not asked.size:
@@ -172,8 +175,8 @@ def _timed(problem: RegressionProblem, backend: Backend) -> tuple[Solution, floa
 
 def _repaired(fast: Fit, tolerance: float) -> Fit:
     """The referee's answer where the certificate rejects the fast path's, if it is the better."""
-    if fast.status == "ok":  # first: to recognise a protocol takes longer than most points
-        return fast
+    if fast.certificate is not None and fast.certificate.value <= tolerance:
+        return fast  # what rounding hides of it, another solver's answer hides too
     referee = fast.backend.referee() if isinstance(fast.backend, PathBackend) else None
     if referee is None:
         return fast
@@ -190,13 +193,15 @@ def _repaired(fast: Fit, tolerance: float) -> Fit:
     )
 
 
-def _check(problem: Any, tolerance: Any) -> None:
+def _check(problem: Any, backend: Any, tolerance: Any) -> None:
     if not isinstance(problem, RegressionProblem):
         raise InputError(
             f"fit needs a RegressionProblem, not {type(problem).__name__}; see "
             "RegressionProblem.from_arrays"
         )
     number_setting("fit", "tolerance", tolerance, low=0.0)
+    if isinstance(backend, type):
+        raise InputError(f"fit needs a back-end, not its class: {backend.__name__}()")
 
 
 def _check_backend(backend: Any) -> None:

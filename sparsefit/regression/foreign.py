@@ -140,8 +140,11 @@ def _weights(weights: Any, where: str, problem: RegressionProblem) -> Array | No
 
 def declared_penalty(backend: PenalisedBackend, problem: RegressionProblem) -> Penalty:
     """The penalty of a back-end, with weights and groups by which a gap can be trusted."""
-    penalty = backend.penalty(problem)
     where = f"back-end {backend.name!r} declares a penalty"
+    return _trusted(backend.penalty(problem), where, problem)
+
+
+def _trusted(penalty: Any, where: str, problem: RegressionProblem) -> Penalty:
     if not isinstance(penalty, Penalty):
         raise InputError(f"{where} that is {type(penalty).__name__}, not a Penalty")
     groups, weights = np.array(penalty.groups), np.array(penalty.weights, dtype=float)
@@ -154,7 +157,13 @@ def declared_penalty(backend: PenalisedBackend, problem: RegressionProblem) -> P
         raise InputError(f"{where} with weights that are not all finite and above 0")
     if not (is_real(penalty.ridge) and np.isfinite(penalty.ridge) and penalty.ridge >= 0):
         raise InputError(f"{where} with a ridge of {penalty.ridge!r}")
-    return replace(penalty, groups=groups, weights=weights)
+    within = penalty.within
+    if within is not None:
+        within = _trusted(within, f"{where} within which is one", problem)
+        nested = len(set(zip(within.groups.tolist(), groups.tolist(), strict=True)))
+        if nested != len(within.weights) or within.joint > penalty.joint:
+            raise InputError(f"{where} with blocks within it that span several of its own")
+    return replace(penalty, groups=groups, weights=weights, within=within)
 
 
 def asked_support(backend: Any, problem: RegressionProblem, weights: Array) -> BoolArray:

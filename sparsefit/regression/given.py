@@ -73,6 +73,28 @@ def numbers_of(labels: ArrayLike, columns: int, name: str) -> IntArray:
         raise InputError(f"{name} must have labels of one kind, such as all numbers") from None
 
 
+def refuse_other(values: object, name: str) -> None:
+    """Raise InputError unless the values are an array (m, k) of float64."""
+    if not (isinstance(values, np.ndarray) and values.dtype == np.float64 and values.ndim == 2):
+        raise InputError(f"{name} must be a float64 array (m, k); from_arrays makes one of others")
+
+
+def refuse_gaps(numbers: object, columns: int, name: str) -> None:
+    """Raise InputError unless each column has a number and these are 0, 1, 2, ... without gaps."""
+    numbered = (
+        isinstance(numbers, np.ndarray)
+        and (numbers.dtype.kind, numbers.shape) == ("i", (columns,))
+        and numbers.min() >= 0
+        and numbers.max() < columns
+        and np.bincount(numbers).all()
+    )
+    if not numbered:
+        raise InputError(
+            f"{name} must be an array with an integer for each of the {columns} columns, numbered "
+            "from 0 without a gap; from_arrays makes it of any labels"
+        )
+
+
 def refuse_large(values: Array, names: Sequence[str], which: str) -> None:
     """Raise InputError, which names it, on a column with NaN, infinity or a norm above LARGEST."""
     flat = values.ravel(order="K")

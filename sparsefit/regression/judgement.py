@@ -122,15 +122,13 @@ def judged(
         status = "unidentifiable" if status == "unidentifiable" else "error"
         reason = reason or "the back-end returned no finite weights"
     elif status in ("ok", "inaccurate"):
-        # The certificate decides: a solver's own word is kept beside it, not trusted.
-        status = "ok" if certificate.value <= tolerance else "inaccurate"
-        if status == "ok" and solution.status == "inaccurate":
-            reason = ""  # the doubt that it had is settled
-        if status == "inaccurate":
-            words = f"{certificate.kind} {certificate.value:.1e} above tolerance {tolerance:.1e}"
-            if math.isnan(certificate.value):
-                words = "nothing is verified: its next_support confirms any support"
-            reason = f"{words}; {reason}" if reason else words
+        # The certificate decides: a solver's own word is kept beside it, not trusted. But a fixed
+        # point is one of supports, which settles no doubt about the weights.
+        if not certificate.bound <= tolerance:
+            words = _doubt(certificate, tolerance)
+            status, reason = "inaccurate", f"{words}; {reason}" if reason else words
+        elif status == "inaccurate" and certificate.kind != "fixed_point":
+            status, reason = "ok", ""
     return Fit(
         weights,
         status,
@@ -143,3 +141,13 @@ def judged(
         problem=solution.problem or problem,
         shared_seconds=solution.shared_seconds,
     )
+
+
+def _doubt(certificate: Certificate, tolerance: float) -> str:
+    """Why a certificate proves too little."""
+    if math.isnan(certificate.value):
+        return "nothing is verified: its next_support confirms any support"
+    words = f"{certificate.kind} {certificate.value:.1e}"
+    if certificate.value <= tolerance:
+        words += f", and {certificate.rounding:.1e} more that rounding may hide,"
+    return f"{words} above tolerance {tolerance:.1e}"

@@ -173,7 +173,7 @@ def cross_validation(
     The standard error is that of the difference from the best, fold by fold: how much noise a
     fold holds is the same for every penalty, and would otherwise drown what they differ by.
     """
-    folds = _pieces(problem, FOLDS, backend.selection)
+    folds = _pieces(problem, FOLDS, backend)
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
     losses = np.empty((FOLDS, len(FRACTIONS)))
     for i, fold in enumerate(folds):
@@ -200,7 +200,7 @@ def stability_selection(
     A half is 3 of 6 pieces, whole so that neighbours stay together; all complementary pairs are
     used (Shah and Samworth 2013).
     """
-    pieces = _pieces(problem, PIECES, backend.selection)
+    pieces = _pieces(problem, PIECES, backend)
     member = problem.groups[:, None] == np.arange(problem.groups.max() + 1)
     sizes = [
         np.maximum.accumulate((found != 0).any(axis=2) @ member, axis=0).sum(axis=1)
@@ -237,17 +237,24 @@ def _compressed(problem: RegressionProblem) -> bool:
     return problem.sample_count is not None and problem.continuum is None
 
 
-def _pieces(problem: RegressionProblem, count: int, selection: str) -> list[IntArray]:
-    remedy = 'use selection "ebic"'
+def _uncut(backend: ChoosingBackend) -> str:
+    """What to do where samples cannot be cut up: a rule without pieces that the back-end takes."""
+    for rule in ("ebic", "bic"):
+        try:
+            replace(backend, selection=rule)  # type: ignore[type-var]
+        except ValueError:
+            continue
+        return f'use selection "{rule}"'
+    return "give alpha_fraction as a number"
+
+
+def _pieces(problem: RegressionProblem, count: int, backend: ChoosingBackend) -> list[IntArray]:
+    needs = f"selection {backend.selection!r} needs"
     if _compressed(problem):
-        raise InputError(
-            f"selection {selection!r} needs samples, but they are compressed; {remedy}"
-        )
+        raise InputError(f"{needs} samples, but they are compressed; {_uncut(backend)}")
     if problem.samples < 2 * count:
-        raise InputError(
-            f"selection {selection!r} needs at least {2 * count} samples, not {problem.samples}; "
-            + remedy
-        )
+        least = f"at least {2 * count} samples, not {problem.samples}"
+        raise InputError(f"{needs} {least}; {_uncut(backend)}")
     return list(np.array_split(np.arange(problem.samples), count))
 
 
@@ -265,8 +272,8 @@ def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[
         )
     except InputError as error:
         raise InputError(
-            f"selection {backend.selection!r}: on a part of the samples, {error}, or use selection "
-            '"ebic"'
+            f"selection {backend.selection!r}: on a part of the samples, {error}, or "
+            + _uncut(backend)
         ) from None
     missing = np.full((problem.columns, problem.targets), np.nan)
     solutions = backend.solve_path(part, FRACTIONS)

@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_integer
 from sparsefit.regression.continuum import Continuum
 from sparsefit.regression.given import (
     fitting,
     numbers_of,
+    refuse_gaps,
     refuse_large,
+    refuse_other,
     refuse_small,
     refuse_zeros,
     rows_of,
@@ -36,10 +38,14 @@ class Spectrum:
     seconds: float = 0.0
 
     def retained(self, rcond: float | None, samples: int) -> BoolArray:
-        """Singular values above rcond * s_max; None is the rounding level eps * max(m, k)."""
+        """The largest singular value s_max and those above rcond * s_max.
+
+        None is the rounding level eps * max(m, k).
+        """
         if rcond is None:
             rcond = float(np.finfo(float).eps * max(samples, self.right_vectors.shape[1]))
         kept: BoolArray = self.singular_values > rcond * self.singular_values[0]
+        kept[0] = True
         return kept
 
 
@@ -48,8 +54,9 @@ class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
     theta and target are finite; norms of their columns are in [1e-140, 1e140], or 0 of a target.
-    ``groups`` (k,) numbers the group of each column from 0; ``group_scales`` (g,) gives each
-    group's scale, where it has one.
+    ``groups`` (k,) numbers the group of each column, 0, 1, 2, ... without a gap; ``group_scales``
+    (g,) gives each group's scale, where it has one. Raises InputError on arrays of other kinds or
+    shapes, and as `from_arrays` does, which makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
@@ -206,21 +213,29 @@ def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
 
 
 def _check_shapes(problem: RegressionProblem) -> None:
-    (m, k), rows = problem.theta.shape, problem.target.shape[0]
+    refuse_other(problem.theta, "theta")
+    refuse_other(problem.target, "target")
+    (m, k), (rows, n) = problem.theta.shape, problem.target.shape
+    both = f"theta {problem.theta.shape} and target {problem.target.shape} must"
     if rows != m:
-        raise InputError(
-            f"theta {problem.theta.shape} and target {problem.target.shape} must have the same "
-            "number of rows"
-        )
-    if m == 0 or k == 0 or problem.target.shape[1] == 0:
-        raise InputError(
-            f"theta {problem.theta.shape} and target {problem.target.shape} must not be empty"
-        )
-    if len(problem.names) != k:
-        raise InputError(f"names must have one name per column: {k}, not {len(problem.names)}")
+        raise InputError(f"{both} have the same number of rows")
+    if m == 0 or k == 0 or n == 0:
+        raise InputError(f"{both} not be empty")
+    refuse_gaps(problem.groups, k, "groups")
+    scales, groups = problem.group_scales, int(problem.groups.max()) + 1
+    for name, given, right, each in (
+        ("names", len(problem.names), k, "name per column"),
+        ("target_names", len(problem.target_names), n, "name per target"),
+        ("group_scales", groups if scales is None else len(scales), groups, "scale per group"),
+    ):
+        if given != right:
+            raise InputError(f"{name} must have one {each}: {right}, not {given}")
+    if problem.sample_count is not None and not is_integer(problem.sample_count, m):
+        raise InputError(f"sample_count must be an integer, at least {m}: the rows stand for them")
     if problem.subgroups is not None:
-        both = len(np.unique(np.stack([problem.subgroups, problem.groups]), axis=1).T)
-        if both != len(np.unique(problem.subgroups)):
+        refuse_gaps(problem.subgroups, k, "subgroups")
+        both_numbers = np.unique(np.stack([problem.subgroups, problem.groups]), axis=1)
+        if both_numbers.shape[1] != problem.subgroups.max() + 1:
             raise InputError("subgroups must lie within groups: one of them spans two groups")
 
 

@@ -8,6 +8,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.problem import RegressionProblem
 from tests.problems import DEGENERATE_KINDS, degenerate, orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.02]
@@ -74,3 +75,14 @@ def test_bad_settings_are_refused(name):
     for change in ({"power": -1.0}, {"pilot_ridge": 0.0}, {"alpha_fraction": 0}):
         with pytest.raises(InputError, match=next(iter(change))):
             backends.get(name, **change)
+
+
+def test_a_first_ridge_that_rounding_loses_is_the_least_squares_of_least_norm():
+    theta = np.random.default_rng(0).normal(size=(30, 4))
+    problem = RegressionProblem.from_arrays(theta[:, [0, 1, 2, 3, 0]], theta @ [1.0, 0.3, 0.1, 0.0])
+    lost, small = (
+        backends.get("adaptive-lasso", pilot_ridge=ridge).penalty(problem).weights
+        for ridge in (1e-30, 1e-9)
+    )
+    assert lost[:3] == pytest.approx(small[:3], rel=1e-5)
+    assert lost[0] < 0.5 * lost[2]

@@ -110,3 +110,15 @@ def test_compressed_rows_and_a_single_sample_are_refused():
 def test_settings_that_are_refused(settings, words):
     with pytest.raises(InputError, match=words):
         backends.get("ensemble", **settings)
+
+
+def test_targets_that_choose_by_themselves_keep_so_many_more_falsely():
+    one = regular(1)
+    twice = RegressionProblem.from_arrays(one.theta, one.target[:, [0, 0]], one.groups)
+    alone = RegressionProblem.from_arrays(one.theta, one.target[:, 0], one.groups)
+    backend = backends.get("ensemble", base="lasso", alpha_fraction=0.3)
+    bounds = [
+        float(backend.solve(problem).solver_status.split("at most ")[1].split()[0])
+        for problem in (alone, twice)
+    ]
+    assert bounds[1] == pytest.approx(2.0 * bounds[0], rel=0.05)

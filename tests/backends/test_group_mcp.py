@@ -9,6 +9,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.problem import RegressionProblem
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.02]
@@ -96,3 +97,12 @@ def test_the_penalty_can_be_chosen():
 def test_bad_settings_are_refused(change, words):
     with pytest.raises(InputError, match=words):
         backends.get("group-mcp", **change)
+
+
+def test_weights_that_still_move_are_inaccurate():
+    crawling = backends.get("group-mcp", alpha_fraction=0.99, gamma=1.0001)
+    column = np.linspace(1.0, 3.0, 20)
+    found = sf.fit(RegressionProblem.from_arrays(column[:, None], column), crawling)
+    assert found.certificate.value == 0.0  # the support stays all the same
+    assert (found.status, found.solver_status) == ("inaccurate", "still moving")
+    assert "still move after 100 approximations" in found.reason

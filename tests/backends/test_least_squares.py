@@ -79,3 +79,9 @@ def test_as_many_samples_as_columns_are_solved():
 def test_bad_rcond_is_refused(rcond):
     with pytest.raises(InputError, match="rcond"):
         backends.get("least-squares", rcond=rcond)
+
+
+def test_the_largest_singular_value_always_counts():
+    found = sf.fit(regular(0), backends.get("least-squares", rcond=1.0))
+    assert found.solver_status == "rank 1"
+    assert found.weights.any()

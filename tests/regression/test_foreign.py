@@ -172,6 +172,18 @@ def test_a_gap_needs_a_penalty():
         ),
         (lambda k: Penalty(np.zeros(k, int), np.ones(k), joint=False), "groups are not those of"),
         (lambda k: Penalty(np.arange(k), np.ones(k), False, ridge=-1.0), "a ridge of -1.0"),
+        (
+            lambda k: Penalty(
+                np.arange(k), np.ones(k), True, Penalty(np.arange(k), -np.ones(k), True)
+            ),
+            "within which is one with weights that are not all finite and above 0",
+        ),
+        (
+            lambda k: Penalty(
+                np.arange(k), np.ones(k), True, Penalty(np.arange(k) // 2, np.ones(k // 2), True)
+            ),
+            "blocks within it that span several of its own",
+        ),
     ],
 )
 def test_a_penalty_that_would_make_any_answer_optimal_is_refused(declared, words):

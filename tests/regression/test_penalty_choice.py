@@ -254,6 +254,15 @@ def test_compressed_samples_are_chosen_for_by_information_only():
             sf.fit(packed, auto("group-lasso", selection))
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("lasso", '"ebic"'), ("ridge", '"bic"'), ("group-mcp", "give alpha_fraction as a number")],
+)
+def test_too_few_samples_to_cut_up_are_told_with_what_the_back_end_can_do(name, remedy):
+    with pytest.raises(InputError, match=rf"at least 10 samples, not 9; .*{remedy}$"):
+        sf.fit(regular(samples=9), auto(name, "cross-validation"))
+
+
 @pytest.mark.parametrize("selection", ["cross-validation", "stability"])
 def test_sums_of_all_samples_are_not_taken_for_those_of_a_part(selection):
     problem = regular(samples=80)

@@ -124,3 +124,38 @@ def test_blocks_may_have_targets_of_one_dimension():
     blocks = [(theta[:3], [1.0, 2.0, 3.0]), (theta[3:], [1.0, 0.0, 1.0])]
     problem = RegressionProblem.from_blocks(blocks)
     assert (problem.samples, problem.columns, problem.targets) == (6, 2, 1)
+
+
+WHOLE = {
+    "theta": columns(a=2.0, b=3.0),
+    "target": np.ones((ROWS, 2)),
+    "groups": np.array([0, 0, 1, 1]),
+    "names": tuple("abcd"),
+    "target_names": ("x", "y"),
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"groups": np.array([0, 0, 2, 2])}, "groups .* without a gap"),
+        ({"groups": np.array([-1, 0, 0, 1])}, "groups .* without a gap"),
+        ({"groups": np.array([1, 1, 2, 2])}, "from 0"),
+        ({"groups": np.array([0.0, 0.0, 1.0, 1.0])}, "an integer for each of the 4 columns"),
+        ({"groups": np.array([0, 1])}, "an integer for each of the 4 columns"),
+        ({"groups": [0, 0, 1, 1]}, "must be an array"),
+        ({"subgroups": np.array([0, 0, 3, 3])}, "subgroups .* without a gap"),
+        ({"theta": np.ones((ROWS, 4), dtype=np.float32)}, "theta must be a float64 array"),
+        ({"theta": np.ones((ROWS, 4)).tolist()}, "theta must be a float64 array"),
+        ({"target": np.ones(ROWS)}, "target must be a float64 array"),
+        ({"target": np.ones((ROWS, 2), dtype=int)}, "target must be a float64 array"),
+        ({"names": ("a",)}, "one name per column: 4, not 1"),
+        ({"target_names": ("x",)}, "one name per target: 2, not 1"),
+        ({"group_scales": np.ones(3)}, "one scale per group: 2, not 3"),
+        ({"sample_count": ROWS - 1}, f"an integer, at least {ROWS}"),
+    ],
+)
+def test_what_is_built_without_conversion_has_to_be_whole(change, words):
+    assert RegressionProblem(**WHOLE).columns == 4
+    with pytest.raises(InputError, match=words):
+        RegressionProblem(**(WHOLE | change))
