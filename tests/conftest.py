@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from hypothesis import settings
@@ -20,9 +21,8 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Studies run without worker processes, for tests of what is before and after their work."""
+def run_in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let studies run without worker processes until the patch is undone."""
     from sparsefit.study.run import flight_kind
     from sparsefit.study.run.execution import run_flight
     from sparsefit.study.run.outcome import Outcome
@@ -35,3 +35,28 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
             yield from ((event, SECONDS) for event in events if isinstance(event, Outcome))
 
     monkeypatch.setattr(flight_kind, "outcomes", outcomes)
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies run without worker processes, for tests of what is before and after their work."""
+    run_in_process(monkeypatch)
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports have their pictures, with nothing in them, for tests of what is beside them."""
+    from matplotlib.figure import Figure
+
+    from sparsefit.study.report import pages
+
+    blank = dict.fromkeys(pages.FIGURES.compares, lambda *_: Figure())
+    monkeypatch.setattr(pages, "FIGURES", replace(pages.FIGURES, compares=blank))
+
+
+@pytest.fixture
+def not_laid_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are not laid out, which is half of their time, for tests of what panels show."""
+    from sparsefit.study.report import figures
+
+    monkeypatch.setattr(figures, "laid_out", lambda make: make())

@@ -19,6 +19,7 @@ from sparsefit.study.run.latency import Latency
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.spec.identity import identities
 from sparsefit.study.spec.study import Study
+from tests.conftest import run_in_process
 
 STUDY = """
 name = "small"
@@ -78,7 +79,9 @@ def home(tmp_path_factory):
     folder = tmp_path_factory.mktemp("home")
     (folder / "small.toml").write_text(STUDY)
     options = ["--results", str(folder / "results"), "--processes", "1"]
-    assert main(["study", "run", str(folder / "small.toml"), *options]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        run_in_process(patch)
+        assert main(["study", "run", str(folder / "small.toml"), *options]) == 0
     return folder
 
 
@@ -151,6 +154,7 @@ def test_plan_counts(capsys, fresh):
     assert "answers " in out
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
     code, out, err = run(capsys, "study", "run", finished)
     assert (code, err) == (0, "")
@@ -162,7 +166,7 @@ def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
         assert Path("results/small", name).is_file()
 
 
-@pytest.mark.usefixtures("in_process")
+@pytest.mark.usefixtures("in_process", "blank_pictures")
 def test_run_goes_on_where_it_was_stopped(capsys, half):
     code, out, err = run(capsys, "study", "run", half, "--processes", "1", "--json")
     found = json.loads(out)
@@ -257,6 +261,7 @@ def test_show_runs_one_case_again_and_draws_it(capsys, finished):
     assert f"{case} say" in refused(capsys, "study", "show", finished, "--case", case[:-1])
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_report_writes_the_same_again(capsys, finished):
     before = Path("results/small/errors.md").read_text()
     os.remove("results/small/errors.md")
@@ -451,7 +456,7 @@ class TestCompare:
 
 
 class TestMerge:
-    @pytest.mark.usefixtures("in_process")
+    @pytest.mark.usefixtures("in_process", "blank_pictures")
     def test_parts_make_the_whole(self, capsys, finished):
         whole = store.read_cases("results/small")
         for name in ("lasso", "stlsq"):

@@ -135,7 +135,7 @@ def test_the_fit_is_joint_least_squares(unknown, method):
 @pytest.mark.parametrize("unknown", EVERY)
 def test_the_scan_is_the_residual(unknown):
     rows, samples, flight = rows_of(unknown, velocity_noise=0.3)
-    space = SearchSpace.of(samples, flight.vehicle, (0.4, 1.5), unknown)
+    space = SearchSpace.of(samples, flight.vehicle, (0.55, 0.95), unknown)
     curve = space.residuals(space.empty)
     expected = np.array([at(rows, k).residual for k in space.scan.wavenumbers.tolist()])
     size = float(np.sum(rows.target**2))

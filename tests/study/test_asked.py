@@ -95,6 +95,7 @@ def test_every_sentence_takes_every_measure(compare: str, measure: str) -> None:
     assert "nan" not in said
 
 
+@pytest.mark.usefixtures("not_laid_out")
 @pytest.mark.parametrize("compare", ["settings", "protocols", "until"])
 def test_a_picture_of_ones_own(compare: str) -> None:
     entry = {"measure": "seconds", "compare": compare, "along": NOISE, "over": "setting"}
@@ -102,6 +103,7 @@ def test_a_picture_of_ones_own(compare: str) -> None:
     assert FIGURES.make(entry, study(), CASES, None).axes
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_pages_of_a_study_of_ones_own(tmp_path) -> None:  # type: ignore[no-untyped-def]
     entry = {"name": "speed", "measure": ["seconds", "mean-velocity-error"]}
     asked = study(tables=(entry,), figures=("errors",), answers=({"measure": "seconds"},))

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from matplotlib.transforms import Bbox
 from sparsefit.errors import InputError
 from sparsefit.study import Study
 from sparsefit.study.evidence.measures import MEASURES
+from sparsefit.study.report import pages
 from sparsefit.study.report.drawing import to_png, to_svg
 from sparsefit.study.report.figures import FIGURES, caption, figures_for
 from sparsefit.study.report.pages import render_show, write_report
@@ -261,12 +263,10 @@ def assert_apart(boxes):
 
 
 def test_the_users_own_style_changes_nothing_and_is_left_alone():
-    cases = synthetic(1, protocols=("paper",))
-    figure = FIGURES.make("errors", study(), cases, None)
-    plain = to_svg(figure)
-    assert b"tEXt" not in to_png(figure)
+    plain = to_svg(drawn("errors"))
+    assert b"tEXt" not in to_png(drawn("errors"))
     with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "lines.linewidth": 9}):
-        assert to_svg(FIGURES.make("errors", study(), cases, None)) == plain
+        assert to_svg(FIGURES.make("errors", study(), GIVEN["errors"](), None)) == plain
         assert mpl.rcParams["font.size"] == 20.0
 
 
@@ -293,6 +293,7 @@ class TestScatter:
             for axes in row:
                 assert sum(len(one.get_offsets()) for one in axes.collections) == expected
 
+    @pytest.mark.usefixtures("not_laid_out")
     def test_outliers_and_failures_are_counted(self):
         cases = synthetic(3, protocols=("paper",)).query("backend == 'lasso'").copy()
         cases = cases[cases["settings"] == '{"alpha": 0.1}']
@@ -314,6 +315,7 @@ class TestErrorsAndSweep:
         assert quartiles == [pytest.approx(10.0), math.inf]
         assert error.summarise(cases) == pytest.approx(20.0)
 
+    @pytest.mark.usefixtures("not_laid_out")
     def test_a_median_that_failed_leaves_a_gap(self):
         cases = synthetic(2, LEVELS, ("paper",))
         cases.loc[cases["flights.velocity_noise"] == 1.0, "status"] = "timeout"
@@ -321,6 +323,7 @@ class TestErrorsAndSweep:
         line = figure.axes[0].get_lines()[0]
         assert np.isnan(line.get_ydata()).tolist() == [False, False, True]
 
+    @pytest.mark.usefixtures("not_laid_out")
     def test_the_smallest_error_is_in_the_frame_beside_one_of_ten_decades_more(self):
         cases = synthetic(8)
         sure = cases["protocol"] == "matched"
@@ -330,6 +333,7 @@ class TestErrorsAndSweep:
         for axes in FIGURES.make("errors", study(), cases, None).axes:
             assert axes.get_xlim()[0] < 1e-6
 
+    @pytest.mark.usefixtures("not_laid_out")
     def test_panels_below_each_other_agree_and_one_without_an_answer_says_so(self):
         cases = synthetic(4, LEVELS)
         cases.loc[cases["protocol"] == "matched", "status"] = "timeout"
@@ -349,6 +353,7 @@ class TestErrorsAndSweep:
         with pytest.raises(InputError, match='sweeps no number: drop the figure "sweep"'):
             FIGURES.make("sweep", study(), synthetic(2), None)
 
+    @pytest.mark.usefixtures("not_laid_out")
     def test_a_setting_without_any_answer_keeps_its_row(self):
         cases = synthetic(2, protocols=("paper",))
         cases.loc[cases["backend"] == "lasso", "status"] = "crashed"
@@ -362,6 +367,7 @@ def test_weights_are_needed_for_the_weights():
         FIGURES.make("weights", study(), synthetic(1), None)
 
 
+@pytest.mark.usefixtures("not_laid_out")
 def test_the_true_and_the_chosen_scale_are_marked():
     cases = synthetic(1, protocols=("paper",))
     axes = FIGURES.make("weights", study(), cases, weights_of(cases)).axes[0]
@@ -377,7 +383,9 @@ def test_figures_that_apply():
 
 
 class TestReport:
-    def test_every_file_is_there_and_linked(self, tmp_path: Path):
+    def test_every_file_is_there_and_linked(self, tmp_path: Path, monkeypatch):
+        again = dict.fromkeys(FIGURES.compares, lambda *_: drawn("errors"))
+        monkeypatch.setattr(pages, "FIGURES", replace(FIGURES, compares=again))
         cases = synthetic(6)
         tables = ("errors", "errors-absolute", "times")
         chosen = study(planned=len(cases), tables=tables, figures=("errors",))
@@ -424,6 +432,7 @@ class TestReport:
         assert max(map(len, shown.split("\n\n", 1)[1].splitlines())) <= 90
 
 
+@pytest.mark.usefixtures("not_laid_out")
 def test_a_failed_first_panel_hides_no_legend():
     cases = synthetic(1, protocols=("paper",))
     cases.loc[0, ["grid_length_scale", "est_length_scale"]] = math.nan

@@ -26,7 +26,7 @@ from sparsefit.study.run.lock import LOCK, locked
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.study.run.worker import Worker
 from sparsefit.study.spec.solver_study import SolverStudy
-from tests.conftest import SECONDS
+from tests.conftest import SECONDS, run_in_process
 from tests.study import hostile
 from tests.study.solver_files import HEAD as HEAD_OF_SOLVERS
 from tests.study.solver_files import write_data, write_study
@@ -112,7 +112,7 @@ def write(tmp_path: Path) -> Write:
 
 
 class Whole(NamedTuple):
-    """A study of 3 flights that ran undisturbed in one process."""
+    """A study of 3 flights that ran undisturbed, without a worker."""
 
     path: Path
     folder: Path
@@ -123,7 +123,9 @@ class Whole(NamedTuple):
 def whole(plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Whole:
     path = tmp_path_factory.mktemp("whole") / "r.toml"
     path.write_text(text_of(REAL))
-    summary = run(Study.load(path), path.parent, processes=1)
+    with pytest.MonkeyPatch.context() as patch:
+        run_in_process(patch)
+        summary = run(Study.load(path), path.parent, processes=1)
     return Whole(path, summary.folder, dict(summary.statuses))
 
 
@@ -171,7 +173,7 @@ def session_is_gone(session: int) -> bool:
     return True
 
 
-def test_same_rows_with_one_process_and_with_two(tmp_path: Path, whole: Whole) -> None:
+def test_same_rows_without_workers_and_with_two(tmp_path: Path, whole: Whole) -> None:
     study = Study.load(whole.path)
     two = run(study, tmp_path, processes=2)
     assert whole.statuses == two.statuses
