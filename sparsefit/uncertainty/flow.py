@@ -11,6 +11,7 @@ and the square of the bias that is left in the flow.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from sparsefit.library.waves import Waves
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import Reading
 
+KEPT = 16  # sizes of theta
 MOST = 2_000_000  # sums of two entries times samples: beyond it neither time nor memory is spent
 
 
@@ -78,12 +80,20 @@ class FlowUncertainty:
 def entries(model: Model, nuisance: Nuisance) -> Reading:
     """Every entry of theta that is in the flow, and every sum of two of them; none beyond MOST."""
     theta = model.joined(model.parameters, model.weights, model.coefficients)
-    unit = np.eye(_count(model, nuisance), len(theta))
-    first, second = np.triu_indices(len(unit))
-    sums = np.where((first == second)[:, None], unit[first], unit[first] + unit[second])
+    sums = _sums(_count(model, nuisance), len(theta))
     every = np.ones(len(sums), dtype=bool)
     limits = np.full(len(sums), np.inf)
     return Reading(("theta",) * len(sums), sums @ theta, sums, limits, ~every, every)
+
+
+@lru_cache(maxsize=KEPT)
+def _sums(count: int, size: int) -> Array:
+    """Every one of the first entries of theta (size,) and every sum of two, as rows: (f, size)."""
+    unit = np.eye(count, size)
+    first, second = np.triu_indices(count)
+    sums = np.where((first == second)[:, None], unit[first], unit[first] + unit[second])
+    sums.setflags(write=False)
+    return sums
 
 
 def flow_of(model: Model, nuisance: Nuisance, errors: Array) -> FlowUncertainty | None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.modes.fitted_rows import Rows
 
 
@@ -60,6 +61,14 @@ class Jacobian:
             places.append(np.concatenate([heads, size - unknown + tails, free + shift + middle]))
         return cls(columns, np.stack(picks), np.stack(places), size)
 
+    @cached_property
+    def _ones(self) -> Array:
+        """1 where a column is in J_t and belongs to an entry of theta, else 0: (2, n, u)."""
+        ones = np.zeros((2, self.size, len(self.columns)))
+        for own, place, pick in zip(ones, self.places, self.picks, strict=True):
+            own[place, pick] = 1.0
+        return ones
+
     @property
     def gram(self) -> Array:
         """J'J (n, n)."""
@@ -71,9 +80,7 @@ class Jacobian:
 
     def placed(self, products: Array) -> Array:
         """J'e (n,), from the products (u, 2) of `columns` and errors of either component."""
-        score = np.zeros(self.size)
-        for t in range(2):
-            score[self.places[t]] += products[self.picks[t], t]
+        score: Array = np.sum(self._ones @ products.T[:, :, None], axis=0)[:, 0]
         return score
 
     def scores(self, columns: Array) -> Array:
@@ -98,20 +105,14 @@ class Jacobian:
 
     def onto_theta(self, products: Array) -> Array:
         """sum_t J_t'S J_t (n, n), from the products (u, u) of `columns` under some S."""
-        summed = np.zeros((self.size, self.size))
-        for pick, place in zip(self.picks, self.places, strict=True):
-            summed[place[:, None], place] += products[pick[:, None], pick]
+        summed: Array = np.sum(self._ones @ products @ self._ones.swapaxes(1, 2), axis=0)
         return summed
 
     def onto_columns(self, form: Array) -> Array:
         """The form (u, u) in `columns` that is sum_t J_t K J_t', K (n, n) in theta."""
-        summed = np.zeros((len(self.columns), len(self.columns)))
-        for pick, place in zip(self.picks, self.places, strict=True):
-            summed[pick[:, None], pick] += form[place[:, None], place]
+        summed: Array = np.sum(self._ones.swapaxes(1, 2) @ form @ self._ones, axis=0)
         return summed
 
     def _combined(self, by_theta: Array, columns: Array) -> Array:
-        weights = np.zeros((by_theta.shape[1], 2, len(columns)))
-        for t in range(2):
-            weights[:, t, self.picks[t]] = by_theta[self.places[t]].T
-        return weights @ columns
+        combined: Array = (by_theta.T @ self._ones).swapaxes(0, 1) @ columns
+        return combined
