@@ -19,6 +19,12 @@ def local_maxima(curve: Array) -> IntArray:
     return tops[np.argsort(-curve[tops], kind="stable")]
 
 
+def box(places: Array) -> tuple[Array, Array]:
+    """The least and the largest of each column (c,) of places (m, c): two corners of their box."""
+    sides = np.ascontiguousarray(places.T)  # along rows numpy looks six times faster
+    return sides.min(axis=1), sides.max(axis=1)
+
+
 class Brief:
     """A dataclass whose repr fits a screen; to be declared with ``repr=False``.
 

@@ -208,7 +208,8 @@ def _length(pairs: Array) -> Array:
 
 def _spread(size: Array) -> float:
     """The standard deviation, along an axis, of normal pairs with these lengths (m,)."""
-    return max(float(np.median(size)) / RAYLEIGH, NOTHING)
+    middle = [(len(size) - 1) // 2, len(size) // 2]  # as np.median, which takes five times as long
+    return max(0.5 * float(np.partition(size, middle)[middle].sum()) / RAYLEIGH, NOTHING)
 
 
 def _rms(velocity: Array) -> float:

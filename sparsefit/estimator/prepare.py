@@ -19,8 +19,8 @@ from sparsefit.flight.flow import FlowField
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.builder import Library
 from sparsefit.library.nuisance import Nuisance
-from sparsefit.library.scan import Bounds
-from sparsefit.modes.fitted_rows import Rows, middle
+from sparsefit.library.scan import Bounds, middle
+from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.levels import weighed
 from sparsefit.modes.space import SearchSpace
 from sparsefit.modes.stack import Part, rows_of

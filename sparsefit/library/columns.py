@@ -104,7 +104,8 @@ class LibraryColumns:
 
 def cell_columns(scales: Array) -> LibraryColumns:
     """The paper's 8 candidates (Eq. 17) at length scales (g,) [m], a group each."""
-    names = tuple(f"{name} (L = {scale:g} m)" for scale in scales for name in CANDIDATES)
+    at = [f" (L = {scale:g} m)" for scale in scales.tolist()]
+    names = tuple(name + scale for scale in at for name in CANDIDATES)
     return LibraryColumns(Cells(), math.pi / scales[:, None], np.arange(len(scales)), scales, names)
 
 

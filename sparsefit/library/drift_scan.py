@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, box
 from sparsefit.library.plane_scan import across
 from sparsefit.library.scan import Bounds
 
@@ -55,7 +55,8 @@ class DriftScan:
     @property
     def steps(self) -> Array:
         """Between wavenumbers [1/m] and omegas [1/s]: half a lobe of a piece, (3,)."""
-        spans = np.array([np.ptp(one, axis=0) for one in _cut(self.position, self.pieces)])
+        corners = [box(piece) for piece in _cut(self.position, self.pieces)]
+        spans = np.array([high - low for low, high in corners])
         widest, longest = float(spans[:, :2].max()), float(spans[:, 2].max())
         return math.pi / np.array([widest, widest, longest])
 

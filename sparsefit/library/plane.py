@@ -27,7 +27,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray
 from sparsefit.cached import cached_property
-from sparsefit.library.scan import Bounds, extent_of
+from sparsefit.library.scan import Bounds, extent_of, middle
 
 MISSED = 0.02  # of a peak's height: what a scan's grid may not show
 STEP = 0.4  # between wavevectors, in 1/extent: eta between them is at most 1 % higher
@@ -172,7 +172,7 @@ class WaveScan:
 
 def _centred(position: Array) -> tuple[Array, Array]:
     """Positions (m, 2) [m] from the middle of their box, and that middle."""
-    centre = 0.5 * (position.max(axis=0) + position.min(axis=0))
+    centre = middle(position)
     return position - centre, centre
 
 

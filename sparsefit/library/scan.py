@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sparsefit.arrays import Array, ComplexArray, local_maxima
+from sparsefit.arrays import Array, ComplexArray, box, local_maxima
 from sparsefit.cached import cached_property
 from sparsefit.library.cells import WAVES
 from sparsefit.library.phase import sines_and_cosines
@@ -68,7 +68,7 @@ class CellScan:
         """
         low, high = bounds
         steps = scan_steps(position, bounds)
-        centre = 0.5 * (position.max(axis=0) + position.min(axis=0))
+        centre = middle(position)
         step = (high - low) / steps if steps else STEP / extent_of(position)
         wavenumbers: Array = low + step * np.arange(steps + 1, dtype=float)
         return cls(position - centre, centre, wavenumbers, step, weight)
@@ -234,7 +234,15 @@ def _powers(phase: Array) -> list[ComplexArray]:
 
 def extent_of(position: Array) -> float:
     """The larger side of the bounding box of positions (m, 2) [m]."""
-    return float(np.ptp(position, axis=0).max())
+    low, high = box(position)
+    return float((high - low).max())
+
+
+def middle(position: Array) -> Array:
+    """The middle of the bounding box of positions (m, 2)."""
+    low, high = box(position)
+    centre: Array = 0.5 * (high + low)
+    return centre
 
 
 def scan_steps(position: Array, bounds: Bounds) -> int:

@@ -23,6 +23,7 @@ from sparsefit.derivative import Samples, WeakRows
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.family import Columns
 from sparsefit.library.nuisance import Nuisance
+from sparsefit.library.scan import middle
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -165,9 +166,3 @@ class Rows:
 def centred(position: Array) -> Array:
     """Positions (m, 2) from the middle of their bounding box."""
     return position - middle(position)
-
-
-def middle(position: Array) -> Array:
-    """The middle of the bounding box of positions (m, 2)."""
-    centre: Array = 0.5 * (position.max(axis=0) + position.min(axis=0))
-    return centre

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, box
 from sparsefit.library.equal_waves import EqualWaves
 from sparsefit.library.pieced_waves import PiecedWaves
 from sparsefit.library.waves import Waves
@@ -72,8 +72,8 @@ def descended(
 
 def reach_of(rows: Rows, pieces: int = 1) -> Array:
     """Pi over the extents of the rows, or of pieces, in k_x, k_y [1/m] and omega [1/s], (3,)."""
-    every = np.array_split(rows.position, pieces)
-    spans = np.max([np.ptp(one, axis=0) for one in every], axis=0)
+    corners = [box(piece) for piece in np.array_split(rows.position, pieces)]
+    spans = np.max([high - low for low, high in corners], axis=0)
     widest = float(spans[:2].max())
     duration = float(spans[2]) if len(spans) > 2 else 1.0
     return math.pi / np.array([widest, widest, duration])
