@@ -61,8 +61,8 @@ class Reading:
 def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
     """The parameters at the modes; standard errors of refined modes with the ``rms`` readout.
 
-    Bias is corrected for one mode of plain samples and a known vehicle only, where the readout
-    says so.
+    Bias that is known to first order is corrected where the readout says so, but for a length scale
+    that the grid dictates: it is no minimum that errors could have moved.
     """
     if place.ladder is not None:
         reading = _of_ladder(prepared, place, place.ladder, readout)
@@ -73,9 +73,8 @@ def read_place(prepared: Prepared, place: Place, readout: Readout) -> Reading:
     sought = readout.refine != "none" and readout.mean_velocity == "rms"
     assessed = sought and place.fit is not None
     if assessed:
-        plain = not prepared.weak and not prepared.library.unknown
-        single = plain and readout.scales == "one"
-        known = _assessment(prepared, place, single and readout.correction != "none")
+        correct = readout.correction != "none" and not prepared.narrow
+        known = _assessment(prepared, place, correct)
         if known is not None:
             pairs = zip(known.modes, place.candidates, strict=True)
             scales = [ScaleEstimate(*m.values, own, m.uncertainty) for m, own in pairs]
@@ -115,8 +114,7 @@ def _of_ladder(
     best, nuisance = ladder.best, common(prepared.nuisances)
     if not len(best.phases):
         return Reading((NOTHING,), assessed=True)
-    plain = not prepared.weak and not prepared.library.unknown
-    correct = plain and readout.correction != "none"
+    correct = readout.correction != "none"
 
     def assessed() -> Assessment | None:
         rows, family, fit = ladder.rows, best.family, best.fit

@@ -42,8 +42,8 @@ class Readout:
     flight bears out, each with a velocity, ``rms`` or ``peak``, from one fit of them all
     (`sparsefit.modes.search`). Its peaks are those of the Euclidean norm always.
     correction: ``first-order`` takes from a refined ``rms`` readout what smoothing, differencing
-    and noisy positions are known to do to it, and in turbulence moves the values by a step of
-    generalised least squares; ``none`` leaves it.
+    and noisy columns are known to do to it, and in turbulence moves the values by a step of
+    generalised least squares, for samples and a known vehicle; ``none`` leaves it.
     precision: the largest half-width of the 95 % intervals of U0, L and tau_w, as a share of the
     value, that is still called ``ok``; at 0.03 a value is off by 5 % once in a thousand flights.
     """

@@ -15,8 +15,11 @@ columns stand at x + n, and with e = Phi - C w the normal equations are off by
     E J'e = s^2/2 J'(-Laplacian w) - s^2 sum_a (d_a J)'(d_a w) + q (d_t J_t)' 1,
 
 which over many cells attenuates a plane wave kappa by exp(-|kappa|^2 s^2 / 2), and more where the
-path leaves a combination of columns ill determined (Carroll et al., 2006). Of weak averages the
-last two terms, what the noise of the columns shares with that of Phi, are left out.
+path leaves a combination of columns ill determined (Carroll et al., 2006). Weak averages share
+noise from sample to sample: with n the smoothed noise and e = (Psi + tau R) n_v - Psi (grad w . n)
+that of the rows, the last two terms are those of sum_a (d_a C)' l_a at the samples,
+
+    l_a(i) = sum_q Psi_qi E[n_a(i) e_q].
 
 Noise of the velocity, where the response time is unknown and v is a column: E v'e is the
 covariance of both, row by row; of kicks to the acceleration, which the velocity after them holds,
@@ -199,7 +202,7 @@ def noisy_columns(fit: Filtered) -> Array:
             pair = _averaged_velocity(weak, velocity, fit.response_time)
         score += _in_velocity(fit, float(np.sum(variances * pair[0] * pair[1])))
     if weak is not None:
-        return score
+        return score + _shaken(model, _load_of_averages(fit, weak, variances))
     load = -square * model.gradient
     if fit.stretch is None:
         load[[0, 1], [0, 1]] += float(np.sum(variances * place * through))
@@ -241,6 +244,38 @@ def _shaken(model: Model, load: Array) -> Array:
     )
     by_parameter = np.sum(bent * stacked[:, None, None], axis=(0, 3, 4))
     return model.joined(by_parameter, along.sum(axis=0), np.zeros(len(model.coefficients)))
+
+
+def _load_of_averages(fit: Filtered, weak: WeakRows, variances: Array) -> Array:
+    """l (2, 2, m), by axis and component; variances (2, 1) of the raw position and velocity."""
+    ends, gradient = weak.operator.indptr, fit.model.gradient
+    counts, samples = np.diff(ends), gradient.shape[2]
+    wide = int(counts.max())
+    held = np.arange(wide) < counts[:, None]  # rows stand on neighbouring samples
+    places = np.minimum(weak.operator.indices[ends[:-1], None] + np.arange(wide), samples - 1)
+    mean, rate = np.zeros((2, *held.shape))
+    mean[held], rate[held] = weak.operator.data, weak.rate.data
+    place, velocity, _ = fit.filters.raw
+    apart = np.abs(np.subtract.outer(np.arange(wide), np.arange(wide)))
+    of_place = _together(place, place, variances, wide) + fit.wander.covariance(wide)[apart]
+    total = (mean + fit.response_time * rate) @ _together(place, velocity, variances, wide).T
+    load = np.zeros((2, 2, samples))
+    for axis, component in np.ndindex(2, 2):
+        shared = -(mean * gradient[axis, component][places]) @ of_place
+        if axis == component:
+            shared += total
+        np.add.at(load[axis, component], places[held], (mean * shared)[held])
+    return load
+
+
+def _together(first: Array, second: Array, variances: Array, size: int) -> Array:
+    """E f(i) s(j) (size, size), of white noise through two filters (2, n)."""
+    products = zip(second, first, variances[:, 0], strict=True)
+    full = np.sum([square * np.correlate(s, f, "full") for s, f, square in products], axis=0)
+    inside = np.pad(full, size)[len(full) // 2 + 1 : len(full) // 2 + 2 * size]
+    lags = np.subtract.outer(np.arange(size), np.arange(size))
+    covariance: Array = inside[lags + size - 1]
+    return covariance
 
 
 def _averaged_velocity(

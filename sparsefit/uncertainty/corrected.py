@@ -2,10 +2,10 @@
 
 The variance is that of the noise carried through the filters (`noise`), and where what is left is
 coloured (`turbulence`) at least the mean of what its spectrum and a jackknife say; there the values
-move, if they are corrected at all, by a step of generalised least squares. Of bias (`bias`)
-that is corrected, what is doubtful counts as a standard error; of bias that is left in, all of it.
-Where residuals are no noise at all, the truncation that is left has one sign over many samples:
-half of what it could add up to is added.
+of samples and a known vehicle move, if they are corrected at all, by a step of generalised least
+squares. Of bias (`bias`) that is corrected, what is doubtful counts as a standard error; of bias
+that is left in, all of it. Where residuals are no noise at all, the truncation that is left has one
+sign over many samples: half of what it could add up to is added.
 
 Several flights have noise of their own each: their variances add up, each flight's through its own
 filters and with the levels that a fit of its own leaves.
@@ -116,7 +116,7 @@ def _through_filters(
     step = less - reading.values
     correcting = correct & ~reading.stay
     moved = np.zeros(len(step))
-    if correct and any(one.left.found for one in seen):
+    if correct and _alike(fits) and any(one.left.found for one in seen):
         left, together = [one.left for one in seen], [one.less.together for one in seen]
         better = read(moved_model.shifted(generalised_step(left, together)))
         moved = np.clip(better.values - less, -MOST * spread, MOST * spread)
@@ -130,6 +130,14 @@ def _through_filters(
     values = reading.values + correcting * (correction + moved)
     lefts = tuple(one.left for one in seen)
     return Known(values, errors, freedom, lefts, _growth(seen), _apart(model, seen))
+
+
+def _alike(fits: Sequence[Filtered]) -> bool:
+    """Whether generalised least squares is that of the rows fitted, and no column holds errors.
+
+    It weighs samples, not averages; and turbulence moves the vehicle, whose velocity is a column.
+    """
+    return all(fit.samples.weak is None and not len(fit.model.coefficients) for fit in fits)
 
 
 def _apart(model: Model, seen: Sequence[_Seen]) -> tuple[Apart, ...]:

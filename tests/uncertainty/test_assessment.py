@@ -88,6 +88,19 @@ def test_correction_takes_the_truncation_away(rule, exact):
     assert plain.uncertainty.mean_velocity > 0.9 * abs(plain.mean_velocity - 12.0)
 
 
+@pytest.mark.parametrize("case", ["several scales", "unknown vehicle"])
+def test_an_estimate_is_corrected_whatever_was_fitted(case):
+    beside = (sf.CellularFlow(7.0, 6.5),) if case == "several scales" else ()
+    flight = flown(duration=8.0, flows=(FLOW, *beside))
+    library = Library() if beside else Library(unknown=TAU_AND_THRUST)
+    away = []
+    for correction in ("none", "first-order"):
+        readout = sf.Readout(scales="several" if beside else "one", correction=correction)
+        found = sf.Estimator(SMOOTHER, library, readout=readout).estimate(flight)
+        away.append(abs(found.mean_velocity - 12.0 if beside else found.response_time - 0.5))
+    assert away[1] < 0.1 * away[0]
+
+
 def test_what_a_path_does_not_tell_is_infinite():
     x = np.linspace(0, 40, 900)
     position, phi = np.column_stack([x, x]), FLOW.velocity(x, x)

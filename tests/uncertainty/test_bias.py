@@ -12,7 +12,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows, centred
-from sparsefit.uncertainty.bias import Distortion, noisy_columns
+from sparsefit.uncertainty.bias import Distortion, _load_of_averages, noisy_columns
 from sparsefit.uncertainty.filtered import Filtered
 from sparsefit.uncertainty.model import Model
 from sparsefit.uncertainty.reading import cellular
@@ -85,3 +85,44 @@ def test_position_noise_shifts_the_fit_as_a_monte_carlo_says(exact):
     mean, error = np.mean(shifts, axis=0), np.std(shifts, axis=0) / math.sqrt(len(shifts))
     assert abs(mean[0] - expected[0]) < 4 * error[0] + 0.1 * abs(expected[0])
     assert abs(expected[0]) > 10 * error[0]
+
+
+def test_noise_that_averages_share_is_that_of_whole_matrices():
+    noise = {"velocity_noise": 0.2, "position_noise": 0.05}
+    flight = sf.simulate_flight(FLOW, VEHICLE, duration=3.0, sample_rate=100.0, seed=3, **noise)
+    samples = Derivative("weak")(flight)
+    fit = Filtered.of(samples, cells_at(Rows.of(samples.weak, VEHICLE), FLOW.wavenumber), KNOWN)
+    variances = np.array([[fit.filters.sigma_position], [fit.filters.sigma_velocity]]) ** 2
+    count, size = len(samples.time), fit.filters.raw.shape[2]
+    place, velocity = np.zeros((2, 2, count, count + size - 1))  # of raw samples, by channel
+    for i in range(count):
+        place[:, i, i : i + size], velocity[:, i, i : i + size] = fit.filters.raw[:2]
+    of_place, of_velocity = (
+        np.sum(variances[:, :, None] * place @ other.swapaxes(1, 2), axis=0)
+        for other in (place, velocity)
+    )
+    mean, rate = samples.weak.operator.toarray(), samples.weak.rate.toarray()
+    load = _load_of_averages(fit, samples.weak, variances)
+    for axis, component in np.ndindex(2, 2):
+        shared = -of_place @ (mean * fit.model.gradient[axis, component]).T
+        if axis == component:
+            shared += of_velocity @ (mean + VEHICLE.response_time * rate).T
+        expected = np.sum(mean.T * shared, axis=1)
+        np.testing.assert_allclose(load[axis, component], expected, atol=1e-12 * abs(load).max())
+
+
+def test_noisy_columns_attenuate_averages_where_the_path_tells_little():
+    vehicle, flow = PointMassVehicle(0.1, (20.0, 12.0)), sf.CellularFlow(7.8, 4.3)
+    exact = sf.simulate_flight(flow, vehicle, duration=15.0, sample_rate=100.0, seed=30027)
+    away, rng = [], np.random.default_rng(0)
+    for _ in range(12):
+        place, speed = (s * rng.standard_normal(exact.position.shape) for s in (0.05, 0.2))
+        noisy = sf.Flight(exact.time, exact.position + place, exact.velocity + speed, vehicle)
+        samples, known = Derivative("weak")(noisy), Nuisance((), vehicle)
+        rows = Rows.of(samples.weak, vehicle)
+        model = Model.of(Cells(), rows, located(rows, [[flow.wavenumber]]))
+        better = model.moved(-noisy_columns(Filtered.of(samples, model, known)))
+        away.append([cellular(one, known).values[0] - 7.8 for one in (model, better)])
+    mean, doubt = np.mean(away, axis=0), np.std(away, axis=0) / math.sqrt(12)
+    assert mean[0] < -4 * doubt[0]
+    assert abs(mean[1]) < 0.4 * abs(mean[0])
