@@ -2,7 +2,10 @@
 
 import sys
 
-from sparsefit.cli import main
-
 if __name__ == "__main__":
+    if not sys.flags.safe_path:
+        del sys.path[0]  # the folder it is typed in, whose `signal.py` is none of ours
+
+    from sparsefit.cli import main
+
     sys.exit(main())

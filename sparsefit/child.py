@@ -31,6 +31,9 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
+# Else a `signal.py` in the folder of the user would stand before Python's, until the paths of the
+# parent are told.
+INHERITED = ONE_THREAD | {"PYTHONSAFEPATH": "1"}
 PR_SET_PDEATHSIG = 1  # of Linux: a signal for when the parent dies
 LONGEST = 1 << 24  # bytes of an answer
 
@@ -52,7 +55,7 @@ class Child:
         lifeline, stays = context.Pipe(duplex=False)
         parent = os.getpid() if method == "spawn" else None
         process = context.Process(target=_live, args=(parent, lifeline, work, told), daemon=True)
-        with _one_thread(), _interrupts_ignored():
+        with _inherited(), _interrupts_ignored():
             process.start()
         lifeline.close()
         return cls(process, stays)
@@ -122,10 +125,10 @@ def _watch(lifeline: Connection) -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def _inherited() -> Iterator[None]:
     """A child inherits the environment, which is as before after it has started."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
+    before = {name: os.environ.get(name) for name in INHERITED}
+    os.environ.update(INHERITED)
     try:
         yield
     finally:

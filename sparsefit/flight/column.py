@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,7 +14,7 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.flight.anchor import moment_at, moment_of
 from sparsefit.flight.layout import is_number
-from sparsefit.flight.table import number
+from sparsefit.flight.table import finite_in, number
 
 Cells: TypeAlias = "list[str] | np.ndarray[Any, Any]"
 """Texts, or an array of numbers or of moments (``datetime64``)."""
@@ -67,9 +68,14 @@ class Column:
             texts = self._with_points(self.cells)
             values = _floats(texts)
         if not np.isfinite(values).all() or any("_" in text for text in texts):
-            for row, text in enumerate(texts or map(str, values.tolist())):
-                number(text, f"{self.row(row)}, column {self.name}")
+            self._refuse(texts or list(map(str, values.tolist())))
         return values
+
+    def _refuse(self, texts: list[str]) -> None:
+        """Raise InputError of the first cell that is no number, saying how many there are."""
+        row, *others = (row for row, text in enumerate(texts) if math.isnan(finite_in(text)))
+        more = f" and {len(others)} more such rows (a gap is mended)" if others else ""
+        number(texts[row], f"{self.row(row)}, column {self.name}", more)
 
     def _with_points(self, texts: list[str]) -> list[str]:
         if not self.commas or not any("," in text for text in texts):

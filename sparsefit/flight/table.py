@@ -102,19 +102,26 @@ def is_key(name: str) -> bool:
     return name in KEYS or is_flow_key(name)
 
 
-def number(text: str, place: str) -> float:
-    """Return the finite number that ``text`` is; ``1_000`` and ``nan`` are none in a log.
-
-    Raises:
-        InputError: naming ``place``, the line and column, where it is no number.
-    """
+def finite_in(text: str) -> float:
+    """Return the finite number that ``text`` is, else NaN; ``1_000`` is none in a log."""
     try:
         value = math.nan if "_" in text else float(text)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+def number(text: str, place: str, more: str = "") -> float:
+    """Return the finite number that ``text`` is, as `finite_in`.
+
+    Raises:
+        InputError: naming ``place``, the line and column, and what is ``more`` to mend, where it is
+            no number.
+    """
+    value = finite_in(text)
+    if math.isnan(value):
         shown = ascii(text.strip()[:40])
-        raise InputError(f"{place}: {shown} is not a finite number; repair or drop it")
+        raise InputError(f"{place}: {shown} is not a finite number; repair or drop it{more}")
     return value
 
 

@@ -163,6 +163,7 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
         (HEADER + "0,1,2,3,4\n1,1,abc,3,4\n", "line 4, column y: 'abc' is not a finite number"),
         (HEADER + "0,1,2,3,4\n\n1,1,2,,4\n", "line 5, column vx: '' is not"),
         (HEADER + "0,1,2,3,nan\n", "line 3, column vy: 'nan' is not a finite number"),
+        (HEADER + "0,1,2,3,\n1,1,1,1,inf\n", "'' is not a .* drop it and 1 more such row"),
         (HEADER + "0,1,2,inf,1\n", "line 3, column vx: 'inf' is not"),
         (HEADER + "0,1_0,2,3,4\n", "line 3, column x: '1_0' is not"),
         (HEADER + "0,1,2,3\n", "line 3 has 4 cells, the header has 5"),
