@@ -11,6 +11,8 @@ from collections.abc import Sequence
 
 from sparsefit.cli import backends, estimate, export, select, simulate, study
 from sparsefit.cli.parser import Parser
+from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
+from sparsefit.whole_file import REMEDIES
 
 INTERRUPTED = 130
 BROKEN_PIPE = 141
@@ -67,9 +69,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _refused(error: BaseException) -> int:
     """Exit code of what a user can mend, said on one line; a bug of ours is raised again."""
-    from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
-    from sparsefit.whole_file import REMEDIES
-
     if isinstance(error, SparsefitError):
         message, code = str(error), BAD_INPUT if isinstance(error, InputError | MissingExtra) else 1
     elif isinstance(error, UnicodeDecodeError):

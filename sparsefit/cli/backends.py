@@ -8,6 +8,7 @@ from typing import Any
 
 from sparsefit.cli.output import duration, print_json, proof
 from sparsefit.cli.parser import Verbs, add_setting, collected, number, shown, verb
+from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
 EXAMPLE = """\
   sparsefit backends
@@ -88,7 +89,6 @@ def run_list(args: argparse.Namespace) -> int:
 def _record_apart(name: str) -> dict[str, Any]:
     """The record of a plug-in, which is imported in a process of its own."""
     from sparsefit.child import in_child
-    from sparsefit.errors import InputError
 
     try:
         record: dict[str, Any] = in_child(_record, name, seconds=LIST_SECONDS)
@@ -99,7 +99,6 @@ def _record_apart(name: str) -> dict[str, Any]:
 
 def _record(name: str) -> dict[str, Any]:
     from sparsefit import backends
-    from sparsefit.errors import InputError, MissingExtra, one_line
 
     try:
         loaded = backends.load(name)
@@ -136,7 +135,6 @@ def run_check(args: argparse.Namespace) -> int:
     """Exit 0 only if the back-end's answer is certified, and a plug-in keeps the contract."""
     from sparsefit import backends
     from sparsefit.child import in_child
-    from sparsefit.errors import InputError, one_of, positive
 
     one_of("back-end", args.name, (*backends.known(), *backends.PUBLIC))
     settings, seconds = collected(args.setting), positive("--timeout", args.timeout, "s")

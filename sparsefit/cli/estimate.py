@@ -11,6 +11,7 @@ from sparsefit.cli.estimate_plot import add_plot, check_plot, write_plot
 from sparsefit.cli.estimator_options import add_estimator, estimator_of
 from sparsefit.cli.output import print_json
 from sparsefit.cli.parser import Verbs, number, verb
+from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
     from sparsefit.estimator.estimator import Estimator
@@ -106,7 +107,6 @@ def _flight(
     args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
 ) -> Flight:
     """The flight, its vehicle as in the file unless the command line says otherwise."""
-    from sparsefit.errors import InputError, told_with
     from sparsefit.flight.table import vehicle_of
 
     given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}

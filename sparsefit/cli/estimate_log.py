@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.parser import number
+from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
     from sparsefit.derivative.quality import LogQuality
@@ -47,7 +48,6 @@ def add_log(parser: argparse.ArgumentParser) -> None:
 
 def read_logs(args: argparse.Namespace) -> list[FlightTable]:
     """The tables of all logs, cut to the times that were asked for, in the first one's frame."""
-    from sparsefit.errors import told_with
     from sparsefit.flight.files import read_table
 
     tables: list[FlightTable] = []
@@ -69,7 +69,6 @@ def quality_of_log(
     from sparsefit.derivative import Derivative
     from sparsefit.derivative.quality import quality_of
     from sparsefit.derivative.refusal import check_log
-    from sparsefit.errors import told_with
 
     with told_with(path):
         check_log(flight, smallest=grid.lower, largest=grid.upper, longest_gap=args.longest_gap)
@@ -114,8 +113,6 @@ class Log:
 
 def refuse_frames(paths: Sequence[str], tables: Sequence[FlightTable]) -> None:
     """InputError where of several logs only some tell where on the Earth they are."""
-    from sparsefit.errors import InputError
-
     told = [table.anchor.origin is not None for table in tables]
     if any(told) and not all(told):
         where, nowhere = paths[told.index(True)], paths[told.index(False)]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.output import check_output
+from sparsefit.errors import one_line
 
 if TYPE_CHECKING:
     from sparsefit.estimator import Estimate, Estimator
@@ -45,7 +46,6 @@ def write_plot(
     Of several flights all tracks are drawn, and the residual of the first.
     """
     from sparsefit.derivative import Derivative
-    from sparsefit.errors import one_line
     from sparsefit.study.report.drawing import to_pdf, to_png, to_svg
     from sparsefit.study.report.estimate_figure import estimate_figure
     from sparsefit.study.report.flown import flown_by

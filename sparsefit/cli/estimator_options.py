@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.parser import add_setting, collected, number, whole
+from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
     from sparsefit.codec import Place
-    from sparsefit.errors import InputError
     from sparsefit.estimator.estimator import Estimator
 
 LONGEST = 16_000_000  # bytes of an estimator file
@@ -115,8 +115,6 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
     Raises:
         InputError: naming the option, or the file and its key, that is none.
     """
-    from sparsefit.errors import InputError
-
     given = [name for name in PLACES if getattr(args, name) is not None]
     if args.estimator is None:
         return _built(args, given)
@@ -145,7 +143,6 @@ def _built(args: argparse.Namespace, given: list[str]) -> Estimator:
 def _place() -> Place:
     """Where a value stands on the command line: the option that gave it."""
     from sparsefit.codec import Place
-    from sparsefit.errors import InputError
 
     class Option(Place):
         def error(self, problem: str) -> InputError:
@@ -162,7 +159,6 @@ def _typed(option: str) -> str:
 
 def read_estimator(path: str) -> Estimator:
     """The estimator of a file. Raises InputError, which names the file, on anything else."""
-    from sparsefit.errors import InputError, told_with
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.whole_file import read_whole
 

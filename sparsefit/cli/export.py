@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_options import read_estimator
 from sparsefit.cli.parser import Verbs, number, verb, whole
+from sparsefit.errors import InputError, one_line, positive, told_with
 
 if TYPE_CHECKING:
     from sparsefit.estimator.estimator import Estimator
@@ -82,7 +83,6 @@ def _add_changes(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the C, and say what it takes."""
-    from sparsefit.errors import InputError, one_line
     from sparsefit.export import Plan, answers, package, refuse_large
     from sparsefit.export.measure import footprint
     from sparsefit.export.package import asked_at
@@ -126,7 +126,6 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
 
     from sparsefit import backends
     from sparsefit.derivative import Derivative
-    from sparsefit.errors import InputError, positive
 
     backend = backends.get(args.backend) if args.backend else estimator.backend
     derivative, library, readout = estimator.derivative, estimator.library, estimator.readout
@@ -151,7 +150,6 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
 
 
 def _flight(args: argparse.Namespace, plan: Plan) -> Flight:
-    from sparsefit.errors import told_with
     from sparsefit.export.example import example_flight
     from sparsefit.export.package import refuse_unlike
     from sparsefit.flight import read_flight

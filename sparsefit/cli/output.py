@@ -10,6 +10,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sparsefit.errors import InputError, one_of
+
 if TYPE_CHECKING:
     from sparsefit.regression import Certificate
     from sparsefit.study.evidence.table import Table
@@ -25,8 +27,6 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
 
     endings: of a name, lower case, that say what is written; any where there are none.
     """
-    from sparsefit.errors import InputError, one_of
-
     file = Path(path)
     if not path.strip():
         raise InputError("the name of the file to write is empty; give one")

@@ -8,6 +8,7 @@ import sys
 from sparsefit.cli.output import check_output
 from sparsefit.cli.parser import Verbs, number, verb, whole
 from sparsefit.cli.simulated import add_faults, add_flow, faults_of, flow_of, vehicle_of
+from sparsefit.errors import one_line
 
 EXAMPLE = """\
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --response-time 0.5 \\
@@ -101,7 +102,6 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
     from numpy.random import SeedSequence
 
-    from sparsefit.errors import one_line
     from sparsefit.flight import simulate_flight, write_flight
     from sparsefit.flight.faults import LogFaults
     from sparsefit.flight.files import WRITTEN

@@ -11,17 +11,13 @@ WORDS = 6  # counters of 32 bits in the state
 CLOCK = 8  # bytes of a time stamp, and what the state's size is a multiple of
 
 
-def reals(plan: Plan) -> int:
-    """The real numbers of the state."""
+def ram(plan: Plan, scales: int | None = None) -> int:
+    """sizeof(sf_flow) [bytes], of the plan's own or so many ``scales``."""
+    count = len(plan.scales) if scales is None else scales
+    k = plan.columns // len(plan.scales) * count
     alone = 1 + 4 * 2 + 4 * plan.window + 4
-    scales = 2 * len(plan.scales) * plan.orders * TERMS
-    k = plan.columns
-    return alone + scales + 3 * (k * (k + 1) // 2) + 2 * 2 * k + 2 * k
-
-
-def ram(plan: Plan) -> int:
-    """sizeof(sf_flow) [bytes]."""
-    size = CLOCK * plan.window + 4 * WORDS + BYTES[plan.real] * reals(plan)
+    reals = alone + 2 * count * plan.orders * TERMS + 3 * (k * (k + 1) // 2) + 6 * k
+    size = CLOCK * plan.window + 4 * WORDS + BYTES[plan.real] * reals
     return -(-size // CLOCK) * CLOCK
 
 
@@ -37,23 +33,9 @@ def refuse_large(plan: Plan, most: int) -> None:
     size = ram(plan)
     if size <= most:
         return
-    fits = _most_scales(plan, most)
+    fits = next((g for g in range(len(plan.scales), 0, -1) if ram(plan, g) <= most), 0)
     told = f"at most {fits} scales fit" if fits else "no grid fits"
     raise InputError(
         f"{len(plan.scales)} scales with back-end {plan.backend.name!r} take {size} bytes of RAM, "
         f"more than {most}: {told}; use a coarser grid, --float, best-scale, or a larger --ram"
     )
-
-
-def _most_scales(plan: Plan, most: int) -> int:
-    """The most scales of this plan in so many bytes: the size grows with their number."""
-    count = len(plan.scales)
-    full = plan.columns // count if count else 0
-    numbers = (most - CLOCK * plan.window - 4 * WORDS) // BYTES[plan.real]
-    numbers -= 1 + 4 * 2 + 4 * plan.window + 4
-
-    def size(g: int) -> int:
-        k = full * g
-        return 2 * g * plan.orders * TERMS + 3 * (k * (k + 1) // 2) + 6 * k
-
-    return next((g for g in range(count, 0, -1) if size(g) <= numbers), 0)

@@ -95,7 +95,7 @@ def read_table(
     file = Path(path)
     decode = _format(file, FORMATS).decode
     layout = Layout.of(columns, only, anchor)
-    content = _content(file)
+    content = read_whole(file, most=LARGEST)
     with told_with(file):
         table: FlightTable = decode(content, layout)
         return table.since(layout.anchor.epoch)
@@ -121,7 +121,3 @@ def _format(file: Path, known: dict[str, ModuleType]) -> ModuleType:
     suffix = file.suffix.lower()
     one_of("file type", suffix or file.name, known)
     return known[suffix]
-
-
-def _content(file: Path) -> bytes:
-    return read_whole(file, most=LARGEST)
