@@ -164,10 +164,10 @@ def _stored(args: argparse.Namespace) -> Stored:
 
 def unfinished(study: str, found: RunStatus) -> InputError:
     """Return (not raise) the refusal of what needs more cases of a study file than there are."""
-    return InputError(
-        f"{found.folder}: {found.done} of {found.planned} cases are there; "
-        f"run them first: sparsefit study run {study}"
-    )
+    there = f"{found.done} of {found.planned} cases are there; run them first"
+    if found.done == found.planned:
+        there = f"all {found.done} cases are there, and are yet to be put in order"
+    return InputError(f"{found.folder}: {there}: sparsefit study run {study}")
 
 
 def _note(stored: Stored) -> str:

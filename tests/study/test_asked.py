@@ -112,3 +112,15 @@ def test_pages_of_a_study_of_ones_own(tmp_path) -> None:  # type: ignore[no-unty
     # What depends on the machine stands in the page, not in the README.
     assert "Median time of a case" in (tmp_path / "demo" / "report.html").read_text("utf-8")
     assert "Median time of a case" not in written[-1].read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        (({"name": "../above", "measure": "seconds"},), "is that of a file, not '../above'"),
+        (({"measure": "seconds"}, {"measure": "seconds", "title": "Again"}), "give each a name"),
+    ],
+)
+def test_no_output_leaves_its_folder_or_takes_the_place_of_another(entries, words) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=words):
+        check_outputs(study(tables=entries))

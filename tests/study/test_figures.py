@@ -380,6 +380,8 @@ def test_figures_that_apply():
     assert figures_for(synthetic(1), None) == []
     assert figures_for(synthetic(1), weights_of(synthetic(1))) == ["weights"]
     assert figures_for(synthetic(2, LEVELS), None) == ["scatter", "errors", "sweep"]
+    unanswered = synthetic(2, LEVELS).assign(status="error")
+    assert figures_for(unanswered, None) == ["scatter", "errors"]
 
 
 class TestReport:

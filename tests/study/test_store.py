@@ -284,3 +284,10 @@ def test_what_waits_in_the_place_of_the_rows_is_not_followed(
     with pytest.raises(InputError, match=r"rows\.jsonl"):
         look_and_write()
     assert victim.read_text() == "precious"
+
+
+def test_what_is_no_table_of_cases_is_refused_beside_any_manifest(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text("[" * 100_000)
+    pd.DataFrame({"case_id": ["0000-1"], "status": ["ok"]}).to_parquet(tmp_path / "cases.parquet")
+    with pytest.raises(InputError, match='no cases of a study, without a column "reason"'):
+        read_cases(tmp_path)

@@ -6,12 +6,13 @@ stands for is such a mapping too, so that a study's own entry gets what a shippe
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Generic, Literal, TypeAlias, TypeVar
 
-from sparsefit.codec import Place, build
+from sparsefit.codec import Place, build, shown
 from sparsefit.errors import InputError, one_of, unknown
 from sparsefit.study.evidence.measure import Failure, Measure
 from sparsefit.study.evidence.measures import LISTED, MEASURES
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 Made = TypeVar("Made")
 Options: TypeAlias = Mapping[str, object]
+FILE = re.compile(r"[^./\\\x00-\x1f][^/\\\x00-\x1f]{0,99}")
+LONGEST = 100  # letters of the name of a file
 DURATION, MEASUREMENT_NOISE = "flights.duration", "flights.measurement_noise"
 
 
@@ -70,6 +73,9 @@ class Asked:
     interval: bool | None = None
 
     def __post_init__(self) -> None:
+        if self.name and not FILE.fullmatch(self.name):
+            told = "1 to 100 letters without / and \\, of which the first is no dot"
+            raise InputError(f"name must be {told}: it is that of a file, not {shown(self.name)}")
         for name in (*(name.rpartition(" ")[2] for name in self.measure), *self.at_least):
             one_of("measure", name, MEASURES, LISTED)
         for summary in (self.summary, *(name.rpartition(" ")[0] for name in self.measure)):
@@ -100,7 +106,7 @@ class Asked:
     @property
     def file_name(self) -> str:
         """Its name, or one from what it measures and compares."""
-        return self.name or "-".join([*self.measure, self.compare]).replace(" ", "-")
+        return self.name or "-".join([*self.measure, self.compare]).replace(" ", "-")[:LONGEST]
 
     def needs(self, study: str, *keys: str) -> None:
         """Refuse, naming the study, an entry without what its comparison cannot do without."""

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from sparsefit.codec import finite_or_none
+from sparsefit.codec import finite_or_none, shown
+from sparsefit.errors import InputError
 from sparsefit.study.evidence.candidates import Candidate, candidates_of
 from sparsefit.study.evidence.selection import Selection, select
 from sparsefit.study.evidence.worlds import readings_of
@@ -29,12 +30,18 @@ def cells_of(study: Study, candidate: Candidate) -> list[Cell]:
     """The cells of a candidate: one for every world and level of what varies the flights."""
     readings = readings_of(study)
     wanted = tuple(map(candidate.of, ("protocol", "backend", "label", "settings")))
-    return [
+    cells = [
         cell
         for cell in study.cells
         if (readings[cell.protocol], cell.backend, cell.label, cell.canonical_settings) == wanted
         and _has_levels(cell, candidate)
     ]
+    if not cells:
+        raise InputError(
+            f"{study.name} plans nothing like {shown(candidate.title)}, of which its cases tell: "
+            "run it with --fresh"
+        )
+    return cells
 
 
 def _has_levels(cell: Cell, candidate: Candidate) -> bool:

@@ -142,15 +142,16 @@ def _pooling_note(measures: Sequence[Measure]) -> str:
 def figures_for(cases: pd.DataFrame, weights: pd.DataFrame | None) -> list[str]:
     """Return the names of the figures that have something to show of these cases."""
     single = cases["flight"].nunique() == 1
+    several = not single and has_any(cases, "timescale-error")
     shows = {
         "weights": weights is not None and not weights.empty,
         "scatter": not single and bool(in_a_flow(cases).any()),
         "errors": not single,
-        "sweep": not single and bool(numeric_factors(cases)),
-        "methods": not single and MEASUREMENT_NOISE in factors(cases),
+        "sweep": several and bool(numeric_factors(cases)),
+        "methods": several and MEASUREMENT_NOISE in factors(cases),
         "scales": not single and has_any(cases, "scales-found") and bool(numeric_factors(cases)),
         "efficiency": _legible(cases),
-        "windows": not single and many_levels(cases, DURATION),
+        "windows": several and many_levels(cases, DURATION),
         "coverage": has_any(cases, "length-scale-coverage"),
     }
     return [name for name, shown in shows.items() if shown]

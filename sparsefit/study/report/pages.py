@@ -87,8 +87,12 @@ def check_outputs(study: Study) -> None:
     every = ((TABLES, study.tables), (FIGURES, study.figures), (ANSWERS, study.answers))
     for kind, entries in every:
         with told_with(f"{study.path}: [outputs].{kind.noun}s"):
-            for entry in entries:
-                check_contrasts(study, kind.read(entry))
+            asked = [kind.read(entry) for entry in entries]
+            for one in asked:
+                check_contrasts(study, one)
+            counted = Counter(one.file_name for one in asked if kind is not ANSWERS)
+            if twice := [name for name, count in counted.items() if count > 1]:
+                raise InputError(f'two would be the file "{twice[0]}": give each a name')
     with told_with(f"{study.path}: [select]"):
         rule = study.selection
         if rule.over in (AVERAGE, WORST):

@@ -17,6 +17,7 @@ from sparsefit.study.evidence.table import (
 
 _NAMES_SHARE = 0.7
 _NARROWEST_NAME = 8
+_WIDEST_GROUP = 20
 
 
 def to_text(table: Table, *, width: int = 100) -> str:
@@ -28,13 +29,24 @@ def to_text(table: Table, *, width: int = 100) -> str:
     """
     cells = table.texts
     heads = [column.heading for column in table.columns]
-    widths = _fitted(table.columns, column_widths([heads, *cells]), width)
+    natural = _with_groups(table.columns, column_widths([heads, *cells]))
+    widths = _fitted(table.columns, natural, width)
     blocks = [
         _block(table.columns, [heads, *cells], widths, chosen)
         for chosen in _blocks(table.columns, widths, width)
     ]
     notes = [textwrap.fill(note, width) for note in table.remarks]
     return "\n\n".join([table.title, *blocks, *notes]) + "\n"
+
+
+def _with_groups(columns: Sequence[Column], natural: Sequence[int]) -> list[int]:
+    """Widen the first column of a group whose heading would be cut, as far as one is read."""
+    widths, start = list(natural), 0
+    for name, span in column_groups(columns):
+        room = sum(natural[start : start + span]) + 2 * (span - 1)
+        widths[start] += max(min(display_width(name), _WIDEST_GROUP) - room, 0)
+        start += span
+    return widths
 
 
 def _fitted(columns: Sequence[Column], natural: Sequence[int], width: int) -> list[int]:

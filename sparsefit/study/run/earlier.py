@@ -14,7 +14,7 @@ from sparsefit.study.run.kinds import kind_of
 from sparsefit.study.run.ledger import Ledger
 from sparsefit.study.run.manifest import read_manifest
 from sparsefit.study.run.outcome import Outcome
-from sparsefit.study.run.store import BATCH, reading
+from sparsefit.study.run.store import BATCH, check_cases, reading
 from sparsefit.study.spec.identity import AnyStudy
 
 Weights: TypeAlias = tuple[tuple[float, float], ...]  # (length scale [m], weight) pairs
@@ -58,6 +58,7 @@ def note_earlier(ledger: Ledger, folder: Path) -> int:
         return 0
     unplanned = 0
     with reading(folder / CASES) as file:
+        check_cases(folder / CASES, file.schema_arrow)
         names = set(file.schema_arrow.names)
         known = _known(ledger, folder, names)
         wanted = [name for name in (known.column, "flight", "status", "version") if name in names]

@@ -27,7 +27,7 @@ import numpy as np
 from sparsefit.child import Child
 from sparsefit.codec import finite_or_none
 from sparsefit.flight import Flight
-from sparsefit.study.run.manifest import processor, sparsefit_version
+from sparsefit.study.run.manifest import processor, read_record, sparsefit_version
 from sparsefit.study.spec.design import Cell
 from sparsefit.study.spec.draw import SIMULATION, stream
 from sparsefit.study.spec.study import Study
@@ -179,13 +179,13 @@ def write_latency(study: Study, folder: Path, measured: Mapping[str, Latency]) -
 
 def read_latency(study: Study, folder: Path) -> dict[str, Latency]:
     """The times of these very candidates, from this version; none where there are no such."""
+    content = read_record(folder / LATENCY) or {}
     try:
-        content = json.loads((folder / LATENCY).read_text(encoding="utf-8"))
         made = content["study_hash"], content["machine"]["sparsefit"]
         if made != (study.hash, sparsefit_version()):
             return {}
         return {name: _latency(entry) for name, entry in content["candidates"].items()}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (AttributeError, ValueError, KeyError, TypeError):
         return {}
 
 
@@ -199,8 +199,5 @@ def _latency(entry: Mapping[str, float | None]) -> Latency:
 
 def processor_of(folder: Path) -> str:
     """The processor that the stored times are of; empty where there are none."""
-    try:
-        content = json.loads((folder / LATENCY).read_text(encoding="utf-8"))
-        return str(content["machine"]["processor"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
+    told = (read_record(folder / LATENCY) or {}).get("machine")
+    return str(told.get("processor", "")) if isinstance(told, dict) else ""

@@ -15,10 +15,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from sparsefit.errors import InputError
 from sparsefit.study.run.lines import Record, outcome_of, packed, record_of, unpacked
+from sparsefit.study.run.manifest import read_record
 from sparsefit.study.run.outcome import Outcome
 from sparsefit.whole_file import refusing, write_whole
 
@@ -49,13 +50,9 @@ def begun(folder: Path) -> bool:
     return path.is_dir()
 
 
-def read_header(folder: Path) -> dict[str, object] | None:
+def read_header(folder: Path) -> dict[str, Any] | None:
     """What the unfinished rows were begun for; None where there is none (or it is torn)."""
-    try:
-        header = json.loads((folder / FOLDER / HEADER).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return header if isinstance(header, dict) else None
+    return read_record(folder / FOLDER / HEADER)
 
 
 def begin(folder: Path, header: dict[str, object]) -> None:

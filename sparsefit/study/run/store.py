@@ -31,6 +31,10 @@ from sparsefit.study.spec.study import MAX_CASES
 from sparsefit.whole_file import whole_file
 
 WEIGHT_COLUMNS = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
+TEXTS = ("string", "large_string")  # the second by pandas, of whoever writes a part of them
+OF_ANY = ("case_id", "status", "reason", "backend", "settings")
+OF_FLIGHTS = ("split", "protocol", "label")
+OF_SOLVERS = ("problem", "objective", "solver")
 BATCH = 2048  # rows that are held as records at once
 GROUP = 65_536  # rows of a group in the file, and the most that are held as columns
 
@@ -46,8 +50,20 @@ def read_cases(folder: str | Path) -> pd.DataFrame:
         rows = file.metadata.num_rows
         if rows > MAX_CASES:
             raise InputError(f"{path}: {rows} rows, more than a study has: it is another file")
+        check_cases(path, file.schema_arrow)
         frame: pd.DataFrame = file.read().to_pandas()
     return frame
+
+
+def check_cases(path: Path, schema: pa.Schema) -> None:
+    """Raise `InputError` unless columns are those of cases, of the oldest version too."""
+    kind = OF_SOLVERS if "solver" in schema.names else OF_FLIGHTS
+    for name in (*OF_ANY, *kind):
+        if name not in schema.names or str(schema.field(name).type) not in TEXTS:
+            raise InputError(
+                f'{path}: no cases of a study, without a column "{name}" of text: take the file '
+                "from where it came, or run the study with --fresh"
+            )
 
 
 def read_weights(folder: str | Path) -> pd.DataFrame:
