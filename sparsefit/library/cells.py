@@ -129,10 +129,9 @@ class Cells:
         The derivative along a phase permutes the columns, and so may permute the weights instead.
         """
         turned = np.concatenate([matrix @ weights for matrix in _MATRICES], axis=2)
-        by_phase = values.transpose(0, 2, 1) @ turned
-        x, y = position.T[:, :, None]
-        bent: Array = x * by_phase[..., :2] + y * by_phase[..., 2:]
-        return bent[:, None]
+        by_phase, (x, y) = turned.swapaxes(1, 2) @ values, position.T
+        bent: Array = x * by_phase[:, :2] + y * by_phase[:, 2:]
+        return bent.swapaxes(1, 2)[:, None]
 
     def bent_gradients(
         self, position: Array, parameters: Array, values: Array, weights: Array
