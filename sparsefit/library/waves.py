@@ -13,6 +13,7 @@ A mode is a *pattern* of waves: cells are two of them, k = (k_x, +-k_y) in the c
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -108,6 +109,7 @@ class Pattern:
 # the direction of a wave's flow, (k_y, -k_x), which is also its size.
 QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 ACROSS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
+ALONG = np.array([1.0, 1.0, -1.0])  # theta = k_x x + k_y y - omega t
 
 
 def _turns(heading: Array) -> Array:
@@ -207,7 +209,9 @@ class Waves:
         phases, by_q = self.pattern.phases(parameters), self.pattern.slopes(parameters)
         flow, later = _flows(along_path(phases, position) - delays, weights)
         across, rows = phases @ ACROSS, 2 * len(position)
-        bent: Array = (by_q @ ACROSS).swapaxes(2, 3) @ flow[:, None]
+        modes, count, waves, _ = by_q.shape
+        turned = (by_q @ ACROSS).swapaxes(2, 3).reshape(modes, 2 * count, waves)
+        bent = (turned @ flow).reshape(modes, count, 2, len(position))
         bent += across.swapaxes(1, 2)[:, None] @ (along_path(by_q, position) * later[:, None])
         late = across[..., None] * later[:, :, None]
         return bent.reshape(*bent.shape[:2], rows, 1), late.reshape(*late.shape[:2], rows, 1)
@@ -260,10 +264,10 @@ class Waves:
 
 def along_path(phases: Array, position: Array) -> Array:
     """Theta (..., m) at positions (m, 2), or (m, 3) with the time, of waves (..., 3)."""
-    if position.shape[1] == 2:
-        return phases[..., :2] @ position.T
-    theta: Array = (phases * (1.0, 1.0, -1.0)) @ position.T
-    return theta
+    shape, axes = phases.shape[:-1], position.shape[1]
+    flat = (phases * ALONG)[..., :axes].reshape(math.prod(shape), axes)
+    theta: Array = flat @ position.T  # one product, not one for every mode
+    return theta.reshape(*shape, len(position))
 
 
 def _flows(theta: Array, weights: Array) -> tuple[Array, Array]:

@@ -100,8 +100,8 @@ def project(family: Columns, rows: Rows, parameters: Array) -> Projection:
 
 def _basis(gram: Array) -> Array:
     """Weights (k, rank) of orthonormal columns, from the Gram matrix (k, k) less its null space."""
-    scale = np.sqrt(np.diagonal(gram))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = np.sqrt(gram.diagonal())
+    scale[scale == 0] = 1.0
     roots, vectors = np.linalg.eigh(gram / (scale[:, None] * scale))
     kept = roots > RANK * roots[-1]
     basis: Array = vectors[:, kept] / np.sqrt(roots[kept]) / scale[:, None]
@@ -119,16 +119,15 @@ def left_beside(columns: Array, target: Array) -> tuple[Array, Array]:
 
 def _moves(side: Array, rest: Array, squares: Array) -> Array:
     """Gauss-Newton moves (s p,), none along directions in which RSS is flat to rounding."""
-    curvature, slope = side @ side.T, side @ rest
-    free = np.diagonal(curvature) > RANK * squares
-    scale = np.sqrt(np.where(free, np.diagonal(curvature), 1.0))
+    curvature = side @ side.T
+    own = curvature.diagonal()
+    scale = np.sqrt(np.where(own > RANK * squares, own, np.inf))  # inf: it does not move
+    slope: Array = side @ rest / scale
     if len(scale) == 1:
-        return np.where(free, slope / scale**2, 0.0)
-    own = free[:, None] & free
-    roots, vectors = np.linalg.eigh(np.where(own, curvature, 0.0) / (scale[:, None] * scale))
-    kept = roots > RANK
-    inverse = np.where(kept, 1.0 / np.where(kept, roots, 1.0), 0.0)
-    moves: Array = vectors @ (inverse * (vectors.T @ (np.where(free, slope, 0.0) / scale))) / scale
+        return slope / scale
+    roots, vectors = np.linalg.eigh(curvature / (scale[:, None] * scale))
+    inverse = np.divide(1.0, roots, out=np.zeros_like(roots), where=roots > RANK)
+    moves: Array = vectors @ (inverse * (slope @ vectors)) / scale
     return moves
 
 
