@@ -69,7 +69,7 @@ class Jacobian:
             own[place, pick] = 1.0
         return ones
 
-    @property
+    @cached_property
     def gram(self) -> Array:
         """J'J (n, n)."""
         return self.onto_theta(self.columns @ self.columns.T)
