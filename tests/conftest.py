@@ -1,5 +1,6 @@
 """Settings that every test shares: no deadlines, the same examples each run, one thread."""
 
+import gc
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,7 +12,14 @@ from threadpoolctl import threadpool_limits
 settings.register_profile("sparsefit", deadline=None, derandomize=True)
 settings.load_profile("sparsefit")
 
+gc.disable()  # until tests are collected: modules and tests stay, and need no search for waste
+
 SECONDS = 0.01  # that a case takes of a study that runs `in_process`, as far as it is told
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

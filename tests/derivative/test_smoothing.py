@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 AUTO = Derivative("auto")
 
 
+@cache
 def fly(seed, timescale, duration=10.0, **noise):
     length_scale = np.random.default_rng(seed).uniform(2.0, 10.0)
     flow = CellularFlow(length_scale / timescale, length_scale)

@@ -1,5 +1,7 @@
 """The weak form: rows that average by test functions, and the estimates from them."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ GRID = LengthScaleGrid(2.0, 7.0, step=0.5)
 FLOW = sf.CellularFlow(15.0, 4.21)
 
 
+@cache
 def flown(seed=7, **noise):
     return sf.simulate_flight(FLOW, VEHICLE, duration=10.0, sample_rate=100.0, seed=seed, **noise)
 

@@ -1,6 +1,7 @@
 """The default estimator as a user meets it: accurate, and plain about what it cannot tell."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 TIME = np.arange(600) * 0.01
 
 
+@cache
 def flown(length_scale=4.21, seed=7, **noise):
     flow = sf.CellularFlow(mean_velocity=15.43, length_scale=length_scale)
     return sf.simulate_flight(flow, VEHICLE, duration=10.0, sample_rate=100.0, seed=seed, **noise)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ GRID = sf.LengthScaleGrid(2.0, 7.0, step=0.5)
 PLAIN = sf.Readout(refine="variable-projection")
 
 
+@cache
 def flown(vehicle, *, circling=False, **noise):
     thrust = turning(15.0, 50.0, constant=(5.0, 3.0), size=6.0, period=4.0, phase=0.0)
     return sf.simulate_flight(

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
 WAVES = sf.Library(sf.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
 
 
+@cache
 def flown(flow=FLOW, seed=7, noise=0.2, duration=8.0):
     return sf.simulate_flight(
         flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed,

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,10 +35,15 @@ EVERY = [
 ]
 
 
+@cache
+def truly(windy, **noise):
+    flow = sf.SuperposedFlow((FLOW,), WIND) if windy else FLOW
+    return sf.simulate_flight(flow, VEHICLE, duration=10.0, sample_rate=100.0, seed=7, **noise)
+
+
 def flown(unknown=(), vehicle=WRONG, **noise):
     """A flight, in a wind where that is unknown, with a wrong vehicle in what is unknown."""
-    flow = sf.SuperposedFlow((FLOW,), WIND) if "wind" in unknown else FLOW
-    flight = sf.simulate_flight(flow, VEHICLE, duration=10.0, sample_rate=100.0, seed=7, **noise)
+    flight = truly("wind" in unknown, **noise)
     tau = vehicle.response_time if "response_time" in unknown else 0.5
     thrust = vehicle.thrust_acceleration if "thrust_acceleration" in unknown else (5.0, 3.0)
     return replace(flight, vehicle=sf.PointMassVehicle(tau, thrust))

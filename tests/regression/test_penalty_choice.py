@@ -23,26 +23,14 @@ from sparsefit.regression.penalty_choice import (
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study import Study, read_cases, run
 from tests.problems import SMALL_GRID, degenerate, flight, flight_problem, regular
+from tests.study.small_study import small_study
 
 NAMES = ("lasso", "group-lasso")
 every = pytest.mark.parametrize("selection", RULES)
 both = pytest.mark.parametrize("name", NAMES)
-STUDY = """
-name = "auto"
-question = "?"
-seed = 11
-[flights]
-count = 1
-timescale = 0.5
-length_scale = { uniform = [3.0, 6.0] }
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 4.0
-sample_rate = 50.0
-[library]
-lower = 3.0
-upper = 6.0
-step = 1.0
+STUDY = (
+    small_study("auto", count=1, seed=11, duration=4.0)
+    + """\
 [[backends]]
 name = "lasso"
 alpha_fraction = ["auto", 0.3, 0.1]
@@ -51,6 +39,7 @@ name = "group-lasso"
 alpha_fraction = "auto"
 selection = ["ebic", "stability"]
 """
+)
 
 
 def auto(name="lasso", selection="ebic", **more):

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.study import hostile
+from tests.study.small_study import small_study
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = 96  # of least squares, per flight
@@ -50,21 +51,6 @@ FAULTS = {  # and how often each comes, for 25 kills of the parent
     "read-only": 2,
 }
 STUDY = """
-name = "endurance"
-question = "Is nothing lost?"
-seed = 5
-[flights]
-count = {count}
-timescale = 0.5
-length_scale = {{ uniform = [3.0, 6.0] }}
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 1.0
-sample_rate = 50.0
-[library]
-lower = 3.0
-upper = 6.0
-step = 1.0
 [readout]
 refine = "none"
 [run]
@@ -149,7 +135,8 @@ def write_study(folder, cases):
     """The study file, with the plug-in beside it."""
     flights = max(2, round(cases / (SETTINGS + len(DEEDS))))
     rcond = json.dumps([float(f"{10 ** (-6 + 5 * n / SETTINGS):.6g}") for n in range(SETTINGS)])
-    text = STUDY.format(count=flights, timeout=TIMEOUT, rcond=rcond)
+    text = small_study("endurance", count=flights, seed=5)
+    text += STUDY.format(timeout=TIMEOUT, rcond=rcond)
     for deed, label in DEEDS.items():
         text += ENTRY.format(label=label, deed=deed, rarely=min(1.0, 3.0 / flights))
     hostile.install(folder)

@@ -20,30 +20,19 @@ from sparsefit.cli import main
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.study import Study, read_cases, run
 from sparsefit.study.run import on_dask
+from tests.study.small_study import small_study
 
 ROOT = Path(__file__).parents[2]
-TEXT = """
-name = "d"
-question = "?"
-seed = 3
-[flights]
-count = 24
-timescale = 0.5
-length_scale = { uniform = [3.0, 6.0] }
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 1.0
-sample_rate = 50.0
-[library]
-lower = 3.0
-upper = 6.0
-step = 1.0
+TEXT = (
+    small_study("d", count=24)
+    + """\
 [[backends]]
 name = "lasso"
 alpha_fraction = [0.3, 0.1]
 [[backends]]
 name = "stlsq"
 """
+)
 
 
 def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:

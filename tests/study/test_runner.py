@@ -28,29 +28,10 @@ from sparsefit.study.run.worker import Worker
 from sparsefit.study.spec.solver_study import SolverStudy
 from tests.conftest import SECONDS, run_in_process
 from tests.study import hostile
-from tests.study.solver_files import HEAD as HEAD_OF_SOLVERS
-from tests.study.solver_files import write_data, write_study
+from tests.study.small_study import small_study
+from tests.study.solver_files import HEAD, write_data, write_study
 
 ROOT = Path(__file__).parents[2]
-HEAD = """
-name = "r"
-question = "?"
-seed = 3
-[flights]
-count = {count}
-timescale = 0.5
-length_scale = {{ uniform = [3.0, 6.0] }}
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 1.0
-sample_rate = 50.0
-[library]
-lower = 3.0
-upper = 6.0
-step = 1.0
-[run]
-case_timeout = {timeout}
-"""
 REAL = """
 [[backends]]
 name = "lasso"
@@ -98,7 +79,7 @@ def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def text_of(body: str, *, count: int = 3, timeout: float = 30.0) -> str:
-    return HEAD.format(count=count, timeout=timeout) + body
+    return f"{small_study('r', count=count)}[run]\ncase_timeout = {timeout}\n{body}"
 
 
 @pytest.fixture
@@ -293,7 +274,7 @@ def test_what_a_solver_says_or_writes_is_its_own_row(tmp_path: Path) -> None:
         for deed in ("name", "scribble")
     )
     problem = '[[problems]]\nfile = "one.npz"\n[clock]\nlimit = 5\n'
-    path = write_study(tmp_path, HEAD_OF_SOLVERS + problem + entries)
+    path = write_study(tmp_path, HEAD + problem + entries)
     cases = read_cases(run(SolverStudy.load(path), tmp_path).folder).set_index("objective")
     assert cases["status"].to_dict() == {"name": "error", "scribble": "crashed"}
     assert cases.loc["name", "reason"] == "ValueError: \\udcff\\x1b"

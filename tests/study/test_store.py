@@ -26,23 +26,11 @@ from sparsefit.study.run.outcome import Outcome, Stage
 from sparsefit.study.run.pace import Pace
 from sparsefit.study.run.store import write_cases
 from sparsefit.study.spec.identity import identities
+from tests.study.small_study import small_study
 
-TEXT = """
-name = "s"
-question = "?"
-seed = 3
-[flights]
-count = 2
-timescale = 0.5
-length_scale = { uniform = [3.0, 6.0] }
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 1.0
-sample_rate = 50.0
-[library]
-lower = 3.0
-upper = 6.0
-step = 1.0
+TEXT = (
+    small_study("s", count=2)
+    + """\
 [[backends]]
 name = "lasso"
 alpha_fraction = [0.1, 0.3]
@@ -53,6 +41,7 @@ alpha_fraction = [0.1, 0.3]
 [outputs]
 figures = ["weights"]
 """
+)
 
 
 @pytest.fixture

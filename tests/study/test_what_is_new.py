@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -17,23 +18,12 @@ from sparsefit.study.run import flight_kind
 from sparsefit.study.run.manifest import read_manifest
 from sparsefit.study.spec.flights import FlightRules
 from sparsefit.study.spec.identity import identities
+from tests.conftest import run_in_process
+from tests.study.small_study import small_study
 
-BODY = """
-name = "n"
-question = "?"
-seed = 3
-[flights]
-count = 2
-timescale = 0.5
-length_scale = { uniform = [3.0, 6.0] }
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 1.0
-sample_rate = 50.0
-[library]
-lower = 3.0
-upper = 6.0
-step = 1.0
+BODY = (
+    small_study("n", count=2)
+    + """\
 [[backends]]
 name = "lasso"
 alpha_fraction = [0.3, 0.1]
@@ -42,6 +32,7 @@ name = "least-squares"
 [sweep]
 "flights.velocity_noise" = [0.0, 0.2]
 """
+)
 PLANNED = 2 * 2 * 3
 
 Load = Callable[..., Study]
@@ -61,10 +52,20 @@ def load(tmp_path: Path) -> Load:
     return _load
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of the study, which ran once."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "n.toml").write_text(BODY)
+    with pytest.MonkeyPatch.context() as patch:
+        run_in_process(patch)
+        assert run(Study.load(folder / "n.toml"), folder, processes=1).computed == PLANNED
+    return folder / "n"
+
+
 @pytest.fixture
-def went(tmp_path: Path, load: Load) -> Path:
-    assert run(load(), tmp_path, processes=1).computed == PLANNED
-    return tmp_path / "n"
+def went(tmp_path: Path, whole: Path) -> Path:
+    return Path(shutil.copytree(whole, tmp_path / "n"))
 
 
 def by_identity(folder: Path) -> pd.DataFrame:

@@ -35,6 +35,7 @@ TRUTH = {"response_time": [0.5], "thrust_acceleration": [5.0, 3.0], "wind": [*WI
 MEASURED = {"velocity_noise": 0.2, "position_noise": 0.05}
 
 
+@cache
 def flown(unknown=(), seed=3, duration=10.0, flows=(FLOW,), rate=100.0, **noise):
     wind = WIND if "wind" in unknown else (0.0, 0.0)
     flow = sf.SuperposedFlow(flows, wind) if len(flows) > 1 or any(wind) else flows[0]

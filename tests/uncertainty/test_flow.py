@@ -1,6 +1,7 @@
 """The standard error of a flow of waves anywhere: derivatives, coverage, where there is none."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ BELIEVED = sf.PointMassVehicle(0.53, (5.0, 3.0))
 FLOW = sf.ShapedCells(11.0, 4.2, heading=0.4, offset=(1.0, 0.5), drift=(0.4, -0.3))
 
 
+@cache
 def flown(flow=FLOW, seed=0, noise=0.2, vehicle=VEHICLE):
     flight = sf.simulate_flight(
         flow, VEHICLE, duration=12.0, sample_rate=50.0, seed=seed,
