@@ -99,7 +99,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         self.certificate_tolerance = certificate_tolerance
 
     def fit(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> Self:  # noqa: N803
-        """Fit X (n_samples, n_features) and y (n_samples,) or (n_samples, n_targets).
+        """Fit X of shape (n_samples, n_features) and y of (n_samples,) or (n_samples, n_targets).
 
         sample_weight (n_samples,): how much the square of each residual counts, >= 0.
 

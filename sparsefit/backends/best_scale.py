@@ -42,7 +42,7 @@ class BestScale:
         return Solution(self._best(problem))
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support of the choice made again, for the fixed-point certificate."""
+        """The support (k, n) of the choice made again, whatever the weights."""
         support: BoolArray = self._best(problem) != 0
         return support
 

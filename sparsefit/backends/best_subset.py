@@ -67,7 +67,7 @@ class BestSubset:
         return Solution(weights, solver_status=words, iterations=worked)
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support after the best exchange of one group for another, where one fits better."""
+        """The support (k, n) after the best exchange of one group of the weights (k, n), if any."""
         parts, support = self._parts(problem), np.zeros(weights.shape, dtype=bool)
         for part, targets in zip(parts, problem.together(not self.separate), strict=True):
             support[:, targets] = _exchanged(part, weights[:, targets]) != 0

@@ -117,7 +117,10 @@ def _height_square(continuum: Continuum, residual: Array, q: Array) -> tuple[flo
 
 
 def continuous_alpha_max(continuum: Continuum, target: Array, bounds: Bounds) -> float:
-    """max over q of |Z(q)'Y|_F / m: the smallest alpha whose solution is zero."""
+    """max over q of |Z(q)'Y|_F / m, the smallest alpha whose solution is zero, of a target (m, n).
+
+    bounds: of the wavenumber [1/m].
+    """
     return Scanner.of(continuum, bounds).peaks(target)[0].height
 
 
@@ -142,7 +145,7 @@ def continuous_gap(
 def gap_of(
     residual: Array, target: Array, alpha: float, norm: float, top: float, m: int
 ) -> Certificate:
-    """Certificate from R, sum |V_j| = norm and sup |Z(q)'R| / m = top."""
+    """Certificate from R and Y (m, n), sum |V_j| = norm and sup |Z(q)'R| / m = top."""
     square, product = float(np.sum(residual**2)), float(np.sum(residual * target))
     limit = alpha / top if top > 0 else math.inf
     s = min(max(product / square if square > 0 else 0.0, -limit), limit)

@@ -84,7 +84,7 @@ class Ensemble:
         return Solution(weights, solver_status=words, iterations=2 * self._pairs)
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """What the inclusion probabilities, worked out again, keep."""
+        """What the inclusion probabilities, worked out again, keep (k, n), whatever the weights."""
         kept: BoolArray = self.inclusion(problem) >= self.threshold
         return kept
 

@@ -73,7 +73,7 @@ def residual_of(problem: RegressionProblem, weights: Array) -> Array:
 
 
 def residual_square(problem: RegressionProblem, weights: Array) -> float:
-    """|R|^2 / m."""
+    """|R|^2 / m of weights (k, n)."""
     residual = residual_of(problem, weights)
     return float(np.sum(residual * residual)) / problem.samples
 

@@ -75,7 +75,7 @@ class GroupMCP:
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
     ) -> tuple[Solution, ...]:
-        """Fixed points at descending penalties, each from the group-LASSO's there."""
+        """Fixed points at alpha_fractions, which descend, each from the group-LASSO's there."""
         unit = alpha_max(problem.statistics.cross, self.penalty(problem))
         systems = self._systems(problem)
         solutions = []
@@ -96,7 +96,7 @@ class GroupMCP:
         return
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support after one more approximation, for the fixed-point certificate."""
+        """The support (k, n) that one more approximation from weights (k, n) has."""
         statistics, fraction = problem.statistics, numeric_fraction(self.name, self.alpha_fraction)
         alpha = fraction * alpha_max(statistics.cross, self.penalty(problem))
         support = np.zeros(weights.shape, dtype=bool)

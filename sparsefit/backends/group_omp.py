@@ -54,7 +54,7 @@ class GroupOMP:
         return Solution(weights, iterations=steps)
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support after one more step, for the fixed-point certificate."""
+        """The support (k, n) after one more step from weights (k, n)."""
         following = self._step(problem, weights)
         support: BoolArray = (weights if following is None else following) != 0
         return support

@@ -7,33 +7,19 @@ have the signs of the LASSO's solution where its correlation reaches f: that sol
 Along the path only the bounds move, and each point starts from the last.
 """
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.backends.peer_forms import Part, solved
-from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import Penalty
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.backends.peer_forms import Part
 
 TOLERANCE = 1e-9
 STEPS = 50_000
 
 
-def solve_osqp(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
-    """Solutions at each penalty fraction, with polishing; tolerance: absolute and relative."""
-    along = partial(_along, tolerance=tolerance or TOLERANCE)
-    return solved("osqp-direct", problem, penalty, alpha_fractions, along)
-
-
-def _along(part: Part, fractions: Array, *, tolerance: float) -> Array:
+def osqp_dual(part: Part, fractions: Array, tolerance: float | None) -> Array:
+    """With polishing; tolerance: absolute and relative."""
     import osqp
     from scipy import sparse
 
@@ -46,14 +32,17 @@ def _along(part: Part, fractions: Array, *, tolerance: float) -> Array:
         A=matrix,
         l=cross - fractions[0],
         u=cross + fractions[0],
-        eps_abs=tolerance,
-        eps_rel=tolerance,
+        eps_abs=tolerance or TOLERANCE,
+        eps_rel=tolerance or TOLERANCE,
         max_iter=STEPS,
         polishing=True,
         verbose=False,
     )
     found = []
     for fraction in fractions.tolist():
+        if np.all(np.abs(cross) <= fraction):  # x = 0: OSQP prints a line, whatever it is told
+            found.append(np.zeros(len(cross)))
+            continue
         solver.update(l=cross - fraction, u=cross + fraction)
         found.append(-np.asarray(solver.solve(raise_error=False).y, dtype=float))
     return np.stack(found)

@@ -5,67 +5,20 @@ to the target, skglm by the largest violation of its optimality conditions, grou
 change of its coefficients. None is believed: the caller's certificate says what was reached.
 """
 
-from functools import partial
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.backends.peer_forms import Part, solved
-from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import Penalty
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.backends.peer_forms import Part
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-8  # where none is asked for
 EPOCHS = 100_000  # a solver may stop by its tolerance, not by its patience
 
 
-def scikit_descent(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
+def scikit_descent(part: Part, fractions: Array, tolerance: float | None) -> Array:
     """scikit-learn's ``lasso_path`` with a precomputed Gram matrix."""
-    along = partial(_scikit, tolerance=tolerance or TOLERANCE)
-    return solved("scikit-learn-cd", problem, penalty, alpha_fractions, along)
-
-
-def celer(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
-    """``celer_path`` of celer (Massias, Gramfort and Salmon 2018), LASSO or groups."""
-    along = partial(_celer, tolerance=tolerance or TOLERANCE)
-    return solved("celer", problem, penalty, alpha_fractions, along)
-
-
-def skglm(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
-    """AndersonCD or GroupBCD of skglm (Bertrand et al. 2022), each point from the last one."""
-    along = partial(_skglm, tolerance=tolerance or TOLERANCE)
-    return solved("skglm", problem, penalty, alpha_fractions, along)
-
-
-def fista(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
-    """The FISTA of the package group-lasso (Moe 2020), each point from the last one."""
-    along = partial(_fista, tolerance=tolerance or TOLERANCE)
-    return solved("group-lasso-fista", problem, penalty, alpha_fractions, along)
-
-
-def _scikit(part: Part, fractions: Array, *, tolerance: float) -> Array:
     linear_model: Any = import_module("sklearn.linear_model")
     _, coefficients, _ = linear_model.lasso_path(
         part.problem.theta,  # not read: the Gram matrix stands for it
@@ -73,7 +26,7 @@ def _scikit(part: Part, fractions: Array, *, tolerance: float) -> Array:
         alphas=fractions,
         precompute=part.gram * part.samples,
         Xy=part.cross * part.samples,
-        tol=tolerance,
+        tol=tolerance or TOLERANCE,
         max_iter=EPOCHS,
         check_input=False,
     )
@@ -81,26 +34,29 @@ def _scikit(part: Part, fractions: Array, *, tolerance: float) -> Array:
     return found
 
 
-def _celer(part: Part, fractions: Array, *, tolerance: float) -> Array:
+def celer(part: Part, fractions: Array, tolerance: float | None) -> Array:
+    """``celer_path`` of celer (Massias, Gramfort and Salmon 2018), LASSO or groups."""
     package: Any = import_module("celer")
     rows = part.rows()
     lasso = part.penalty.elementwise
     groups = None if lasso else [block.tolist() for block in rows.blocks]
     kind = "lasso" if lasso else "grouplasso"
     _, coefficients, _ = package.celer_path(
-        rows.design, rows.target, kind, alphas=fractions, groups=groups, tol=tolerance
+        rows.design, rows.target, kind, alphas=fractions, groups=groups, tol=tolerance or TOLERANCE
     )
     found: Array = coefficients.T
     return found
 
 
-def _skglm(part: Part, fractions: Array, *, tolerance: float) -> Array:
+def skglm(part: Part, fractions: Array, tolerance: float | None) -> Array:
+    """AndersonCD or GroupBCD of skglm (Bertrand et al. 2022), each point from the last one."""
     rows = part.rows()
     peak = float(np.abs(rows.target).max()) or 1.0  # its tolerance is absolute
     target, alphas = rows.target / peak, fractions / peak
+    stop = tolerance or TOLERANCE
     if part.penalty.elementwise:
-        return peak * _anderson(rows.design, target, alphas, tolerance)
-    return peak * _group_descent(rows.design, target, alphas, tolerance, rows.blocks)
+        return peak * _anderson(rows.design, target, alphas, stop)
+    return peak * _group_descent(rows.design, target, alphas, stop, rows.blocks)
 
 
 def _anderson(design: Array, target: Array, alphas: Array, tolerance: float) -> Array:
@@ -141,14 +97,15 @@ def _jitted(part: Any) -> Any:
     return import_module("skglm.utils.jit_compilation").compiled_clone(part)
 
 
-def _fista(part: Part, fractions: Array, *, tolerance: float) -> Array:
+def fista(part: Part, fractions: Array, tolerance: float | None) -> Array:
+    """The FISTA of the package group-lasso (Moe 2020), each point from the last one."""
     package: Any = import_module("group_lasso")
     rows = part.rows()
     model = package.GroupLasso(
         groups=rows.groups,
         l1_reg=0.0,
         n_iter=EPOCHS // 10,
-        tol=tolerance,
+        tol=tolerance or TOLERANCE,
         scale_reg="none",
         fit_intercept=False,
         frobenius_lipschitz=True,

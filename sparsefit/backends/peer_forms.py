@@ -87,12 +87,13 @@ class Rows:
 
     @property
     def blocks(self) -> list[IntArray]:
-        """The coefficients of each block."""
+        """The coefficients (c,) of each block."""
         return [np.flatnonzero(self.groups == g) for g in range(int(self.groups.max()) + 1)]
 
 
-Along: TypeAlias = Callable[[Part, Array], Array]
-"""(part, descending penalty fractions (p,)) -> coefficients u (p, k b), target by target."""
+Along: TypeAlias = Callable[[Part, Array, float | None], Array]
+"""(part, descending penalty fractions (p,), stopping tolerance in the solver's own measure, None:
+the one that its file says) -> coefficients u (p, k b), target by target."""
 
 
 def solved(
@@ -101,6 +102,7 @@ def solved(
     penalty: Penalty,
     alpha_fractions: Sequence[float],
     along: Along,
+    tolerance: float | None = None,
 ) -> tuple[Solution, ...]:
     """Solutions of a public solver, whatever it raises or warns of: told, never hidden.
 
@@ -121,7 +123,8 @@ def solved(
         warnings.simplefilter("always")
         try:
             values = [
-                along(part, fractions).reshape(len(fractions), -1, len(omega)) for part in parts
+                along(part, fractions, tolerance).reshape(len(fractions), -1, len(omega))
+                for part in parts
             ]
         except Exception as error:  # a public solver may raise anything
             words = " ".join(f"{name}: {type(error).__name__}: {error}".split())[:300]

@@ -9,35 +9,13 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.backends.peer_forms import Part, solved
-from sparsefit.regression.backend import Solution
-from sparsefit.regression.objective import Penalty
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.backends.peer_forms import Part
 
 STEPS_PER_COLUMN = 10
 
 
-def scikit_lars(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
+def scikit_lars(part: Part, fractions: Array, tolerance: float | None) -> Array:
     """``lars_path_gram`` with method "lasso"; it has no tolerance to set."""
-    return solved("scikit-learn-lars", problem, penalty, alpha_fractions, _scikit)
-
-
-def spams_lars(
-    problem: RegressionProblem,
-    penalty: Penalty,
-    alpha_fractions: tuple[float, ...],
-    tolerance: float | None = None,
-) -> tuple[Solution, ...]:
-    """``spams.lasso`` on Q = G, q = c with its regularisation path; it has no tolerance to set."""
-    return solved("spams", problem, penalty, alpha_fractions, _spams)
-
-
-def _scikit(part: Part, fractions: Array) -> Array:
     linear_model: Any = import_module("sklearn.linear_model")
     knots, _, coefficients = linear_model.lars_path_gram(
         part.cross * part.samples,
@@ -51,7 +29,8 @@ def _scikit(part: Part, fractions: Array) -> Array:
     return interpolated(knots, coefficients, fractions).T
 
 
-def _spams(part: Part, fractions: Array) -> Array:
+def spams_lars(part: Part, fractions: Array, tolerance: float | None) -> Array:
+    """``spams.lasso`` on Q = G, q = c with its regularisation path; it has no tolerance to set."""
     spams: Any = import_module("spams")
     gram, cross = np.asfortranarray(part.gram), np.asfortranarray(part.cross[:, None])
     target = np.asfortranarray(part.target[:, None] / np.sqrt(part.samples))

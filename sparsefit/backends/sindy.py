@@ -32,6 +32,7 @@ class PySindy:
 
     threshold: of the weights, STLSQ and SR3; ridge: PySINDy's alpha, all but SR3; relaxation: nu
     of SR3. max_iterations: for SSR the most columns that leave, for FROLS the most that enter.
+    Raises InputError on settings that are out of range, and MissingExtra without PySINDy.
     """
 
     name: ClassVar[str] = "pysindy"
@@ -70,7 +71,7 @@ class PySindy:
         return Solution(weights, solver_status=words)
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support that the optimizer's own rule gives, worked out here."""
+        """The support (k, n) that the optimizer's own rule gives, from weights (k, n)."""
         if self.optimizer == "STLSQ":
             return self._thresholded(problem, weights)
         if self.optimizer == "SR3":

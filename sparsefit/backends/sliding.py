@@ -43,7 +43,7 @@ class Atoms:
     def at(
         cls, continuum: Continuum, target: Array, places: Array, weights: Array, alpha: float
     ) -> "Atoms":
-        """Evaluate F at (q, V)."""
+        """Evaluate F for a target Y (m, n) at places q (s, p) with scaled weights V (s, c, n)."""
         jet = Jet.of(*continuum.columns(places))
         flat = weights.reshape(-1, weights.shape[-1])
         residual = target - jet.value.reshape(-1, len(target)).T @ flat

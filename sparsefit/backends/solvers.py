@@ -21,6 +21,7 @@ from sparsefit.backends.conic import (
     solve_conic,
     solve_rows,
 )
+from sparsefit.backends.peer_forms import solved
 from sparsefit.errors import InputError, MissingExtra, unknown
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import Penalty
@@ -40,7 +41,8 @@ class Solver:
     package: what must be importable; brought: what pip installs for it. form: how the problem is
     handed over, in words. quadratic: for penalties of single coefficients only.
     plain: for norms of coefficients or of groups alone, without a ridge or groups within groups.
-    stops: whether a stopping tolerance can be set. home: ``module:function`` of a `Solve`.
+    stops: whether a stopping tolerance can be set. home: ``module:function`` of an `Along`
+    of `peer_forms`, for those called without cvxpy.
     """
 
     name: str
@@ -78,7 +80,7 @@ PEERS: tuple[Solver, ...] = (
     Solver("group-lasso-fista", "group_lasso", "FISTA of the package group-lasso, on a QR",
            f"{DESCENT}:fista", EXTRA),
     Solver("osqp-direct", "osqp", "OSQP itself on the dual, in Z'Z, its bounds moved along",
-           "sparsefit.backends.osqp_direct:solve_osqp", quadratic=True),
+           "sparsefit.backends.osqp_direct:osqp_dual", quadratic=True),
 )  # fmt: skip
 """Called without cvxpy."""
 CVXPY_PACKAGES = {
@@ -176,11 +178,23 @@ def _solve_of(solver: str) -> Solve:
     folded = solver.lower()
     for peer in PEERS:
         if peer.name == folded:
-            module, _, function = peer.home.partition(":")
-            return cast(Solve, getattr(import_module(module), function))
+            return partial(_by_peer, peer=peer)
     if folded.startswith(AS_WRITTEN):
         return partial(solve_rows, solver=folded.removeprefix(AS_WRITTEN))
     return partial(_in_gram_form, solver=solver)
+
+
+def _by_peer(
+    problem: RegressionProblem,
+    penalty: Penalty,
+    alpha_fractions: tuple[float, ...],
+    tolerance: float | None,
+    *,
+    peer: Solver,
+) -> tuple[Solution, ...]:
+    module, _, function = peer.home.partition(":")
+    along = getattr(import_module(module), function)
+    return solved(peer.name, problem, penalty, alpha_fractions, along, tolerance)
 
 
 def _in_gram_form(

@@ -34,6 +34,7 @@ class STLSQ:
     squares; ``normalize_columns`` divides columns by their 2-norm first, as its option does.
     threshold: None is 0.03 in mode ``scaled`` and PySINDy's 0.1 in mode ``pysindy``. Columns
     that resemble each other share a ridge's weight: the largest scaled weight is well below 1.
+    Raises InputError on settings that are out of range.
     """
 
     name: ClassVar[str] = "stlsq"
@@ -92,7 +93,7 @@ class STLSQ:
         return Solution(weights, reason=note, iterations=iteration)
 
     def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support that one more iteration would leave, for the fixed-point certificate."""
+        """The support (k, n) that one more iteration would leave of that of weights (k, n)."""
         return self._step(problem, _System.of(problem, self), weights != 0)[1]
 
     def _step(

@@ -53,7 +53,7 @@ class Library:
     scale. ``groups``: what its groups are: the ``wave``, the ``ring`` of waves of one |k|, which is
     the length scale, or ``nested``: waves within rings, for penalties of groups in groups.
     ``every``: rows are every so many-th sample, where a smoothed flight has more than it has to
-    say: a fit costs less, and what is refined off the grid still takes all of them.
+    say; what is refined off the grid still takes all. Raises InputError on settings out of range.
     """
 
     grid: LengthScaleGrid = LengthScaleGrid()

@@ -41,7 +41,10 @@ class DriftScan:
 
     @classmethod
     def of(cls, position: Array, radii: Bounds, fastest: float) -> DriftScan:
-        """The scan with the fewest pieces whose grid is no larger than can be scanned."""
+        """The scan with the fewest pieces whose grid is no larger than can be scanned.
+
+        position: (x, y, t) of the rows (m, 3) [m], [s]; radii: bounds of |k| [1/m]; fastest [m/s].
+        """
         scan = cls(position, FEWEST_PIECES, radii, fastest)
         while scan.size > MOST_WAVES and len(position) >= FEW * 2 * scan.pieces:
             scan = cls(position, scan.pieces + max(1, scan.pieces // 4), radii, fastest)

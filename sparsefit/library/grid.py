@@ -22,6 +22,8 @@ class LengthScaleGrid:
     Uniform in length scale, L_lb, L_lb + dL, ..., L_ub (the paper's 1...12 m by 0.2 m is the
     default), or uniform in wavenumber k = pi/L with ``count`` scales between the same bounds, or
     with spacing ``flight``: `resolving` the extent of the flight, at ``fraction`` of its lobe.
+    Raises InputError on settings that are out of range or do not belong together, and on more
+    than 2048 scales.
     """
 
     lower: float = 1.0

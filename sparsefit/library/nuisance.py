@@ -143,7 +143,11 @@ class Nuisance:
         return [*both, *(constants * self.constant)]
 
     def series(self, velocity: Array, thrust: Array | None = None) -> Array:
-        """v_x and v_y, m_x and m_y, then 1, as far as they are needed: (j, m), from v, m (m, 2)."""
+        """v_x and v_y, m_x and m_y, then 1, as far as they are needed: (j, m).
+
+        velocity (m, 2) [m/s]; thrust: the one that was measured, (m, 2) [m/s^2]. Raises InputError
+        where its scale is unknown and it was not measured.
+        """
         if self.scaled and thrust is None:
             raise InputError(
                 "unknown 'thrust_scale' needs a measured thrust: the flight has none (columns ax, "

@@ -118,7 +118,7 @@ class WaveScan:
 
     @staticmethod
     def shape_of(position: Array, bounds: Bounds) -> tuple[int, int]:
-        """How many rings a scan takes, and how many waves each of them has."""
+        """How many rings a scan of positions (m, 2) [m] takes, and how many waves each has."""
         step = _step(position)
         rings = math.ceil((bounds[1] - bounds[0]) / step * (1 - 1e-12)) + 1
         return rings, max(2, math.ceil(math.pi * bounds[1] / step))

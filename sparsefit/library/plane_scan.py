@@ -46,7 +46,7 @@ class PlaneScan:
 
     @classmethod
     def of(cls, position: Array, radii: Bounds, weight: Array | None = None) -> PlaneScan:
-        """The scan at a step of pi / extent, half a lobe.
+        """The scan of rows at position (m, 2) [m], at a step of pi / extent, half a lobe.
 
         Raises:
             InputError: where that is more wavevectors than can be looked at.
@@ -70,7 +70,7 @@ class PlaneScan:
 
     @cached_property
     def axis(self) -> Array:
-        """The wavenumbers along either axis [1/m]."""
+        """The wavenumbers (n,) along either axis [1/m]."""
         return self.step * np.arange(-self.half, self.half + 1.0)
 
     @cached_property

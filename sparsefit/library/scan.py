@@ -246,6 +246,6 @@ def middle(position: Array) -> Array:
 
 
 def scan_steps(position: Array, bounds: Bounds) -> int:
-    """The steps that a scan over bounds of k [1/m] takes: they grow with extent and interval."""
+    """The steps of a scan over bounds of k [1/m] of positions (m, 2) [m]: they grow with both."""
     steps = math.ceil((bounds[1] - bounds[0]) * extent_of(position) / STEP * (1 - 1e-12))
     return max(steps, FEWEST) if bounds[1] > bounds[0] else 0

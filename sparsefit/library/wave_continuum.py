@@ -68,7 +68,7 @@ class WaveContinuum:
         return self.extent * np.column_stack([np.ones(len(places)), places[:, 0]])
 
     def images(self, places: Array) -> tuple[Array, Array]:
-        """Every wave as it is, and turned by half a turn either way."""
+        """Every wave as it is and turned by half a turn either way, (3, s, 2), and signs (3, 2)."""
         turns = np.array([[0.0, 0.0], [0.0, math.pi], [0.0, -math.pi]])
         return places + turns[:, None], np.array([[1.0, 1.0], [1.0, -1.0], [1.0, -1.0]])
 

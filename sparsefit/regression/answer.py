@@ -38,7 +38,7 @@ class Fit(Brief):
 
     @property
     def support(self) -> IntArray:
-        """Columns with a weight that is not zero for some target."""
+        """Indices (c,) of the columns with a weight that is not zero for some target."""
         return np.flatnonzero(np.any((self.weights != 0) & np.isfinite(self.weights), axis=1))
 
     @property
@@ -59,7 +59,11 @@ class Fit(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Path(Brief):
-    """Fits along descending penalties: alpha = alpha_fraction * alpha_max."""
+    """Fits along a path of penalties, in the order asked for: alpha = alpha_fraction * alpha_max.
+
+    alpha_fractions (p,); alpha_max: the smallest alpha whose solution is zero, in the unit of the
+    target, that of Z'Y/m; fits: p of them; seconds: of all, certificates included.
+    """
 
     alpha_fractions: Array
     alpha_max: float
@@ -73,7 +77,7 @@ class Path(Brief):
 
     @property
     def gaps(self) -> Array:
-        """Relative duality gap of each point, NaN where there is no solution."""
+        """Relative duality gap (p,) of each point, NaN where there is no solution."""
         return np.array([f.certificate.value if f.certificate else np.nan for f in self.fits])
 
     @property

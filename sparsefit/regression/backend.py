@@ -85,7 +85,7 @@ class PathBackend(PenalisedBackend, Protocol):
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
     ) -> tuple[Solution, ...]:
-        """Solutions at descending penalties, each warm-started by the one before."""
+        """Solutions at descending alpha_fractions in (0, 1], each started from the one before."""
         ...
 
     def referee(self) -> "PathBackend | None":

@@ -136,7 +136,10 @@ def duality_gaps(
 def gram_gaps(
     statistics: Statistics, weights: Array, alphas: Array, penalty: Penalty
 ) -> tuple[Certificate, ...]:
-    """The same certificates from the Gram matrix alone, in k^2 operations a point."""
+    """The same certificates from the Gram matrix alone, in k^2 operations a point.
+
+    weights (p, k, n) in original units, at the penalties alphas (p,).
+    """
     target_square = statistics.target_square
     scaled = weights * statistics.rms[:, None]
     points, columns, targets = scaled.shape

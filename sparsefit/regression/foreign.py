@@ -117,7 +117,10 @@ def received(solution: Any, backend: Backend, problem: RegressionProblem) -> Sol
 def received_all(
     solutions: Iterable[Any], backend: Backend, problem: RegressionProblem, count: int
 ) -> tuple[Solution, ...]:
-    """The solutions of a path of ``count`` penalties, each as `received` gives it."""
+    """The solutions of a path of ``count`` penalties, each as `received` gives it.
+
+    Raises InputError as it does, and where there are not as many.
+    """
     checked = tuple(received(one, backend, problem) for one in solutions)
     if len(checked) != count:
         words = f"{len(checked)} solutions for a path of {count} penalties"
@@ -139,7 +142,11 @@ def _weights(weights: Any, where: str, problem: RegressionProblem) -> Array | No
 
 
 def declared_penalty(backend: PenalisedBackend, problem: RegressionProblem) -> Penalty:
-    """The penalty of a back-end, with weights and groups by which a gap can be trusted."""
+    """The penalty that a back-end has on a problem, its arrays copied.
+
+    Raises InputError where a gap by it proves nothing: weights that are not above 0, groups that
+    are not those of the columns, blocks within blocks that are not within them.
+    """
     where = f"back-end {backend.name!r} declares a penalty"
     return _trusted(backend.penalty(problem), where, problem)
 
@@ -167,7 +174,10 @@ def _trusted(penalty: Any, where: str, problem: RegressionProblem) -> Penalty:
 
 
 def asked_support(backend: Any, problem: RegressionProblem, weights: Array) -> BoolArray:
-    """What a back-end says is the support after one more iteration (k, n)."""
+    """What a back-end says is the support (k, n) of weights (k, n) after one more iteration.
+
+    Raises InputError unless it says so in booleans of that shape.
+    """
     said = np.asarray(backend.next_support(problem, weights.copy()))
     if said.shape != weights.shape or said.dtype != np.bool_:
         raise InputError(

@@ -13,7 +13,7 @@ LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose product
 
 
 def rows_of(theta: ArrayLike, target: ArrayLike) -> tuple[Array, Array]:
-    """theta (m, k) and target (m, n) as arrays of numbers."""
+    """theta (m, k) and target (m, n) as float64 in C order. Raises InputError on anything else."""
     design, values = _floats(theta, "theta"), _floats(target, "target")
     values = values[:, None] if values.ndim == 1 else values
     if design.ndim != 2 or values.ndim != 2:
@@ -25,7 +25,11 @@ def rows_of(theta: ArrayLike, target: ArrayLike) -> tuple[Array, Array]:
 
 
 def fitting(blocks: Iterable[tuple[ArrayLike, ArrayLike]]) -> Iterator[tuple[Array, Array]]:
-    """The blocks as arrays, of as many columns and targets as the first one has."""
+    """The blocks as arrays theta (r, k) and target (r, n), r rows each.
+
+    Raises InputError, with the number of the block, on one that is no pair of arrays, is not finite
+    or has not as many columns and targets as the first.
+    """
     first: tuple[int, int] | None = None
     for number, block in enumerate(blocks):
         with told_with(f"block {number}"):
@@ -58,7 +62,10 @@ def _floats(values: ArrayLike, name: str) -> Array:
 
 
 def numbers_of(labels: ArrayLike, columns: int, name: str) -> IntArray:
-    """Numbers from 0 for the labels of the columns, in the order of the labels."""
+    """Numbers (k,) from 0 for the labels of the k columns, in the order of the labels.
+
+    Raises InputError on labels that are missing, too many, NaN or cannot be sorted.
+    """
     given = np.asarray(labels)
     if given.shape != (columns,):
         raise InputError(
@@ -96,7 +103,10 @@ def refuse_gaps(numbers: object, columns: int, name: str) -> None:
 
 
 def refuse_large(values: Array, names: Sequence[str], which: str) -> None:
-    """Raise InputError, which names it, on a column with NaN, infinity or a norm above LARGEST."""
+    """Raise InputError, which names it, on a column of values (m, k) that cannot be reckoned with.
+
+    One with NaN, infinity or a norm above LARGEST.
+    """
     flat = values.ravel(order="K")
     if not np.vdot(flat, flat) <= LARGEST**2:  # one fast sum clears every column, or none
         bad = ~(_squares(values) <= LARGEST**2)
@@ -105,7 +115,7 @@ def refuse_large(values: Array, names: Sequence[str], which: str) -> None:
 
 
 def refuse_zeros(values: Array, names: Sequence[str]) -> None:
-    """The same on a column whose norm is below SMALLEST."""
+    """The same on a column of values (m, k) whose norm is below SMALLEST."""
     small = np.flatnonzero(_squares(values[:FIRST_ROWS]) < SMALLEST**2)  # few, but in odd data
     zero = np.zeros(len(names), dtype=bool)
     zero[small] = _squares(values[:, small]) < SMALLEST**2
@@ -114,7 +124,7 @@ def refuse_zeros(values: Array, names: Sequence[str]) -> None:
 
 
 def refuse_small(values: Array, names: Sequence[str]) -> None:
-    """The same on a target whose norm is below SMALLEST, and not zero."""
+    """The same on a target of values (m, n) whose norm is below SMALLEST, and not zero."""
     small = (_squares(values) < SMALLEST**2) & values.any(axis=0)
     _refuse_columns(small, names, f"of the target is below {SMALLEST:g}, not 0; change the unit")
 

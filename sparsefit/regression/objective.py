@@ -166,7 +166,7 @@ def lasso_penalty(columns: int) -> Penalty:
 
 
 def alpha_max(cross: Array, penalty: Penalty) -> float:
-    """The smallest alpha whose solution is zero: max_g |Z_g'Y / m| / omega_g.
+    """The smallest alpha whose solution is zero: max_g |Z_g'Y/m| / omega_g, cross (k, n) = Z'Y/m.
 
     A ridge alone has none. Its unit is k, the trace of Z'Z/m and a bound of its largest eigenvalue:
     there every weight is at most half of what least squares gives its principal component.

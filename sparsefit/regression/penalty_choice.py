@@ -65,7 +65,7 @@ def information_criterion(
 
     For ``ebic`` plus 2 log C(G, s) with s of G blocks in use (Chen and Chen 2008). df as in
     `degrees_of_freedom`. m' (`effective_samples`) is that of the weakest penalty's residuals,
-    which hold the least of what the others leave unexplained.
+    which hold the least of what the others leave unexplained. weights (p, k, n): the path.
     """
     points, columns, targets = weights.shape
     flat = np.ascontiguousarray(weights.transpose(1, 0, 2)).reshape(columns, points * targets)
@@ -172,6 +172,8 @@ def cross_validation(
     space. Error: |Y - theta W|^2 / |Y|^2 per sample (Breiman, Friedman, Olshen and Stone 1984).
     The standard error is that of the difference from the best, fold by fold: how much noise a
     fold holds is the same for every penalty, and would otherwise drown what they differ by.
+    weights (p, k, n): the path on all samples, NaN where it failed. Raises InputError on fewer than
+    2 samples a fold, and on compressed ones.
     """
     folds = _pieces(problem, FOLDS, backend)
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
@@ -198,7 +200,7 @@ def stability_selection(
     From zero down to a penalty, halves of the samples select q of the G groups on average; of those
     that more than THRESHOLD of the halves select, at most q^2 / ((2 THRESHOLD - 1) G) are false.
     A half is 3 of 6 pieces, whole so that neighbours stay together; all complementary pairs are
-    used (Shah and Samworth 2013).
+    used (Shah and Samworth 2013). weights (p, k, n) and InputError as in `cross_validation`.
     """
     pieces = _pieces(problem, PIECES, backend)
     member = problem.groups[:, None] == np.arange(problem.groups.max() + 1)

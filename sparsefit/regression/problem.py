@@ -138,7 +138,10 @@ class RegressionProblem(Brief):
         return replace(plain, sample_count=count)
 
     def at(self, places: Array) -> "RegressionProblem":
-        """The same rows and target, with the continuum's columns at each q (s, p) as groups."""
+        """The same rows and target, with the continuum's columns at each q (s, p) as groups.
+
+        Raises InputError where no continuum is known.
+        """
         if self.continuum is None:
             raise InputError("this problem has the columns of its groups and no others")
         places = np.reshape(places, (-1, self.continuum.parameters))
@@ -199,7 +202,10 @@ class RegressionProblem(Brief):
 
 
 def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
-    """(triangle, m, k): R (at most k + n rows) of a QR of the rows [theta, target], in blocks."""
+    """(triangle, m, k): R (at most k + n rows) of a QR of the rows [theta, target], in blocks.
+
+    Raises InputError where there is no block.
+    """
     triangle: Array | None = None
     count = columns = 0
     for theta, target in blocks:

@@ -5,20 +5,18 @@ leave unused there, a compiled kernel does it 1.7 times faster. Both sum the sam
 double precision, in another order; the choice depends on the machine alone, never on the data.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 
-Products: TypeAlias = Callable[[Array, Array], tuple[Array, Array, Array]]
-
-ROW_BLOCK = 8192  # rows per pass: the block of theta stays in cache for both products
+ROW_BLOCK = 8192  # rows per pass: the block of theta stays in cache for what is done to it
 _KERNEL = "sparsefit.regression._gram"  # compiled; absent where there was no compiler
 
 
@@ -80,8 +78,7 @@ class Statistics:
         gram = self.square
         if gram is None:
             assert self.theta is not None
-            nothing = np.zeros((len(self.theta), 1))
-            gram = _products()(self.theta, nothing)[0]
+            gram = squared(self.theta)
             gram /= self.rms[:, None] * self.samples
             gram /= self.rms
         gram.setflags(write=False)
@@ -116,51 +113,21 @@ class Statistics:
 
 
 def row_blocks(*arrays: Array, size: int = ROW_BLOCK) -> Iterator[tuple[Array, ...]]:
-    """The same rows of every array, ``size`` at a time."""
+    """The same rows of every array (m, ...), ``size`` at a time."""
     for start in range(0, len(arrays[0]), size):
         yield tuple(array[start : start + size] for array in arrays)
 
 
-def accumulate(
-    blocks: Iterable[tuple[Array, ...]],
-    *,
-    count: int | None = None,
-    products: Products | None = None,
-) -> Statistics:
-    """Statistics from blocks of rows (theta, target), in memory of order k^2.
-
-    ``count``: the number of samples m, where the rows are the compressed ones of more samples.
-    ``products``: what sums up a block, by default the faster one on this machine. Raises
-    ValueError where there is no block.
-    """
-    products = products or _products()
-    gram: Array | None = None
-    for theta, target in blocks:
-        if gram is None:
-            gram, cross, square = products(theta, target)
-            rows = len(theta)
-        else:
-            more = products(theta, target)
-            gram += more[0]
-            cross += more[1]
-            square += more[2]
-            rows += len(theta)
-    if gram is None:
-        raise ValueError("no rows: a regression problem needs at least one block of samples")
-    return Statistics.summed(gram, cross, square, count=count or rows, rows=rows)
-
-
-def _products() -> Products:
-    return kernel_products if product_loop() == "compiled" else block_products
-
-
-def block_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:
-    """Z'Z (k, k), Z'Y (k, n) and |y_t|^2 (n,) of rows theta (m, k) and target (m, n), by numpy."""
-    return theta.T @ theta, theta.T @ target, np.einsum("ij,ij->j", target, target)
+def squared(theta: Array) -> Array:
+    """theta'theta (k, k) of rows theta (m, k), by the product that `product_loop` names."""
+    if product_loop() == "compiled":
+        return kernel_products(theta, np.zeros((len(theta), 1)))[0]
+    gram: Array = theta.T @ theta
+    return gram
 
 
 def kernel_products(theta: Array, target: Array) -> tuple[Array, Array, Array]:
-    """The same by the compiled kernel, where `product_loop` says that it runs."""
+    """Z'Z (k, k), Z'Y (k, n) and |y_t|^2 (n,) of rows theta (m, k), target (m, n), compiled."""
     kernel = import_module(_KERNEL)
     k, n = theta.shape[1], target.shape[1]
     gram, cross, square = np.empty((k, k)), np.empty((k, n)), np.empty(n)

@@ -98,10 +98,10 @@ def test_what_a_public_solver_raises_or_warns_of_is_told_in_one_line():
     problem = regular()
     penalty = backends.get("lasso").penalty(problem)
 
-    def falls(part, fractions):
+    def falls(part, fractions, tolerance):
         raise ArithmeticError("it\n fell over")
 
-    def warns(part, fractions):
+    def warns(part, fractions, tolerance):
         import warnings
 
         warnings.warn("did not converge", stacklevel=1)

@@ -13,7 +13,7 @@ from sparsefit import backends
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.regression.statistics import accumulate
+from sparsefit.regression.statistics import Statistics
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -25,7 +25,7 @@ both = pytest.mark.parametrize("source", SOURCES)
 
 
 def statistics_of(theta, target):
-    return accumulate([(np.asarray(theta), np.asarray(target))])
+    return Statistics.of(np.asarray(theta), np.asarray(target), count=len(theta))
 
 
 def certified(theta, target, weights, alphas, penalty, source="rows"):

@@ -1,4 +1,4 @@
-"""Statistics by hand; both products of a block of rows against exact sums; refusals."""
+"""Statistics by hand; the compiled products against exact sums and numpy's; refusals."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from sparsefit.regression import statistics
 from sparsefit.regression.statistics import (
-    accumulate,
-    block_products,
+    Statistics,
     kernel_products,
     product_loop,
     row_blocks,
+    squared,
 )
 from tests.problems import regular
 
@@ -31,15 +31,12 @@ THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
 TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5
 
 
-def products(theta, target):
-    """(name, sums) of each product that runs on this CPU."""
-    yield "numpy", block_products(theta, target)
-    if kernel_runs():
-        yield "compiled", kernel_products(theta, target)
+def statistics_of(theta, target):
+    return Statistics.of(theta, target, count=len(theta))
 
 
 def test_statistics_of_two_columns_worked_by_hand():
-    found = accumulate([(THETA * [2.0, 5.0], TARGET)])
+    found = statistics_of(THETA * [2.0, 5.0], TARGET)
     assert found.rms == pytest.approx([2.0, 5.0])
     assert found.gram == pytest.approx(np.eye(2))
     assert found.cross[:, 0] == pytest.approx([2.0, 1.0])
@@ -49,25 +46,23 @@ def test_statistics_of_two_columns_worked_by_hand():
 
 
 @given(size=st.integers(1, 70))
-def test_statistics_do_not_depend_on_the_block_size(size):
+def test_statistics_are_the_sums_of_those_of_any_blocks(size):
     problem = regular()
-    whole = problem.statistics
-    blocks = accumulate(row_blocks(problem.theta, problem.target, size=size))
+    whole, blocks = problem.statistics, list(row_blocks(problem.theta, problem.target, size=size))
+    sums = (sum(t.T @ t for t, _ in blocks), sum(t.T @ y for t, y in blocks))
+    square = sum((y * y).sum(axis=0) for _, y in blocks)
+    found = Statistics.summed(*sums, square, count=problem.samples)
     for name in ("samples", "rows", "rms", "gram", "cross", "target_square"):
-        assert getattr(blocks, name) == pytest.approx(getattr(whole, name), rel=1e-13, abs=1e-14)
-
-
-def test_no_rows_are_refused():
-    with pytest.raises(ValueError, match="no rows"):
-        accumulate(iter([]))
+        assert getattr(found, name) == pytest.approx(getattr(whole, name), rel=1e-13, abs=1e-14)
 
 
 def test_rank_counts_a_repeated_column_once():
     theta = regular().theta
     repeated = np.hstack([theta, theta[:, :2]])
-    assert accumulate([(repeated, regular().target)]).rank == 12
+    assert statistics_of(repeated, regular().target).rank == 12
 
 
+@needs_kernel
 @given(st.integers(1, 300), st.integers(1, 60), st.integers(1, 4), st.integers(0, 10**6))
 def test_products_are_those_of_extended_precision(samples, columns, targets, seed):
     rng = np.random.default_rng(seed)
@@ -76,10 +71,9 @@ def test_products_are_those_of_extended_precision(samples, columns, targets, see
     wide, goal = theta.astype(np.longdouble), target.astype(np.longdouble)
     sizes = np.abs(theta).T @ np.abs(theta), np.abs(theta).T @ np.abs(target), (target**2).sum(0)
     exact = wide.T @ wide, wide.T @ goal, (goal**2).sum(0)
-    for name, sums in products(theta, target):
-        for found, right, size in zip(sums, exact, sizes, strict=True):
-            assert found.shape == right.shape, name
-            assert np.all(np.abs(found - right) <= samples * np.finfo(float).eps * size), name
+    for found, right, size in zip(kernel_products(theta, target), exact, sizes, strict=True):
+        assert found.shape == right.shape
+        assert np.all(np.abs(found - right) <= samples * np.finfo(float).eps * size)
 
 
 @needs_kernel
@@ -89,29 +83,31 @@ def test_the_compiled_gram_matrix_is_symmetric_and_agrees_with_numpy(columns):
     theta, target = rng.normal(size=(517, columns)), rng.normal(size=(517, 2))
     found = kernel_products(theta, target)
     np.testing.assert_array_equal(found[0], found[0].T)
-    for one, other in zip(found, block_products(theta, target), strict=True):
+    plain = theta.T @ theta, theta.T @ target, (target * target).sum(axis=0)
+    for one, other in zip(found, plain, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * 517)
 
 
-def test_rows_in_any_layout_and_in_blocks_give_the_same_statistics():
+@pytest.mark.parametrize("loop", [pytest.param("compiled", marks=needs_kernel), "numpy"])
+def test_rows_in_any_layout_give_the_same_statistics(monkeypatch, loop):
     rng = np.random.default_rng(1)
     theta, target = rng.normal(size=(900, 30)), rng.normal(size=(900, 2))
-    plain = accumulate(row_blocks(theta, target))
+    monkeypatch.setattr(statistics, "product_loop", lambda: loop)
     for layout in (np.asfortranarray(theta), np.hstack([theta, theta])[:, :30]):
-        for sums in (block_products, *([kernel_products] if kernel_runs() else [])):
-            found = accumulate(row_blocks(layout, target, size=250), products=sums)
-            np.testing.assert_allclose(found.gram, plain.gram, atol=1e-13)
-            np.testing.assert_allclose(found.cross, plain.cross, atol=1e-13)
-            np.testing.assert_allclose(found.target_square, plain.target_square, rtol=1e-13)
+        found = statistics_of(layout, target)
+        size = found.rms * np.sqrt(900)
+        np.testing.assert_allclose(found.gram, theta.T @ theta / np.outer(size, size), atol=1e-13)
+        np.testing.assert_allclose(found.cross, theta.T @ target / size[:, None] / 30.0, atol=1e-13)
 
 
+@needs_kernel
 def test_what_is_not_finite_stays_in_its_own_row_and_column():
     theta = np.ones((5, 9))
     theta[2, 8] = np.inf
-    for name, (found, cross, _) in products(theta, np.ones((5, 1))):
-        assert np.isfinite(found[:8, :8]).all(), name
-        assert not np.isfinite(found[8]).any(), name
-        assert np.isfinite(cross[:8]).all(), name
+    found, cross, _ = kernel_products(theta, np.ones((5, 1)))
+    assert np.isfinite(found[:8, :8]).all()
+    assert not np.isfinite(found[8]).any()
+    assert np.isfinite(cross[:8]).all()
 
 
 @needs_kernel
@@ -131,12 +127,11 @@ def test_buffers_that_do_not_fit_are_refused():
 @pytest.mark.parametrize("loop", ["compiled", "numpy"])
 def test_the_loop_that_is_named_is_the_one_that_runs(monkeypatch, loop):
     calls = []
-    for name, sums in (("compiled", kernel_products), ("numpy", block_products)):
-        spy = lambda *rows, name=name, sums=sums: calls.append(name) or sums(*rows)  # noqa: E731
-        monkeypatch.setattr(statistics, sums.__name__, spy)
+    spy = lambda *rows: calls.append("compiled") or kernel_products(*rows)  # noqa: E731
+    monkeypatch.setattr(statistics, "kernel_products", spy)
     monkeypatch.setattr(statistics, "product_loop", lambda: loop)
-    accumulate([(THETA, TARGET)])
-    assert calls == [loop]
+    assert squared(THETA) == pytest.approx(2.0 * np.eye(2))
+    assert calls == (["compiled"] if loop == "compiled" else [])
 
 
 @pytest.mark.parametrize("kernel", ["_absent", "objective"])
@@ -145,7 +140,7 @@ def test_without_the_kernel_of_these_sources_numpy_runs(monkeypatch, kernel):
     product_loop.cache_clear()
     try:
         assert product_loop() == "numpy"
-        assert accumulate([(THETA, TARGET)]).gram == pytest.approx(np.eye(2))
+        assert statistics_of(THETA, TARGET).gram == pytest.approx(np.eye(2))
     finally:
         product_loop.cache_clear()
 
@@ -159,7 +154,9 @@ def test_statistics_cannot_be_changed_by_who_reads_them():
 
 def test_the_gram_matrix_is_formed_for_who_asks_and_by_rows_until_then():
     problem = regular(groups=6)
-    summed = accumulate([(problem.theta, problem.target)])
+    theta, target = problem.theta, problem.target
+    sums = theta.T @ theta, theta.T @ target, (target * target).sum(axis=0)
+    summed = Statistics.summed(*sums, count=len(theta))
     own = problem.statistics
     some = np.array([1, 4, 5])
     assert summed.formed
