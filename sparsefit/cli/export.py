@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_options import read_estimator
+from sparsefit.cli.output import check_folder
 from sparsefit.cli.parser import Verbs, number, verb, whole
 from sparsefit.errors import InputError, one_line, positive, told_with
 
@@ -91,13 +92,7 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.export.source import body, header
     from sparsefit.whole_file import write_whole
 
-    folder = Path(args.folder)
-    if not args.folder.strip():
-        raise InputError("--c needs the name of a folder")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file; choose another name for the folder")
-    if folder.is_dir() and any(folder.iterdir()) and not args.force:
-        raise InputError(f"{folder} is not empty; add --force or choose another name")
+    folder = check_folder(args.folder, force=args.force)
     plan = Plan(_changed(read_estimator(args.estimator), args), args.real or "double")
     refuse_large(plan, MOST_RAM if args.ram is None else args.ram)
     flight = _flight(args, plan)

@@ -40,6 +40,23 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
         raise InputError(f"{path} exists; add --force or choose another name")
 
 
+def check_folder(path: str, *, force: bool = False, own: str = "") -> Path:
+    """Return the folder; InputError, before any work, where it holds what was not written here.
+
+    own: a file that shows that it was, of a verb without --force.
+    """
+    folder = Path(path)
+    if not path.strip():
+        raise InputError("the name of the folder to write is empty; give one")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{path} is a file; choose another name for the folder")
+    written = force or (own and (folder / own).exists())
+    if folder.is_dir() and any(folder.iterdir()) and not written:
+        remedy = f"it has no {own}: choose" if own else "add --force or choose"
+        raise InputError(f"{path} is not empty; {remedy} another name")
+    return folder
+
+
 def proof(certificate: Certificate | None) -> str:
     """`duality_gap 1.2e-10`, or `none`."""
     return f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"

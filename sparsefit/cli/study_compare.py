@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import print_json, table_record, terminal_width
+from sparsefit.cli.output import check_folder, print_json, table_record, terminal_width
 from sparsefit.cli.parser import Verbs, add_results, number, verb
+from sparsefit.errors import non_negative
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,7 +68,6 @@ def add(actions: Verbs) -> None:
 
 def compare(args: argparse.Namespace) -> int:
     """Show what changed; 1 where that is more than was asked for."""
-    from sparsefit.errors import non_negative
     from sparsefit.study.evidence.compared import changes_table, compared, effects_table, worse
     from sparsefit.study.evidence.solver_compared import (
         solver_changes,
@@ -79,6 +79,7 @@ def compare(args: argparse.Namespace) -> int:
     from sparsefit.study.report.render import to_text
 
     tolerance = non_negative("--tolerance", args.tolerance)
+    folder = None if args.output is None else check_folder(args.output, own="comparison.md")
     names = (args.first, args.second)
     first, second = (_cases(name, args.results) for name in names)
     both: Compared | SolversCompared
@@ -90,7 +91,7 @@ def compare(args: argparse.Namespace) -> int:
         both = flights = compared(first, second, names, tolerance)
         tables = (effects_table(flights), changes_table(flights))
         became_worse = worse(flights, tables[0])
-    written = write_comparison(both, tables, Path(args.output)) if args.output else []
+    written = write_comparison(both, tables, folder) if folder else []
     if args.json:
         print_json(_record(both, tables, [str(path) for path in written]))
     else:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 import numpy as np
 
 from sparsefit import backends
 from sparsefit.derivative import Derivative
+from sparsefit.errors import InputError
 from sparsefit.estimator import Estimator
 from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow
@@ -70,4 +72,10 @@ def _arguments() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

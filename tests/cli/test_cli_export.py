@@ -153,7 +153,7 @@ def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
     assert "no such program" in refused(capsys, saved, *folder, *CHANGES, "--compiler", "ccc-no")
     assert "at most" in refused(capsys, saved, *folder, *CHANGES, "--ram", "5000")
     assert "spacing 'flight'" in refused(capsys, saved, *folder, *CHANGES, "--extent", "60")
-    assert "name of a folder" in refused(capsys, saved, "--c", "", *CHANGES, "--force")
+    assert "name of the folder" in refused(capsys, saved, "--c", "", *CHANGES, "--force")
     assert "odd integer" in refused(capsys, saved, *folder, *CHANGES, "--window", "4")
     grid = sf.LengthScaleGrid(2.0, 8.0, spacing="flight")
     path.write_text(sf.Estimator(backend="best-scale", library=sf.Library(grid=grid)).to_json())

@@ -442,6 +442,8 @@ class TestCompare:
         found = json.loads(out)
         assert (code, found["changed"], found["only_first"]) == (1, 0, 1)
         assert Path("told/comparison.md").exists()
+        code, _, err = run(capsys, *both, "-o", "first")
+        assert (code, "first is not empty; it has no comparison.md" in err) == (2, True)
         cases.to_parquet("other/cases.parquet")
         assert run(capsys, *both, "--fail-on", "worse")[0] == 0
         code, out, _ = run(capsys, *both)
