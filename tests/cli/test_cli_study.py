@@ -477,6 +477,7 @@ class TestMerge:
         same = [name for name in whole if name not in ("seconds", "version")]
         assert merged[same].equals(whole[same])
 
+    @pytest.mark.usefixtures("blank_pictures")
     def test_rows_that_say_different_things_are_refused_by_name(self, capsys, finished):
         shutil.copytree("results", "other")
         os.rename("results", "mine")

@@ -125,7 +125,7 @@ def test_unrefined_scales_are_candidates_of_the_grid():
 
 
 def test_rms_and_peak_agree_on_cellular_flows():
-    flight_ = flown((10.0, 3.1), (4.0, 4.4), noise=0.0)
+    flight_ = flown((10.0, 3.1), (4.0, 4.4))
     plain = sf.Readout(scales="several", correction="none")
     rms = Estimator(readout=plain).estimate(flight_)
     peak = Estimator(readout=sf.Readout(scales="several", mean_velocity="peak")).estimate(flight_)
@@ -219,7 +219,7 @@ def test_one_candidate_leaves_nothing_to_refine_and_is_assessed_all_the_same():
 
 @pytest.mark.parametrize("method", ["auto", "weak"])
 def test_two_flows_of_a_vehicle_believed_wrong(method):
-    flown_ = flown((10.0, 3.1), (6.0, 4.4), duration=20.0)
+    flown_ = flown((10.0, 3.1), (6.0, 4.4))
     wrong = sf.PointMassVehicle(response_time=0.6, thrust_acceleration=(24.0, 13.0))
     believed = sf.Flight(
         time=flown_.time, position=flown_.position, velocity=flown_.velocity, vehicle=wrong
