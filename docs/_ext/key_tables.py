@@ -100,7 +100,8 @@ def _row(key: Key, words: str) -> str:
     default = key.default if key.default in ("", NEEDED) else f"default {key.default}"
     beside = [part for part in (key.kind, default) if part]
     told = f"<br>*{'; '.join(beside)}*" if beside else ""
-    return f"| `{key.name}` | {words}{told} |".replace("|error|", "\\|error\\|")
+    cell = f"{words}{told}".replace("|", "\\|")
+    return f"| `{key.name}` | {cell} |"
 
 
 def meanings() -> Mapping[str, Mapping[str, str]]:

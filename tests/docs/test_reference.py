@@ -26,7 +26,9 @@ def test_every_key_of_a_study_file_has_words_and_no_words_are_left_over(tables):
     tables.checked()
     assert set(tables.meanings()) == set(tables.sections())
     for section in tables.sections():
-        assert len(tables.table(section)) > 2
+        rows = tables.table(section)
+        assert len(rows) > 2
+        assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {3}  # no mark cuts a cell
 
 
 def test_a_key_without_words_is_refused_by_name(tables, monkeypatch):
@@ -77,3 +79,13 @@ def test_links_work_where_a_page_is_read_as_a_file(page):
     file = DOCS.parent / page
     dead = [to for to in LINK.findall(file.read_text("utf-8")) if not (file.parent / to).exists()]
     assert dead == []
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def test_modules_that_a_page_names_are_there(page):
+    package = Path(sparsefit.__file__).parent
+    named = re.findall(r"`(?:sparsefit/)?([\w/]+\.py)`", page.read_text())
+    held = [f"/{path.relative_to(package)}" for path in package.rglob("*.py")]
+    for name in named:
+        ours = any(path.endswith(f"/{name}") for path in held)
+        assert ours or (DOCS.parent / name).is_file(), name
