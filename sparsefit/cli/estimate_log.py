@@ -29,8 +29,9 @@ def add_log(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--only",
+        action="append",
         metavar="COLUMN=VALUE",
-        help="the rows to read, where a table holds several flights",
+        help="the rows to read, of one vehicle, where a table holds several",
     )
     group.add_argument(
         "--from", dest="begin", type=number("s"), metavar="S", help="first second that is read"
@@ -50,10 +51,14 @@ def read_logs(args: argparse.Namespace) -> list[FlightTable]:
     """The tables of all logs, cut to the times that were asked for, in the first one's frame."""
     from sparsefit.flight.files import read_table
 
+    if len(args.only or ()) > 1:
+        told = "a flight is of one vehicle; several together are read from Python: read_flight"
+        raise InputError(f"--only is given {len(args.only)} times: {told}(..., only=...) of each")
+    only = args.only[0] if args.only else None
     tables: list[FlightTable] = []
     for path in args.flight:
         anchor = tables[0].anchor if tables else None
-        table = read_table(path, columns=args.columns, only=args.only, anchor=anchor)
+        table = read_table(path, columns=args.columns, only=only, anchor=anchor)
         with told_with(path):
             tables.append(table.between(args.begin, args.end))
     return tables
