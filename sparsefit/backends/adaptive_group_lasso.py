@@ -1,17 +1,17 @@
 """Adaptive group-LASSO (Wang and Leng 2008): groups weighted by what a first ridge fit found."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 from sparsefit.backends.exact_paths import VARIATIONAL
 from sparsefit.backends.grouping import (
     GroupWeights,
-    adaptive_weights,
+    adapted,
     check_grouping,
+    check_pilot,
     size_weights,
 )
 from sparsefit.backends.penalised import ExactPath, PenalisedPath
-from sparsefit.errors import number_setting
 from sparsefit.regression.backend import AlphaFraction, Selection
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -42,13 +42,11 @@ class AdaptiveGroupLasso(PenalisedPath):
 
     def check_settings(self) -> None:
         """Raise InputError on a setting of the first fit that is out of range."""
-        number_setting(self.name, "power", self.power, low=0.0, high=4.0)
-        number_setting(self.name, "pilot_ridge", self.pilot_ridge, low=0.0, open_low=True)
+        check_pilot(self.name, self.pilot_ridge, self.power)
         check_grouping(self.name, self.separate, self.group_weights)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Blocks of the problem's groups, weighted by the first fit."""
         omega = size_weights(problem, self.group_weights)
         plain = Penalty(problem.groups, omega, joint=not self.separate)
-        weights = adaptive_weights(problem, plain, ridge=self.pilot_ridge, power=self.power)
-        return replace(plain, weights=weights)
+        return adapted(problem, plain, ridge=self.pilot_ridge, power=self.power)

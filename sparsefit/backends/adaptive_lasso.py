@@ -1,12 +1,11 @@
 """Adaptive LASSO (Zou 2006): the LASSO, weighted by what a first ridge fit found."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 from sparsefit.backends.exact_paths import HOMOTOPY
-from sparsefit.backends.grouping import adaptive_weights
+from sparsefit.backends.grouping import adapted, check_pilot
 from sparsefit.backends.penalised import ExactPath, PenalisedPath
-from sparsefit.errors import number_setting
 from sparsefit.regression.backend import AlphaFraction, Selection
 from sparsefit.regression.objective import Penalty, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -33,11 +32,9 @@ class AdaptiveLasso(PenalisedPath):
 
     def check_settings(self) -> None:
         """Raise InputError on a setting of the first fit that is out of range."""
-        number_setting(self.name, "power", self.power, low=0.0, high=4.0)
-        number_setting(self.name, "pilot_ridge", self.pilot_ridge, low=0.0, open_low=True)
+        check_pilot(self.name, self.pilot_ridge, self.power)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Every coefficient a block of its own, weighted by the first fit."""
         plain = lasso_penalty(problem.columns)
-        weights = adaptive_weights(problem, plain, ridge=self.pilot_ridge, power=self.power)
-        return replace(plain, weights=weights)
+        return adapted(problem, plain, ridge=self.pilot_ridge, power=self.power)

@@ -16,9 +16,10 @@ def fit(problem: RegressionProblem, backend: Backend | str, *, tolerance: float 
     """Solve one problem and certify the answer.
 
     backend: what ``backends.get(name, **settings)`` returns, or a name with default settings. A
-    certificate above ``tolerance`` gives status ``inaccurate``, with the best solution found. An
-    alpha_fraction of "auto" is chosen first: the fit is the chosen point of the path. Raises
-    InputError on what is not a problem, a back-end or a tolerance >= 0.
+    certificate above ``tolerance``, with all that rounding can hide of it, gives status
+    ``inaccurate``, with the best solution found. An alpha_fraction of "auto" is chosen first: the
+    fit is the chosen point of the path. Raises InputError on what is not a problem, a back-end or a
+    tolerance >= 0.
     """
     return certified(problem, named(backend), tolerance=tolerance)
 

@@ -16,11 +16,12 @@ class Fit(Brief):
     """A back-end's weights with what the caller verified about them.
 
     weights (k, n) in the original units of theta, NaN throughout where there is no solution;
-    status ``ok``, ``inaccurate`` (certificate above tolerance), ``unidentifiable`` or ``error``,
-    with its reason; seconds of the solve; ``repaired``: the certificate rejected the fast path's
-    answer and this one is the referee's. ``penalty_choice``: how the back-end's alpha_fraction,
-    here the chosen number, was found where "auto" was asked for. ``shared_seconds``: the part of
-    seconds that an earlier fit spent, on a factorisation that this one uses.
+    status ``ok``, ``inaccurate`` (certificate, with what rounding can hide of it, above tolerance),
+    ``unidentifiable`` or ``error``, with its reason; seconds of the solve; ``repaired``: the
+    certificate rejected the fast path's answer and this one is the referee's. ``penalty_choice``:
+    how the back-end's alpha_fraction, here the chosen number, was found where "auto" was asked for.
+    ``shared_seconds``: the part of seconds that an earlier fit spent, on a factorisation that this
+    one uses.
     """
 
     weights: Array

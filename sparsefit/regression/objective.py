@@ -125,7 +125,8 @@ class Penalty:
             peaks: Array = np.maximum.reduceat(parts, starts, axis=-2)
             return peaks.max(axis=-1, keepdims=True) if self.joint else peaks
 
-        largest, floor = highest(sizes / (inner + omega[member])), highest(sizes / inner)
+        with np.errstate(over="ignore"):  # an l1_ratio near 0: the bound is of no use then
+            largest, floor = highest(sizes / (inner + omega[member])), highest(sizes / inner)
         live = largest > 0
         x = np.where(live, 1.0 / np.where(live, largest, 1.0), 0.0)
         for _ in range(NEWTON_STEPS):

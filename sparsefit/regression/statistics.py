@@ -15,6 +15,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
+from sparsefit.errors import InputError
 
 ROW_BLOCK = 8192  # rows per pass: the block of theta stays in cache for what is done to it
 _KERNEL = "sparsefit.regression._gram"  # compiled; absent where there was no compiler
@@ -74,11 +75,16 @@ class Statistics:
 
     @cached_property
     def gram(self) -> Array:
-        """Z'Z/m (k, k)."""
+        """Z'Z/m (k, k). Raises InputError where it does not fit in memory."""
         gram = self.square
         if gram is None:
             assert self.theta is not None
-            gram = squared(self.theta)
+            try:
+                gram = squared(self.theta)
+            except MemoryError:
+                k = len(self.rms)
+                words = f"Z'Z of {k} columns takes {k * k / 2**27:.1f} GiB, which are not there"
+                raise InputError(f"{words}: use fewer columns") from None
             gram /= self.rms[:, None] * self.samples
             gram /= self.rms
         gram.setflags(write=False)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sparsefit.errors import InputError
 from sparsefit.regression import statistics
 from sparsefit.regression.statistics import (
     Statistics,
@@ -168,3 +169,12 @@ def test_the_gram_matrix_is_formed_for_who_asks_and_by_rows_until_then():
     np.testing.assert_array_equal(own.gram_rows(some), own.gram[some])
     for name in ("rms", "cross", "target_square"):
         np.testing.assert_allclose(getattr(own, name), getattr(summed, name), rtol=1e-13)
+
+
+def test_a_gram_matrix_that_does_not_fit_in_memory_is_refused(monkeypatch):
+    def lacking(theta):
+        raise MemoryError
+
+    monkeypatch.setattr(statistics, "squared", lacking)
+    with pytest.raises(InputError, match=r"Z'Z of 2 columns takes .* GiB.*: use fewer columns"):
+        _ = statistics_of(THETA, TARGET).gram
