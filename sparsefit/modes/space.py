@@ -39,7 +39,9 @@ ITERATIONS, HALVINGS = 60, 12  # of a descent, and of one of its moves
 FOLLOWED = 2  # moves of a lobe that was known: what it has not reached is left to the next answer
 END = 1e-15  # of a parameter: moves below it are rounding
 FLOOR = 1e-15  # of |Phi|^2: residuals below it are rounding
-BELOW = 1e-2  # of |Phi|^2: descents end at most 0.1 of this below the scan's point of their lobe
+# Of |Phi|^2: on 400 flights descents ended at most a sixth of this below the scan's point of their
+# lobe, but for the deepest one where it is of long waves, which the scan's ridge damps.
+BELOW = 0.03
 ROUGH = 1e-2  # in scan steps, 1e-7 of a lobe's depth: where a rival's descent may stop
 FALSE_ALARM = 1e-3  # of a detection, over all lobes of a flight
 SIGNIFICANCE = 0.01  # of a lobe being mistaken for another

@@ -174,3 +174,15 @@ def test_refuses_more_lobes_than_can_be_held(sample):
 def test_refuses_a_flight_that_stands_still():
     with pytest.raises(InputError, match="does not move"):
         refine(np.ones((50, 2)), np.ones((50, 2)), lower=LOWER, upper=UPPER)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_lobes_that_are_spared_would_change_nothing(seed, monkeypatch):
+    flight = noisy(draw(seed, VEHICLES[seed % 2]), seed)
+    seen = measured(flight, Derivative("savgol", 11, 4))
+    quick = refine(*seen, 1.5)
+    monkeypatch.setattr(SearchSpace, "least", lambda *_: 0.0)
+    thorough = refine(*seen, 1.5)
+    assert len(quick.ends) < len(thorough.ends)
+    assert quick.fit.residual == thorough.fit.residual
+    assert quick.rival == thorough.rival
