@@ -64,7 +64,8 @@ def show_case(args: argparse.Namespace) -> int:
 def _show_solve(args: argparse.Namespace, study: SolverStudy) -> int:
     """The same of a study of solvers: solved and judged again, alone, and nothing drawn."""
     from sparsefit.errors import InputError
-    from sparsefit.study.evidence.table import Column, Table, plain
+    from sparsefit.study.evidence.table import Column, Table
+    from sparsefit.study.report.case import text_of
     from sparsefit.study.report.render import to_text
     from sparsefit.study.run.held import cases_of
     from sparsefit.study.run.one_case import solved_again
@@ -75,9 +76,9 @@ def _show_solve(args: argparse.Namespace, study: SolverStudy) -> int:
     again = cases_table(study, [solved_again(study, args.case)]).to_pylist()[0]
     rows = cases_of(study, Path(args.results) / study.name)
     stored = rows[rows["case_id"] == args.case].to_dict("records")
-    before = {str(name): plain(value) for row in stored[:1] for name, value in row.items()}
+    before = stored[0] if stored else {}
     columns = (Column("what", align="left"), Column("stored"), Column("now"))
-    told = [(name, str(before.get(name, "–")), str(value)) for name, value in again.items()]
+    told = [(name, text_of(before.get(name)), text_of(value)) for name, value in again.items()]
     table = Table(f"Case {args.case}", columns, tuple(told))
     if args.json:
         print_json({"case": args.case, **table_record(table)})

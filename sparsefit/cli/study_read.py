@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
     from sparsefit.study.run.summary import RunStatus
     from sparsefit.study.spec.identity import AnyStudy
-
-NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +87,14 @@ def errors(args: argparse.Namespace) -> int:
 
 
 def _grouped(study: AnyStudy, cases: pd.DataFrame) -> list[dict[str, Any]]:
+    from sparsefit.study.evidence.sentence import numberless
     from sparsefit.study.report.kind_pages import pages_of
 
     groups: dict[tuple[str, str, str], dict[str, Any]] = {}
     columns = (cases[name].tolist() for name in ("case_id", "status", "reason"))
     who = pages_of(study).who(cases)
     for label, case_id, status, reason in zip(who, *columns, strict=True):
-        key = (label, status, NUMBER.sub("#", reason))
+        key = (label, status, numberless(reason))
         first = {"cases": 0, "status": status, "label": label, "reason": reason}
         groups.setdefault(key, {**first, "first_case": case_id})["cases"] += 1
     return sorted(groups.values(), key=lambda group: -group["cases"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
@@ -10,8 +11,14 @@ from sparsefit.study.evidence.table import significant
 
 Key = TypeVar("Key", bound=Hashable)
 Item = TypeVar("Item")
+NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 DIGITS = 3  # as a sentence shows them; what agrees in them is named together
 NAMED = 3  # of those that agree; the rest are counted
+
+
+def numberless(text: str) -> str:
+    """The text with `#` for each number: what differs in numbers alone is alike."""
+    return NUMBER.sub("#", text)
 
 
 def gathered(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:

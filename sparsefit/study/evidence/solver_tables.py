@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array
+from sparsefit.study.evidence.sentence import numberless
 from sparsefit.study.evidence.solver_measures import (
     FEWEST,
     MISSING,
@@ -25,7 +26,6 @@ from sparsefit.study.evidence.solver_ratios import ratios
 from sparsefit.study.evidence.table import Column, Table, Value, significant
 from sparsefit.study.spec.solver_study import SolverStudy
 
-NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", re.IGNORECASE)
 FAILURES_SHOWN = 40
 NAMES = ("summary", "ratios", "times", "failures", "growth", "clock", "contenders", "problems")
 
@@ -183,7 +183,7 @@ def failures(cases: pd.DataFrame) -> Table:
     names = ("objective", "solver", "status", "reason", "problem", "tolerance")
     listed = (bad[name].tolist() for name in names)
     for objective, solver, state, reason, problem, tolerance in zip(*listed, strict=True):
-        key = (objective, solver, state, NUMBER.sub("#", reason))
+        key = (objective, solver, state, numberless(reason))
         groups.setdefault(key, []).append((problem, tolerance, reason))
     columns = (
         *(Column(name, align="left") for name in ("objective", "solver", "status")),

@@ -131,13 +131,13 @@ def case_table(study: Study, again: OneCase, stored: Mapping[str, object] | None
     rows: list[tuple[str, str, str, str]] = []
     for name in PARAMETERS:
         label = f"{SYMBOLS[name]} [{UNITS[name]}]"
-        true = _text(getattr(truth, name)) if truth else "–"
+        true = text_of(getattr(truth, name)) if truth else "–"
         for prefix, words in (("est", ""), ("low", ", from"), ("high", ", to")):
             key = f"{prefix}_{name}"
             told = true if prefix == "est" else ""
-            rows.append((f"{label}{words}", told, _stored(stored, key), _text(now[key])))
+            rows.append((f"{label}{words}", told, _stored(stored, key), text_of(now[key])))
     rows += [
-        (name.replace("_", " "), "", _stored(stored, name), _text(now[name])) for name in COMPARED
+        (name.replace("_", " "), "", _stored(stored, name), text_of(now[name])) for name in COMPARED
     ]
     heads = tuple(Column(name, align="left") for name in ("what", "truth", "stored", "run again"))
     case, cell = again.case, again.case.cell
@@ -158,10 +158,11 @@ def _verdict(rows: list[tuple[str, str, str, str]], stored: object) -> list[str]
 
 
 def _stored(stored: Mapping[str, object] | None, key: str) -> str:
-    return "" if stored is None else _text(stored.get(key))
+    return "" if stored is None else text_of(stored.get(key))
 
 
-def _text(value: object) -> str:
+def text_of(value: object) -> str:
+    """Return a value of a row in words, numbers to six digits; a dash for none."""
     value = plain(value)
     if isinstance(value, float):
         return "–" if np.isnan(value) else f"{value:.{DIGITS}g}"

@@ -12,15 +12,16 @@ from matplotlib.figure import Figure
 from sparsefit.study.evidence.sentence import capital
 from sparsefit.study.evidence.solver_answers import limits, sentences
 from sparsefit.study.evidence.solver_tables import tables_of
-from sparsefit.study.report.drawing import to_inline, to_png, to_svg
+from sparsefit.study.evidence.table import Table
+from sparsefit.study.report.drawing import figure_files, to_inline
 from sparsefit.study.report.escape import escape_markdown
 from sparsefit.study.report.html_page import Page, Picture, Section, to_html
-from sparsefit.study.report.render import to_csv, to_latex, to_markdown, to_text
+from sparsefit.study.report.render import table_files, to_markdown, to_text
 from sparsefit.study.report.solver_figures import CAPTIONS, figures_of
 from sparsefit.study.report.study_page import manifest_table
 from sparsefit.study.run.folder import made_folder
 from sparsefit.study.spec.solver_study import SolverStudy
-from sparsefit.whole_file import write_whole
+from sparsefit.whole_file import write_files
 
 
 def write_solver_report(
@@ -32,39 +33,31 @@ def write_solver_report(
         The files written, README.md last.
     """
     folder = made_folder(study, results_dir)
-    written: list[Path] = []
-
-    def write(name: str, content: bytes | str) -> None:
-        write_whole(folder / name, content)
-        written.append(folder / name)
-
-    for name, table in tables_of(study, cases).items():
-        write(f"{name}.md", to_markdown(table))
-        write(f"{name}.tex", to_latex(table))
-        write(f"{name}.csv", to_csv(table))
-    figures = figures_of(study, cases)
+    tables, figures = tables_of(study, cases), figures_of(study, cases)
+    files = table_files(study.name, tables)
     for name, figure in figures.items():
-        write(f"{name}.svg", to_svg(figure))
-        write(f"{name}.png", to_png(figure))
-    write("report.html", to_html(_page(study, folder, cases, figures)))
-    write("README.md", "\n".join(_readme(study, cases, list(figures))) + "\n")
-    return written
+        files |= figure_files(name, figure)
+    files["report.html"] = to_html(_page(study, cases, folder, tables, figures)).encode()
+    files["README.md"] = ("\n".join(_readme(study, cases, tables, list(figures))) + "\n").encode()
+    return write_files(folder, files)
 
 
 def _page(
-    study: SolverStudy, folder: Path, cases: pd.DataFrame, figures: Mapping[str, Figure]
+    study: SolverStudy,
+    cases: pd.DataFrame,
+    folder: Path,
+    tables: Mapping[str, Table],
+    figures: Mapping[str, Figure],
 ) -> Page:
-    tables = tables_of(study, cases)
-    first = [tables.pop(name) for name in list(tables) if name.startswith("summary")]
     titles = {name: capital(name.replace("-", " ")) for name in figures}
     pictures = [
         Picture(to_inline(figure, f"p{place}", titles[name]), titles[name], CAPTIONS[name])
         for place, (name, figure) in enumerate(figures.items(), 1)
     ]
     sections = (
-        Section("Summary", first),
+        Section("Summary", _named(tables, "summary")),
         Section("Pictures", pictures),
-        Section("Tables", list(tables.values())),
+        Section("Tables", _others(tables)),
         Section("Methods", [methods(study, cases)]),
         Section("What this comparison cannot tell", [limits(study, cases)]),
         Section("This run", list(manifest_table(folder))),
@@ -73,17 +66,25 @@ def _page(
     return Page(study.name, study.question, sentences(study, cases), kept)
 
 
-def _readme(study: SolverStudy, cases: pd.DataFrame, figures: list[str]) -> Iterator[str]:
+def _named(tables: Mapping[str, Table], *starts: str) -> list[Table]:
+    return [table for name, table in tables.items() if name.startswith(starts)]
+
+
+def _others(tables: Mapping[str, Table]) -> list[Table]:
+    return [table for name, table in tables.items() if not name.startswith("summary")]
+
+
+def _readme(
+    study: SolverStudy, cases: pd.DataFrame, tables: Mapping[str, Table], figures: list[str]
+) -> Iterator[str]:
     yield f"# {escape_markdown(study.name)}\n\n{escape_markdown(study.question)}\n"
     for sentence in sentences(study, cases):
         yield f"- {escape_markdown(sentence)}"
     yield f"\n{escape_markdown(methods(study, cases))}\n"
-    tables = tables_of(study, cases)
-    first = [name for name in tables if name.startswith("summary")]
-    yield from (to_markdown(tables.pop(name)) for name in first)
+    yield from map(to_markdown, _named(tables, "summary"))
     for name in figures:
         yield f"![{name}]({name}.svg)\n\n{CAPTIONS[name]}\n"
-    yield from map(to_markdown, tables.values())
+    yield from map(to_markdown, _others(tables))
     yield f"## What this comparison cannot tell\n\n{escape_markdown(limits(study, cases))}\n"
     yield "Written by `sparsefit study run` from `cases.parquet`; `manifest.json` has versions."
 
@@ -111,6 +112,5 @@ def methods(study: SolverStudy, cases: pd.DataFrame) -> str:
 def render_solvers(study: SolverStudy, cases: pd.DataFrame, *, width: int) -> str:
     """The question, the answers, the summary and who failed where, for a terminal."""
     head = "\n".join([f"{study.name}: {study.question}", *sentences(study, cases), ""])
-    tables = tables_of(study, cases)
-    first = [table for name, table in tables.items() if name.startswith(("summary", "failures"))]
+    first = _named(tables_of(study, cases), "summary", "failures")
     return "\n".join([head, *(to_text(table, width=width) for table in first)])
