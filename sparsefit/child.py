@@ -54,7 +54,10 @@ class Child:
         context: Any = multiprocessing.get_context(method)
         lifeline, stays = context.Pipe(duplex=False)
         parent = os.getpid() if method == "spawn" else None
-        process = context.Process(target=_live, args=(parent, lifeline, work, told), daemon=True)
+        # What a child starts in its turn looks for modules where the parent would.
+        dropped = [name for name in INHERITED if name not in ONE_THREAD and name not in os.environ]
+        args = (parent, lifeline, dropped, work, told)
+        process = context.Process(target=_live, args=args, daemon=True)
         with _inherited(), _interrupts_ignored():
             process.start()
         lifeline.close()
@@ -84,10 +87,14 @@ class Child:
 def _live(
     parent: int | None,
     lifeline: Connection,
+    dropped: list[str],
     work: Callable[..., object],
     told: tuple[object, ...],
 ) -> None:
     from threadpoolctl import threadpool_limits
+
+    for name in dropped:
+        os.environ.pop(name, None)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with(parent, lifeline)
