@@ -354,6 +354,8 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
         (("--criterion", "mean"), "unknown measure in criterion ="),
         (("--over", "best"), "unknown regime in over ="),
         (("--max-failure", "2"), "max_failure must be"),
+        (("--check", "-1"), "check must be from 0"),
+        (("--seed", "-1"), "seed must be from 0"),
         (("--max-failure", "2%"), '"2%" is not a number'),
         (("--max-memory", "90"), "max_memory needs it"),
         (("--regime", "world"), 'no "world" varies'),

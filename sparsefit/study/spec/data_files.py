@@ -57,7 +57,8 @@ def _check_file(path: Path) -> None:
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: must be a file of kind {', '.join(SUFFIXES)}")
     if not path.is_file():
-        raise InputError(f"{path}: no such file: it is sought beside the study file")
+        found = "is no regular file" if path.exists() else "no such file"
+        raise InputError(f"{path}: {found}: it is sought beside the study file")
     if path.stat().st_size > MOST_BYTES:
         raise InputError(f"{path}: larger than {MOST_BYTES >> 20} MB: take fewer samples")
 

@@ -11,6 +11,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.spec.design import Factor, Protocol
 from sparsefit.study.spec.document import read_section
 
+MOST = {"latency_flights": 100_000, "check": 100_000, "seed": 2**63}
 WORLD = "world"  # as a factor: what a protocol changes of the flights
 AVERAGE, WORST = "average", "worst"
 LEGACY = "-absolute-percentage-error-"  # of a criterion as it was named before there were measures
@@ -59,8 +60,9 @@ class SelectionRule:
                 raise InputError(f"{name} must be above 0; got {most!r}")
         if not 0.0 <= self.margin < 1.0:
             raise InputError(f"margin must be a share, from 0 to below 1; got {self.margin!r}")
-        if self.latency_flights < 0:
-            raise InputError(f"latency_flights must be at least 0; got {self.latency_flights}")
+        for name, most in MOST.items():
+            if not 0 <= getattr(self, name) <= most:
+                raise InputError(f"{name} must be from 0 to {most}; got {getattr(self, name)}")
         if not self.latency_flights and self.timed:
             raise InputError(f"latency_flights = 0 measures nothing, and {self.timed} needs it")
 
