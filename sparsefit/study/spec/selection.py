@@ -11,7 +11,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.spec.design import Factor, Protocol
 from sparsefit.study.spec.document import read_section
 
-MOST = {"latency_flights": 100_000, "check": 100_000, "seed": 2**63}
+MOST = {"latency_flights": 100_000, "check": 100_000}  # flights
 WORLD = "world"  # as a factor: what a protocol changes of the flights
 AVERAGE, WORST = "average", "worst"
 LEGACY = "-absolute-percentage-error-"  # of a criterion as it was named before there were measures
