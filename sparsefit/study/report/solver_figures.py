@@ -88,7 +88,7 @@ def _profiles(study: SolverStudy, cases: pd.DataFrame, look: Look, draw: Drawn) 
             one = times_to(cases, objective, accuracy)
             draw(axes, one, look, objective == rows[-1])
             axes.set_ylim(-0.03, 1.03)
-            axes.set_title(f"{shortened(objective, 28)}, {level_text(accuracy)}")
+            axes.set_title(f"{shortened(objective, 34)}\n{level_text(accuracy)}")
             if accuracy != study.accuracies[0]:
                 axes.tick_params(labelleft=False)
         axes_row[0].set_ylabel("share of problems")
@@ -193,7 +193,7 @@ def _growth(grown: pd.DataFrame, look: Look) -> Figure:
                     markersize=3.0,
                     linewidth=1.0,
                 )
-            axes.set_title(f"{shortened(str(name), 20)}: {shortened(objective, 22)}")
+            axes.set_title(f"{shortened(str(name), 30)}\n{shortened(objective, 30)}")
             sizes = np.unique(here["size"].to_numpy(float))
             axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
             axes.xaxis.set_minor_formatter(NullFormatter())
