@@ -14,7 +14,7 @@ from sparsefit.cli import main
 from sparsefit.errors import InputError
 from sparsefit.study.evidence.solver_compared import solvers_compared
 from sparsefit.study.evidence.solver_ratios import ratios
-from sparsefit.study.run import runner, solver_crew, solver_kind
+from sparsefit.study.run import runner, solver_crew, solver_kind, solver_worker
 from sparsefit.study.run.merge import merge
 from sparsefit.study.run.solver_clock import Repeats, median_interval
 from sparsefit.study.run.solver_solve import (
@@ -323,6 +323,21 @@ def test_a_solve_beyond_the_limit_is_killed_and_one_that_dies_is_told(finished, 
         os.kill(worker.pid, signal.SIGKILL)
         lost = worker.ask(Ask("judge", case))
         assert lost.status == "crashed"
+    finally:
+        worker.close()
+
+
+def test_a_process_that_waits_for_ever_without_working_is_killed_by_the_clock(
+    finished, monkeypatch
+):
+    study = finished[0]
+    worker = Worker(study)
+    try:
+        worker.ask(Hand(study.problems[0].build()))
+        os.kill(worker.pid, signal.SIGSTOP)
+        monkeypatch.setattr(solver_worker, "HAND_SECONDS", 0.3)
+        lost = worker.ask(Ask("first", SolverCase(0, 1, 1e-8)))
+        assert lost == Lost("timeout", "the process took longer than 0.3 s (0.0 s of CPU)")
     finally:
         worker.close()
 

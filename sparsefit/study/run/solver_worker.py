@@ -44,7 +44,7 @@ HAND_SECONDS = 300.0  # until it says that it begins
 FIRST_SECONDS = 180.0  # of the first call: it may compile
 JUDGE_SECONDS = 120.0
 LONGEST_REASON = 300  # letters
-PATIENCE = 10.0  # times the limit on the wall clock: a machine that is busy fails nobody
+PATIENCE = 10.0  # times the limit of a solve, on the wall: a machine that is busy fails nobody
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,11 @@ class Hand:
 
 @dataclass(frozen=True)
 class Begun:
-    """The work begins now and may take this long [s]."""
+    """The work begins now and may take this long [s]; on the wall `patience` times as long."""
 
     seconds: float
     what: str
+    patience: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -141,17 +142,17 @@ class _Desk:
         assert self.problem is not None
         clone = fresh(self.problem)
         memory = PeakMemory() if ask.what == "judge" else None
-        self._begin(limit, "the solve")
+        self._begin(limit, "the solve", PATIENCE)
         solutions, timing = timed(lambda: solve(task, clone))
         megabytes = memory.megabytes() if memory else math.nan
         if ask.what != "judge":
             return Answer(timing)
-        self._begin(JUDGE_SECONDS, "the certificate")
+        self._begin(JUDGE_SECONDS, "the certificate", PATIENCE)
         bounds = self._bounds(contender.problem_of, task)
         return Answer(timing, judged(self.problem, task, solutions, bounds), megabytes)
 
-    def _begin(self, seconds: float, what: str) -> None:
-        self.sender.send(asdict(Begun(seconds, what)))
+    def _begin(self, seconds: float, what: str, patience: float = 1.0) -> None:
+        self.sender.send(asdict(Begun(seconds, what, patience)))
 
     def _bounds(self, solved: str, task: Task) -> Array:
         if solved not in self.bounds and self.problem is not None:
@@ -236,37 +237,37 @@ class Worker:
         """Wait for the answer; every `Begun` sets a new limit.
 
         Seconds are of the process's CPU where the system tells them, so that a busy machine fails
-        no solver, and then `PATIENCE` times as many on the wall.
+        no solver, and then `Begun.patience` times as many on the wall.
         """
-        what, began = "the process", self._clocks()
+        now, began = Begun(seconds, "the process"), self._clocks()
         while True:
-            process.answers.poll(self._left(began, seconds))
+            process.answers.poll(self._left(began, now))
             try:
                 for record in process.receiver.records():
                     message = _message(record)
                     if isinstance(message, Answer):
                         return message
-                    what, seconds, began = message.what, message.seconds, self._clocks()
+                    now, began = message, self._clocks()
             except Garbled:
-                return self._lost("crashed", f"{what}: {GARBLED}")
+                return self._lost("crashed", f"{now.what}: {GARBLED}")
             except (EOFError, OSError):
-                return self._lost("crashed", f"{what}: the process {process.how_it_ended()}")
-            if self._left(began, seconds) <= 0.0:
+                return self._lost("crashed", f"{now.what}: the process {process.how_it_ended()}")
+            if self._left(began, now) <= 0.0:
                 cpu = self._clocks()[0] - began[0]
-                kind = "" if not cpu < seconds else f" ({cpu:.1f} s of CPU)"
-                limit = seconds * PATIENCE if kind else seconds
-                return self._lost("timeout", f"{what} took longer than {limit:g} s{kind}")
+                kind = "" if not cpu < now.seconds else f" ({cpu:.1f} s of CPU)"
+                limit = now.seconds * now.patience if kind else now.seconds
+                return self._lost("timeout", f"{now.what} took longer than {limit:g} s{kind}")
 
     def _clocks(self) -> tuple[float, float]:
         """CPU seconds of the process (NaN where unknown), and of the wall."""
         return _cpu_seconds(self.pid), time.monotonic()
 
-    def _left(self, began: tuple[float, float], seconds: float) -> float:
+    def _left(self, began: tuple[float, float], what: Begun) -> float:
         """Seconds of wall that it may go on at least; 0 where the limit is reached."""
         cpu, wall = (now - then for now, then in zip(self._clocks(), began, strict=True))
         if math.isnan(cpu):
-            return max(seconds - wall, 0.0)
-        return max(min(seconds - cpu, PATIENCE * seconds - wall), 0.0)
+            return max(what.seconds - wall, 0.0)
+        return max(min(what.seconds - cpu, what.patience * what.seconds - wall), 0.0)
 
     def _lost(self, status: str, reason: str) -> Lost:
         self.close()
