@@ -202,10 +202,14 @@ def test_ctrl_c_in_a_flight_is_raised_between_its_samples(monkeypatch):
         return (0.0, 0.0)
 
     monkeypatch.setattr(CellularFlow, "pointwise", lambda _: pressed)
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt):
-        fly()
-    assert signal.getsignal(signal.SIGINT) is before
+    # What is started in the background ignores Ctrl-C.
+    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            fly()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, inherited)
 
 
 def test_steps_out_of_all_places_are_tried_again():
