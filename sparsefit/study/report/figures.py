@@ -132,7 +132,8 @@ def caption(asked: Asked) -> str:
 def _pooling_note(measures: Sequence[Measure]) -> str:
     """How failures count in a picture of these measures, in a sentence."""
     said = {
-        Failure.INFINITE: "A failure counts as infinite: where it decides, the line breaks.",
+        Failure.INFINITE: "A failure counts as infinite: where it decides, the line breaks; what "
+        "has no point has no answer.",
         Failure.MISS: "A failure counts as a miss.",
         Failure.LEFT_OUT: "Failures are left out; their number is in the tables.",
     }
