@@ -4,25 +4,37 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
 @contextmanager
-def interrupts_kept() -> Iterator[list[int]]:
-    """Keep each Ctrl-C in the list that is yielded; what it does, it does at the end of the block.
+def interrupts_kept() -> Iterator[Callable[[], None]]:
+    """Keep Ctrl-C until the function that is yielded is called, or the block ends.
 
-    Only the main thread is ever interrupted; in any other this does nothing.
+    It then does what it would have done: raise KeyboardInterrupt, call the handler of whoever set
+    one, or nothing, and the work goes on. Only the main thread is ever interrupted; in any other
+    this does nothing.
     """
-    kept: list[int] = []
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before is None:
-        yield kept
+        yield lambda: None
         return
-    signal.signal(signal.SIGINT, lambda number, _: kept.append(number))
+    kept: list[int] = []
+
+    def keep() -> None:
+        signal.signal(signal.SIGINT, lambda number, _: kept.append(number))
+
+    def released() -> None:
+        if kept:
+            kept.clear()
+            signal.signal(signal.SIGINT, before)
+            signal.raise_signal(signal.SIGINT)
+            keep()
+
+    keep()
     try:
-        yield kept
+        yield released
+        released()
     finally:
         signal.signal(signal.SIGINT, before)
-    if kept:
-        signal.raise_signal(signal.SIGINT)

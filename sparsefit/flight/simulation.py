@@ -255,11 +255,10 @@ def _integrate(
     fly = _advance_kicked if kicks.any() else _advance
     states = np.empty((len(time), 4))
     states[0] = start
-    with warnings.catch_warnings(), interrupts_kept() as interrupts:
+    with warnings.catch_warnings(), interrupts_kept() as released:
         warnings.simplefilter("ignore", UserWarning)  # _advance raises in its place
         for row, interval in enumerate(kicks, start=1):
-            if interrupts:
-                break
+            released()
             fly(solver, float(time[row]), interval)
             states[row] = solver.y
     return states

@@ -190,26 +190,54 @@ def test_bad_arguments_are_named(changes, message):
         fly(**changes)
 
 
+@pytest.fixture
+def pressed_at(monkeypatch):
+    """Press Ctrl-C once in a flight, under a handler; the times [s] at which the flow was asked."""
+    inherited, at = signal.getsignal(signal.SIGINT), CellularFlow.pointwise
+
+    def under(handler):
+        asked = []
+        signal.signal(signal.SIGINT, handler)
+
+        def pointwise(flow):
+            velocity = at(flow)
+
+            def pressed(x, y, t):
+                asked.append(t)
+                if asked[-1] > 0.1 >= max(asked[:-1]):
+                    signal.raise_signal(signal.SIGINT)
+                return velocity(x, y, t)
+
+            return pressed
+
+        monkeypatch.setattr(CellularFlow, "pointwise", pointwise)
+        return asked
+
+    yield under
+    signal.signal(signal.SIGINT, inherited)
+
+
 @pytest.mark.filterwarnings("error")
-def test_ctrl_c_in_a_flight_is_raised_between_its_samples(monkeypatch):
-    asked = []
+def test_ctrl_c_in_a_flight_is_raised_between_its_samples(pressed_at):
+    asked = pressed_at(signal.default_int_handler)
+    with pytest.raises(KeyboardInterrupt):
+        fly()
+    assert max(asked) < 0.2
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
-    def pressed(x, y, t):
-        if t > 0.1 and not asked:
-            asked.append(t)
-            signal.raise_signal(signal.SIGINT)
-        assert t < 0.2
-        return (0.0, 0.0)
 
-    monkeypatch.setattr(CellularFlow, "pointwise", lambda _: pressed)
-    # What is started in the background ignores Ctrl-C.
-    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            fly()
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, inherited)
+def test_a_flight_goes_on_where_ctrl_c_is_ignored_or_only_noted(pressed_at):
+    undisturbed, noted = fly(), []
+
+    def note(number, _frame):
+        noted.append(number)
+
+    for handler in (signal.SIG_IGN, note):
+        asked = pressed_at(handler)
+        np.testing.assert_array_equal(fly().position, undisturbed.position)
+        assert max(asked) > 0.2
+        assert signal.getsignal(signal.SIGINT) is handler
+    assert noted == [signal.SIGINT]
 
 
 def test_steps_out_of_all_places_are_tried_again():
