@@ -33,12 +33,16 @@ class Brief:
     """
 
     def __repr__(self) -> str:
-        told = [
-            f"{field.name}={_brief(getattr(self, field.name))}"
-            for field in fields(self)  # type: ignore[arg-type]  # who inherits is a dataclass
-            if field.repr and not _is_default(field, getattr(self, field.name))
-        ]
-        return f"{type(self).__name__}({', '.join(told)})"
+        return _told(self)
+
+
+def _told(record: Any) -> str:
+    told = [
+        f"{field.name}={_brief(getattr(record, field.name))}"
+        for field in fields(record)
+        if field.repr and not _is_default(field, getattr(record, field.name))
+    ]
+    return f"{type(record).__name__}({', '.join(told)})"
 
 
 def _is_default(field: "Field[Any]", value: object) -> bool:
@@ -56,6 +60,4 @@ def _brief(value: object) -> str:
             return f"<{len(value)} {type(value[0]).__name__}>"
         told = ", ".join(map(_brief, value))
         return f"({told},)" if len(value) == 1 else f"({told})"
-    if is_dataclass(value) and not isinstance(value, type):
-        return Brief.__repr__(value)  # type: ignore[arg-type]  # its fields are all that is read
-    return repr(value)
+    return _told(value) if is_dataclass(value) and not isinstance(value, type) else repr(value)

@@ -33,7 +33,8 @@ ONE_THREAD = dict.fromkeys(
 )
 # Else a `signal.py` in the folder of the user would stand before Python's, until the paths of the
 # parent are told.
-INHERITED = ONE_THREAD | {"PYTHONSAFEPATH": "1"}
+SAFE = "PYTHONSAFEPATH"
+INHERITED = ONE_THREAD | {SAFE: "1"}
 PR_SET_PDEATHSIG = 1  # of Linux: a signal for when the parent dies
 LONGEST = 1 << 24  # bytes of an answer
 
@@ -54,9 +55,7 @@ class Child:
         context: Any = multiprocessing.get_context(method)
         lifeline, stays = context.Pipe(duplex=False)
         parent = os.getpid() if method == "spawn" else None
-        # What a child starts in its turn looks for modules where the parent would.
-        dropped = [name for name in INHERITED if name not in ONE_THREAD and name not in os.environ]
-        args = (parent, lifeline, dropped, work, told)
+        args = (parent, lifeline, os.environ.get(SAFE), work, told)
         process = context.Process(target=_live, args=args, daemon=True)
         with _inherited(), _interrupts_ignored():
             process.start()
@@ -87,15 +86,14 @@ class Child:
 def _live(
     parent: int | None,
     lifeline: Connection,
-    dropped: list[str],
+    safe: str | None,
     work: Callable[..., object],
     told: tuple[object, ...],
 ) -> None:
     from threadpoolctl import threadpool_limits
 
-    for name in dropped:
-        os.environ.pop(name, None)
-
+    if safe is None:  # what a child starts in its turn looks for modules where the parent would
+        os.environ.pop(SAFE, None)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with(parent, lifeline)
     # What a back-end prints is no answer of the parent's, and what it asks for nobody types.

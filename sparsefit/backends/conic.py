@@ -13,6 +13,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.backends.clarabel_direct import solve_clarabel
+from sparsefit.errors import one_line
 from sparsefit.regression.backend import Solution, SolutionStatus
 from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
@@ -184,7 +185,7 @@ def _solve_one(
         try:
             problem.solve(solver=solver.upper(), **settings)
         except (cvxpy.error.SolverError, ValueError, ArithmeticError) as error:
-            return Solution(None, "error", f"{solver}: {_one_line(error)}", "solver error")
+            return Solution(None, "error", f"{solver}: {one_line(str(error))}", "solver error")
     status = STATUS.get(problem.status, "error")
     words = f"{solver}: {problem.status}"
     iterations = problem.solver_stats.num_iters if problem.solver_stats else None
@@ -192,10 +193,6 @@ def _solve_one(
         return Solution(None, "error", words, str(problem.status), iterations)
     reason = "" if status == "ok" else words
     return Solution(variable.value * scale, status, reason, str(problem.status), iterations)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _zero(statistics: Statistics) -> Solution:

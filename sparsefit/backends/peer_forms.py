@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.errors import described, one_line
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.objective import Penalty, alpha_max
 from sparsefit.regression.problem import RegressionProblem
@@ -127,14 +128,14 @@ def solved(
                 for part in parts
             ]
         except Exception as error:  # a public solver may raise anything
-            words = " ".join(f"{name}: {type(error).__name__}: {error}".split())[:300]
+            words = f"{name}: {described(error)}"
             return (Solution(None, "error", words, type(error).__name__),) * len(fractions)
     weights = np.concatenate(values, axis=1).transpose(0, 2, 1)
     weights = weights * (unit / (omega * statistics.rms))[:, None]
     doubts = [f"{w.category.__name__}: {w.message}" for w in told if _matters(w)]
     if not doubts:
         return tuple(Solution(each, solver_status="returned") for each in weights)
-    words = " ".join(doubts[0].split())[:120]
+    words = one_line(doubts[0], 120)
     return tuple(Solution(each, "inaccurate", f"{name}: {words}", words) for each in weights)
 
 

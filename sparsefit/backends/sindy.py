@@ -18,7 +18,14 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import MissingExtra, integer_setting, number_setting, one_of
+from sparsefit.errors import (
+    MissingExtra,
+    described,
+    integer_setting,
+    number_setting,
+    one_line,
+    one_of,
+)
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
@@ -60,11 +67,10 @@ class PySindy:
             try:
                 optimizer.fit(problem.theta.copy(), problem.target.copy())
             except Exception as error:  # a public package may raise anything
-                words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-                return Solution(None, "error", f"pysindy: {words}", type(error).__name__)
+                return Solution(None, "error", f"pysindy: {described(error)}", type(error).__name__)
         weights = np.asarray(optimizer.coef_, dtype=float).T
         doubts = [str(w.message) for w in told if not issubclass(w.category, DeprecationWarning)]
-        words = " ".join(doubts[0].split())[:120] if doubts else "returned"
+        words = one_line(doubts[0], 120) if doubts else "returned"
         if not weights.any():
             reason = f"pysindy: {self.optimizer} left no column: change its settings"
             return Solution(None, "unidentifiable", reason, words)

@@ -121,6 +121,6 @@ def test_pages_of_a_study_of_ones_own(tmp_path) -> None:  # type: ignore[no-unty
         (({"measure": "seconds"}, {"measure": "seconds", "title": "Again"}), "give each a name"),
     ],
 )
-def test_no_output_leaves_its_folder_or_takes_the_place_of_another(entries, words) -> None:  # type: ignore[no-untyped-def]
+def test_no_output_leaves_its_folder_or_takes_the_place_of_another(entries, words):
     with pytest.raises(InputError, match=words):
         check_outputs(study(tables=entries))
