@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from sparsefit.estimator.estimate import ScaleEstimate as ScaleEstimate
     from sparsefit.estimator.estimator import Estimator as Estimator
     from sparsefit.flight import Flight as Flight
-    from sparsefit.flight import read_flight as read_flight
     from sparsefit.flight import simulate_flight as simulate_flight
-    from sparsefit.flight import write_flight as write_flight
     from sparsefit.flight.faults import LogFaults as LogFaults
     from sparsefit.flight.flow import CellularFlow as CellularFlow
+    from sparsefit.flight.flow import ShapedCells as ShapedCells
     from sparsefit.flight.flow import SuperposedFlow as SuperposedFlow
-    from sparsefit.flight.shaped import ShapedCells as ShapedCells
-    from sparsefit.flight.thrust import ThrustSeries as ThrustSeries
     from sparsefit.flight.turbulence import Turbulence as Turbulence
     from sparsefit.flight.vehicle import PointMassVehicle as PointMassVehicle
+    from sparsefit.flight.vehicle import ThrustSeries as ThrustSeries
     from sparsefit.flight.waves import WaveFlow as WaveFlow
     from sparsefit.library import LengthScaleGrid as LengthScaleGrid
     from sparsefit.library import Library as Library
     from sparsefit.library import WaveGrid as WaveGrid
+    from sparsefit.logs import read_flight as read_flight
+    from sparsefit.logs import write_flight as write_flight
     from sparsefit.modes import Readout as Readout
     from sparsefit.online import OnlineEstimator as OnlineEstimator
     from sparsefit.regression import Certificate as Certificate
@@ -54,16 +54,16 @@ __version__ = "0.3.0"
 _HOMES = {
     "CellularFlow": "flight.flow",
     "SuperposedFlow": "flight.flow",
-    "ShapedCells": "flight.shaped",
+    "ShapedCells": "flight.flow",
     "WaveFlow": "flight.waves",
     "Turbulence": "flight.turbulence",
     "PointMassVehicle": "flight.vehicle",
-    "ThrustSeries": "flight.thrust",
+    "ThrustSeries": "flight.vehicle",
     "Flight": "flight",
     "LogFaults": "flight.faults",
     "simulate_flight": "flight",
-    "read_flight": "flight",
-    "write_flight": "flight",
+    "read_flight": "logs",
+    "write_flight": "logs",
     "Derivative": "derivative",
     "LogQuality": "derivative.quality",
     "quality_of": "derivative.quality",

@@ -16,7 +16,7 @@ from sparsefit.errors import InputError, told_with
 if TYPE_CHECKING:
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.flight import Flight
-    from sparsefit.flight.table import FlightTable
+    from sparsefit.logs.table import FlightTable
 
 EXAMPLE = """\
   sparsefit estimate flight.csv
@@ -107,7 +107,7 @@ def _flight(
     args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
 ) -> Flight:
     """The flight, its vehicle as in the file unless the command line says otherwise."""
-    from sparsefit.flight.table import vehicle_of
+    from sparsefit.logs.table import vehicle_of
 
     given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
     settings = table.settings | given

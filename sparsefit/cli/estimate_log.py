@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from sparsefit.derivative.quality import LogQuality
     from sparsefit.estimator import Estimate
     from sparsefit.flight import Flight
-    from sparsefit.flight.table import FlightTable
     from sparsefit.library import LengthScaleGrid
+    from sparsefit.logs.table import FlightTable
 
 
 def add_log(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def add_log(parser: argparse.ArgumentParser) -> None:
 
 def read_logs(args: argparse.Namespace) -> list[FlightTable]:
     """The tables of all logs, cut to the times that were asked for, in the first one's frame."""
-    from sparsefit.flight.files import read_table
+    from sparsefit.logs.files import read_table
 
     if len(args.only or ()) > 1:
         told = "a flight is of one vehicle; several together are read from Python: read_flight"

@@ -147,7 +147,7 @@ def _changed(estimator: Estimator, args: argparse.Namespace) -> Estimator:
 def _flight(args: argparse.Namespace, plan: Plan) -> Flight:
     from sparsefit.export.example import example_flight
     from sparsefit.export.package import refuse_unlike
-    from sparsefit.flight import read_flight
+    from sparsefit.logs import read_flight
 
     if args.flight is None:
         return example_flight(plan)

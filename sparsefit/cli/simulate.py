@@ -102,10 +102,11 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
     from numpy.random import SeedSequence
 
-    from sparsefit.flight import simulate_flight, write_flight
+    from sparsefit.flight import simulate_flight
     from sparsefit.flight.faults import LogFaults
-    from sparsefit.flight.files import WRITTEN
     from sparsefit.flight.record import MOST_SAMPLES
+    from sparsefit.logs import write_flight
+    from sparsefit.logs.files import WRITTEN
 
     check_output(args.output, force=args.force, endings=WRITTEN)
     flow, faults, (vehicle, thrust) = flow_of(args), faults_of(args), vehicle_of(args)

@@ -11,8 +11,7 @@ from sparsefit.errors import InputError, positive
 if TYPE_CHECKING:
     from sparsefit.flight.faults import LogFaults
     from sparsefit.flight.flow import Flow
-    from sparsefit.flight.thrust import ThrustSeries
-    from sparsefit.flight.vehicle import PointMassVehicle
+    from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
 
 SHAPING = ("heading", "stretch", "angle", "offset", "drift", "swell")
 MEANT = {
@@ -83,8 +82,7 @@ def flow_of(args: argparse.Namespace) -> Flow:
     Raises:
         InputError: for an option without the one that it belongs to, or out of its range.
     """
-    from sparsefit.flight.flow import Cells, CellularFlow, SuperposedFlow
-    from sparsefit.flight.shaped import ShapedCells
+    from sparsefit.flight.flow import Cells, CellularFlow, ShapedCells, SuperposedFlow
     from sparsefit.flight.turbulence import Turbulence
 
     for option, needed in MEANT.items():
@@ -145,8 +143,7 @@ def vehicle_of(args: argparse.Namespace) -> tuple[PointMassVehicle, ThrustSeries
     """
     import math
 
-    from sparsefit.flight.thrust import turning
-    from sparsefit.flight.vehicle import PointMassVehicle
+    from sparsefit.flight.vehicle import PointMassVehicle, turning
 
     default = math.inf if args.drag else 0.5
     response = default if args.response_time is None else args.response_time

@@ -14,8 +14,9 @@ from sparsefit.export.model_answer import DOUBTS, STATUS, Answer
 from sparsefit.export.model_rows import microseconds
 from sparsefit.export.plan import Plan
 from sparsefit.export.source import body, filled, header
-from sparsefit.flight import Flight, csv_file
-from sparsefit.flight.table import FlightTable
+from sparsefit.flight import Flight
+from sparsefit.logs import csv_file
+from sparsefit.logs.table import FlightTable
 
 TOLERANCE = {"double": 1e-9, "float": 1e-5}  # relative, of the C to its model in float64
 ANSWERS = 12  # of a reference, over the flight

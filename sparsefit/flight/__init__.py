@@ -1,6 +1,6 @@
-"""Flights: the record, and the two places it comes from, a simulation or a file.
+"""Flights: the record, the vehicle, the flows, and their simulation.
 
-Readers and the simulation are imported when they are first asked for: an estimator needs neither.
+The simulation is imported when it is first asked for: an estimator does not need it.
 """
 
 from importlib import import_module
@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, Any
 from sparsefit.flight.record import Flight
 
 if TYPE_CHECKING:
-    from sparsefit.flight.files import read_flight, write_flight
     from sparsefit.flight.simulation import simulate_flight
 
-__all__ = ["Flight", "read_flight", "simulate_flight", "write_flight"]
-
-_HOMES = {"read_flight": "files", "write_flight": "files", "simulate_flight": "simulation"}
+__all__ = ["Flight", "simulate_flight"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name != "simulate_flight":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return import_module(f"{__name__}.simulation").simulate_flight

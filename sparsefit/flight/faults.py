@@ -1,4 +1,4 @@
-"""What goes wrong in a log: positions that wander or jump, velocities far off, samples missing.
+"""Faults of a log: positions that wander or jump, velocities far off, samples missing.
 
 Wander is the first-order autoregression e_{i+1} = rho e_i + sqrt(1 - rho^2) sigma n_i with
 rho = exp(-dt/T), as of a satellite receiver.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, integer, is_number, non_negative, positive
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, level_of
 
@@ -29,6 +29,7 @@ class LogFaults:
         jump_size: by how much [m], in a random direction.
         gaps: how many gaps there are; two may overlap.
         gap_duration: the longest they may be [s]; each is drawn uniformly from 0 to it.
+        lost_samples: the share of samples that are lost, each by itself, in [0, .999].
 
     Raises:
         InputError: if one of them is not in its range.
@@ -42,6 +43,7 @@ class LogFaults:
     jump_size: float = 1.0
     gaps: int = 0
     gap_duration: float = 1.0
+    lost_samples: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every fault."""
@@ -54,65 +56,62 @@ class LogFaults:
         level_of("jump_size", self.jump_size, "m")
         integer("gaps", self.gaps, 0)
         non_negative("gap_duration", self.gap_duration, "s")
+        if not is_number(self.lost_samples, 0.0, 0.999):
+            raise InputError(
+                f"lost_samples is a share of the samples, 0 to .999; got {self.lost_samples!r}"
+            )
 
     def spoil(self, flight: Flight, seed: np.random.SeedSequence) -> Flight:
-        """Return the flight as a log with these faults tells it; each has a stream of its own.
+        """Return the log of a flight with these faults; each fault has a stream of its own.
 
         Raises:
-            InputError: if the gaps leave fewer than three samples, or there are more of them or of
-                jumps than samples.
+            InputError: if fewer than three samples are left, or there are more gaps or jumps than
+                samples.
         """
         for name, count in (("jumps", self.jumps), ("gaps", self.gaps)):
             if count > flight.samples:
                 raise InputError(f"{name}: {count} in {flight.samples} samples; give fewer")
         key = seed.spawn_key
-        wander, outlier, jump, gap = (
+        wander, outlier, jump, gap, loss = (
             np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*key, child)))
-            for child in range(4)
+            for child in range(5)
         )
-        position = flight.position + self._wander(flight.time, wander)
-        spoilt = replace(
-            flight,
-            position=position + self._jumps(len(position), jump),
-            velocity=flight.velocity + self._outliers(len(position), outlier),
-        )
-        return self._without_gaps(spoilt, gap)
-
-    def _wander(self, time: Array, stream: np.random.Generator) -> Array:
-        """The error of the position that wanders [m], (m, 2), stationary from the start."""
-        kicks = stream.standard_normal((len(time), 2))
-        kept = np.exp(-np.diff(time) / self.wander_time)
-        for row, share in enumerate(kept.tolist(), start=1):
-            kicks[row] = share * kicks[row - 1] + math.sqrt(1.0 - share * share) * kicks[row]
-        return self.wander * kicks
-
-    def _outliers(self, samples: int, stream: np.random.Generator) -> Array:
-        """The error of the velocities that are far off [m/s], (m, 2)."""
-        hit = stream.random(samples) < self.outliers
-        return self.outlier_size * hit[:, None] * _directions(samples, stream)
-
-    def _jumps(self, samples: int, stream: np.random.Generator) -> Array:
-        """The sum of all jumps so far [m], (m, 2)."""
+        samples = flight.samples
+        error = wander.standard_normal((samples, 2))
+        memory = np.exp(-np.diff(flight.time) / self.wander_time)
+        for row, share in enumerate(memory.tolist(), start=1):
+            error[row] = share * error[row - 1] + math.sqrt(1.0 - share * share) * error[row]
         steps = np.zeros((samples, 2))
-        rows = stream.integers(1, samples, self.jumps)
-        np.add.at(steps, rows, self.jump_size * _directions(self.jumps, stream))
-        return np.cumsum(steps, axis=0)
-
-    def _without_gaps(self, flight: Flight, stream: np.random.Generator) -> Flight:
-        lengths = np.minimum(self.gap_duration * stream.random(self.gaps), flight.duration)
-        starts = flight.time[0] + (flight.duration - lengths) * stream.random(self.gaps)
-        inside = (starts < flight.time[:, None]) & (flight.time[:, None] < starts + lengths)
-        kept = ~inside.any(axis=1)
-        if kept.all():
-            return flight
-        if kept.sum() < MINIMUM_SAMPLES:
+        rows = jump.integers(1, samples, self.jumps)
+        np.add.at(steps, rows, self.jump_size * _directions(self.jumps, jump))
+        hit = outlier.random(samples) < self.outliers
+        off = self.outlier_size * hit[:, None] * _directions(samples, outlier)
+        logged = self._logged(flight, gap, loss)
+        if np.count_nonzero(logged) < MINIMUM_SAMPLES:
             raise InputError(
-                f"gaps of up to {self.gap_duration:g} s leave {kept.sum()} samples of a flight of "
-                f"{flight.duration:g} s: make them fewer or shorter"
+                f"gaps of up to {self.gap_duration:g} s and {self.lost_samples:g} of lost samples "
+                f"leave {np.count_nonzero(logged)} samples of a flight of {flight.duration:g} s: "
+                "make them fewer or shorter"
             )
-        logged = {name: getattr(flight, name)[kept] for name in ("time", "position", "velocity")}
-        thrust = None if flight.thrust is None else flight.thrust[kept]
-        return replace(flight, **logged, thrust=thrust)
+        return replace(
+            flight,
+            time=flight.time[logged],
+            position=(flight.position + self.wander * error + np.cumsum(steps, axis=0))[logged],
+            velocity=(flight.velocity + off)[logged],
+            thrust=None if flight.thrust is None else flight.thrust[logged],
+        )
+
+    def _logged(
+        self, flight: Flight, gap: np.random.Generator, loss: np.random.Generator
+    ) -> BoolArray:
+        """The samples (m,) that are neither in a gap nor lost; the first and the last never are."""
+        lengths = np.minimum(self.gap_duration * gap.random(self.gaps), flight.duration)
+        starts = flight.time[0] + (flight.duration - lengths) * gap.random(self.gaps)
+        time = flight.time[:, None]
+        logged: BoolArray = ~((starts < time) & (time < starts + lengths)).any(axis=1)
+        lost = loss.random(flight.samples) < self.lost_samples
+        lost[[0, -1]] = False
+        return logged & ~lost
 
 
 def _directions(count: int, stream: np.random.Generator) -> Array:

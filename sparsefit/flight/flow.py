@@ -1,36 +1,23 @@
-"""The flows a vehicle flies through: one cellular flow (Eqs. 1-2), or flows of any kind superposed.
-
-Every flow is a frozen record with ``velocity(x, y, t)``, ``pointwise()`` (the same on plain floats,
-for the integrator), ``cells`` (what in it an estimator seeks) and ``period`` [m], the side of the
-square from which a flight's start is drawn.
-"""
+"""The flows a vehicle flies through: the paper's cells (Eqs. 1-2), cells of any shape, and sums."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
-from sparsefit.errors import InputError, pair, positive
-from sparsefit.flight.shaped import ShapedCells
-from sparsefit.flight.turbulence import Turbulence
-from sparsefit.flight.waves import PointVelocity, WaveFlow
+from sparsefit.errors import InputError, finite, is_number, non_negative, pair, positive
+from sparsefit.flight.waves import Cells, Flow, FlowField
 
-
-class FlowField(Protocol):
-    """Anything that has a flow velocity everywhere: a true flow, or an estimated one."""
-
-    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s]."""
-        ...
+__all__ = ["Cells", "CellularFlow", "Flow", "FlowField", "ShapedCells", "SuperposedFlow", "as_flow"]
+THINNEST = 1e6  # the longer side of a cell over the other
 
 
 @dataclass(frozen=True)
-class CellularFlow:
+class CellularFlow(Cells):
     """A steady array of eddies that alternate in their direction of rotation (Eq. 1).
 
     ``w = U0 (sin(pi x/L) cos(pi y/L), -cos(pi x/L) sin(pi y/L))``: free of divergence, of
@@ -55,11 +42,6 @@ class CellularFlow:
         object.__setattr__(self, "length_scale", scale)
 
     @property
-    def timescale(self) -> float:
-        """The turnover time L / U0 [s] (Eq. 2)."""
-        return self.length_scale / self.mean_velocity
-
-    @property
     def wavenumber(self) -> float:
         """The wavenumber pi / L [1/m]."""
         return math.pi / self.length_scale
@@ -70,66 +52,88 @@ class CellularFlow:
         return (self.length_scale, self.length_scale)
 
     @property
-    def heading(self) -> float:
-        """0 rad: the cells lie along the axes."""
-        return 0.0
-
-    @property
-    def drift(self) -> tuple[float, float]:
-        """(0, 0) m/s: the cells stay where they are."""
-        return (0.0, 0.0)
-
-    @property
     def components(self) -> tuple[CellularFlow, ...]:
         """The flow as a superposition of one."""
         return (self,)
 
-    @property
-    def wind(self) -> tuple[float, float]:
-        """No steady wind [m/s]: a cellular flow has none of its own."""
-        return (0.0, 0.0)
+    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+        """Return Eq. 1, as of `Flow`."""
+        k, speed, sin, cos = self.wavenumber, self.mean_velocity, functions.sin, functions.cos
 
-    @property
-    def cells(self) -> tuple[CellularFlow, ...]:
-        """The flow itself."""
-        return (self,)
-
-    @property
-    def period(self) -> float:
-        """The period 2 L [m]."""
-        return 2.0 * self.length_scale
-
-    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the flow velocity w [m/s], shape (..., 2), at positions x, y [m] (Eq. 1).
-
-        x, y and t [s], which changes nothing, are broadcast against each other to the shape (...).
-        """
-        east, north, _ = np.broadcast_arrays(
-            self.wavenumber * np.asarray(x, dtype=np.float64),
-            self.wavenumber * np.asarray(y, dtype=np.float64),
-            t,
-        )
-        shape = (np.sin(east) * np.cos(north), -np.cos(east) * np.sin(north))
-        return self.mean_velocity * np.stack(shape, axis=-1)
-
-    def pointwise(self) -> PointVelocity:
-        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
-        k, speed, sin, cos = self.wavenumber, self.mean_velocity, math.sin, math.cos
-
-        def velocity(x: float, y: float, _: float) -> tuple[float, float]:
+        def velocity(x: Any, y: Any, _: Any) -> tuple[Any, Any]:
             east, north = k * x, k * y
             return speed * sin(east) * cos(north), -(speed * cos(east) * sin(north))
 
         return velocity
 
 
-Cells: TypeAlias = CellularFlow | ShapedCells
-Part: TypeAlias = CellularFlow | ShapedCells | WaveFlow | Turbulence
-PARTS = (CellularFlow, ShapedCells, WaveFlow, Turbulence)
+@dataclass(frozen=True)
+class ShapedCells(Cells):
+    """Cells that may be turned, stretched or skewed, off the origin, drifting and swelling.
+
+    Args:
+        mean_velocity: U0 = sqrt(2 <|w|^2>) [m/s] without swell, > 0.
+        length_scales: (L_x, L_y) [m], the distances between the walls of a cell along its own
+            axes, > 0; one number: square cells.
+        heading: by which the cells are turned counter-clockwise [rad]: rectangles so that L_x is
+            along (cos, sin) of it, cells of any shape so that it halves the angle of their waves.
+        angle: between the two families of walls [rad], in (0, pi); pi/2: rectangles; else cells
+            with L_x = L_y are rhombs.
+        offset: where a corner of the cells is at t = 0 [m], (x, y).
+        drift: the velocity at which the pattern moves [m/s], (x, y).
+        swell: s, the share of U0 by which it swells and ebbs, in [0, 1).
+        swell_period: T [s], > 0.
+        swell_phase: [rad].
+
+    Raises:
+        InputError: if one of them is not a finite number in its range.
+    """
+
+    mean_velocity: float
+    length_scales: tuple[float, float]
+    heading: float = 0.0
+    angle: float = math.pi / 2.0
+    offset: tuple[float, float] = (0.0, 0.0)
+    drift: tuple[float, float] = (0.0, 0.0)
+    swell: float = 0.0
+    swell_period: float = 20.0
+    swell_phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the parameters and store them as floats."""
+        given = self.length_scales
+        sides = pair("length_scales", (given, given) if is_number(given) else given, "m")
+        sides = (positive("length_scales", sides[0], "m"), positive("length_scales", sides[1], "m"))
+        if max(sides) > THINNEST * min(sides):
+            raise InputError(f"length_scales differ by more than {THINNEST:g} times: no cells")
+        angle = positive("angle", self.angle, "rad")
+        if angle >= math.pi:
+            raise InputError(f"angle must lie between 0 and pi [rad]; got {angle!r}")
+        swell = non_negative("swell", self.swell)
+        if swell >= 1.0:
+            raise InputError(f"swell is a share of mean_velocity, below 1; got {swell!r}")
+        checked = {
+            "mean_velocity": positive("mean_velocity", self.mean_velocity, "m/s"),
+            "length_scales": sides,
+            "heading": finite("heading", self.heading, "rad"),
+            "angle": angle,
+            "offset": pair("offset", self.offset, "m"),
+            "drift": pair("drift", self.drift, "m/s"),
+            "swell": swell,
+            "swell_period": positive("swell_period", self.swell_period, "s"),
+            "swell_phase": finite("swell_phase", self.swell_phase, "rad"),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def length_scale(self) -> float:
+        """The length sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells."""
+        return self.waves.length_scale
 
 
 @dataclass(frozen=True)
-class SuperposedFlow:
+class SuperposedFlow(Flow):
     """The sum of several flows, eddies within eddies or in turbulence, and of a steady wind.
 
     Args:
@@ -142,7 +146,7 @@ class SuperposedFlow:
             wind is not two finite numbers.
     """
 
-    components: tuple[Part, ...]
+    components: tuple[Flow, ...]
     wind: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -151,8 +155,8 @@ class SuperposedFlow:
         parts = tuple(given) if isinstance(given, (tuple, list)) else ()
         object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
         only_wind = given == () and any(self.wind)
-        flows = bool(parts) and all(isinstance(part, PARTS) for part in parts)
-        if not (only_wind or flows):
+        flows = [isinstance(part, Flow) and not isinstance(part, SuperposedFlow) for part in parts]
+        if not (only_wind or (flows and all(flows))):
             raise InputError(
                 "SuperposedFlow needs a tuple of at least one CellularFlow or other flow, "
                 f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {given!r}"
@@ -174,32 +178,58 @@ class SuperposedFlow:
         """The longest period of its cells [m], of all components without cells, 0 of a wind."""
         return max((part.period for part in self.cells or self.components), default=0.0)
 
-    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the summed flow velocity [m/s], shape (..., 2), at positions x, y [m] and t [s].
+    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+        """Return the sum of the components and the wind, as of `Flow`."""
+        (east, north), parts = self.wind, [part.formula(functions) for part in self.components]
 
-        x, y and t are broadcast against each other to the shape (...).
-        """
-        shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(t))
-        total: Array = np.zeros((*shape, 2)) + self.wind
-        for part in self.components:
-            total += part.velocity(x, y, t)
-        return total
-
-    def pointwise(self) -> PointVelocity:
-        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
-        east, north = self.wind
-        parts = [part.pointwise() for part in self.components]
-
-        def velocity(x: float, y: float, t: float) -> tuple[float, float]:
+        def velocity(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
             u, v = east, north
             for part in parts:
                 more_u, more_v = part(x, y, t)
-                u += more_u
-                v += more_v
+                u = u + more_u
+                v = v + more_v
             return u, v
 
         return velocity
 
 
-Flow: TypeAlias = Part | SuperposedFlow
-FLOWS = (*PARTS, SuperposedFlow)
+@dataclass(frozen=True, eq=False)
+class FieldFlow(Flow):
+    """A flow of a user's own: any object with ``velocity(x, y, t)``; it has no cells."""
+
+    field: FlowField
+
+    @property
+    def mean_velocity(self) -> float:
+        """U0 [m/s] where the object has one, else NaN."""
+        return float(getattr(self.field, "mean_velocity", math.nan))
+
+    @property
+    def period(self) -> float:
+        """The period [m] where the object has one, else 0: flights start at the origin."""
+        return float(getattr(self.field, "period", 0.0))
+
+    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+        """Return the object's own velocity, as of `Flow`."""
+
+        def velocity(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
+            u, v = np.moveaxis(np.asarray(self.field.velocity(x, y, t), np.float64), -1, 0)
+            return u, v
+
+        return velocity
+
+
+def as_flow(flow: object) -> Flow | None:
+    """Return a flow as it is, None of None, and a `FieldFlow` of any object with a velocity.
+
+    Raises:
+        InputError: if it is none of them.
+    """
+    if flow is None or isinstance(flow, Flow):
+        return flow
+    if not callable(getattr(flow, "velocity", None)):
+        raise InputError(
+            "flow must be one of CellularFlow, ShapedCells, WaveFlow, Turbulence, SuperposedFlow, "
+            f"None, or an object with velocity(x, y, t); got {flow!r}"
+        )
+    return FieldFlow(flow)  # type: ignore[arg-type]

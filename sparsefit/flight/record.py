@@ -1,4 +1,4 @@
-"""The record of one flight, and what makes it a valid one."""
+"""The record of one flight, and the checks of it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from sparsefit.arrays import Array, Brief
 from sparsefit.errors import InputError, non_negative, one_of
-from sparsefit.flight.flow import FLOWS, Flow
-from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.flow import Flow, as_flow
+from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle
 
+__all__ = ["FRAMES", "LARGEST", "MINIMUM_SAMPLES", "MOST_SAMPLES", "SMALLEST_STEP", "Flight"]
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
-MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
 SMALLEST_STEP = 1e-9  # [s] between samples, in the mean
 FRAMES = {
     "": "x and y as in the file",
@@ -24,7 +24,7 @@ LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Flight(Brief):
-    """What a vehicle logged: time, position and velocity on the same samples.
+    """The log of a vehicle: time, position and velocity on the same samples.
 
     The arrays are stored as read-only float64 copies. Rows count from 0 in every message.
 
@@ -33,12 +33,13 @@ class Flight(Brief):
         position: (x, y) [m], shape (m, 2).
         velocity: (vx, vy) [m/s], shape (m, 2).
         vehicle: the vehicle that flew.
-        flow: the true flow where it is known; no estimate ever reads it.
+        flow: the true flow where it is known, also any object with ``velocity(x, y, t)``; no
+            estimate ever reads it.
         velocity_measured: whether the velocity was logged, or is only that of the position.
         thrust: measured thrust acceleration m [m/s^2], shape (m, 2), in the axes of the position;
             None where it is the vehicle's constant alone.
-        frame: what x and y are: ``ENU`` (east, north), ``NED`` (north, east) or empty where the
-            log does not say. Nothing is turned: results are in the same axes.
+        frame: the axes: ``ENU`` (east, north), ``NED`` (north, east) or empty where the log does
+            not say. Nothing is turned: results are in the same axes.
 
     Raises:
         InputError: naming the field and row, if the shapes differ, a value is not finite or
@@ -64,42 +65,31 @@ class Flight(Brief):
         thrust: Array | None = None,
         frame: str = "",
     ) -> Flight:
-        """A flight whose log has positions only.
+        """Return a flight whose log has positions only.
 
-        Args:
-            time: t [s], shape (m,), strictly increasing, m >= 3.
-            position: (x, y) [m], shape (m, 2).
-            vehicle: the vehicle that flew.
-            flow: the true flow where it is known.
-            thrust: measured thrust acceleration [m/s^2], shape (m, 2), where there is one.
-            frame: what x and y are.
-
-        Returns:
-            The flight. Its velocity is the difference quotient of the position; the derivative
-            ``auto`` does not read it, but takes velocity and acceleration from one polynomial
-            through the positions.
+        The arguments are those of the class. The velocity is the difference quotient of the
+        position; no estimate reads it where `velocity_measured` is false.
 
         Raises:
             InputError: as `Flight` does.
         """
         t, x = _frozen("time", time, ("m",)), _frozen("position", position, ("m", 2))
-        _check_lengths(t, x, x)
-        _check_increasing(t)
-        speed = np.gradient(x, t, axis=0)
-        return cls(t, x, speed, vehicle, flow, False, thrust, frame)
+        _check_clock(t, x, x)
+        return cls(t, x, np.gradient(x, t, axis=0), vehicle, flow, False, thrust, frame)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
         time = _frozen("time", self.time, ("m",))
         position = _frozen("position", self.position, ("m", 2))
         velocity = _frozen("velocity", self.velocity, ("m", 2))
-        _check_lengths(time, position, velocity)
-        _check_increasing(time)
-        check_models(self.vehicle, self.flow)
+        _check_clock(time, position, velocity)
+        if not isinstance(self.vehicle, PointMassVehicle):
+            raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
         one_of("frame", self.frame, FRAMES)
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "velocity", velocity)
+        object.__setattr__(self, "flow", as_flow(self.flow))
         if self.thrust is not None:
             thrust = _frozen("thrust", self.thrust, ("m", 2))
             if len(thrust) != len(time):
@@ -123,11 +113,28 @@ class Flight(Brief):
         return float(np.ptp(self.position, axis=0).max())
 
 
+def level_of(name: str, value: object, unit: str) -> float:
+    """Return a level of noise, or raise `InputError` unless it is one that a flight may have."""
+    level = non_negative(name, value, unit)
+    if level > LARGEST:
+        raise InputError(f"{name} is {level:g} {unit}: no flight has as much; lower it")
+    return level
+
+
 def _frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
-    """Return a read-only float64 copy, or refuse by name, shape and row."""
-    array = _floats(name, given)
-    wanted = (*array.shape[:1], *shape[1:])
-    if array.ndim != len(shape) or array.shape != wanted:
+    """Return a read-only float64 copy, or refuse by name, shape and row.
+
+    Text, dates, complex, masked and ragged input is refused, not cast.
+    """
+    try:
+        raw = np.asarray(given)
+    except ValueError:
+        raise InputError(f"{name} must be an array of numbers; its rows differ in length") from None
+    if raw.dtype.kind not in "iuf" or np.ma.is_masked(given):
+        kind = "masked values" if np.ma.is_masked(given) else f"type {raw.dtype}"
+        raise InputError(f"{name} must be an array of real numbers; got {kind}")
+    array = np.array(raw, dtype=np.float64, order="C")
+    if array.ndim != len(shape) or array.shape[1:] != shape[1:]:
         text = "(m,)" if len(shape) == 1 else "(m, 2)"
         raise InputError(f"{name} must have shape {text}; got {array.shape}")
     bad = np.argwhere(~np.isfinite(array))
@@ -143,19 +150,8 @@ def _frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
     return array
 
 
-def _floats(name: str, value: object) -> Array:
-    """Copy to float64; text, dates, complex, masked and ragged input is refused, not cast."""
-    try:
-        raw = np.asarray(value)
-    except ValueError:
-        raise InputError(f"{name} must be an array of numbers; its rows differ in length") from None
-    if raw.dtype.kind not in "iuf" or np.ma.is_masked(value):
-        kind = "masked values" if np.ma.is_masked(value) else f"type {raw.dtype}"
-        raise InputError(f"{name} must be an array of real numbers; got {kind}")
-    return np.array(raw, dtype=np.float64, order="C")
-
-
-def _check_lengths(time: Array, position: Array, velocity: Array) -> None:
+def _check_clock(time: Array, position: Array, velocity: Array) -> None:
+    """Refuse rows that are not one per sample, too few, or at times that do not increase."""
     counts = (len(time), len(position), len(velocity))
     if len(set(counts)) != 1:
         raise InputError(
@@ -164,9 +160,6 @@ def _check_lengths(time: Array, position: Array, velocity: Array) -> None:
         )
     if len(time) < MINIMUM_SAMPLES:
         raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples; got {len(time)}")
-
-
-def _check_increasing(time: Array) -> None:
     falls = np.flatnonzero(np.diff(time) <= 0)
     if len(falls):
         row = int(falls[0]) + 1
@@ -178,20 +171,3 @@ def _check_increasing(time: Array) -> None:
     step = float(time[-1] - time[0]) / (len(time) - 1)
     if step < SMALLEST_STEP:
         raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")
-
-
-def level_of(name: str, value: object, unit: str) -> float:
-    """Return a level of noise, or raise `InputError` unless it is one that a flight may have."""
-    level = non_negative(name, value, unit)
-    if level > LARGEST:
-        raise InputError(f"{name} is {level:g} {unit}: no flight has as much; lower it")
-    return level
-
-
-def check_models(vehicle: object, flow: object) -> None:
-    """Raise `InputError` unless they are a vehicle and a flow, or None, of this package."""
-    if not isinstance(vehicle, PointMassVehicle):
-        raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
-    if flow is not None and not isinstance(flow, FLOWS):
-        names = ", ".join(kind.__name__ for kind in FLOWS)
-        raise InputError(f"flow must be one of {names}, or None; got {flow!r}")

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import math
+import signal
+import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, is_number, pair, positive
-from sparsefit.flight.flow import Flow
-from sparsefit.flight.interrupts import interrupts_kept
+from sparsefit.flight.flow import Flow, FlowField, as_flow
 from sparsefit.flight.record import (
     MINIMUM_SAMPLES,
     MOST_SAMPLES,
     SMALLEST_STEP,
     Flight,
-    check_models,
     level_of,
 )
-from sparsefit.flight.thrust import ThrustSeries
-from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.flight.waves import PointVelocity
+from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
 
 if TYPE_CHECKING:
     from scipy.integrate import ode
@@ -32,11 +31,14 @@ RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
 INTEGRATION = 1e-13  # relative and absolute tolerance; leaves a defect below 1e-12 m/s per sample
 EVEN = 1e-6  # of a sample interval: steps that differ by less do so by rounding
-STEPS_PER_INTERVAL = 10_000  # beyond this the equation is stiff and deserves a refusal
+EXPLICIT = 200  # steps of DOP853 in an interval: an equation that needs more is stiff
+IMPLICIT = 100_000  # steps of LSODA, which then takes over
+EVALUATIONS = (10_000_000, 2_000)  # of the right-hand side: in all, and more for each sample
+_LSODA = threading.Lock()  # its state is one for the whole process
 
 
 def simulate_flight(
-    flow: Flow | None,
+    flow: FlowField | None,
     vehicle: PointMassVehicle,
     *,
     duration: float,
@@ -59,7 +61,8 @@ def simulate_flight(
     share one draw.
 
     Args:
-        flow: the true flow; kept in the flight for scoring. None: still air.
+        flow: the true flow, or any object with ``velocity(x, y, t)``; kept in the flight for
+            scoring. None: still air.
         vehicle: the vehicle.
         duration: [s]; the flight has round(duration * sample_rate) + 1 samples.
         sample_rate: [Hz].
@@ -81,49 +84,52 @@ def simulate_flight(
         The flight; without noise, the solution of Eq. 14 to about 1e-12 per sample interval.
 
     Raises:
-        InputError: if an argument is out of its range, or the equation is too stiff to integrate.
+        InputError: if an argument is out of its range, or the equation is too fast to integrate.
     """
-    check_models(vehicle, flow)
-    start_stream, process_stream, position_stream, velocity_stream, *others = _streams(seed)
-    time_stream, thrust_stream = others
+    true_flow = as_flow(flow)
+    if not isinstance(vehicle, PointMassVehicle):
+        raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
+    if not isinstance(seed, np.random.SeedSequence):
+        if not is_integer(seed, 0):
+            raise InputError(
+                f"seed must be an integer, 0 or above, or a SeedSequence; got {seed!r}"
+            )
+        seed = np.random.SeedSequence(int(seed))
+    children = [  # those of `spawn(6)`, without its count of past spawns
+        np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, i)))
+        for i in range(6)
+    ]
+    start_stream, process_stream, position_stream, velocity_stream = children[:4]
     time = _sample_times(duration, sample_rate)
-    time = _jittered(time, time_jitter, time_stream)
-    state = (
-        *_start(flow, initial_position, start_stream),
-        *pair("initial_velocity", initial_velocity, "m/s"),
-    )
+    if not is_number(time_jitter, 0.0) or time_jitter >= 0.5:
+        raise InputError(
+            f"time_jitter is a share of 1/sample_rate in [0, 0.5); got {time_jitter!r}"
+        )
+    if time_jitter:
+        shifts = time_jitter * float(time[1]) * children[4].uniform(-1.0, 1.0, len(time) - 1)
+        time = np.concatenate([time[:1], time[1:] + shifts])
+    period = true_flow.period if true_flow is not None else 0.0
+    if initial_position is None:
+        initial_position = start_stream.uniform(0.0, period, 2) if period else (0.0, 0.0)
+    place = pair("initial_position", initial_position, "m")
+    state = (*place, *pair("initial_velocity", initial_velocity, "m/s"))
     kicks = _kicks(process_noise, time, integer("substeps", substeps, 1), process_stream)
     blur = level_of("position_noise", position_noise, "m")
     jitter = level_of("velocity_noise", velocity_noise, "m/s")
     level = level_of("thrust_noise", thrust_noise, "m/s^2")
     logged = None if thrust is None else thrust.at(time)
-    states = _integrate(_right_hand_side(flow, vehicle, thrust), state, time, kicks)
+    most = EVALUATIONS[0] + EVALUATIONS[1] * len(time)
+    states = _integrate(_right_hand_side(true_flow, vehicle, thrust, most), state, time, kicks)
     if logged is not None:
-        logged = logged + level * thrust_stream.standard_normal(logged.shape)
+        logged = logged + level * children[5].standard_normal(logged.shape)
     return Flight(
         time=time,
         position=states[:, :2] + blur * position_stream.standard_normal((len(time), 2)),
         velocity=states[:, 2:] + jitter * velocity_stream.standard_normal((len(time), 2)),
         vehicle=vehicle,
-        flow=flow,
+        flow=true_flow,
         thrust=logged,
     )
-
-
-def _streams(seed: int | np.random.SeedSequence) -> list[np.random.Generator]:
-    """Return the six streams of ``SeedSequence.spawn(6)``, without its count of past spawns."""
-    root = seed if isinstance(seed, np.random.SeedSequence) else _root(seed)
-    children = (
-        np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, child))
-        for child in range(6)
-    )
-    return [np.random.default_rng(child) for child in children]
-
-
-def _root(seed: int) -> np.random.SeedSequence:
-    if not is_integer(seed, 0):
-        raise InputError(f"seed must be an integer, 0 or above, or a SeedSequence; got {seed!r}")
-    return np.random.SeedSequence(int(seed))
 
 
 def _sample_times(duration: float, sample_rate: float) -> Array:
@@ -143,28 +149,6 @@ def _sample_times(duration: float, sample_rate: float) -> Array:
             f"needs {MINIMUM_SAMPLES}: fly longer or sample faster"
         )
     return np.arange(intervals + 1) / rate
-
-
-def _jittered(time: Array, jitter: float, stream: np.random.Generator) -> Array:
-    """Return the times [s], (m,), of samples taken early or late; the first one is on time."""
-    if not is_number(jitter, 0.0) or jitter >= 0.5:
-        raise InputError(f"time_jitter is a share of 1/sample_rate in [0, 0.5); got {jitter!r}")
-    if not jitter:
-        return time
-    shifts = jitter * float(time[1]) * stream.uniform(-1.0, 1.0, len(time) - 1)
-    return np.concatenate([time[:1], time[1:] + shifts])
-
-
-def _start(
-    flow: Flow | None, position: Sequence[float] | Array | None, stream: np.random.Generator
-) -> tuple[float, float]:
-    """Return the initial position [m]: the one given, else one drawn from a period of the flow."""
-    if position is not None:
-        return pair("initial_position", position, "m")
-    period = flow.period if flow else 0.0
-    if not period:
-        return (0.0, 0.0)
-    return pair("initial_position", stream.uniform(0.0, period, 2), "m")
 
 
 def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator) -> Array:
@@ -187,53 +171,36 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
 
 
 def _right_hand_side(
-    flow: Flow | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None = None
+    flow: Flow | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None, most: int
 ) -> RightHandSide:
-    """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more."""
-    flow_at = _anywhere(flow.pointwise()) if flow else _still
-    rate, drag = vehicle.rate, vehicle.drag
+    """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more.
+
+    The compiled integrator calls it: it raises nothing. It is NaN where a step has left all
+    places, which `math.sin` refuses, and after ``most`` evaluations; `_integrate` sees both.
+    """
+    flow_at = flow.pointwise() if flow else lambda _x, _y, _t: (0.0, 0.0)
+    push = thrust.pointwise() if thrust else None
+    rate, drag, scale = vehicle.rate, vehicle.drag, vehicle.thrust_scale
     ax, ay = vehicle.thrust_acceleration
-    if drag or thrust is not None:
-        push, scale = thrust.pointwise() if thrust else _unpushed, vehicle.thrust_scale
-
-        def general(t: float, state: Array) -> list[float]:
-            x, y, vx, vy = state.tolist()
-            wx, wy = flow_at(x, y, t)
-            mx, my = push(t)
-            own = rate + drag * math.hypot(wx - vx, wy - vy)
-            return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
-
-        return general
+    count = 0
 
     def derivative(t: float, state: Array) -> list[float]:
+        nonlocal count
+        count += 1
         x, y, vx, vy = state.tolist()
-        wx, wy = flow_at(x, y, t)
-        return [vx, vy, (wx - vx) * rate + ax, (wy - vy) * rate + ay]
+        try:
+            wx, wy = flow_at(x, y, t)
+        except (ValueError, OverflowError):
+            wx = wy = math.nan
+        if count > most:
+            wx = wy = math.nan
+        if push is None and not drag:
+            return [vx, vy, (wx - vx) * rate + ax, (wy - vy) * rate + ay]
+        mx, my = push(t) if push else (0.0, 0.0)
+        own = rate + drag * math.hypot(wx - vx, wy - vy)
+        return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
 
     return derivative
-
-
-def _anywhere(flow_at: PointVelocity) -> PointVelocity:
-    """The same, NaN where a step has left all places, which `math.sin` refuses; `_advance` sees it.
-
-    What the compiled integrator calls must raise nothing.
-    """
-
-    def velocity(x: float, y: float, t: float) -> tuple[float, float]:
-        try:
-            return flow_at(x, y, t)
-        except (ValueError, OverflowError):
-            return math.nan, math.nan
-
-    return velocity
-
-
-def _still(_x: float, _y: float, _t: float) -> tuple[float, float]:
-    return 0.0, 0.0
-
-
-def _unpushed(_t: float) -> tuple[float, float]:
-    return 0.0, 0.0
 
 
 def _integrate(
@@ -242,49 +209,88 @@ def _integrate(
     """Return the states (m, 4) at ``time``; every sample is the end of a step.
 
     Strang splitting: half a kick, the exact motion over one substep, the other half. The drift
-    stays exact however small the noise; the error of Euler-Maruyama would drown it.
+    stays exact however small the noise; the error of Euler-Maruyama would drown it. A stiff
+    equation, of a vehicle that follows the flow at once, is passed on to an implicit method.
+
+    Raises:
+        InputError: where neither method gets to the end of an interval.
     """
-    from scipy.integrate import ode  # half of what the package takes to import
+    import scipy.integrate  # half of what the package takes to import
 
     # The compiled DOP853 stops at each sample in 10-45 ms per 1000 samples. solve_ivp with
     # t_eval interpolates (defect 1e-9 m/s at rtol 1e-11); stepping it to each sample costs 5x.
-    solver = ode(right_hand_side).set_integrator(
-        "dop853", rtol=INTEGRATION, atol=INTEGRATION, nsteps=STEPS_PER_INTERVAL
+    explicit = scipy.integrate.ode(right_hand_side).set_integrator(
+        "dop853", rtol=INTEGRATION, atol=INTEGRATION, nsteps=EXPLICIT
     )
-    solver.set_initial_value(start, time[0])
-    fly = _advance_kicked if kicks.any() else _advance
     states = np.empty((len(time), 4))
     states[0] = start
-    with warnings.catch_warnings(), interrupts_kept() as released:
-        warnings.simplefilter("ignore", UserWarning)  # _advance raises in its place
-        for row, interval in enumerate(kicks, start=1):
-            released()
-            fly(solver, float(time[row]), interval)
+
+    halves, kicked = kicks / 2.0, bool(kicks.any())
+
+    def fly(solver: ode, start: int, interrupt: Callable[[], None]) -> int:
+        """Fill the rows after ``start`` as far as the solver gets; return the last of them."""
+
+        def push(half: Array) -> None:
+            if kicked:  # the solver starts anew from there
+                solver.set_initial_value([*solver.y[:2], *(solver.y[2:] + half)], solver.t)
+
+        solver.set_initial_value(states[start], time[start])
+        for row in range(start + 1, len(time)):
+            interrupt()
+            stops = np.linspace(time[row - 1], time[row], halves.shape[1] + 1)[1:]
+            for stop, half in zip(stops.tolist(), halves[row - 1], strict=True):
+                push(half)
+                solver.integrate(stop)
+                if not solver.successful() or not np.isfinite(solver.y).all():
+                    return row - 1
+                push(half)
             states[row] = solver.y
+        return len(time) - 1
+
+    with warnings.catch_warnings(), _interrupts_kept() as interrupt:
+        warnings.simplefilter("ignore", UserWarning)  # the refusal below says it
+        row = fly(explicit, 0, interrupt)
+        if row < len(time) - 1:
+            implicit = scipy.integrate.ode(right_hand_side).set_integrator(
+                "lsoda", rtol=10 * INTEGRATION, atol=10 * INTEGRATION, nsteps=IMPLICIT
+            )
+            with _LSODA:
+                row = fly(implicit, row, interrupt)
+    if row < len(time) - 1:
+        raise InputError(
+            f"the equation of motion cannot be integrated past t={time[row]:.6g} s: it is too "
+            "stiff or too fast; raise response_time or sample_rate, or lower mean_velocity"
+        )
     return states
 
 
-def _advance_kicked(solver: ode, end: float, kicks: Array) -> None:
-    """Integrate to ``end`` [s] in equal substeps, half of each kick before and half after."""
-    stops = np.linspace(solver.t, end, len(kicks) + 1)[1:]
-    for stop, kick in zip(stops, kicks, strict=True):
-        _kick(solver, kick / 2.0)
-        _advance(solver, stop, kick)
-        _kick(solver, kick / 2.0)
+@contextmanager
+def _interrupts_kept() -> Iterator[Callable[[], None]]:
+    """Keep Ctrl-C until the function that is yielded is called, or the block ends.
 
+    An exception inside a call back of compiled code would end the process. The interrupt then
+    does as it would have done: raise KeyboardInterrupt, or call the handler that was set. Only
+    the main thread is ever interrupted; in any other this does nothing.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before is None:
+        yield lambda: None
+        return
+    pressed: list[int] = []
 
-def _kick(solver: ode, increment: Array) -> None:
-    """Add to the velocity [m/s]; the solver starts anew from there."""
-    state = np.array(solver.y)
-    state[2:] += increment
-    solver.set_initial_value(state, solver.t)
+    def keep() -> None:
+        signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
 
+    def release() -> None:
+        if pressed:
+            pressed.clear()
+            signal.signal(signal.SIGINT, before)
+            signal.raise_signal(signal.SIGINT)
+            keep()
 
-def _advance(solver: ode, end: float, _: Array) -> None:
-    """Integrate to ``end`` [s] or refuse."""
-    solver.integrate(end)
-    if not solver.successful() or not np.isfinite(solver.y).all():
-        raise InputError(
-            f"the equation of motion cannot be integrated past t={solver.t:.6g} s: it is too stiff "
-            "or too fast; raise response_time or sample_rate, or lower mean_velocity"
-        )
+    keep()
+    try:
+        yield release
+        release()
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -16,15 +16,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_integer, one_of, positive
-from sparsefit.flight.waves import PointVelocity, WaveFlow
+from sparsefit.flight.waves import Flow, WaveFlow
 
 BANDS = 64
 LONGEST = 0.1  # |k|/a of the longest waves: less than 1e-4 of the energy is in longer ones
@@ -32,18 +29,12 @@ SHORTEST = 100.0  # |k| L of the shortest: 5 % (von Karman) or 1.5 % (Dryden) is
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
-class Shape(NamedTuple):
-    """A spectrum: its power p, and a times the integral length."""
-
-    power: float
-    knee: float
-
-
-SPECTRA = {"dryden": Shape(5.0 / 2.0, 1.0), "von-karman": Shape(7.0 / 3.0, 1.0 / 1.339)}
+# the power p of a spectrum, and a times the integral length
+SPECTRA = {"dryden": (5.0 / 2.0, 1.0), "von-karman": (7.0 / 3.0, 1.0 / 1.339)}
 
 
 @dataclass(frozen=True)
-class Turbulence:
+class Turbulence(Flow):
     """One field of random, divergence-free, isotropic turbulence in the plane.
 
     The waves are drawn from ``seed``: the same record is the same field. Waves shorter than
@@ -87,22 +78,21 @@ class Turbulence:
         """2 pi times the integral length [m], in which most of its waves pass once."""
         return 2.0 * math.pi * self.length
 
-    @property
-    def cells(self) -> tuple[()]:
-        """None: turbulence has no cells."""
-        return ()
-
     @cached_property
     def waves(self) -> WaveFlow:
-        """The waves of the field, two per band of wavenumbers."""
-        place, turn, phase, tempo = self._streams()
-        edges = self._edges()
+        """The waves of the field, two per band of wavenumbers; a stream for each quantity."""
+        place, turn, phase, tempo = (np.random.default_rng([self.seed, i]) for i in range(4))
+        power, knee = SPECTRA[self.spectrum]
+        edges = np.geomspace(LONGEST * knee, SHORTEST, BANDS + 1) / self.length
+        c = 1.0 / (1.0 + (edges * self.length / knee) ** 2)
+        above = (power - 1.0) * c ** (power - 2.0) - (power - 2.0) * c ** (power - 1.0)
+        shares = (above[:-1] - above[1:]) / (above[0] - above[-1])
         inside = place.random(BANDS)
         size = edges[:-1] ** (1.0 - inside) * edges[1:] ** inside
         heading = math.pi / 2.0 * (turn.random() + GOLDEN * np.arange(BANDS))
         headings = np.concatenate([heading, heading + math.pi / 2.0])
         sizes = np.tile(size, 2)
-        amplitudes = self.intensity * np.sqrt(2.0 * np.tile(self._shares(edges), 2)) / sizes
+        amplitudes = self.intensity * np.sqrt(2.0 * np.tile(shares, 2)) / sizes
         phases = phase.uniform(0.0, 2.0 * math.pi, 2 * BANDS)
         rates = tempo.standard_normal(2 * BANDS)
         return WaveFlow(
@@ -111,32 +101,3 @@ class Turbulence:
             amplitudes * np.sin(phases),
             rates * (math.sqrt(math.pi / 2.0) / self.memory if self.memory else 0.0),
         )
-
-    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s].
-
-        x, y and t are broadcast against each other to the shape (...).
-        """
-        return self.waves.velocity(x, y, t)
-
-    def pointwise(self) -> PointVelocity:
-        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
-        return self.waves.pointwise()
-
-    def _streams(self) -> list[np.random.Generator]:
-        """A stream for each random quantity: memory does not change what is frozen."""
-        return [np.random.default_rng([self.seed, stream]) for stream in range(4)]
-
-    def _edges(self) -> Array:
-        """The edges of the bands [rad/m], (BANDS + 1,), equal in ratio."""
-        knee = SPECTRA[self.spectrum].knee
-        edges: Array = np.geomspace(LONGEST * knee, SHORTEST, BANDS + 1) / self.length
-        return edges
-
-    def _shares(self, edges: Array) -> Array:
-        """The share of the energy in each band, (BANDS,), with that of all others given to them."""
-        power, knee = SPECTRA[self.spectrum]
-        c = 1.0 / (1.0 + (edges * self.length / knee) ** 2)
-        above = (power - 1.0) * c ** (power - 2.0) - (power - 2.0) * c ** (power - 1.0)
-        shares: Array = (above[:-1] - above[1:]) / (above[0] - above[-1])
-        return shares

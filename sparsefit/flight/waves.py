@@ -1,10 +1,15 @@
-"""Flows made of plane waves of a stream function, steady or moving.
+"""Flows made of plane waves of a stream function, steady or moving: the base of every flow.
 
     psi = sum_j a_j cos(phi_j) + b_j sin(phi_j),    phi_j = k_j . x - omega_j t,
     w = (d psi/dy, -d psi/dx)
 
 A flow of a stream function has no divergence, whatever its waves. A pattern that drifts with the
-velocity c has omega_j = k_j . c.
+velocity c has omega_j = k_j . c. Cells are two waves of equal energy,
+
+    psi = A sin(p . xi) sin(q . xi) (1 + s sin(2 pi t/T + phase)),    xi = x - x0 - c t
+
+p and q stand on the two families of walls between the cells: |p| = pi/L_x, |q| = pi/L_y, q turned
+from p by ``angle``. As waves, k = p - q and k = p + q with the amplitudes A/2 and -A/2.
 """
 
 from __future__ import annotations
@@ -12,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +30,65 @@ PointVelocity: TypeAlias = Callable[[float, float, float], tuple[float, float]]
 FEW = 8  # waves: below this plain floats are faster than arrays
 
 
+class FlowField(Protocol):
+    """Anything that has a flow velocity everywhere: a true flow, or an estimated one."""
+
+    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
+        """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s]."""
+        ...
+
+
+class Flow:
+    """Base of the flows of this package: waves of a stream function, and the cells among them.
+
+    A subclass defines `waves`, or its own `formula`.
+    """
+
+    wind: tuple[float, float] = (0.0, 0.0)  # steady, beside the waves [m/s]
+
+    if TYPE_CHECKING:  # fields of some subclasses, properties of others
+
+        @property
+        def mean_velocity(self) -> float:
+            """U0 = sqrt(2 <|w|^2>) [m/s]."""
+
+        @property
+        def waves(self) -> WaveFlow:
+            """The waves of the stream function."""
+
+    @property
+    def cells(self) -> tuple[Cells, ...]:
+        """The parts of the flow that an estimator seeks."""
+        return ()
+
+    @property
+    def period(self) -> float:
+        """The side [m] of the square from which the start of a flight is drawn."""
+        return self.waves.period
+
+    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
+        """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s].
+
+        x, y and t are broadcast against each other to the shape (...).
+        """
+        places = np.broadcast_arrays(*(np.asarray(given, np.float64) for given in (x, y, t)))
+        return np.stack(np.broadcast_arrays(*self.formula(np)(*places), places[0])[:2], axis=-1)
+
+    def pointwise(self) -> PointVelocity:
+        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
+        return self.formula(math)
+
+    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+        """Return w(x, y, t) as a function of floats or arrays.
+
+        Args:
+            functions: where it has its sines from: `math` for floats, `numpy` for arrays.
+        """
+        return self.waves.formula(functions)
+
+
 @dataclass(frozen=True, eq=False)
-class WaveFlow:
+class WaveFlow(Flow):
     """A flow whose stream function is a sum of plane waves.
 
     Args:
@@ -47,13 +109,29 @@ class WaveFlow:
 
     def __post_init__(self) -> None:
         """Check the waves and store them as read-only arrays."""
-        waves = _stored(self, "wavevectors", self.wavevectors, (2,))
-        _stored(self, "cosine", self.cosine, ())
-        _stored(self, "sine", self.sine, ())
-        still = np.zeros(len(waves)) if self.frequencies is None else self.frequencies
-        _stored(self, "frequencies", still, ())
-        if not len(waves) or not np.hypot(*waves.T).all():
+        waves = len(np.atleast_1d(np.asarray(self.wavevectors)))
+        if self.frequencies is None:
+            object.__setattr__(self, "frequencies", np.zeros(waves))
+        for name in ("wavevectors", "cosine", "sine", "frequencies"):
+            try:
+                array = np.array(getattr(self, name), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(f"WaveFlow: {name} must be an array of real numbers") from None
+            shape = (waves, 2) if name == "wavevectors" else (waves,)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise InputError(
+                    f"WaveFlow: {name} must hold finite numbers, shape {shape}, a row per wave; "
+                    f"got shape {array.shape}"
+                )
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        if not waves or not np.hypot(*self.wavevectors.T).all():
             raise InputError("WaveFlow needs at least one wave, and no wavevector may be (0, 0)")
+
+    @property
+    def waves(self) -> WaveFlow:
+        """The flow itself."""
+        return self
 
     @property
     def mean_velocity(self) -> float:
@@ -63,7 +141,7 @@ class WaveFlow:
 
     @property
     def length_scale(self) -> float:
-        """Return sqrt(2) pi / sqrt(mean |k|^2) [m]: of the two waves of square cells, their L."""
+        """The length sqrt(2) pi / sqrt(mean |k|^2) [m]: L of the two waves of square cells."""
         squares = np.sum(self.wavevectors**2, axis=1)
         return math.sqrt(2.0 / float(np.mean(squares))) * math.pi
 
@@ -77,26 +155,6 @@ class WaveFlow:
     def period(self) -> float:
         """The longest wavelength [m]."""
         return 2.0 * math.pi / float(np.min(np.hypot(*self.wavevectors.T)))
-
-    @property
-    def cells(self) -> tuple[()]:
-        """None: waves of any kind are no cells."""
-        return ()
-
-    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s].
-
-        x, y and t are broadcast against each other to the shape (...).
-        """
-        east, north, time = (np.asarray(given, dtype=np.float64) for given in (x, y, t))
-        total: Array = np.zeros((*np.broadcast_shapes(east.shape, north.shape, time.shape), 2))
-        for (kx, ky, omega, shift), slopes in zip(self._phases, self._slopes.T, strict=True):
-            total += np.sin(kx * east + ky * north - omega * time + shift)[..., None] * slopes
-        return total
-
-    def pointwise(self) -> PointVelocity:
-        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
-        return self._of_few() if len(self.cosine) <= FEW else self._of_many()
 
     @cached_property
     def _phases(self) -> Array:
@@ -112,45 +170,99 @@ class WaveFlow:
         slopes: Array = np.stack([-self.wavevectors[:, 1], self.wavevectors[:, 0]]) * amplitude
         return slopes
 
-    def _of_few(self) -> PointVelocity:
-        sin = math.sin
-        waves = [(*phase, *slopes) for phase, slopes in
+    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+        """Return the sum of the waves, as of `Flow`."""
+        if functions is math and len(self.cosine) > FEW:
+            phases = np.ascontiguousarray(self._phases * (1.0, 1.0, -1.0, 1.0))
+            slopes = np.ascontiguousarray(self._slopes)
+
+            def of_many(x: float, y: float, t: float) -> tuple[float, float]:
+                u, v = slopes.dot(np.sin(phases.dot((x, y, t, 1.0)))).tolist()
+                return u, v
+
+            return of_many
+        sin = functions.sin
+        waves = [(*phase, *slope) for phase, slope in
                  zip(self._phases.tolist(), self._slopes.T.tolist(), strict=True)]  # fmt: skip
 
-        def velocity(x: float, y: float, t: float) -> tuple[float, float]:
+        def of_few(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
             u = v = 0.0
             for kx, ky, omega, shift, of_u, of_v in waves:
                 height = sin(kx * x + ky * y - omega * t + shift)
-                u += of_u * height
-                v += of_v * height
+                u = u + of_u * height
+                v = v + of_v * height
             return u, v
 
-        return velocity
-
-    def _of_many(self) -> PointVelocity:
-        phases = np.ascontiguousarray(self._phases * (1.0, 1.0, -1.0, 1.0))
-        slopes, sin = np.ascontiguousarray(self._slopes), np.sin
-
-        def velocity(x: float, y: float, t: float) -> tuple[float, float]:
-            u, v = slopes.dot(sin(phases.dot((x, y, t, 1.0)))).tolist()
-            return u, v
-
-        return velocity
+        return of_few
 
 
-def _stored(flow: WaveFlow, name: str, given: object, ending: tuple[int, ...]) -> Array:
-    """Store a field of the flow as a read-only copy, one row per wave."""
-    try:
-        array = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"WaveFlow: {name} must be an array of real numbers") from None
-    waves = len(np.atleast_1d(np.asarray(flow.wavevectors)))
-    if array.shape != (waves, *ending) or not np.isfinite(array).all():
-        text = f"({waves}, 2)" if ending else f"({waves},)"
-        raise InputError(
-            f"WaveFlow: {name} must hold finite numbers, shape {text}, a row per wave; "
-            f"got shape {array.shape}"
+class Cells(Flow):
+    """Base of the flows that are an array of cells: two waves, of any heading, which may swell."""
+
+    heading: float = 0.0
+    angle: float = math.pi / 2.0
+    offset: tuple[float, float] = (0.0, 0.0)
+    drift: tuple[float, float] = (0.0, 0.0)
+    swell: float = 0.0
+    swell_period: float = 20.0
+    swell_phase: float = 0.0
+
+    if TYPE_CHECKING:
+
+        @property
+        def length_scale(self) -> float:
+            """L [m] of square cells."""
+
+        @property
+        def length_scales(self) -> tuple[float, float]:
+            """(L_x, L_y) [m]."""
+
+    @property
+    def timescale(self) -> float:
+        """The turnover time, length_scale / mean_velocity [s]."""
+        return self.length_scale / self.mean_velocity
+
+    @property
+    def period(self) -> float:
+        """Twice the longer side of a cell [m]."""
+        return 2.0 * max(self.length_scales)
+
+    @property
+    def cells(self) -> tuple[Cells, ...]:
+        """The flow itself."""
+        return (self,)
+
+    @cached_property
+    def waves(self) -> WaveFlow:
+        """The two waves of the cells, without their swell."""
+
+        def turned(vector: Array, angle: float) -> Array:
+            cos, sin, (x, y) = math.cos(angle), math.sin(angle), vector
+            return np.array([cos * x - sin * y, sin * x + cos * y])
+
+        (p_size, q_size), half = math.pi / np.array(self.length_scales), 0.5 * self.angle
+        p = p_size * np.array([math.cos(-half), math.sin(-half)])
+        q = q_size * np.array([math.cos(half), math.sin(half)])
+        bisector = np.mean([math.atan2(*wave[::-1]) for wave in (p - q, p + q)])
+        p, q = (turned(wave, self.heading - float(bisector)) for wave in (p, q))
+        wavevectors = np.stack([p - q, p + q])
+        amplitude = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
+        shift = wavevectors @ np.array(self.offset)
+        signed = np.array([amplitude, -amplitude])
+        return WaveFlow(
+            wavevectors, signed * np.cos(shift), signed * np.sin(shift), wavevectors @ self.drift
         )
-    array.flags.writeable = False
-    object.__setattr__(flow, name, array)
-    return array
+
+    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+        """Return the two waves times their swell, as of `Flow`."""
+        steady = self.waves.formula(functions)
+        if not self.swell:
+            return steady
+        rate, phase, share = 2.0 * math.pi / self.swell_period, self.swell_phase, self.swell
+
+        def swollen(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
+            u, v = steady(x, y, t)
+            level = 1.0 + share * functions.sin(rate * t + phase)
+            return u * level, v * level
+
+        return swollen

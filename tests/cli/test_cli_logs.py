@@ -9,8 +9,8 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.cli import main
-from sparsefit.flight import read_flight, write_flight
-from tests.flight.log_writers import igc
+from sparsefit.logs import read_flight, write_flight
+from tests.logs.log_writers import igc
 
 GRID = ("--grid-lower", "3.2", "--grid-upper", "5.2")
 VEHICLE = ("--response-time", "0.5", "--thrust-ax", "5", "--thrust-ay", "3")

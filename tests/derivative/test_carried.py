@@ -8,8 +8,7 @@ from sparsefit.derivative import Derivative
 from sparsefit.derivative.carried import Carried
 from sparsefit.derivative.repair import repaired, untouched
 from sparsefit.flight import Flight
-from sparsefit.flight.thrust import turning
-from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle, turning
 
 VEHICLE = PointMassVehicle(0.5, thrust_scale=1.2)
 FLOW = sf.CellularFlow(8.0, 4.0)

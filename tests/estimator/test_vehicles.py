@@ -9,7 +9,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.flight.thrust import turning
+from sparsefit.flight.vehicle import turning
 
 FLOW = sf.CellularFlow(8.0, 4.0)
 QUADRATIC = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)

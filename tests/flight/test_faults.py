@@ -63,6 +63,15 @@ def test_gaps_drop_samples_and_keep_both_ends():
     np.testing.assert_array_equal(log.position, LINE.position[kept])
 
 
+def test_lost_samples_are_the_share_that_is_said():
+    log = LogFaults(lost_samples=0.3).spoil(LINE, SEED)
+    assert 1 - log.samples / LINE.samples == pytest.approx(0.3, abs=0.03)
+    assert log.duration == LINE.duration
+    rows = np.flatnonzero(np.isin(LINE.time, log.time))
+    np.testing.assert_array_equal(log.velocity, LINE.velocity[rows])
+    assert np.mean(np.diff(rows) > 1) == pytest.approx(0.3, abs=0.03)  # each by itself
+
+
 def test_a_fault_more_moves_no_other():
     plain = LogFaults(outliers=0.05).spoil(LINE, SEED)
     more = LogFaults(outliers=0.05, wander=0.1, jumps=2).spoil(LINE, SEED)
@@ -104,6 +113,7 @@ def test_kicks_keep_their_power_where_times_jitter():
         ({"jumps": 1.5}, "jumps must be an integer"),
         ({"gaps": -1}, "gaps must be an integer"),
         ({"gap_duration": -1.0}, "gap_duration must be"),
+        ({"lost_samples": 1.0}, "lost_samples is a share"),
     ],
 )
 def test_bad_faults_are_named(changes, message):

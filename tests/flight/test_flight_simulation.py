@@ -262,6 +262,32 @@ def test_what_no_flight_has_is_refused_before_it_is_flown(changes, words, monkey
         fly(**changes)
 
 
-def test_an_equation_too_stiff_is_refused():
+@pytest.mark.parametrize(
+    "vehicle", [PointMassVehicle(1e-7), PointMassVehicle(math.inf, (5.0, 3.0), drag=1e9)]
+)
+def test_a_vehicle_that_follows_the_flow_at_once_is_flown_implicitly(vehicle):
+    flight = fly(vehicle=vehicle, duration=0.2, process_noise=0.1)
+    air = FLOW.velocity(*flight.position[1:].T)
+    np.testing.assert_allclose(flight.velocity[1:], air, atol=5e-3)
+    path = flight.position[:-1] + (flight.velocity[:-1] + flight.velocity[1:]) / 200.0
+    np.testing.assert_allclose(flight.position[2:], path[1:], atol=1e-3)
+
+
+@pytest.mark.parametrize("flow", [CellularFlow(1e6, 1.0), CellularFlow(1.0, 1e-9)])
+def test_an_equation_too_fast_is_refused(flow):
     with pytest.raises(InputError, match="too stiff or too fast; raise response_time"):
-        fly(vehicle=PointMassVehicle(1e-9))
+        fly(flow)
+
+
+class Shear:
+    """A flow of a user's own: (0, sin x)."""
+
+    def velocity(self, x, y, t=0.0):
+        return np.stack(np.broadcast_arrays(0.0 * np.asarray(y), np.sin(x)), axis=-1)
+
+
+def test_anything_with_a_velocity_can_be_flown():
+    flight = fly(Shear(), PointMassVehicle(0.5), initial_position=(1.0, 0.0))
+    speed = math.sin(1.0) * (1 - np.exp(-flight.time / 0.5))
+    np.testing.assert_allclose(flight.velocity[:, 1], speed, atol=1e-11)
+    assert flight.flow.cells == ()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.flight import Flight, read_flight, simulate_flight, write_flight
-from sparsefit.flight.flow import CellularFlow, SuperposedFlow
-from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
+from sparsefit.logs import read_flight, write_flight
 
 PLAIN = CellularFlow(6.0, 4.0)
 WAVES = WaveFlow([[1.0, 0.5], [-0.3, 0.8]], [0.4, -1.0], [0.2, 0.5], frequencies=[0.3, -0.2])

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight
-from sparsefit.flight.thrust import GRAVITY, ThrustSeries, turning
-from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import GRAVITY, PointMassVehicle, ThrustSeries, turning
 
 TIME = np.arange(101) / 20.0
 CIRCLE = turning(5.0, 20.0, constant=(1.0, 0.5), size=2.0, period=4.0, phase=0.3)

@@ -12,8 +12,7 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.flight.faults import LogFaults
-from sparsefit.flight.flow import CellularFlow, SuperposedFlow
-from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.study import Study, cells
 from sparsefit.study.evidence.measure import Share

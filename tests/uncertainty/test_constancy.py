@@ -8,7 +8,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.derivative import Derivative
-from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.flow import ShapedCells
 from sparsefit.library.cells import Cells
 from sparsefit.library.nuisance import Nuisance
 from sparsefit.modes.fitted_rows import Rows

@@ -13,8 +13,7 @@ from matplotlib.image import AxesImage
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.estimator.certificate_map import CertificateMap, certificate_map
-from sparsefit.flight.flow import CellularFlow, Flow
-from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.flow import Flow
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.report.drawing import COLOURS, legend, panels
 from sparsefit.study.spec.design import Cell
@@ -73,14 +72,8 @@ def _chosen(study: Study) -> list[Cell]:
 
 def _true_waves(flow: Flow | None) -> Array:
     """The wavevectors (w, 2) [1/m] of the cells of a flow."""
-    waves = [_as_shaped(part).waves.wavevectors for part in flow.cells] if flow else []
+    waves = [part.waves.wavevectors for part in flow.cells] if flow else []
     return np.concatenate(waves) if waves else np.zeros((0, 2))
-
-
-def _as_shaped(cells: CellularFlow | ShapedCells) -> ShapedCells:
-    if isinstance(cells, ShapedCells):
-        return cells
-    return ShapedCells(cells.mean_velocity, cells.length_scales)
 
 
 def _panel(axes: Axes, shown: CertificateMap, truth: Array, top: float) -> AxesImage:

@@ -10,11 +10,9 @@ import numpy as np
 
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
-from sparsefit.flight.flow import Cells, CellularFlow, Flow, SuperposedFlow
-from sparsefit.flight.shaped import ShapedCells
-from sparsefit.flight.thrust import ThrustSeries, turning
+from sparsefit.flight.flow import Cells, CellularFlow, Flow, ShapedCells, SuperposedFlow
 from sparsefit.flight.turbulence import Turbulence
-from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries, turning
 from sparsefit.study.spec.quantities import (
     BESIDE,
     COUNTS,

@@ -21,10 +21,11 @@ import numpy as np
 
 from sparsefit.codec import Place, number, only, text
 from sparsefit.errors import InputError
-from sparsefit.flight import Flight, read_flight
-from sparsefit.flight.files import LARGEST
+from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.logs import read_flight
+from sparsefit.logs.files import LARGEST
 from sparsefit.study.spec.document import Section, items, positive
 from sparsefit.whole_file import read_whole
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
-from sparsefit.flight.anchor import moment_at, moment_of
-from sparsefit.flight.layout import is_number
-from sparsefit.flight.table import finite_in, number
+from sparsefit.logs.anchor import moment_at, moment_of
+from sparsefit.logs.layout import is_number
+from sparsefit.logs.table import finite_in, number
 
 Cells: TypeAlias = "list[str] | np.ndarray[Any, Any]"
 """Texts, or an array of numbers or of moments (``datetime64``)."""

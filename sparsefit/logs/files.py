@@ -8,12 +8,12 @@ from pathlib import Path
 from types import ModuleType
 
 from sparsefit.errors import InputError, one_of, told_with
-from sparsefit.flight import csv_file, igc_file, parquet_file, ulog_file
-from sparsefit.flight.anchor import Anchor
-from sparsefit.flight.layout import Columns, Layout
 from sparsefit.flight.record import Flight
-from sparsefit.flight.table import FlightTable
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.logs import csv_file, igc_file, parquet_file, ulog_file
+from sparsefit.logs.anchor import Anchor
+from sparsefit.logs.layout import Columns, Layout
+from sparsefit.logs.table import FlightTable
 from sparsefit.whole_file import read_whole, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
@@ -45,7 +45,7 @@ def read_flight(
     ``frame``, ``ENU`` or ``NED``. Columns ``ax`` and ``ay`` [m/s^2] are a measured thrust
     (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or those
     of shaped cells and of turbulence, numbered ``_1``, ``_2``, ... when superposed
-    (`sparsefit.flight.flow_settings`).
+    (`sparsefit.logs.flow_settings`).
 
     Args:
         path: the file.

@@ -16,9 +16,9 @@ from itertools import chain
 from typing import TypeAlias
 
 from sparsefit.errors import InputError, one_of, suggestion
-from sparsefit.flight.anchor import Anchor
-from sparsefit.flight.table import COLUMNS, POSITIONS, THRUST, VELOCITY
-from sparsefit.flight.units import DEGREES, factor_of, spelled
+from sparsefit.logs.anchor import Anchor
+from sparsefit.logs.table import COLUMNS, POSITIONS, THRUST, VELOCITY
+from sparsefit.logs.units import DEGREES, factor_of, spelled
 
 Columns: TypeAlias = "str | Mapping[str, str] | None"
 """A column map as it is typed, or as a mapping of fields to columns."""

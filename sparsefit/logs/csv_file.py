@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from itertools import islice
 
 from sparsefit.errors import InputError, unknown
-from sparsefit.flight.column import Cells
-from sparsefit.flight.layout import Layout
-from sparsefit.flight.sheet import Sheet, check_size
-from sparsefit.flight.table import KEYS, FlightTable, frame_of, is_key, number
+from sparsefit.logs.column import Cells
+from sparsefit.logs.layout import Layout
+from sparsefit.logs.sheet import Sheet, check_size
+from sparsefit.logs.table import KEYS, FlightTable, frame_of, is_key, number
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text

@@ -9,12 +9,12 @@ from pyproj import Proj
 
 import sparsefit as sf
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight import igc_file, ulog_file
-from sparsefit.flight.files import read_table
-from tests.flight.log_writers import LANDED, LOCAL, igc, ulog, ulog_at, ulog_of
+from sparsefit.logs import igc_file, ulog_file
+from sparsefit.logs.files import read_table
+from tests.logs.log_writers import LANDED, LOCAL, igc, ulog, ulog_at, ulog_of
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
-STANDING = Path(__file__).parent / "logs" / "sample_log_small.ulg"
+STANDING = Path(__file__).parent / "shipped" / "sample_log_small.ulg"
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,10 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight.anchor import Anchor
-from sparsefit.flight.layout import Layout
-from sparsefit.flight.plane import plane_of
-from sparsefit.flight.table import POSITIONS, FlightTable
+from sparsefit.logs.anchor import Anchor
+from sparsefit.logs.layout import Layout
+from sparsefit.logs.plane import plane_of
+from sparsefit.logs.table import POSITIONS, FlightTable
 
 FIX = "A"  # of a B record that is three-dimensional
 MINUTE = 3  # decimals of a minute that a B record has without extensions

@@ -9,10 +9,10 @@ from types import ModuleType
 from typing import Any
 
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight.column import Cells
-from sparsefit.flight.layout import Layout
-from sparsefit.flight.sheet import Sheet, check_size
-from sparsefit.flight.table import FlightTable, frame_of, is_key, number
+from sparsefit.logs.column import Cells
+from sparsefit.logs.layout import Layout
+from sparsefit.logs.sheet import Sheet, check_size
+from sparsefit.logs.table import FlightTable, frame_of, is_key, number
 
 
 def encode(table: FlightTable) -> bytes:

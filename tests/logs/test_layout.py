@@ -11,13 +11,13 @@ from pyproj import Geod
 
 import sparsefit as sf
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight import plane
-from sparsefit.flight.files import read_table
-from sparsefit.flight.layout import Layout, Source
-from sparsefit.flight.plane import plane_of
+from sparsefit.logs import plane
+from sparsefit.logs.files import read_table
+from sparsefit.logs.layout import Layout, Source
+from sparsefit.logs.plane import plane_of
 
 VEHICLE = sf.PointMassVehicle(60.0)
-DRIFTER = Path(__file__).parent / "logs" / "drifter_079_head.csv"
+DRIFTER = Path(__file__).parent / "shipped" / "drifter_079_head.csv"
 MAPPED = "time=t[ms],x=east[km],y=north[ft],vx=u[cm/s],vy=v[kn]"
 ROWS = [(0, 1.0, 2.0, 30.0, 4.0), (500, 1.5, 3.0, 31.0, 5.0), (1000, 2.0, 4.0, 32.0, 6.0)]
 

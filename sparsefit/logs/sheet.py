@@ -1,7 +1,7 @@
 """From a table as its file holds it to a flight: rows of one vehicle, SI units, a local plane.
 
 Every format of tables ends here. Times may be ISO 8601: they become seconds since the first, UTC
-where they name no zone. Longitude and latitude become metres (`sparsefit.flight.plane`).
+where they name no zone. Longitude and latitude become metres (`sparsefit.logs.plane`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 
 from sparsefit.arrays import IntArray
 from sparsefit.errors import InputError, suggestion
-from sparsefit.flight.anchor import Anchor
-from sparsefit.flight.column import Cells, Column
-from sparsefit.flight.layout import Layout, Source
-from sparsefit.flight.plane import plane_of
 from sparsefit.flight.record import MOST_SAMPLES
-from sparsefit.flight.table import THRUST, FlightTable
-from sparsefit.flight.units import DEGREES, factor_of
+from sparsefit.logs.anchor import Anchor
+from sparsefit.logs.column import Cells, Column
+from sparsefit.logs.layout import Layout, Source
+from sparsefit.logs.plane import plane_of
+from sparsefit.logs.table import THRUST, FlightTable
+from sparsefit.logs.units import DEGREES, factor_of
 
 _VEHICLES = {"vehicle", "drifter", "buoy", "platform", "aircraft", "callsign", "flight", "trip",
              "trajectory", "icao24", "tail", "registration", "device", "ship", "mmsi"}  # fmt: skip

@@ -10,8 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 
 from sparsefit.errors import InputError
-from sparsefit.flight.flow import CellularFlow, Flow, Part, SuperposedFlow
-from sparsefit.flight.shaped import ShapedCells
+from sparsefit.flight.flow import CellularFlow, Flow, ShapedCells, SuperposedFlow
 from sparsefit.flight.turbulence import SPECTRA, Turbulence
 
 WIND = ("wind_x", "wind_y")
@@ -75,7 +74,7 @@ def flow_of_settings(settings: Mapping[str, float]) -> Flow | None:
     return SuperposedFlow(tuple(_part(settings, ending) for ending in numbered), wind)
 
 
-def _values(part: Part) -> dict[str, float]:
+def _values(part: Flow) -> dict[str, float]:
     if isinstance(part, CellularFlow):
         return dict(zip(CELLS, (part.mean_velocity, part.length_scale), strict=True))
     if isinstance(part, ShapedCells):
@@ -90,9 +89,9 @@ def _values(part: Part) -> dict[str, float]:
     return {}
 
 
-def _part(settings: Mapping[str, float], ending: str) -> Part:
+def _part(settings: Mapping[str, float], ending: str) -> Flow:
     """The part with this ending: its kind is the first with a name that no other has."""
-    kinds: tuple[tuple[str, tuple[str, ...], Callable[..., Part]], ...] = (
+    kinds: tuple[tuple[str, tuple[str, ...], Callable[..., Flow]], ...] = (
         (TURBULENCE[0], TURBULENCE, _turbulence),
         (SHAPED[1], SHAPED, _shaped),
         ("", CELLS, CellularFlow),

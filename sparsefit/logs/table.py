@@ -10,10 +10,10 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, told_with
-from sparsefit.flight.anchor import Anchor
-from sparsefit.flight.flow_settings import flow_of_settings, is_flow_key, settings_of_flow
 from sparsefit.flight.record import FRAMES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.logs.anchor import Anchor
+from sparsefit.logs.flow_settings import flow_of_settings, is_flow_key, settings_of_flow
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
 VELOCITY = ("vx", "vy")  # m/s

@@ -8,10 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight import Flight, parquet_file, read_flight, simulate_flight, write_flight
+from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow, SuperposedFlow
 from sparsefit.flight.record import SMALLEST_STEP
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.logs import parquet_file, read_flight, write_flight
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = CellularFlow(15.43, 4.21)

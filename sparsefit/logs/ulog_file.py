@@ -18,11 +18,11 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.flight.anchor import Anchor, moment_at
-from sparsefit.flight.layout import Layout
-from sparsefit.flight.plane import plane_of
 from sparsefit.flight.record import MOST_SAMPLES
-from sparsefit.flight.table import COLUMNS, FlightTable
+from sparsefit.logs.anchor import Anchor, moment_at
+from sparsefit.logs.layout import Layout
+from sparsefit.logs.plane import plane_of
+from sparsefit.logs.table import COLUMNS, FlightTable
 
 TOPIC, LANDED = "vehicle_local_position", "vehicle_land_detected"
 GPS = "vehicle_gps_position"
