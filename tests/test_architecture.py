@@ -15,7 +15,17 @@ from sparsefit.backends import BACKENDS
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
     *("errors", "arrays", "cached", "codec", "records", "whole_file", "child", "flight", "logs"),
-    *("regression", "solvers", "backends", "derivative", "rows", "library", "modes", "model"),
+    *(
+        "regression",
+        "penalties",
+        "solvers",
+        "backends",
+        "derivative",
+        "rows",
+        "library",
+        "modes",
+        "model",
+    ),
     *("likelihood", "uncertainty", "estimator", "online", "export", "onboard", "score", "plot"),
     *("study", "sklearn", "pysindy", "cli"),
 )

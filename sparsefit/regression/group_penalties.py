@@ -1,0 +1,230 @@
+"""Penalties of norms of groups of columns: the group-LASSO's, and the sparse-group LASSO's.
+
+Sources: Yuan and Lin, J. R. Stat. Soc. B 68 (2006) 49-67; Simon, Friedman, Hastie and Tibshirani,
+J. Comput. Graph. Stat. 22 (2013) 231-245; Ndiaye, Fercoq, Gramfort and Salmon, "GAP safe screening
+rules for sparse-group Lasso" (NeurIPS 2016), for the dual norm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.cached import cached_property
+from sparsefit.regression.penalties import AbsoluteValues, Penalty, Slope
+
+STEPS = 60  # of Newton's method for a dual norm; about five are taken
+
+
+@dataclass(frozen=True, eq=False)
+class GroupNorms(Penalty):
+    """sum_g omega_g |V_g| over groups of columns, over all targets together (``together``) or each.
+
+    groups (k,) numbers the group of each column, 0..g-1; weights omega (g,) > 0.
+    """
+
+    groups: IntArray
+    weights: Array
+    together: bool = True
+
+    @property
+    def columns(self) -> int:
+        """The number k of columns."""
+        return len(self.groups)
+
+    @property
+    def blocks(self) -> IntArray:
+        """The group (k,) of each column."""
+        return self.groups
+
+    @property
+    def joint(self) -> bool:
+        """Whether a group spans all targets."""
+        return self.together
+
+    @cached_property
+    def _layout(self) -> tuple[IntArray | None, IntArray]:
+        return in_order(self.groups, len(self.weights))
+
+    def block_norms(self, values: Array) -> Array:
+        """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
+        # Scaled by the largest entry: squares of 1e-200 would vanish.
+        peak = float(np.max(np.abs(values), initial=0.0)) or 1.0
+        norms: Array = peak * np.sqrt(
+            block_sums(np.square(values / peak), *self._layout, self.together)
+        )
+        return norms
+
+    def norm(self, values: Array) -> Array:
+        """The norm of values (..., k, n): shape (...)."""
+        total: Array = (self.block_norms(values) * self.weights[:, None]).sum(axis=(-2, -1))
+        return total
+
+    def block_dual_norms(self, values: Array) -> Array:
+        """|C_g| / omega_g."""
+        duals: Array = self.block_norms(values) / self.weights[:, None]
+        return duals
+
+    def restricted(self, index: IntArray) -> Self:
+        """The penalty on whole groups of columns."""
+        used, groups = np.unique(self.groups[index], return_inverse=True)
+        return replace(self, groups=groups, weights=self.weights[used])
+
+    def prox(self, values: Array, step: float) -> Array:
+        """Shrunk towards zero, group by group."""
+        norms, limit = self.block_norms(values), step * self.weights[:, None]
+        share = np.where(norms > limit, 1.0 - limit / np.where(norms > limit, norms, 1.0), 0.0)
+        shrunk: Array = values * share[self.groups]
+        return shrunk
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """The root of (1 - s) (I - u u') + u u' by group, u = U_g/|U_g|, s = step omega/|U_g|."""
+        on = np.flatnonzero(np.broadcast_to(self._live(origin, step), values.shape))
+        return on, self.root(on, origin, step)
+
+    def _live(self, origin: Array, step: float) -> BoolArray:
+        live: BoolArray = (self.block_norms(origin) > step * self.weights[:, None])[self.groups]
+        return live
+
+    def root(self, on: IntArray, origin: Array, step: float) -> Any:
+        """N (c, c) on the coefficients ``on`` of groups that are not zero."""
+        from scipy.sparse import csc_array, diags_array
+
+        column, target = np.divmod(on, origin.shape[1])
+        group, place = self.groups[column], 0 if self.together else target
+        norms = self.block_norms(origin)[group, place]
+        share = np.sqrt(1.0 - step * self.weights[group] / norms)
+        block = np.unique(group * origin.shape[1] + place, return_inverse=True)[1]
+        unit = csc_array((origin.ravel()[on] / norms, (np.arange(len(on)), block)))
+        if len(on) == block.max(initial=-1) + 1:  # groups of one
+            return None
+        return (diags_array(share) + diags_array(1.0 - share) @ unit @ unit.T).tocsc()
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """The sum of weighted norms."""
+        terms = []
+        for group, weight in enumerate(self.weights):
+            block = variable[np.flatnonzero(self.groups == group), :]
+            axis = None if self.together else 0
+            size = cvxpy.norm(cvxpy.vec(block, order="C"), 2)
+            terms.append(weight * (size if axis is None else cvxpy.sum(cvxpy.norm(block, 2, axis))))
+        return cvxpy.sum(cvxpy.hstack(terms)), []
+
+
+@dataclass(frozen=True, eq=False)
+class NestedNorms(Penalty):
+    """sum_g omega_g |V_g| + sum_h lambda_h |V_h|, a block h in one group g.
+
+    outer: groups g; inner: blocks h, coefficients or groups that are joint only if the outer
+    ones are. For one group the dual norm is the tau > 0 with
+
+        sum_{h in g} (|C_h| - tau lambda_h)_+^2 = (tau omega_g)^2,
+
+    found in x = 1/tau by Newton's method on |(x |C_h| - lambda_h)_+| - omega_g, which is convex and
+    increasing: from above it falls to the root, and the chord to where it is -omega_g gives a tau
+    that is proven not to be too small. The prox is the inner one, then the outer one (Jenatton,
+    Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12 (2011) 2297-2334).
+    """
+
+    outer: GroupNorms
+    inner: AbsoluteValues | GroupNorms
+
+    @property
+    def columns(self) -> int:
+        """The number k of columns."""
+        return self.outer.columns
+
+    @property
+    def joint(self) -> bool:
+        """Whether a group spans all targets."""
+        return self.outer.joint
+
+    @property
+    def blocks(self) -> IntArray:
+        """The outer group (k,) of each column."""
+        return self.outer.groups
+
+    def norm(self, values: Array) -> Array:
+        """The norm of values (..., k, n): shape (...)."""
+        total: Array = self.outer.norm(values) + self.inner.norm(values)
+        return total
+
+    def block_dual_norms(self, values: Array) -> Array:
+        """tau of each outer group, from above, as in the head of this class."""
+        outer, joint = self.outer, self.outer.joint
+        home = np.zeros(len(self.inner.weights), dtype=np.intp)
+        home[self.inner.blocks] = outer.groups
+        order, starts = in_order(home, len(outer.weights))
+        sizes = self.inner.block_dual_norms(values) * self.inner.weights[:, None]
+        member, inner = np.sort(home), self.inner.weights[:, None]
+        if order is not None:
+            sizes, inner = sizes[..., order, :], inner[order]
+        omega = outer.weights[:, None]
+
+        def highest(parts: Array) -> Array:
+            peaks: Array = np.maximum.reduceat(parts, starts, axis=-2)
+            return peaks.max(axis=-1, keepdims=True) if joint else peaks
+
+        with np.errstate(over="ignore"):  # lambda near 0: the bound is of no use then
+            largest, floor = highest(sizes / (inner + omega[member])), highest(sizes / inner)
+        live = largest > 0
+        x = np.where(live, 1.0 / np.where(live, largest, 1.0), 0.0)
+        for _ in range(STEPS):
+            excess = np.maximum(sizes * x[..., member, :] - inner, 0.0)
+            length = np.sqrt(block_sums(excess**2, None, starts, joint))
+            slope = block_sums(sizes * excess, None, starts, joint) / np.where(
+                length > 0, length, 1
+            )
+            step = np.where(length > omega, (length - omega) / np.where(slope > 0, slope, 1.0), 0.0)
+            if not np.any(step > 1e-15 * x):
+                break
+            x = x - step
+        least = np.where(live, 1.0 / np.where(live, floor, 1.0), 0.0)
+        below = least + (x - least) * omega / np.maximum(omega, length)
+        return np.where(live, 1.0 / np.where(live, below, 1.0), 0.0)
+
+    def restricted(self, index: IntArray) -> Self:
+        """The penalty on whole outer groups of columns."""
+        return replace(self, outer=self.outer.restricted(index), inner=self.inner.restricted(index))
+
+    def prox(self, values: Array, step: float) -> Array:
+        """The inner prox, then the outer one."""
+        return self.outer.prox(self.inner.prox(values, step), step)
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """The product of both roots, which commute."""
+        between = self.inner.prox(origin, step)
+        on = np.flatnonzero(values)
+        first = None
+        if isinstance(self.inner, GroupNorms):
+            first = self.inner.root(on, origin, step)
+        second = self.outer.root(on, between, step)
+        if first is None or second is None:
+            return on, first if second is None else second
+        return on, (second @ first).tocsc()
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """The sum of both."""
+        return self.outer.conic(variable, cvxpy)[0] + self.inner.conic(variable, cvxpy)[0], []
+
+
+def in_order(groups: IntArray, count: int) -> tuple[IntArray | None, IntArray]:
+    """The order that makes groups ascend (None where they do) and the start of each of them."""
+    order = None
+    if np.any(groups[1:] < groups[:-1]):
+        order = np.argsort(groups, kind="stable")
+        groups = groups[order]
+    return order, np.searchsorted(groups, np.arange(count))
+
+
+def block_sums(values: Array, order: IntArray | None, starts: IntArray, joint: bool) -> Array:
+    """Sums over blocks of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
+    if order is not None:
+        values = values[..., order, :]
+    if joint:
+        values = values.sum(axis=-1, keepdims=True)
+    sums: Array = np.add.reduceat(values, starts, axis=-2)
+    return sums

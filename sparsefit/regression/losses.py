@@ -1,0 +1,82 @@
+"""Losses that a penalty may be added to, each by its value and its dual.
+
+With R = Y - Z V, u the loss's derivative by R (times m), and for each target t
+
+    r_t = |u_t|^2/m,   q_t = <u_t, Y_t>/m,   f_t = <u_t, R_t>/m,
+
+    Squares:      P = sum_t |R_t|^2/2m,        u = R            D(s) = sum_t s_t q_t - s_t^2 r_t/2
+    Huber:        P = sum h(R)/m,              u = clip(R, c)   the same, |s_t| <= 1
+    RootSquares:  P = y |R|_F/sqrt(m),         u = R            D(s) = s sum_t q_t,  s <= y/sqrt(r)
+
+are P and the dual value at the point s u/m, which is feasible as far as the penalty lets s be. The
+factor y = |Y|_F/sqrt(m), a constant, gives alpha one unit and one alpha_max in all of them.
+
+Sources: Huber, Ann. Math. Statist. 35 (1964) 73-101; Belloni, Chernozhukov and Wang, Biometrika 98
+(2011) 791-806, for the root.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sparsefit.arrays import Array
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Half the mean square, |R|^2/2m; with a finite ``clip`` Huber's loss.
+
+    clip: c, in units of the target's rms y: residuals beyond c y count linearly.
+    """
+
+    clip: float = np.inf
+    coupled: ClassVar[bool] = False
+
+    def bound(self, level: Array) -> Array:
+        """The largest |u| (n,) for targets of rms ``level`` (n,)."""
+        return np.where(level > 0, self.clip * np.where(level > 0, level, 1.0), np.inf)
+
+    def primal(self, square: Array, overlap: Array, level: Array) -> Array:
+        """P (p,) from r, f (p, n) and y (n,)."""
+        total: Array = (overlap - 0.5 * square).sum(axis=1)
+        return total
+
+    def factor(self, square: Array, product: Array, limit: Array, level: Array) -> Array:
+        """The s (p, n), or (p, 1), that maximises D where |s| <= limit."""
+        most = limit if np.isinf(self.clip) else np.minimum(limit, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            best = np.where(square > 0, product / square, 0.0)
+        return np.clip(best, -most, most)
+
+    def dual(self, s: Array, square: Array, product: Array) -> Array:
+        """D by target (p, n) at s."""
+        value: Array = s * product - 0.5 * s**2 * square
+        return value
+
+
+@dataclass(frozen=True)
+class RootSquares(Squares):
+    """The root of the mean square over all targets, y |R|_F/sqrt(m)."""
+
+    coupled: ClassVar[bool] = True
+
+    def primal(self, square: Array, overlap: Array, level: Array) -> Array:
+        """P (p,)."""
+        value: Array = np.sqrt(np.sum(level**2)) * np.sqrt(square.sum(axis=1))
+        return value
+
+    def factor(self, square: Array, product: Array, limit: Array, level: Array) -> Array:
+        """The s (p, 1) at both of its limits."""
+        with np.errstate(divide="ignore"):
+            reach = np.sqrt(np.sum(level**2)) / np.sqrt(square.sum(axis=1, keepdims=True))
+        least = np.minimum(limit.min(axis=1, keepdims=True), reach)
+        return np.where(np.isfinite(least), least, 0.0)
+
+    def dual(self, s: Array, square: Array, product: Array) -> Array:
+        """D by target (p, n) at s."""
+        value: Array = s * product
+        return value
+
+
+SQUARES = Squares()

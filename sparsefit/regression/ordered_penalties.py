@@ -1,0 +1,193 @@
+"""Penalties of weights in an order: SLOPE's, by their size, and the fused LASSO's, by their place.
+
+Sources: Bogdan, van den Berg, Sabatti, Su and Candes, Ann. Appl. Stat. 9 (2015) 1103-1140;
+Tibshirani, Saunders, Rosset, Zhu and Knight, J. R. Stat. Soc. B 67 (2005) 91-108; Friedman,
+Hastie, Hoefling and Tibshirani, Ann. Appl. Stat. 1 (2007) 302-332, for the prox of both terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+from sparsefit.regression.penalties import Penalty, Slope, soft
+
+TURNS = 60  # of Dinkelbach's method; about five are taken
+
+
+@dataclass(frozen=True, eq=False)
+class SortedNorm(Penalty):
+    """SLOPE, sum_i lambda_i |V|_(i), |V|_(1) >= |V|_(2) >= ...: lambda (k,) > 0 descends.
+
+    The dual norm is max_i (|C|_(1) + ... + |C|_(i)) / (lambda_1 + ... + lambda_i).
+    """
+
+    weights: Array
+
+    @property
+    def columns(self) -> int:
+        """The number k of columns."""
+        return len(self.weights)
+
+    def norm(self, values: Array) -> Array:
+        """The norm of values (..., k, n): shape (...)."""
+        ordered = -np.sort(-np.abs(values), axis=-2)
+        total: Array = (ordered * self.weights[:, None]).sum(axis=(-2, -1))
+        return total
+
+    def dual_norm(self, values: Array) -> Array:
+        """The dual norm (..., n) by target."""
+        sums = np.cumsum(-np.sort(-np.abs(values), axis=-2), axis=-2)
+        peaks: Array = (sums / np.cumsum(self.weights)[:, None]).max(axis=-2)
+        return peaks
+
+    def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
+        """Of the columns at zero, those whose largest |C| together exceed their lambdas."""
+        out = np.full(self.columns, -1.0)
+        for pull, weight in zip(np.abs(correlation).T, values.T, strict=True):
+            off = np.flatnonzero(weight == 0)
+            order = off[np.argsort(-pull[off])]
+            limit = alpha * self.weights[len(weight) - len(off) :]
+            excess = np.cumsum(pull[order] - limit)
+            count = int(np.argmax(excess)) + 1 if len(off) and excess.max() > 0 else 0
+            out[order[:count]] = np.maximum(out[order[:count]], pull[order[:count]] / alpha)
+        return out
+
+    def restricted(self, index: IntArray) -> Self:
+        """The largest lambdas: the other columns are zero."""
+        return replace(self, weights=self.weights[: len(index)])
+
+    def prox(self, values: Array, step: float) -> Array:
+        """Isotonic regression of what is left of the sorted absolute values."""
+        from scipy.optimize import isotonic_regression
+
+        out = np.empty_like(values)
+        for t, column in enumerate(values.T):
+            order = np.argsort(-np.abs(column), kind="stable")
+            left = np.abs(column)[order] - step * self.weights
+            fitted = isotonic_regression(left, increasing=False).x
+            out[order, t] = np.sign(column[order]) * np.maximum(fitted, 0.0)
+        return out
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """The mean over each cluster of equal |V|."""
+        on = np.flatnonzero(values)
+        keys = np.stack([(on % values.shape[1]).astype(float), np.abs(values.ravel()[on])])
+        block = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
+        return on, _means(block, np.sign(values.ravel()[on]))
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """Differences of lambda times sums of the largest."""
+        steps = self.weights - np.append(self.weights[1:], 0.0)
+        terms = []
+        for t, i in np.ndindex(variable.shape[1], self.columns):
+            sizes = cvxpy.abs(variable[:, t])
+            largest = cvxpy.sum(sizes) if i + 1 == self.columns else cvxpy.sum_largest(sizes, i + 1)
+            terms += [float(steps[i]) * largest] if steps[i] > 0 else []
+        return cvxpy.sum(cvxpy.hstack(terms)), []
+
+
+@dataclass(frozen=True, eq=False)
+class FusedNorm(Penalty):
+    """r sum_j |V_j| + (1 - r) sum_j |V_(j+1) - V_j|, for columns in an order; 0 < r <= 1.
+
+    By level sets the unit ball's corners are runs of equal weights, so that the dual norm is the
+    largest |sum of C over a run| / (r length + (1 - r) ends), of ends that are not the first or the
+    last column; found by Dinkelbach's method, in k operations a turn.
+    """
+
+    count: int
+    ratio: float
+
+    @property
+    def columns(self) -> int:
+        """The number k of columns."""
+        return self.count
+
+    def norm(self, values: Array) -> Array:
+        """The norm of values (..., k, n): shape (...)."""
+        jumps = np.abs(np.diff(values, axis=-2)).sum(axis=(-2, -1))
+        total: Array = self.ratio * np.abs(values).sum(axis=(-2, -1)) + (1.0 - self.ratio) * jumps
+        return total
+
+    def dual_norm(self, values: Array) -> Array:
+        """The dual norm (..., n) by target."""
+        k, r = self.count, self.ratio
+        shape = (*values.shape[:-2], 1, values.shape[-1])
+        sums = np.concatenate([np.zeros(shape), np.cumsum(values, axis=-2)], axis=-2)
+        place = np.arange(k + 1)[:, None]
+        first = r * place + np.where(place == 0, 1.0 - r, 0.0)  # what a run from here on saves
+        last = r * place - np.where(place == k, 1.0 - r, 0.0) + 2.0 * (1.0 - r)
+        peak = np.zeros((*values.shape[:-2], values.shape[-1]))
+        for _ in range(TURNS):
+            level, best = peak[..., None, :], peak
+            for sign in (1.0, -1.0):
+                start = sign * sums - level * first
+                end = sign * sums - level * last
+                least = np.minimum.accumulate(start, axis=-2)[..., :-1, :]
+                at = np.argmax(end[..., 1:, :] - least, axis=-2)[..., None, :]
+                # The run that ends after `at` begins where `start` was least until then.
+                before = np.where(np.arange(k)[:, None] <= at, start[..., :-1, :], np.inf)
+                begin = np.argmin(before, axis=-2)[..., None, :]
+                total = np.take_along_axis(sums, at + 1, -2) - np.take_along_axis(sums, begin, -2)
+                size = r * (at + 1 - begin) + (1.0 - r) * ((begin > 0) * 1.0 + (at + 1 < k))
+                best = np.maximum(best, (sign * total / size)[..., 0, :])
+            if not np.any(best > peak * (1.0 + 1e-15)):
+                break
+            peak = best
+        return peak
+
+    def prox(self, values: Array, step: float) -> Array:
+        """That of the total variation, then soft thresholding (Friedman et al. 2007)."""
+        flat = np.stack([_taut(column, step * (1.0 - self.ratio)) for column in values.T], axis=1)
+        return soft(flat, np.full((1, 1), step * self.ratio))
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """The mean over each run of equal weights."""
+        on = np.flatnonzero(values)
+        change = np.diff(values, axis=0, prepend=np.nan) != 0
+        run = (np.cumsum(change, axis=0) + self.count * np.arange(values.shape[1])).ravel()[on]
+        return on, _means(np.unique(run, return_inverse=True)[1], np.ones(len(on)))
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """Absolute values and absolute differences."""
+        jumps = cvxpy.sum(cvxpy.abs(variable[1:] - variable[:-1])) if self.count > 1 else 0.0
+        return self.ratio * cvxpy.sum(cvxpy.abs(variable)) + (1.0 - self.ratio) * jumps, []
+
+
+def _means(block: IntArray, signs: Array) -> Any:
+    """N (c, d) whose column of a block of b coefficients holds their signs over sqrt(b)."""
+    from scipy.sparse import csc_array
+
+    size = np.sqrt(np.bincount(block))
+    return csc_array((signs / size[block], (np.arange(len(block)), block)))
+
+
+def _taut(y: Array, limit: float) -> Array:
+    """argmin |x - y|^2/2 + limit sum |x_(i+1) - x_i|: the taut string in a tube of that radius."""
+    sums, x = np.concatenate([[0.0], np.cumsum(y)]).tolist(), np.empty(len(y))
+    k, start, height = len(y), 0, 0.0
+    while start < k:
+        low, high, low_at, high_at = -np.inf, np.inf, start, start
+        for i in range(start + 1, k + 1):
+            radius = limit if i < k else 0.0
+            rise, fall = sums[i] + radius - height, sums[i] - radius - height
+            upper, lower = rise / (i - start), fall / (i - start)
+            if lower > high:  # the tube rises above the string's upper bound: it bends there
+                end, value = high_at, high
+                break
+            if upper < low:
+                end, value = low_at, low
+                break
+            if upper <= high:
+                high, high_at = upper, i
+            if lower >= low:
+                low, low_at = lower, i
+        else:
+            end, value = k, (sums[k] - height) / (k - start)
+        x[start:end] = value
+        height, start = height + value * (end - start), end
+    return x

@@ -1,0 +1,285 @@
+"""Penalties Omega(V) on the weights V (k, n) of columns of unit rms, one class each.
+
+    minimise over V:   loss(Y - Z V) + alpha * Omega(V),   Omega(V) = norm(V) + ridge/2 |V|_F^2
+
+A class states its ``norm``, its ``dual_norm`` max {<C, V> : norm(V) <= 1}, and its ``prox``
+
+    argmin over V of  |V - U|^2/2 + step * norm(V).
+
+Certificate, alpha_max, working sets and paths follow. ``slope`` is a factor N of the derivative of
+the prox, N N', and makes the generic solver Newton's method; without it the derivative is taken
+coefficient by coefficient. ``conic`` states the norm for cvxpy.
+
+Penalties of groups are in `group_penalties`, those of an order in `ordered_penalties`.
+Sources: Tibshirani (1996); Zou (2006), weights; Zou and Hastie (2005), ridge.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+from sparsefit.errors import InputError
+from sparsefit.regression.losses import SQUARES, Squares
+
+Slope = tuple[IntArray, Any]
+"""Flat indices (c,) into V.ravel() and N (c, d), sparse; None in its place is the identity."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Penalty(ABC):
+    """A penalty on k columns; a subclass states ``norm``, one of the dual norms, and ``prox``.
+
+    ridge: rho of rho/2 |V|^2, which is added; loss: what the penalty is added to.
+    """
+
+    ridge: float = 0.0
+    loss: Squares = SQUARES
+
+    @property
+    @abstractmethod
+    def columns(self) -> int:
+        """The number k of columns."""
+
+    @abstractmethod
+    def norm(self, values: Array) -> Array:
+        """The norm of values (..., k, n): shape (...)."""
+
+    @abstractmethod
+    def prox(self, values: Array, step: float) -> Array:
+        """The minimiser over V of |V - values|^2/2 + step * norm(V), values (k, n)."""
+
+    @property
+    def joint(self) -> bool:
+        """Whether a block spans all targets."""
+        return False
+
+    @property
+    def coupled(self) -> bool:
+        """Whether the targets of a problem are one problem, and not one each."""
+        return self.joint or self.loss.coupled
+
+    @property
+    def blocks(self) -> IntArray:
+        """The block (k,) of each column: all are one, unless a subclass says otherwise."""
+        return np.zeros(self.columns, dtype=np.intp)
+
+    def value(self, values: Array) -> Array:
+        """Omega of values (..., k, n): shape (...)."""
+        square = np.square(values).sum(axis=(-2, -1)) if self.ridge else 0.0
+        total: Array = self.norm(values) + 0.5 * self.ridge * square
+        return total
+
+    def block_dual_norms(self, values: Array) -> Array:
+        """The dual norm of each block of values (..., k, n): (..., g, n), or (..., g, 1)."""
+        duals: Array = self.dual_norm(values)[..., None, :]
+        return duals
+
+    def dual_norm(self, values: Array) -> Array:
+        """The dual norm of values (..., k, n), the largest of all blocks: (..., n) or (..., 1).
+
+        Where |C| <= e in every entry it is at most that of C = e.
+        """
+        peaks: Array = self.block_dual_norms(values).max(axis=-2)
+        return peaks
+
+    def constraint(self, values: Array) -> Array:
+        """The gauge that a dual point must not exceed alpha in: the dual norm."""
+        return self.dual_norm(values)
+
+    def excess(self, values: Array, alpha: Array) -> Array:
+        """What the conjugate of alpha * norm adds where it is finite: 0 for a norm."""
+        return np.zeros(values.shape[:-2])
+
+    def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
+        """By how much, relative to alpha, each column (k,) at zero wants to be in use; <= 0: not.
+
+        correlation Z'R/m and values (k, n): at the optimum of the columns that are in play.
+        """
+        excess: Array = self.block_dual_norms(correlation).max(axis=-1) / alpha - 1.0
+        return excess[self.blocks]
+
+    def restricted(self, index: IntArray) -> Self | None:
+        """The penalty on some of the columns, in whole blocks; None where it has no such form."""
+        return None
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """The factor N of the prox's derivative at ``origin`` (k, n), values = prox(origin).
+
+        By finite differences, coefficient by coefficient: exact where these are separate.
+        """
+        from scipy.sparse import diags_array
+
+        small = 1e-7 * (float(np.abs(origin).max()) or 1.0)
+        rate = (self.prox(origin + small, step) - values).ravel() / small
+        on = np.flatnonzero(rate > 1e-6)
+        return on, diags_array(np.sqrt(np.minimum(rate[on], 1.0))).tocsc()
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """The norm of a variable (k, n) of the package cvxpy, an expression, and constraints."""
+        raise InputError(f"{type(self).__name__} states no conic form: use solver 'exact'")
+
+
+def alpha_max(cross: Array, penalty: Penalty) -> float:
+    """The smallest alpha whose solution is zero: the dual norm of Z'Y/m (k, n)."""
+    return float(penalty.dual_norm(cross).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteValues(Penalty):
+    """sum_j omega_j sum_t |V_jt|: the LASSO, adaptive where the weights omega (k,) > 0 differ."""
+
+    weights: Array
+
+    @property
+    def columns(self) -> int:
+        """The number k of columns."""
+        return len(self.weights)
+
+    @property
+    def blocks(self) -> IntArray:
+        """Each column is a block."""
+        return np.arange(len(self.weights))
+
+    def norm(self, values: Array) -> Array:
+        """The norm of values (..., k, n): shape (...)."""
+        total: Array = (np.abs(values) * self.weights[:, None]).sum(axis=(-2, -1))
+        return total
+
+    def block_dual_norms(self, values: Array) -> Array:
+        """|C_jt| / omega_j."""
+        duals: Array = np.abs(values) / self.weights[:, None]
+        return duals
+
+    def restricted(self, index: IntArray) -> Self:
+        """The penalty on some of the columns."""
+        return replace(self, weights=self.weights[index])
+
+    def prox(self, values: Array, step: float) -> Array:
+        """Soft thresholding."""
+        return soft(values, step * self.weights[:, None])
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """One where a weight is not zero."""
+        return np.flatnonzero(values), None
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """The sum of weighted absolute values."""
+        return cvxpy.sum(cvxpy.multiply(self.weights[:, None], cvxpy.abs(variable))), []
+
+
+def lasso_penalty(columns: int) -> AbsoluteValues:
+    """The LASSO's penalty on k columns."""
+    return AbsoluteValues(np.ones(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedValues(AbsoluteValues):
+    """sum_j omega_j |V_jt| where lower_j <= V_jt <= upper_j, and infinite elsewhere.
+
+    lower <= 0 <= upper (k,), in columns of unit rms; 0 and infinity: the non-negative LASSO.
+    """
+
+    lower: Array
+    upper: Array
+
+    def norm(self, values: Array) -> Array:
+        """The norm of values within the bounds; infinite outside these."""
+        slack = 1e-12 * np.abs(values)
+        within = (values >= self.lower[:, None] - slack) & (values <= self.upper[:, None] + slack)
+        return np.where(within.all(axis=(-2, -1)), super().norm(values), np.inf)
+
+    def block_dual_norms(self, values: Array) -> Array:
+        """How much C_jt / omega_j pulls in a direction that is free at zero."""
+        up = np.where(self.upper[:, None] > 0, values, 0.0)
+        down = np.where(self.lower[:, None] < 0, -values, 0.0)
+        duals: Array = np.maximum(np.maximum(up, down), 0.0) / self.weights[:, None]
+        return duals
+
+    def constraint(self, values: Array) -> Array:
+        """The gauge of the directions without a bound."""
+        up = np.where(np.isinf(self.upper)[:, None], values, 0.0)
+        down = np.where(np.isinf(self.lower)[:, None], -values, 0.0)
+        duals: Array = (np.maximum(np.maximum(up, down), 0.0) / self.weights[:, None]).max(axis=-2)
+        return duals
+
+    def excess(self, values: Array, alpha: Array) -> Array:
+        """The conjugate in the directions with a bound: the bound times what exceeds alpha."""
+        limit = np.asarray(alpha)[..., None, None] * self.weights[:, None]
+        high = np.where(np.isinf(self.upper), 0.0, self.upper)[:, None]
+        low = np.where(np.isinf(self.lower), 0.0, -self.lower)[:, None]
+        over = high * np.maximum(values - limit, 0.0) + low * np.maximum(-values - limit, 0.0)
+        total: Array = over.sum(axis=(-2, -1))
+        return total
+
+    def restricted(self, index: IntArray) -> Self:
+        """The penalty on some of the columns."""
+        parts = {name: getattr(self, name)[index] for name in ("weights", "lower", "upper")}
+        return replace(self, **parts)
+
+    def prox(self, values: Array, step: float) -> Array:
+        """Soft thresholding, then the bounds."""
+        return np.clip(super().prox(values, step), self.lower[:, None], self.upper[:, None])
+
+    def slope(self, origin: Array, values: Array, step: float) -> Slope:
+        """One where a weight is not zero and not at a bound."""
+        free = (values > self.lower[:, None]) & (values < self.upper[:, None])
+        return np.flatnonzero(free & (values != 0)), None
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """Absolute values, and the finite bounds."""
+        low, high = (np.flatnonzero(np.isfinite(part)) for part in (self.lower, self.upper))
+        bounds = [variable[low] >= self.lower[low, None]] if len(low) else []
+        bounds += [variable[high] <= self.upper[high, None]] if len(high) else []
+        return super().conic(variable, cvxpy)[0], bounds
+
+
+@dataclass(frozen=True, eq=False)
+class SquaredNorm(Penalty):
+    """A ridge alone, |V|^2/2: no norm, and no penalty whose solution is zero.
+
+    Its unit of alpha is k, the trace of Z'Z/m, which bounds the largest eigenvalue of it.
+    """
+
+    count: int
+    ridge: float = field(default=1.0, kw_only=True)
+
+    @property
+    def columns(self) -> int:
+        """The number k of columns."""
+        return self.count
+
+    @property
+    def coupled(self) -> bool:
+        """One factor serves all targets."""
+        return True
+
+    def norm(self, values: Array) -> Array:
+        """Zero."""
+        return np.zeros(values.shape[:-2])
+
+    def dual_norm(self, values: Array) -> Array:
+        """The unit of alpha, k, whatever the values."""
+        return np.full((*values.shape[:-2], 1), float(self.count))
+
+    def constraint(self, values: Array) -> Array:
+        """Zero: the certificate takes the dual point that obeys it."""
+        return np.zeros((*values.shape[:-2], 1))
+
+    def prox(self, values: Array, step: float) -> Array:
+        """The values."""
+        return values
+
+    def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
+        """Zero."""
+        return 0.0, []
+
+
+def soft(values: Array, limit: Array) -> Array:
+    """The values, as much nearer to zero as the limit says."""
+    shrunk: Array = np.sign(values) * np.maximum(np.abs(values) - limit, 0.0)
+    return shrunk

@@ -1,0 +1,104 @@
+"""Designs of every kind against plain products of one array."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from sparsefit.arrays import Array
+from sparsefit.regression.design import CentredDesign, DaskDesign, Design, RowDesign, SparseDesign
+
+M, K = 60, 9
+DRAW = np.random.default_rng(3)
+THETA = np.where(DRAW.random((M, K)) < 0.6, DRAW.normal(size=(M, K)) + 1.0, 0.0) * np.arange(1, 10)
+WEIGHTS = DRAW.uniform(0.5, 2.0, M)
+DIRECTION = WEIGHTS / np.linalg.norm(WEIGHTS)
+
+
+class Rows:
+    """Rows that can only be sliced, as a file of them."""
+
+    shape = (M, K)
+
+    def __getitem__(self, rows: slice) -> Array:
+        return THETA[rows]
+
+
+def designs(folder: Path) -> dict[str, tuple[Design, Array]]:
+    """Every kind of design, with the array that it is."""
+    np.save(folder / "theta.npy", THETA)
+    plain = RowDesign(THETA, M)
+    off = THETA - np.multiply.outer(DIRECTION, DIRECTION @ THETA)
+    return {
+        "rows": (plain, THETA),
+        "columns": (RowDesign(np.asfortranarray(THETA), M), THETA),
+        "weighted": (RowDesign(THETA, M, WEIGHTS), THETA * WEIGHTS[:, None]),
+        "file": (RowDesign(np.load(folder / "theta.npy", mmap_mode="r"), M), THETA),
+        "slices": (RowDesign(Rows(), M), THETA),
+        "sparse": (SparseDesign(sparse.csc_array(THETA), M), THETA),
+        "centred": (CentredDesign.of(plain, WEIGHTS), off),
+        "sparse, centred": (
+            CentredDesign.of(SparseDesign(sparse.csc_array(THETA), M), WEIGHTS),
+            off,
+        ),
+    }
+
+
+KINDS = (
+    *("rows", "columns", "weighted", "file", "slices", "sparse", "centred", "sparse, centred"),
+    "dask",
+)
+
+
+def check(design: Design, theta: Array) -> None:
+    """Every sum of the design against the array."""
+    rms = np.sqrt(np.mean(theta**2, axis=0))
+    z, values = theta / rms, np.zeros((K, 3))
+    values[[2, 5]] = DRAW.normal(size=(2, 3))
+    rows, index = DRAW.normal(size=(M, 3)), np.array([7, 0, 3])
+    assert design.shape == (M, K)
+    assert np.allclose(design.rms, rms, rtol=1e-12)
+    for dense in (values, np.ones((K, 3))):
+        assert np.allclose(design.predict(dense), z @ dense)
+        correlation, square, product = design.residual_sums(rows, dense)
+        residual = rows - z @ dense
+        assert np.allclose(correlation, z.T @ residual / M)
+        assert np.allclose(square, np.mean(residual**2, axis=0))
+        assert np.allclose(product, np.mean(residual * rows, axis=0))
+    assert np.allclose(design.correlate(rows), z.T @ rows / M)
+    assert np.allclose(design.columns(index), z[:, index])
+    gram = z.T @ z / M
+    assert np.allclose(design.products(slice(None)), gram)
+    assert np.allclose(design.products(index), gram[np.ix_(index, index)])
+    assert np.allclose(design.products(index, slice(None)), gram[index])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("block", [8192, 7])
+def test_every_kind_is_the_array_that_it_is(
+    kind: str, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sparsefit.regression.design.ROW_BLOCK", block)
+    monkeypatch.setattr("sparsefit.regression.design.BLOCK_BYTES", 8 * K * block)
+    if kind == "dask":
+        array = pytest.importorskip("dask.array")
+        check(DaskDesign(array.from_array(THETA, chunks=(block, K)), M), THETA)
+        return
+    design, theta = designs(tmp_path)[kind]
+    check(design, theta)
+
+
+def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off() -> None:
+    tall = RowDesign(np.ones((100_000, 1)), 100_000)
+    assert tall.terms == 8192 + 12
+    shifted = RowDesign(DRAW.normal(size=(50, 2)) + np.array([0.0, 1e3]), 50)
+    assert 300 < CentredDesign.of(shifted, np.ones(50)).spread < 3000
+    assert SparseDesign(sparse.csc_array(np.eye(5)), 5).terms == 1
+
+
+def test_a_column_that_is_constant_is_zero_when_centred() -> None:
+    theta = np.column_stack([np.full(50, 0.1), np.arange(50.0)])
+    centred = CentredDesign.of(RowDesign(theta, 50), np.ones(50))
+    assert centred.raw_squares()[0] == 0.0
+    assert centred.rms[1] == pytest.approx(np.std(np.arange(50.0)))
