@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from sparsefit.cli import backends, estimate, export, select, simulate, study
-from sparsefit.cli.parser import Parser
+from sparsefit.cli.options import Parser, Verbs, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 
@@ -29,7 +29,7 @@ exit code: 0 when what was asked was done, 1 when it was tried and failed, 2 for
 
 
 def parser() -> Parser:
-    """Every verb and option; builds in milliseconds, without numpy."""
+    """The parser of all verbs and options; built in milliseconds, without numpy."""
     from sparsefit import __version__
 
     top = Parser(
@@ -39,20 +39,22 @@ def parser() -> Parser:
         epilog=EXAMPLE,
     )
     top.add_argument("--version", action="version", version=f"sparsefit {__version__}")
-    verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb", required=True)
-    for verb in (simulate, estimate, study, select, export, backends):
-        verb.add(verbs)
+    top.set_defaults(run=_help, parser=top, stopped="stopped")
+    verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
+    for module in (simulate, estimate, study, select, export, backends):
+        module.add(verbs)
+    _add_completion(verbs)
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return its exit code; bad input is one line on stderr, no traceback."""
-    _print_what_can_be_printed()
+    _replace_unprintable()
     args = argparse.Namespace(stopped="stopped")
     try:
         args, extra = parser().parse_known_args(argv)
         if extra:
-            args.parser.error(f"unrecognized arguments: {' '.join(extra)}")
+            args.parser.unrecognized(extra)
         code: int = args.run(args)
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -60,15 +62,42 @@ def main(argv: Sequence[str] | None = None) -> int:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(f"\n{args.stopped}", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:
-        return _reader_left()
+    except BrokenPipeError:  # `sparsefit ... | head`: the null device takes what is still flushed
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
     except (Exception, MemoryError) as error:
         return _refused(error)
     return code
 
 
+def _help(args: argparse.Namespace) -> int:
+    args.parser.print_help()
+    return 0
+
+
+def _add_completion(verbs: Verbs) -> None:
+    """Declare `sparsefit completion SHELL`."""
+    example = '  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'
+    summary = "print a script that completes verbs and options in a shell"
+    declared = verb(verbs, "completion", _completion, summary=summary, example=example)
+    declared.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "tcsh"),
+                          help="bash, zsh or tcsh")  # fmt: skip
+
+
+def _completion(args: argparse.Namespace) -> int:
+    """Print the script. Raises MissingExtra where shtab is not installed."""
+    try:
+        import shtab
+    except ImportError:
+        raise MissingExtra(
+            "completion needs shtab: pip install 'sparsefit[completion]'"
+        ) from None
+    print(shtab.complete(parser(), args.shell))
+    return 0
+
+
 def _refused(error: BaseException) -> int:
-    """Exit code of what a user can mend, said on one line; a bug of ours is raised again."""
+    """The exit code of an error that a user can mend, told on one line; others are raised again."""
     if isinstance(error, SparsefitError):
         message, code = str(error), BAD_INPUT if isinstance(error, InputError | MissingExtra) else 1
     elif isinstance(error, UnicodeDecodeError):
@@ -85,16 +114,10 @@ def _refused(error: BaseException) -> int:
     return code
 
 
-def _print_what_can_be_printed() -> None:
-    """A terminal that has no `τ` shows `?`, and nobody sees what is closed: no reasons to fail."""
+def _replace_unprintable() -> None:
+    """Let a terminal that has no `τ` show `?`, and closed streams take what is printed."""
     sys.stdout = sys.stdout or io.StringIO()
     sys.stderr = sys.stderr or sys.stdout
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _reader_left() -> int:
-    """`sparsefit ... | head` is no error; the null device takes what Python still flushes."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return BROKEN_PIPE

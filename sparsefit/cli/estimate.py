@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.estimate_log import Log, add_log, quality_of_log, read_logs, refuse_frames
-from sparsefit.cli.estimate_plot import add_plot, check_plot, write_plot
-from sparsefit.cli.estimator_options import add_estimator, estimator_of
-from sparsefit.cli.output import print_json
-from sparsefit.cli.parser import Verbs, number, verb
-from sparsefit.errors import InputError, told_with
+from sparsefit.cli.estimator_file import add_estimator, estimator_of
+from sparsefit.cli.options import FORCE, JSON, Option, Verbs, declare, number, verb
+from sparsefit.cli.terminal import check_output, emit
+from sparsefit.errors import InputError, one_line, told_with
 
 if TYPE_CHECKING:
-    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.derivative.quality import LogQuality
+    from sparsefit.estimator import Estimate, Estimator
     from sparsefit.flight import Flight
     from sparsefit.logs.table import FlightTable
 
@@ -35,25 +38,64 @@ EXAMPLE = """\
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
 2 for bad input. `sparsefit backends` lists back-ends and their settings.
 """
-VEHICLE = {  # settings of a flight file; their unit, and what --help says of them
-    "response_time": ("s", "S", "of linear drag; alone: no quadratic drag"),
-    "drag": ("1/m", "1/M", "quadratic drag; alone: no linear drag"),
-    "thrust_ax": ("m/s^2", "AX", "thrust along x in m/s^2"),
-    "thrust_ay": ("m/s^2", "AY", "thrust along y in m/s^2"),
-    "thrust_scale": ("", "S", "of the measured thrust ax, ay"),
-}
+PICTURES = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+LOG = (
+    Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
+           "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
+           "MAP"),
+    Option("--only", "the rows to read, of one vehicle, where a table holds several",
+           "COLUMN=VALUE", extra={"action": "append"}),
+    Option("--from", "first second that is read", "S", number("s"), {"dest": "begin"}),
+    Option("--to", "last second that is read", "S", number("s"), {"dest": "end"}),
+    Option("--longest-gap", "a log with a longer one is refused; default: 60 s, or 20 steps", "S",
+           number("s")),
+)  # fmt: skip
+VEHICLE = {  # the setting of a flight file that an option replaces
+    "response_time": Option("--response-time", "of linear drag; alone: no quadratic drag", "S",
+                            number("s")),
+    "drag": Option("--drag", "quadratic drag; alone: no linear drag", "1/M", number("1/m")),
+    "thrust_ax": Option("--thrust-ax", "thrust along x in m/s^2", "AX", number("m/s^2")),
+    "thrust_ay": Option("--thrust-ay", "thrust along y in m/s^2", "AY", number("m/s^2")),
+    "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "S", number()),
+}  # fmt: skip
 STAND_IN = 1.0  # s or 1/m; where the drag is sought, a flight needs one that nothing reads
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log that was read.
+
+    Args:
+        path: of its file.
+        flight: its content.
+        quality: rate, gaps, noise and frame of the log.
+        notes: readings of a foreign log: columns, units, projection.
+    """
+
+    path: str
+    flight: Flight
+    quality: LogQuality
+    notes: tuple[str, ...]
+
+    def cells_crossed(self, estimate: Estimate) -> int | None:
+        """The number of cells that the flight crossed; None where the flow is not known."""
+        from sparsefit.estimator.crossed import cells_crossed
+
+        return cells_crossed(estimate, self.flight.time, self.flight.position)
+
+    def record(self, estimate: Estimate) -> dict[str, Any]:
+        """The log as JSON-ready values; None for what is not known."""
+        from sparsefit.codec import finite_or_none
+
+        values: dict[str, Any] = finite_or_none(asdict(self.quality))
+        crossed = self.cells_crossed(estimate)
+        return values | {"cells_crossed": crossed, "read_as": list(self.notes)}
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    parser = verb(
-        verbs,
-        "estimate",
-        run,
-        summary="estimate mean velocity, length scale and timescale from a flight, or several",
-        example=EXAMPLE,
-    )
+    summary = "estimate mean velocity, length scale and timescale from a flight, or several"
+    parser = verb(verbs, "estimate", run, summary=summary, example=EXAMPLE)
     parser.add_argument(
         "flight",
         metavar="FLIGHT",
@@ -61,52 +103,78 @@ def add(verbs: Verbs) -> None:
         help="flight log: a table (.csv, .parquet; .txt, .tsv, .dat), .ulg of PX4, .igc of a "
         "glider; several are flights through one flow, in one frame and by one clock",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_plot(parser)
-    add_log(parser)
+    plot = "draw track, cells, weights, residual and its spectrum: .png, .svg or .pdf"
+    declare(parser, (JSON, Option("--plot", plot, "FILE"), FORCE))
+    declare(parser.add_argument_group("log"), LOG)
     add_estimator(parser)
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
-    for name, (unit, metavar, text) in VEHICLE.items():
-        option = f"--{name.replace('_', '-')}"
-        vehicle.add_argument(option, type=number(unit), metavar=metavar, help=text)
+    declare(vehicle, VEHICLE.values())
 
 
 def run(args: argparse.Namespace) -> int:
-    """Estimate, print, and tell by the exit code whether the status is ok."""
-    from sparsefit.cli.estimate_lines import lines
+    """Estimate, print, and return 0 where the status is ok, else 1."""
+    from sparsefit.cli.answer import lines
 
-    check_plot(args)
+    if args.plot is not None:
+        check_output(args.plot, force=args.force, endings=PICTURES)
     estimator = estimator_of(args)
-    tables = read_logs(args)
-    refuse_frames(args.flight, tables)
-    read = zip(args.flight, tables, strict=True)
-    logs = [_log(args, path, table, estimator) for path, table in read]
+    logs = _logs(args, estimator)
     flights = [log.flight for log in logs]
     estimate = estimator.estimate(flights[0] if len(flights) == 1 else flights)
     if args.plot is not None:
-        write_plot(args.plot, args.flight, estimator, flights, estimate)
-    if args.json:
-        records = [log.record(estimate) for log in logs]
-        told = {"log": records[0]} if len(logs) == 1 else {"logs": records}
-        print_json(estimate.to_dict() | told)
-    else:
-        print("\n".join(lines(logs, estimate, estimator.library.unknown)))
+        _draw(args.plot, args.flight, estimator, flights, estimate)
+    records = [log.record(estimate) for log in logs]
+    read = {"log": records[0]} if len(logs) == 1 else {"logs": records}
+    emit(
+        estimate.to_dict() | read,
+        lambda: lines(logs, estimate, estimator.library.unknown),
+        as_json=args.json,
+    )
     if estimate.status != "ok" and not sys.stdout.isatty():  # there it has just been read
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
     return 0 if estimate.status == "ok" else 1
 
 
-def _log(args: argparse.Namespace, path: str, table: FlightTable, estimator: Estimator) -> Log:
-    """One log, its quality looked at."""
-    flight = _flight(args, path, table, estimator.library.unknown)
-    quality = quality_of_log(args, path, flight, estimator.library.grid)
-    return Log(path, flight, quality, table.notes)
+def _logs(args: argparse.Namespace, estimator: Estimator) -> list[Log]:
+    """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
+    from sparsefit.derivative import Derivative
+    from sparsefit.derivative.quality import quality_of
+    from sparsefit.derivative.refusal import check_log
+    from sparsefit.logs.files import read_table
+
+    if len(args.only or ()) > 1:
+        remedy = "several together are read from Python: read_flight(..., only=...) of each"
+        raise InputError(
+            f"--only is given {len(args.only)} times: a flight is of one vehicle; {remedy}"
+        )
+    only = args.only[0] if args.only else None
+    tables: list[FlightTable] = []
+    for path in args.flight:
+        anchor = tables[0].anchor if tables else None
+        table = read_table(path, columns=args.columns, only=only, anchor=anchor)
+        with told_with(path):
+            tables.append(table.between(args.begin, args.end))
+    placed = [table.anchor.origin is not None for table in tables]
+    if any(placed) and not all(placed):
+        where, nowhere = args.flight[placed.index(True)], args.flight[placed.index(False)]
+        raise InputError(
+            f"{nowhere}: it does not tell where on the Earth it is, and {where} does: several "
+            "flights need one frame; give x and y of all in metres about one place"
+        )
+    logs, grid = [], estimator.library.grid
+    for path, table in zip(args.flight, tables, strict=True):
+        flight = _flight(args, path, table, estimator.library.unknown)
+        with told_with(path):
+            check_log(flight, smallest=grid.lower, largest=grid.upper, longest_gap=args.longest_gap)
+        quality = quality_of(flight, Derivative()(flight).smoothing)
+        logs.append(Log(path, flight, quality, table.notes))
+    return logs
 
 
 def _flight(
     args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
 ) -> Flight:
-    """The flight, its vehicle as in the file unless the command line says otherwise."""
+    """The flight of a table, its vehicle as in the file unless the command line says otherwise."""
     from sparsefit.logs.table import vehicle_of
 
     given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
@@ -117,12 +185,37 @@ def _flight(
         if law in unknown and law not in settings:
             settings = {k: v for k, v in settings.items() if k != other} | {law: STAND_IN}
     if "response_time" not in settings and "drag" not in settings:
-        told = "the file has no `# response_time=` line; add it or give --response-time"
+        cause = "the file has no `# response_time=` line; add it or give --response-time"
         if given:
-            told = "the file has none; give --response-time too"
+            cause = "the file has none; give --response-time too"
         elif table.notes:  # no line of ours can be added to a log of others
-            told = "the log does not tell; give --response-time, or --unknown response_time"
-        raise InputError(f"{path}: no vehicle: {told}")
+            cause = "the log does not tell; give --response-time, or --unknown response_time"
+        raise InputError(f"{path}: no vehicle: {cause}")
     vehicle = vehicle_of(settings)
     with told_with(path):
         return table.flight(vehicle)
+
+
+def _draw(
+    path: str,
+    names: Sequence[str],
+    estimator: Estimator,
+    flights: Sequence[Flight],
+    estimate: Estimate,
+) -> None:
+    """Write the picture: all tracks, and the residual of the first flight."""
+    from sparsefit.derivative import Derivative
+    from sparsefit.study.report.drawing import to_pdf, to_png, to_svg
+    from sparsefit.study.report.estimate_figure import estimate_figure
+    from sparsefit.study.report.flown import flown_by
+    from sparsefit.whole_file import write_whole
+
+    assert isinstance(estimator.derivative, Derivative)
+    first, *beside = flights
+    flown = flown_by(first, estimator.derivative(first), estimate, beside)
+    more = f" and {len(beside)} more" if beside else ""
+    encode = {".png": to_png, ".svg": to_svg, ".pdf": to_pdf}[Path(path).suffix.lower()]
+    with warnings.catch_warnings():  # a name in letters that the font has not is drawn as boxes
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        content = encode(estimate_figure(flown, f"{one_line(names[0])}{more}"))
+    write_whole(path, content)

@@ -1,0 +1,162 @@
+"""Output of verbs: one record as JSON or lines, colours, durations, progress, and file checks."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sparsefit.errors import InputError, one_of
+
+if TYPE_CHECKING:
+    from sparsefit.regression import Certificate
+
+COLOURS = {"ok": "32", "inaccurate": "33", "unidentifiable": "33", "misfit": "33", "skipped": "33"}
+RED = "31"  # of every other status
+PLAIN_SECONDS = 5.0  # between two lines of progress where there is no terminal
+BAR = "{percentage:3.0f} % |{bar}| {n_fmt}/{total_fmt} cases, {elapsed} gone{postfix}"
+
+
+def emit(record: Any, lines: Callable[[], Iterable[str]], *, as_json: bool) -> None:
+    """Print a record: one JSON document where asked for, else its lines.
+
+    Args:
+        record: JSON-ready values; None for what is not finite.
+        lines: makes the lines for people; not called for JSON.
+        as_json: whether `--json` was given.
+    """
+    if as_json:
+        print(json.dumps(record, indent=2, allow_nan=False, ensure_ascii=False))
+    else:
+        print("\n".join(lines()))
+
+
+def coloured(status: str, text: str | None = None) -> str:
+    """A status, or a text about it, in its colour where stdout is a terminal that shows colours."""
+    text = status if text is None else text
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return text
+    return f"\033[{COLOURS.get(status, RED)}m{text}\033[0m"
+
+
+def rows_of(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
+    """Lines `label  value` with all values below each other; width [characters] at least."""
+    table = list(pairs)
+    width = max([width, *(len(label) for label, _ in table)])
+    return [f"{label:<{width}}  {value}".rstrip() for label, value in table]
+
+
+def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> None:
+    """Refuse, before any work, a file that cannot be written or would be overwritten.
+
+    Args:
+        path: of the file.
+        force: whether a file that is there may be overwritten.
+        endings: suffixes, lower case, of the formats that can be written; empty for any.
+
+    Raises:
+        InputError: with the cause and the remedy.
+    """
+    file = Path(path)
+    if not path.strip():
+        raise InputError("the name of the file to write is empty; give one")
+    if endings:
+        one_of("file type", file.suffix.lower() or file.name, endings)
+    if not file.parent.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {file.parent}; make it first")
+    if file.is_dir():
+        raise InputError(f"{path} is a folder; choose another name")
+    if os.path.lexists(path) and not force:
+        raise InputError(f"{path} exists; add --force or choose another name")
+
+
+def check_folder(path: str, *, force: bool = False, own: str = "") -> Path:
+    """The folder to write, refused before any work where it holds files of others.
+
+    Args:
+        path: of the folder.
+        force: whether a folder with files may be written into.
+        own: the name of a file by which a folder shows that this verb has written it.
+
+    Raises:
+        InputError: with the cause and the remedy.
+    """
+    folder = Path(path)
+    if not path.strip():
+        raise InputError("the name of the folder to write is empty; give one")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{path} is a file; choose another name for the folder")
+    written = force or (own and (folder / own).exists())
+    if folder.is_dir() and any(folder.iterdir()) and not written:
+        remedy = f"it has no {own}: choose" if own else "add --force or choose"
+        raise InputError(f"{path} is not empty; {remedy} another name")
+    return folder
+
+
+def proof(certificate: Certificate | None) -> str:
+    """A certificate in words, `duality_gap 1.2e-10`, or `none`."""
+    return f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
+
+
+def typed(settings: dict[str, Any]) -> str:
+    """Settings as they are typed: `alpha_fraction=0.1 separate=false`."""
+    return " ".join(
+        f"{key}={str(value).lower() if isinstance(value, bool) or value is None else value}"
+        for key, value in settings.items()
+    )
+
+
+def duration(seconds: float) -> str:
+    """A time span in words: `0.42 s`, `35 s`, `4 min 05 s`, `2 h 10 min`."""
+    if seconds < 9.95:
+        return f"{seconds:.2g} s"
+    if seconds < 59.5:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def terminal_width() -> int:
+    """The columns of the terminal; 160 for a pipe or a file, which take wide tables as they are."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else 160
+
+
+class Progress:
+    """Progress on stderr: a bar on a terminal, elsewhere a line at most every five seconds."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+        self._last = float("-inf")
+
+    def __call__(self, done: int, planned: int, left: float | None) -> None:
+        """Show that `done` of `planned` cases are finished, with the seconds left where known."""
+        words = "" if done == planned or left is None else f"about {duration(left)} left"
+        if sys.stderr.isatty():
+            self._draw(done, planned, words)
+        elif done == planned or time.monotonic() - self._last >= PLAIN_SECONDS:
+            self._last = time.monotonic()
+            share = f"{done}/{planned} cases, {100 * done // max(planned, 1)} %"
+            print(f"{share}{', ' + words if words else ''}", file=sys.stderr, flush=True)
+
+    def _draw(self, done: int, planned: int, words: str) -> None:
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(
+                total=planned, initial=done, bar_format=BAR, file=sys.stderr, dynamic_ncols=True
+            )
+        self._bar.n = done
+        self._bar.set_postfix_str(words, refresh=False)
+        self._bar.refresh()
+
+    def close(self) -> None:
+        """Leave the last state of the bar on the screen."""
+        if self._bar is not None:
+            self._bar.close()
