@@ -89,9 +89,7 @@ def _completion(args: argparse.Namespace) -> int:
     try:
         import shtab
     except ImportError:
-        raise MissingExtra(
-            "completion needs shtab: pip install 'sparsefit[completion]'"
-        ) from None
+        raise MissingExtra("completion needs shtab: pip install 'sparsefit[completion]'") from None
     print(shtab.complete(parser(), args.shell))
     return 0
 

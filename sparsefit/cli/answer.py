@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.output import duration, proof
-from sparsefit.cli.parser import shown
+from sparsefit.cli.terminal import coloured, duration, proof, typed
 from sparsefit.errors import one_line
 from sparsefit.estimator.estimate import FINEST, decimals
+from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:
-    from sparsefit.cli.estimate_log import Log
+    from sparsefit.cli.estimate import Log
     from sparsefit.estimator.estimate import Estimate, FlightEstimate, ScaleEstimate
     from sparsefit.flight import Flight
 
@@ -54,8 +54,8 @@ def lines(logs: Sequence[Log], estimate: Estimate, unknown: tuple[str, ...]) -> 
         *_goodness(estimate),
         ("", ""),
         *_scales(estimate),
-        ("status", estimate.status + (f": {estimate.reason}" if estimate.reason else "")),
-        ("back-end", f"{estimate.backend}  {shown(estimate.settings)}".rstrip()),
+        ("status", coloured(estimate.status) + (f": {estimate.reason}" if estimate.reason else "")),
+        ("back-end", f"{estimate.backend}  {typed(estimate.settings)}".rstrip()),
         ("certificate", proof(certificate) + meaning),
         ("problem", f"{estimate.samples} samples x {estimate.columns} columns"),
         ("time", duration(estimate.seconds)),
@@ -69,11 +69,21 @@ def _flight(
     """What was flown, logged and mended; own: what is estimated of the flight."""
     return [
         ("flight", f"{one_line(log.path)}: {_measured(log.flight)}"),
-        *log.rows(estimate),
+        *_log(log, estimate),
         *([("repaired", own.repairs.words)] if own.repairs.words else []),
         *_wander(own),
         ("vehicle", _known(log.flight, unknown)),
     ]
+
+
+def _log(log: Log, estimate: Estimate) -> list[tuple[str, str]]:
+    """The quality of a log, its frame, and how a foreign one was read."""
+    crossed, frame = log.cells_crossed(estimate), log.quality.frame
+    cells = "cell" if crossed == 1 else "cells"
+    words = log.quality.words + (f"; {crossed} {cells} crossed" if crossed else "")
+    axes = f"{frame}: {FRAMES[frame]}" if frame else f"not told: {FRAMES['']}"
+    notes = [("" if place else "read as", note) for place, note in enumerate(log.notes)]
+    return [("log", words), ("frame", axes), *notes]
 
 
 def _flights(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.estimator_options import read_estimator
+from sparsefit.cli.estimator_file import read_estimator
 from sparsefit.cli.output import check_folder
 from sparsefit.cli.parser import Verbs, number, verb, whole
 from sparsefit.errors import InputError, one_line, positive, told_with

@@ -40,7 +40,9 @@ class Parser(argparse.ArgumentParser):
         if action.choices is not None and value not in action.choices:
             name = action.metavar or action.dest.replace("_", "-")
             kind = name.lower() if isinstance(name, str) else action.dest
-            self.error(f'unknown {kind} "{value}"{suggestion(str(value), map(str, action.choices))}')
+            self.error(
+                f'unknown {kind} "{value}"{suggestion(str(value), map(str, action.choices))}'
+            )
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2 after one line with the cause and where the remedy stands."""

@@ -117,8 +117,6 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.flight.record import MOST_SAMPLES
     from sparsefit.logs import write_flight
     from sparsefit.logs.files import WRITTEN
-    from sparsefit.logs import write_flight
-    from sparsefit.logs.files import WRITTEN
 
     check_output(args.output, force=args.force, endings=WRITTEN)
     flow, faults, (vehicle, thrust) = _flow(args), _faults(args), _vehicle(args)

@@ -158,7 +158,10 @@ def test_simulate_spoils_the_log(capsys):
         (("--thrust", "5"), "expected 2 arguments"),
         (("--seed", "1.5"), "not a whole number"),
         (("--seed", "-1"), "seed must be"),
-        (("--sed", "1"), "unrecognized arguments: --sed 1; see sparsefit simulate --help"),
+        (
+            ("--sed", "1"),
+            'unrecognized arguments: --sed 1: did you mean "--seed"?; see sparsefit simulate --help',
+        ),
         (("-o", "flight.txt"), 'unknown file type ".txt"'),
         (("-o", "nowhere/flight.csv"), "there is no folder nowhere; make it first"),
         (("-o", ""), "the name of the file to write is empty"),
@@ -169,6 +172,27 @@ def test_simulate_spoils_the_log(capsys):
 def test_simulate_refuses(capsys, options, words):
     output = () if "-o" in options else ("-o", "flight.csv")
     assert words in refused(capsys, *SIMULATE, *options, *output)
+
+
+# --- the verbs as such
+
+
+def test_the_command_alone_prints_its_help(capsys):
+    code, out, err = run(capsys)
+    assert (code, err) == (0, "")
+    assert out.startswith("usage: sparsefit")
+
+
+def test_a_misspelt_verb_is_refused_with_the_nearest(capsys):
+    assert 'unknown verb "estimat": did you mean "estimate"?' in refused(capsys, "estimat")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_every_verb(capsys, shell):
+    code, out, _ = run(capsys, "completion", shell)
+    assert code == 0
+    for name in ("simulate", "estimate", "study", "select", "export", "backends"):
+        assert name in out
 
 
 # --- estimate
