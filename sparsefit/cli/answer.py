@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.terminal import coloured, duration, proof, typed
 from sparsefit.errors import one_line
@@ -12,7 +13,7 @@ from sparsefit.estimator.estimate import FINEST, decimals
 from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:
-    from sparsefit.cli.estimate import Log
+    from sparsefit.derivative.quality import LogQuality
     from sparsefit.estimator.estimate import Estimate, FlightEstimate, ScaleEstimate
     from sparsefit.flight import Flight
 
@@ -31,6 +32,37 @@ SHAPES = {
     "pair": "two waves",
     "several": "several waves",
 }
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log that was read.
+
+    Args:
+        path: of its file.
+        flight: its content.
+        quality: rate, gaps, noise and frame of the log.
+        notes: readings of a foreign log: columns, units, projection.
+    """
+
+    path: str
+    flight: Flight
+    quality: LogQuality
+    notes: tuple[str, ...]
+
+    def cells_crossed(self, estimate: Estimate) -> int | None:
+        """The number of cells that the flight crossed; None where the flow is not known."""
+        from sparsefit.estimator.crossed import cells_crossed
+
+        return cells_crossed(estimate, self.flight.time, self.flight.position)
+
+    def record(self, estimate: Estimate) -> dict[str, Any]:
+        """The log as JSON-ready values; None for what is not known."""
+        from sparsefit.codec import finite_or_none
+
+        values: dict[str, Any] = finite_or_none(asdict(self.quality))
+        crossed = self.cells_crossed(estimate)
+        return values | {"cells_crossed": crossed, "read_as": list(self.notes)}
 
 
 def lines(logs: Sequence[Log], estimate: Estimate, unknown: tuple[str, ...]) -> list[str]:

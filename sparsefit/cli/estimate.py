@@ -6,17 +6,16 @@ import argparse
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from sparsefit.cli.answer import Log
 from sparsefit.cli.estimator_file import add_estimator, estimator_of
 from sparsefit.cli.options import FORCE, JSON, Option, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output, emit
 from sparsefit.errors import InputError, one_line, told_with
 
 if TYPE_CHECKING:
-    from sparsefit.derivative.quality import LogQuality
     from sparsefit.estimator import Estimate, Estimator
     from sparsefit.flight import Flight
     from sparsefit.logs.table import FlightTable
@@ -59,37 +58,6 @@ VEHICLE = {  # the setting of a flight file that an option replaces
     "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "S", number()),
 }  # fmt: skip
 STAND_IN = 1.0  # s or 1/m; where the drag is sought, a flight needs one that nothing reads
-
-
-@dataclass(frozen=True)
-class Log:
-    """A log that was read.
-
-    Args:
-        path: of its file.
-        flight: its content.
-        quality: rate, gaps, noise and frame of the log.
-        notes: readings of a foreign log: columns, units, projection.
-    """
-
-    path: str
-    flight: Flight
-    quality: LogQuality
-    notes: tuple[str, ...]
-
-    def cells_crossed(self, estimate: Estimate) -> int | None:
-        """The number of cells that the flight crossed; None where the flow is not known."""
-        from sparsefit.estimator.crossed import cells_crossed
-
-        return cells_crossed(estimate, self.flight.time, self.flight.position)
-
-    def record(self, estimate: Estimate) -> dict[str, Any]:
-        """The log as JSON-ready values; None for what is not known."""
-        from sparsefit.codec import finite_or_none
-
-        values: dict[str, Any] = finite_or_none(asdict(self.quality))
-        crossed = self.cells_crossed(estimate)
-        return values | {"cells_crossed": crossed, "read_as": list(self.notes)}
 
 
 def add(verbs: Verbs) -> None:

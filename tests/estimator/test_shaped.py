@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.cli.answer import lines
-from sparsefit.cli.estimate import Log
+from sparsefit.cli.answer import Log, lines
 from sparsefit.derivative.quality import quality_of
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.modes.readout import Readout
