@@ -429,7 +429,9 @@ def test_every_verb_has_help_with_an_example(capsys, verb):
     assert "example:\n  sparsefit " + verb[0] in out
 
 
-@pytest.mark.parametrize("argv", [("estimat",), ("study", "rum"), ("backends", "foo"), ("estimate",)])
+@pytest.mark.parametrize(
+    "argv", [("estimat",), ("study", "rum"), ("backends", "foo"), ("estimate",)]
+)
 def test_bad_usage_is_one_line(capsys, argv):
     assert "--help" in refused(capsys, *argv)
 
