@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.answer import Log
 from sparsefit.cli.estimator_file import add_estimator, estimator_of
 from sparsefit.cli.options import FORCE, JSON, Option, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output, emit
 from sparsefit.errors import InputError, one_line, told_with
 
 if TYPE_CHECKING:
+    from sparsefit.cli.answer import Log
     from sparsefit.estimator import Estimate, Estimator
     from sparsefit.flight import Flight
     from sparsefit.logs.table import FlightTable
@@ -105,6 +105,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[Log]:
     """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
+    from sparsefit.cli.answer import Log
     from sparsefit.derivative import Derivative
     from sparsefit.derivative.quality import quality_of
     from sparsefit.derivative.refusal import check_log
