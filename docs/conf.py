@@ -38,7 +38,7 @@ toc_object_entries_show_parents = "hide"
 # Types of other packages, and of rooms whose records users meet but do not make.
 nitpick_ignore_regex = [
     ("py:class", r"(numpy|collections|os|datetime)\b.*"),
-    ("py:class", r"sparsefit\.(library|flight|estimator|derivative|uncertainty)\..*"),
+    ("py:class", r"sparsefit\.(library|flight|logs|estimator|derivative|uncertainty)\..*"),
     ("py:(class|exc)", "Prepared|Uncertainty|Columns|MissingExtra"),
 ]
 

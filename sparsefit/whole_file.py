@@ -46,25 +46,38 @@ def read_whole(path: str | os.PathLike[str], *, most: int) -> bytes:
     """The content of a regular file of at most ``most`` bytes.
 
     Raises:
+        InputError: as `regular_file`.
+    """
+    with regular_file(path, most=most) as file:
+        return file.read()
+
+
+@contextmanager
+def regular_file(path: str | os.PathLike[str], *, most: int) -> Iterator[BinaryIO]:
+    """A regular file of at most ``most`` bytes, open to be read in a ``with`` block.
+
+    Raises:
         InputError: naming the file, where there is none, it cannot be read or is too long; also of
             a device or a pipe, which may have no end.
     """
     name = os.fspath(path)
     try:
-        told = os.stat(path)
-        if not stat.S_ISREG(told.st_mode):
-            kind = "a folder" if stat.S_ISDIR(told.st_mode) else "no regular file"
-            raise InputError(f"cannot read {name}: it is {kind}; check the path")
-        if told.st_size > most:
-            size = f"{told.st_size / 1e6:.0f} MB, more than {most / 1e6:.0f} MB"
-            raise InputError(f"cannot read {name}: it has {size}; is it the right file?")
-        return Path(path).read_bytes()
+        status = os.stat(path)
+    except ValueError as error:  # a zero byte in the name
+        raise InputError(f"cannot read {name!r}: {error}; check the path") from None
     except OSError as error:
         raise InputError(f"cannot read {name}: {error.strerror}; check the path") from None
-    except ValueError as error:  # a zero byte in the name
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"cannot read {name!r}: {error}; check the path") from None
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "no regular file"
+        raise InputError(f"cannot read {name}: it is {kind}; check the path")
+    if status.st_size > most:
+        size = f"{status.st_size / 1e6:.0f} MB, more than {most / 1e6:.0f} MB"
+        raise InputError(f"cannot read {name}: it has {size}; is it the right file?")
+    try:
+        with Path(path).open("rb") as file:
+            yield file
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {error.strerror}; check the path") from None
 
 
 @contextmanager

@@ -144,7 +144,7 @@ def _flight(
     args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
 ) -> Flight:
     """The flight of a table, its vehicle as in the file unless the command line says otherwise."""
-    from sparsefit.logs.table import vehicle_of
+    from sparsefit.logs.settings import vehicle_of
 
     given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
     settings = table.settings | given

@@ -17,7 +17,7 @@ from sparsefit.arrays import Array
 from sparsefit.derivative.quality import gaps_of
 from sparsefit.errors import InputError, positive
 from sparsefit.flight import Flight
-from sparsefit.logs.units import LENGTHS, SPEEDS, TIMES, named
+from sparsefit.logs.layout import LENGTHS, SPEEDS, TIMES, named
 
 LONGEST_GAP = 60.0  # s
 LONGEST_STEPS = 20.0  # median steps: of slow logs a gap is longer

@@ -10,20 +10,20 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
+from typing import BinaryIO
 
 from sparsefit.errors import InputError, unknown
-from sparsefit.logs.column import Cells
 from sparsefit.logs.layout import Layout
-from sparsefit.logs.sheet import Sheet, check_size
-from sparsefit.logs.table import KEYS, FlightTable, frame_of, is_key, number
+from sparsefit.logs.settings import KEYS, frame_of, is_key, number
+from sparsefit.logs.sheet import Cells, Sheet, check_size
+from sparsefit.logs.table import FlightTable
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
-_LOOKED_AT = 1 << 16  # bytes
+_LONGEST = 1 << 16  # bytes of a line
 _MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -38,26 +38,34 @@ def encode(table: FlightTable) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def decode(content: bytes, layout: Layout) -> FlightTable:
-    """Return the table in a file's content, read by a layout.
+def decode(file: BinaryIO, layout: Layout) -> FlightTable:
+    """Return the table in a file, read by a layout; memory is that of the columns it needs.
 
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
-    check_size(content.count(b"\n") - 1)
-    text = _Text(content, _encoding(content))
-    settings, frame = _settings(text.lines(), foreign=layout.foreign)
-    delimiter = _delimiter(next(filter(None, map(str.strip, text.plain())), ""))
+    text = _Text(file, _encoding(file))
+    settings, frame = _settings(text, foreign=layout.foreign)
+    header = next(filter(None, map(str.strip, text.plain())), "")
+    best = max(",;\t", key=header.count)
+    delimiter = best if best in header or " " not in header else " "
     try:
-        _, header = next(text.rows(delimiter), (0, []))
-        names = [name.strip() for name in header]
+        names = [name.strip() for name in next(text.rows(delimiter), (0, []))[1]]
 
         def row(place: int) -> str:
             line, _ = next(islice(text.rows(delimiter), place + 1, None))
             return f"line {line}"
 
         def read(wanted: list[str]) -> dict[str, Cells]:
-            return _read(text.rows(delimiter), names, wanted)
+            cells: dict[str, list[str]] = {name: [] for name in wanted}
+            pairs = [(column.append, names.index(name)) for name, column in cells.items()]
+            for line, items in islice(text.rows(delimiter), 1, None):
+                if len(items) != len(names):
+                    words = f"line {line} has {len(items)} cells, the header has {len(names)}"
+                    raise InputError(f"{words}; repair that line")
+                for append, place in pairs:
+                    append(items[place])
+            return dict(cells)
 
         sheet = Sheet(names, read, row, settings, frame, commas=delimiter != ",")
         return sheet.flight_table(layout)
@@ -67,49 +75,71 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
 
 @dataclass(frozen=True)
 class _Text:
-    """A file's text, decoded anew by whoever reads it: a long one is never held as text."""
+    """The text of a file, decoded anew by every reader: a long one is never held as text."""
 
-    content: bytes
+    file: BinaryIO
     encoding: str
 
     def lines(self) -> Iterator[str]:
-        """Every line."""
-        return io.TextIOWrapper(io.BytesIO(self.content), self.encoding, errors="replace")
+        """Yield every line, without its end, whatever that is."""
+        decoder = io.IncrementalNewlineDecoder(
+            codecs.getincrementaldecoder(self.encoding)(errors="replace"), translate=True
+        )
+        place, rest = 0, ""
+        while block := (self.file.seek(place), self.file.read(_LONGEST))[1]:
+            place += len(block)
+            *lines, rest = (rest + decoder.decode(block)).split("\n")
+            yield from lines
+        yield rest
 
     def plain(self) -> Iterator[str]:
-        """The same, comments as empty lines so that the count stays right."""
+        """Yield every line, comments as empty ones so that the count stays right."""
         for line in self.lines():
-            yield "" if line.lstrip().startswith("#") else line.strip(" \n")
+            yield "" if line.lstrip().startswith("#") else line.strip(" ")
 
     def rows(self, delimiter: str) -> Iterator[tuple[int, list[str]]]:
-        """Line numbers and cells of the header and of every row; empty lines are none."""
+        """Yield line numbers and cells of the header and of every row; empty lines are none."""
         reader = csv.reader(self.plain(), delimiter=delimiter, skipinitialspace=delimiter == " ")
         for row in reader:
             if any(cell.strip() for cell in row):
                 yield reader.line_num, row
 
 
-def _encoding(content: bytes) -> str:
-    """How the text of a file is encoded. Raises InputError where it is none."""
-    head = content[:_LOOKED_AT]
+def _encoding(file: BinaryIO) -> str:
+    """The encoding of a file's text; blocks of it are read, so that a bomb costs nothing.
+
+    Raises:
+        InputError: where it is no text, has too many lines or one that is too long.
+    """
+    file.seek(0)
+    head, lines, utf8 = b"", 0, True
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    while block := file.read(_LONGEST):
+        ends = max(block.count(b"\n"), block.count(b"\r"))
+        if not ends and len(block) == _LONGEST:
+            raise InputError(
+                f"line {lines + 1} is longer than {_LONGEST} bytes: not a CSV file; check quotes "
+                "and line ends"
+            )
+        head, lines = head or block, lines + ends
+        check_size(lines - 1)
+        try:
+            utf8 and decoder.decode(block)
+        except UnicodeDecodeError:
+            utf8 = False
     if head.startswith(_MARKS):
         return "utf-16"
+    if _BINARY.search(head):
+        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
     # Numbers are the same in all encodings of a spreadsheet but the first.
-    for encoding in () if _BINARY.search(head) else ("utf-8-sig", "cp1252"):
-        with suppress(UnicodeDecodeError):
-            content.decode(encoding)
-            return encoding
-    raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
+    return "utf-8-sig" if utf8 else "cp1252"
 
 
-def _settings(lines: Iterable[str], *, foreign: bool) -> tuple[dict[str, float], str]:
-    """Read the ``# key=value`` lines; comments of any other form are free text.
-
-    So are all others of a ``foreign`` table.
-    """
+def _settings(text: _Text, *, foreign: bool) -> tuple[dict[str, float], str]:
+    """The ``# key=value`` lines and the frame; other comments, and a foreign table's, are text."""
     settings: dict[str, float] = {}
     frame = ""
-    for count, line in enumerate(lines, start=1):
+    for count, line in enumerate(text.lines(), start=1):
         match = _SETTING.fullmatch(line.strip()) if "#" in line else None
         if match is None:
             continue
@@ -123,25 +153,3 @@ def _settings(lines: Iterable[str], *, foreign: bool) -> tuple[dict[str, float],
         elif not foreign:
             raise InputError(f"line {count}: {unknown('key', key, KEYS)}")
     return settings, frame
-
-
-def _read(
-    rows: Iterator[tuple[int, list[str]]], names: list[str], wanted: list[str]
-) -> dict[str, Cells]:
-    """The cells of the wanted columns."""
-    cells: dict[str, list[str]] = {name: [] for name in wanted}
-    pairs = [(one.append, names.index(name)) for name, one in cells.items()]
-    for line, row in islice(rows, 1, None):
-        if len(row) != len(names):
-            raise InputError(
-                f"line {line} has {len(row)} cells, the header has {len(names)}; repair that line"
-            )
-        for append, place in pairs:
-            append(row[place])
-    return dict(cells)
-
-
-def _delimiter(header: str) -> str:
-    """What stands between the cells: the most frequent of three, or blanks."""
-    best = max(",;\t", key=header.count)
-    return best if best in header or " " not in header else " "

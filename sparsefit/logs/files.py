@@ -11,10 +11,9 @@ from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file, igc_file, parquet_file, ulog_file
-from sparsefit.logs.anchor import Anchor
 from sparsefit.logs.layout import Columns, Layout
-from sparsefit.logs.table import FlightTable
-from sparsefit.whole_file import read_whole, write_whole
+from sparsefit.logs.table import Anchor, FlightTable
+from sparsefit.whole_file import regular_file, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
 WRITTEN: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
@@ -45,7 +44,7 @@ def read_flight(
     ``frame``, ``ENU`` or ``NED``. Columns ``ax`` and ``ay`` [m/s^2] are a measured thrust
     (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or those
     of shaped cells and of turbulence, numbered ``_1``, ``_2``, ... when superposed
-    (`sparsefit.logs.flow_settings`).
+    (`sparsefit.logs.settings`).
 
     Args:
         path: the file.
@@ -56,14 +55,14 @@ def read_flight(
             plane about their middle, x east and y north; times may be ISO 8601, and then are
             seconds since the first.
         only: ``"column=value"``: the rows to read, of a table that holds several vehicles.
-        origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that tells
+        origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has
             places on the Earth: several logs then have one frame. By default its own middle.
-        epoch: ISO time where t = 0 shall be, of a log that tells times of a calendar. By default
+        epoch: ISO time where t = 0 shall be, of a log that has times of a calendar. By default
             its first sample.
 
     Raises:
         InputError: naming file, line and column, if the file is missing, is not a flight, holds
-            several vehicles, or no vehicle is told and none is given.
+            several vehicles, or there is no vehicle in it and none is given.
         MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj, for
             logs of PX4 without pyulog, for IGC files without aerofiles.
     """
@@ -92,12 +91,11 @@ def read_table(
         InputError: naming file, line and column, if the file is missing or holds no such table.
         MissingExtra: as of `read_flight`.
     """
-    file = Path(path)
-    decode = _format(file, FORMATS).decode
+    path = Path(path)
+    decode = _format(path, FORMATS).decode
     layout = Layout.of(columns, only, anchor)
-    content = read_whole(file, most=LARGEST)
-    with told_with(file):
-        table: FlightTable = decode(content, layout)
+    with regular_file(path, most=LARGEST) as file, told_with(path):
+        table: FlightTable = decode(file, layout)
         return table.since(layout.anchor.epoch)
 
 
@@ -110,14 +108,14 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
         InputError: if the file exists and ``overwrite`` is false, or cannot be written.
         MissingExtra: for Parquet without pyarrow.
     """
-    file = Path(path)
-    encode = _format(file, WRITTEN).encode
-    if os.path.lexists(file) and not overwrite:
-        raise InputError(f"{file} exists; pass overwrite=True or choose another name")
-    write_whole(file, encode(FlightTable.from_flight(flight)))
+    path = Path(path)
+    encode = _format(path, WRITTEN).encode
+    if os.path.lexists(path) and not overwrite:
+        raise InputError(f"{path} exists; pass overwrite=True or choose another name")
+    write_whole(path, encode(FlightTable.from_flight(flight)))
 
 
-def _format(file: Path, known: dict[str, ModuleType]) -> ModuleType:
-    suffix = file.suffix.lower()
-    one_of("file type", suffix or file.name, known)
-    return known[suffix]
+def _format(path: Path, formats: dict[str, ModuleType]) -> ModuleType:
+    suffix = path.suffix.lower()
+    one_of("file type", suffix or path.name, formats)
+    return formats[suffix]

@@ -11,24 +11,24 @@ import io
 import re
 from datetime import timedelta
 from importlib import import_module
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.logs.anchor import Anchor
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.table import POSITIONS, FlightTable
+from sparsefit.logs.table import POSITIONS, Anchor, FlightTable
 
+LARGEST = 100_000_000  # bytes: ten fixes a second for two days
 FIX = "A"  # of a B record that is three-dimensional
 MINUTE = 3  # decimals of a minute that a B record has without extensions
 GRAIN = 1852.0 / 10**MINUTE  # m
 _EXTENSION = re.compile(r"(\d\d)(\d\d)([A-Z]{3})")
 
 
-def decode(content: bytes, layout: Layout) -> FlightTable:
+def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     """Return the positions in a recorder's file; their frame is ENU.
 
     Raises:
@@ -36,8 +36,12 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         MissingExtra: without aerofiles, or without pyproj.
     """
     layout.refuse_any("an IGC file")
-    text = content.decode("utf-8", errors="replace")
-    digits = _digits(text)
+    text = file.read(LARGEST + 1).decode("utf-8", errors="replace")
+    if len(text) > LARGEST:
+        raise InputError(f"more than {LARGEST / 1e6:.0f} MB: no recording of a flight")
+    record = re.search(r"^I\d\d(.*)$", text, re.MULTILINE)
+    extensions = _EXTENSION.findall(record[1]) if record else []
+    digits = {name: int(last) - int(first) + 1 for first, last, name in extensions}
     fixes, damaged = _fixes(text, fine="TDS" in digits)
     valid = [fix for fix in fixes if fix["validity"] == FIX]
     if not valid:
@@ -65,9 +69,9 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
 
 
 def _fixes(text: str, *, fine: bool) -> tuple[list[dict[str, Any]], bool]:
-    """The fixes, and whether there are records that could not be read.
+    """The fixes, and a flag that there are records which could not be read.
 
-    fine: whether several fixes in a second are told apart; if not, one is kept.
+    fine: whether several fixes in a second differ in their times; if not, one of them is read.
     """
     try:
         igc = import_module("aerofiles.igc")
@@ -88,13 +92,6 @@ def _fixes(text: str, *, fine: bool) -> tuple[list[dict[str, Any]], bool]:
     if not fixes:
         raise InputError("no fixes (B records): not an IGC file, or an empty one")
     return fixes, bool(errors)
-
-
-def _digits(text: str) -> dict[str, int]:
-    """How many digits each extension of the B records has, by the I record."""
-    record = re.search(r"^I\d\d(.*)$", text, re.MULTILINE)
-    found = _EXTENSION.findall(record[1]) if record else []
-    return {name: int(last) - int(first) + 1 for first, last, name in found}
 
 
 def _finer(fixes: list[dict[str, Any]], name: str, digits: dict[str, int], places: int) -> Array:

@@ -6,13 +6,18 @@ import io
 from collections.abc import Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.logs.column import Cells
 from sparsefit.logs.layout import Layout
-from sparsefit.logs.sheet import Sheet, check_size
-from sparsefit.logs.table import FlightTable, frame_of, is_key, number
+from sparsefit.logs.settings import frame_of, is_key, number
+from sparsefit.logs.sheet import Cells, Sheet, check_size
+from sparsefit.logs.table import FlightTable
+
+_WIDEST = 64  # bytes of a cell, in the mean, that a column of a flight may unpack to
+_SPARE = 1 << 20  # bytes beside these: pages and dictionaries of short files
 
 
 def encode(table: FlightTable) -> bytes:
@@ -29,25 +34,28 @@ def encode(table: FlightTable) -> bytes:
     return buffer.getvalue()
 
 
-def decode(content: bytes, layout: Layout) -> FlightTable:
-    """Return the table in a file's content, read by a layout.
+def decode(file: BinaryIO, layout: Layout) -> FlightTable:
+    """Return the table in a file, read by a layout; other columns than it needs are not unpacked.
 
     Raises:
-        InputError: naming the column, if it is no Parquet, lacks a column or a value is no number.
+        InputError: naming the column, if it is no Parquet, lacks a column, a value is no number, or
+            the file unpacks to more than a flight.
         MissingExtra: without pyarrow.
     """
     arrow, parquet = _arrow()
     try:
-        file = parquet.ParquetFile(io.BytesIO(content))
-        check_size(file.metadata.num_rows)
-        settings, frame = _settings(file.schema_arrow.metadata or {})
+        source = parquet.ParquetFile(file)
+        schema, rows = source.schema_arrow, source.metadata.num_rows
+        check_size(rows)
+        texts = {_text(key): _text(value) for key, value in (schema.metadata or {}).items()}
+        frame = frame_of(texts["frame"], "metadata frame") if "frame" in texts else ""
 
-        def read(wanted: list[str]) -> dict[str, Cells]:
-            table = file.read(columns=wanted)
-            names = table.column_names
-            return {name: _cells(arrow, table.column(names.index(name))) for name in wanted}
+        def read(wanted: list[str]) -> Mapping[str, Cells]:
+            return {name: _cells(arrow, parquet, file, name) for name in wanted}
 
-        sheet = Sheet(file.schema_arrow.names, read, "row {}".format, settings, frame)
+        settings = {key: number(text, f"metadata {key}") for key, text in texts.items()
+                    if is_key(key)}  # fmt: skip
+        sheet = Sheet(schema.names, read, "row {}".format, settings, frame)
         return sheet.flight_table(layout)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
@@ -63,22 +71,33 @@ def _arrow() -> tuple[ModuleType, ModuleType]:
         ) from None
 
 
-def _cells(arrow: ModuleType, column: Any) -> Cells:
-    """The cells as an array of numbers or moments, or as texts; NaN or no text where empty."""
-    kind, types = column.type, arrow.types
+def _cells(arrow: ModuleType, parquet: ModuleType, file: BinaryIO, name: str) -> Cells:
+    """The cells as an array of numbers or moments, or as texts; NaN or no text where empty.
+
+    Texts stay packed as places in a dictionary until they are cells, which share them.
+    """
+    source = parquet.ParquetFile(file, read_dictionary=[name])
+    meta, types = source.metadata, arrow.types
+    kind = source.schema_arrow.field(name).type
+    if types.is_nested(kind):
+        raise InputError(f"column {name} holds {kind}; it must hold numbers")
+    place = [meta.schema.column(i).path for i in range(meta.num_columns)].index(name)
+    groups = [meta.row_group(group) for group in range(meta.num_row_groups)]
+    unpacked = sum(group.column(place).total_uncompressed_size for group in groups)
+    if unpacked > _WIDEST * meta.num_rows + _SPARE:
+        size = f"column {name} unpacks to {unpacked / 1e6:.0f} MB for {meta.num_rows} rows"
+        raise InputError(f"{size}: no log of a flight; write it again")
+    column = source.read(columns=[name]).column(0).combine_chunks()
     if types.is_timestamp(kind) or types.is_floating(kind) or types.is_integer(kind):
-        cells: Cells = column.to_numpy()
-        return cells
-    return ["" if cell is None else str(cell) for cell in column.to_pylist()]
+        array: Cells = column.to_numpy(zero_copy_only=False)
+        return array
+    if not types.is_dictionary(column.type):
+        column = column.cast(arrow.string()).dictionary_encode()
+    words = ["" if cell is None else str(cell) for cell in column.dictionary.to_pylist()]
+    places = np.asarray(column.indices.fill_null(len(words)).to_numpy(zero_copy_only=False))
+    return [*map([*words, ""].__getitem__, places.tolist())]
 
 
-def _settings(metadata: Mapping[bytes, bytes]) -> tuple[dict[str, float], str]:
-    """Pick our keys, and the frame; writers such as pandas add their own."""
-    texts = {_text(key): _text(value) for key, value in metadata.items()}
-    frame = frame_of(texts["frame"], "metadata frame") if "frame" in texts else ""
-    known = {key: number(value, f"metadata {key}") for key, value in texts.items() if is_key(key)}
-    return known, frame
-
-
-def _text(raw: bytes) -> str:
-    return raw.decode(errors="replace")
+def _text(raw: Any) -> str:
+    text: str = raw.decode(errors="replace")
+    return text

@@ -50,7 +50,7 @@ class Plane:
 def plane_of(
     longitude: Array,
     latitude: Array,
-    named: tuple[str, str],
+    names: tuple[str, str],
     origin: tuple[float, float] | None = None,
 ) -> Plane:
     """Lay a track into the plane that touches the Earth in its middle, or in an origin.
@@ -58,7 +58,7 @@ def plane_of(
     Args:
         longitude: degrees east, -180 to 360, (m,).
         latitude: degrees north, (m,).
-        named: what the two are called in the log.
+        names: of the two in the log.
         origin: longitude and latitude where x = y = 0 shall be [degrees].
 
     Raises:
@@ -66,7 +66,7 @@ def plane_of(
             wider than 2000 km.
         MissingExtra: without pyproj.
     """
-    _check(longitude, latitude, named)
+    _check(longitude, latitude, names)
     # In one piece past 180 degrees.
     longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
     middle = [(float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude)]
@@ -76,16 +76,16 @@ def plane_of(
     farthest = float(np.hypot(*position.T).max())
     if not farthest < WIDEST:
         middle_of = "the origin" if origin else "its middle"
-        told = f"the track goes {farthest / 1e3:.0f} km from {middle_of}"
-        raise InputError(f"{told}: no plane; cut it")
+        words = f"the track goes {farthest / 1e3:.0f} km from {middle_of}"
+        raise InputError(f"{words}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
     share = max(FINEST, 100.0 * (farthest / RADIUS) ** 2 / 6.0)
     words = f"local plane about {_place(east, north)}, lengths true to {share:.1g} %"
     return Plane(position, turned, words, (east, north))
 
 
-def _check(longitude: Array, latitude: Array, named: tuple[str, str]) -> None:
-    x, y = named
+def _check(longitude: Array, latitude: Array, names: tuple[str, str]) -> None:
+    x, y = names
     swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
     low, high = float(latitude.min()), float(latitude.max())
     if max(-low, high) > 90.0:

@@ -1,4 +1,4 @@
-"""From a table as its file holds it to a flight: rows of one vehicle, SI units, a local plane.
+"""From the columns of a table to a flight: rows of one vehicle, SI units, a local plane.
 
 Every format of tables ends here. Times may be ISO 8601: they become seconds since the first, UTC
 where they name no zone. Longitude and latitude become metres (`sparsefit.logs.plane`).
@@ -6,29 +6,121 @@ where they name no zone. Longitude and latitude become metres (`sparsefit.logs.p
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from datetime import datetime
 from shlex import quote
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from sparsefit.arrays import IntArray
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, suggestion
 from sparsefit.flight.record import MOST_SAMPLES
-from sparsefit.logs.anchor import Anchor
-from sparsefit.logs.column import Cells, Column
-from sparsefit.logs.layout import Layout, Source
+from sparsefit.logs.layout import DEGREES, Layout, factor_of, is_number
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.table import THRUST, FlightTable
-from sparsefit.logs.units import DEGREES, factor_of
+from sparsefit.logs.settings import finite_in, number
+from sparsefit.logs.table import THRUST, VELOCITY, Anchor, FlightTable, moment_at, moment_of
 
+Cells: TypeAlias = "list[str] | np.ndarray[Any, Any]"
+"""Texts, or an array of numbers or of moments (``datetime64``)."""
+_NEITHER = "neither a finite number nor an ISO time, 2012-07-22T14:15:00"
 _VEHICLES = {"vehicle", "drifter", "buoy", "platform", "aircraft", "callsign", "flight", "trip",
              "trajectory", "icao24", "tail", "registration", "device", "ship", "mmsi"}  # fmt: skip
 _ENDS = {"id", "identifier"}  # of such a name: drifter_id
 _MANY = 2  # samples of each vehicle at least, in the mean: a column of row numbers names none
 _SHOWN = 3  # vehicles that a refusal lists
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """The cells of one column.
+
+    Args:
+        name: of the column, as the header spells it.
+        cells: its values, a row each.
+        row: the words for a row, counted from 0, in the file: ``line 7``.
+        commas: whether a comma in a number is a decimal mark.
+    """
+
+    name: str
+    cells: Cells
+    row: Callable[[int], str]
+    commas: bool = False
+
+    def taken(self, rows: IntArray) -> Column:
+        """Return the column of some of the rows."""
+        if isinstance(self.cells, np.ndarray):
+            cells: Cells = self.cells[rows]
+        else:
+            cells = [self.cells[row] for row in rows]
+        return Column(self.name, cells, lambda row: self.row(int(rows[row])), self.commas)
+
+    def words(self) -> list[str]:
+        """Return every cell as text; whole numbers without a point."""
+        if isinstance(self.cells, np.ndarray):
+            return [str(cell).removesuffix(".0") for cell in self.cells.tolist()]
+        return [cell.strip() for cell in self.cells]
+
+    @property
+    def has_moments(self) -> bool:
+        """Whether the first cell is a time of a calendar, or at least no number."""
+        if isinstance(self.cells, np.ndarray):
+            return bool(self.cells.dtype.kind == "M")
+        return bool(self.cells) and not is_number(self.cells[0])
+
+    def numbers(self) -> Array:
+        """Return the numbers (m,). Raises `InputError`, naming the row, where a cell is none."""
+        if isinstance(self.cells, np.ndarray):
+            if self.has_moments:
+                raise InputError(f"column {self.name} holds times; it must hold numbers")
+            texts, values = [], self.cells.astype(np.float64)
+        else:
+            texts = self.cells
+            if self.commas and any("," in text for text in texts):
+                if any("." in text for text in texts):
+                    words = f"column {self.name} has numbers with commas and with points"
+                    raise InputError(f"{words}; write them without marks between thousands")
+                texts = [text.replace(",", ".") for text in texts]
+            try:
+                values = np.fromiter(map(float, texts), np.float64, len(texts))
+            except ValueError:
+                values = np.full(1, np.nan)
+        if not np.isfinite(values).all() or any("_" in text for text in texts):
+            texts = texts or list(map(str, values.tolist()))
+            row, *others = (row for row, text in enumerate(texts) if math.isnan(finite_in(text)))
+            more = f" and {len(others)} more such rows (a gap is mended)" if others else ""
+            number(texts[row], f"{self.row(row)}, column {self.name}", more)
+        return values
+
+    def since_first(self) -> tuple[Array, datetime | None]:
+        """Return seconds since the first moment (m,), and that moment.
+
+        Raises:
+            InputError: naming the row, where a cell is no ISO time.
+        """
+        if isinstance(self.cells, np.ndarray):
+            empty = np.flatnonzero(np.isnat(self.cells))
+            if len(empty):
+                place = f"{self.row(int(empty[0]))}, column {self.name}"
+                raise InputError(f"{place} is empty; repair or drop it")
+            if not len(self.cells):
+                return np.zeros(0), None
+            epoch = moment_at(int(self.cells[0].astype("datetime64[us]").astype(np.int64)))
+            return (self.cells - self.cells[0]) / np.timedelta64(1, "s"), epoch
+        moments: list[datetime] = []
+        for row, text in enumerate(self.cells):
+            moment = moment_of(text)
+            if moment is None:
+                kind = "not an ISO time as those before" if row else _NEITHER
+                place = f"{self.row(row)}, column {self.name}"
+                raise InputError(f"{place}: {text.strip()[:40]!a} is {kind}; repair or drop it")
+            moments.append(moment)
+        seconds = [(moment - moments[0]).total_seconds() for moment in moments]
+        return np.array(seconds), moments[0]
 
 
 @dataclass(frozen=True)
@@ -37,10 +129,10 @@ class Sheet:
 
     Args:
         names: of the columns.
-        read: the cells of columns, by name.
-        row: what a row, counted from 0, is called in the file: ``line 7``.
+        read: the function that reads the cells of columns, by name.
+        row: the words for a row, counted from 0, in the file: ``line 7``.
         settings: as of `FlightTable`.
-        frame: likewise.
+        frame: as of `FlightTable`.
         commas: whether a comma in a number is a decimal mark, as between semicolons.
     """
 
@@ -52,7 +144,7 @@ class Sheet:
     commas: bool = False
 
     def flight_table(self, layout: Layout) -> FlightTable:
-        """The columns that are a flight, read by a layout.
+        """Return the columns that are a flight, read by a layout, in metres and seconds.
 
         Raises:
             InputError: naming the column, and the row where it is one, if a column is missing, rows
@@ -60,27 +152,48 @@ class Sheet:
             MissingExtra: where there are degrees, without pyproj.
         """
         sources = layout.chosen(self.names)
-        used = {source.column for source in sources.values()}
+        if layout.only is not None and layout.only[0] not in self.names:
+            only = layout.only[0]
+            raise InputError(f'no column "{only}"{suggestion(only, self.names)}')
+        used = [source.column for source in sources.values()]
         naming = [name for name in self.names if name not in used and _names_vehicle(name)]
-        read = self._columns([*used, *naming, *_filtered(layout, self.names)])
+        wanted = dict.fromkeys([*used, *naming, *(layout.only or ())[:1]])
+        columns = {
+            name: Column(name, cells, self.row, self.commas)
+            for name, cells in self.read(list(wanted)).items()
+        }
         if layout.only is not None:
-            kept = _said(read[layout.only[0]], layout.only[1])
-            read = {name: column.taken(kept) for name, column in read.items()}
+            words = np.array(columns[layout.only[0]].words(), dtype=object)
+            rows = np.flatnonzero(words == layout.only[1])
+            if len(words) and not len(rows):
+                there = _listed(Counter(words))
+                raise InputError(f"no row has {'='.join(layout.only)}; there is {there}")
+            columns = {name: column.taken(rows) for name, column in columns.items()}
         for name in naming:
-            _check_one_vehicle(name, Counter(read[name].words()))
-        columns, epoch = {}, None
+            _check_one_vehicle(name, Counter(columns[name].words()))
+        values: dict[str, Array] = {}
+        epoch, origin, frame = None, None, self.frame
         for name, source in sources.items():
-            column = read[source.column]
-            if name == "time" and not source.unit and column.tells_moments:
-                columns[name], epoch = column.since_first()
+            column = columns[source.column]
+            if name == "time" and not source.unit and column.has_moments:
+                values[name], epoch = column.since_first()
             else:
-                columns[name] = factor_of(name, source.unit) * column.numbers()
-        table = FlightTable(columns, self.settings, self.frame, anchor=Anchor(None, epoch))
-        return _settled(table, sources, layout)
-
-    def _columns(self, names: list[str]) -> dict[str, Column]:
-        cells = self.read(list(dict.fromkeys(names)))
-        return {name: Column(name, one, self.row, self.commas) for name, one in cells.items()}
+                values[name] = factor_of(name, source.unit) * column.numbers()
+        plain = all(name == str(source) for name, source in sources.items())
+        reading = ", ".join(f"{name} = {source}" for name, source in sources.items())
+        notes = () if plain and not layout.foreign else (reading,)
+        if sources["x"].unit == DEGREES:
+            frame = "ENU"
+            if len(values["x"]):
+                headings = sources["x"].column, sources["y"].column
+                plane = plane_of(values["x"], values["y"], headings, layout.anchor.origin)
+                origin, notes = plane.origin, (*notes, plane.words)
+                values["x"], values["y"] = plane.position.T
+                for x, y in (VELOCITY, THRUST):
+                    if x in values:
+                        eastward = np.column_stack([values[x], values[y]])
+                        values[x], values[y] = plane.turned(eastward).T
+        return FlightTable(values, self.settings, frame, notes, Anchor(origin, epoch))
 
 
 def check_size(rows: int) -> None:
@@ -88,25 +201,6 @@ def check_size(rows: int) -> None:
     if rows > MOST_SAMPLES:
         words = f"{rows} rows are more than the {MOST_SAMPLES} that a flight may have"
         raise InputError(f"{words}; cut it into pieces")
-
-
-def _filtered(layout: Layout, names: list[str]) -> list[str]:
-    """The column that says which rows are read, where one does."""
-    if layout.only is None:
-        return []
-    column, _ = layout.only
-    if column not in names:
-        raise InputError(f'no column "{column}"{suggestion(column, names)}')
-    return [column]
-
-
-def _said(column: Column, wanted: str) -> IntArray:
-    """The rows in which a column says what is wanted."""
-    words = np.array(column.words(), dtype=object)
-    kept = np.flatnonzero(words == wanted)
-    if len(words) and not len(kept):
-        raise InputError(f"no row has {column.name}={wanted}; there is {_listed(Counter(words))}")
-    return kept
 
 
 def _names_vehicle(name: str) -> bool:
@@ -119,34 +213,12 @@ def _check_one_vehicle(column: str, counts: Mapping[str, int]) -> None:
     """Refuse rows of several vehicles, by their numbers, unless they only count the rows."""
     if len(counts) < 2 or sum(counts.values()) < _MANY * len(counts):
         return
-    first = min(counts)
     raise InputError(
         f"column {column} names {len(counts)} vehicles ({_listed(counts)}): a flight is of one; "
-        f"read the rows of one (--only {quote(f'{column}={first}')}, from Python only=...)"
+        f"read the rows of one (--only {quote(f'{column}={min(counts)}')}, from Python only=...)"
     )
 
 
 def _listed(counts: Mapping[str, int]) -> str:
     words = sorted(counts)
     return ", ".join(words[:_SHOWN]) + (", ..." if len(words) > _SHOWN else "")
-
-
-def _settled(table: FlightTable, sources: Mapping[str, Source], layout: Layout) -> FlightTable:
-    """The table in metres, with a note of what it was read from where that is not plain."""
-    told = ", ".join(f"{name} = {source}" for name, source in sources.items())
-    plain = all(name == str(source) for name, source in sources.items())
-    notes = () if plain and not layout.foreign else (told,)
-    if sources["x"].unit != DEGREES:
-        return replace(table, notes=notes)
-    columns, anchor = dict(table.columns), table.anchor
-    if len(columns["x"]):
-        named = sources["x"].column, sources["y"].column
-        plane = plane_of(columns["x"], columns["y"], named, layout.anchor.origin)
-        anchor = replace(anchor, origin=plane.origin)
-        columns["x"], columns["y"] = plane.position.T
-        for x, y in (("vx", "vy"), THRUST):
-            if x in columns:
-                eastward = np.column_stack([columns[x], columns[y]])
-                columns[x], columns[y] = plane.turned(eastward).T
-        notes = (*notes, plane.words)
-    return replace(table, columns=columns, frame="ENU", notes=notes, anchor=anchor)

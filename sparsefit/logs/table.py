@@ -1,39 +1,82 @@
-"""A flight as a file holds it: three to seven named columns and a few named numbers."""
+"""A flight as a file holds it: three to seven named columns, and where and when its zeros are."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, one_of, told_with
-from sparsefit.flight.record import FRAMES, Flight
+from sparsefit.errors import InputError, pair
+from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.logs.anchor import Anchor
-from sparsefit.logs.flow_settings import flow_of_settings, is_flow_key, settings_of_flow
+from sparsefit.logs.settings import flow_of, settings_of, vehicle_of
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
 VELOCITY = ("vx", "vy")  # m/s
 COLUMNS = (*POSITIONS, *VELOCITY)
 THRUST = ("ax", "ay")  # m/s^2, measured; in some logs
-KEYS = (
-    *("response_time", "thrust_ax", "thrust_ay", "drag", "thrust_scale"),
-    *("mean_velocity", "length_scale"),
-)
+
+
+def moment_of(text: str) -> datetime | None:
+    """Return the time that a calendar names, UTC where no zone is named; None of anything else."""
+    try:
+        moment = datetime.fromisoformat(text.strip())
+    except ValueError:
+        return None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+
+
+def moment_at(microseconds: int) -> datetime | None:
+    """Return the time so many microseconds after 1970 began; None beyond all calendars."""
+    try:
+        return datetime.fromtimestamp(0, UTC) + timedelta(microseconds=microseconds)
+    except OverflowError:
+        return None
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """The zero of a log's coordinates and of its time, which several logs must share.
+
+    Args:
+        origin: longitude and latitude of x = y = 0 [degrees]; None where they are not known.
+        epoch: the time of t = 0; None where it is not known.
+    """
+
+    origin: tuple[float, float] | None = None
+    epoch: datetime | None = None
+
+    @classmethod
+    def of(cls, origin: object = None, epoch: str | datetime | None = None) -> Anchor:
+        """Return an anchor from a pair of degrees and an ISO 8601 time, UTC without a zone.
+
+        Raises:
+            InputError: if they are none.
+        """
+        place = None if origin is None else pair("origin", origin, "degrees")
+        if place is not None and not (abs(place[0]) <= 360.0 and abs(place[1]) <= 90.0):
+            raise InputError(f"origin must be longitude and latitude in degrees; got {place}")
+        if epoch is None:
+            return cls(place)
+        moment = moment_of(epoch) if isinstance(epoch, str) else epoch
+        if not isinstance(moment, datetime):
+            raise InputError(f"epoch must be an ISO time, 2012-07-22T14:15:00, say; got {epoch!r}")
+        return cls(place, moment if moment.tzinfo else moment.replace(tzinfo=UTC))
 
 
 @dataclass(frozen=True)
 class FlightTable:
-    """The columns (m,) of a flight by name, and its vehicle and flow as ``settings`` (see `KEYS`).
+    """The columns of a flight, its vehicle and its true flow, which may be missing.
 
-    The parameters of superposed flows are numbered: ``mean_velocity_1``, ``length_scale_1``, ...;
-    a steady wind is ``wind_x``, ``wind_y``.
-
-    frame: what the axes are, a key of `FRAMES`; notes: how a foreign log was read, in words;
-    anchor: where and when its zeros are, as far as it tells.
+    Args:
+        columns: `COLUMNS` and `THRUST` by name, (m,) each, in SI units.
+        settings: the numbers of the vehicle and the flow by name (`sparsefit.logs.settings`).
+        frame: the axes, a key of `FRAMES`.
+        notes: how a foreign log was read, in words.
+        anchor: where and when the zeros are, as far as the log says.
     """
 
     columns: dict[str, Array]
@@ -50,8 +93,7 @@ class FlightTable:
         columns = {name: values[:, place] for place, name in enumerate(names)}
         if flight.thrust is not None:
             columns |= dict(zip(THRUST, flight.thrust.T, strict=True))
-        settings = _settings_of(flight.vehicle) | settings_of_flow(flight.flow)
-        return cls(columns, settings, flight.frame)
+        return cls(columns, settings_of(flight.vehicle, flight.flow), flight.frame)
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
         """Return the flight; a ``vehicle`` given here replaces the one in the settings.
@@ -59,19 +101,20 @@ class FlightTable:
         Raises:
             InputError: if there is no vehicle, or the flight is not a valid one.
         """
-        time = self.columns["time"]
-        position = np.column_stack([self.columns["x"], self.columns["y"]])
+        vectors = {
+            names: np.column_stack([self.columns[name] for name in names])
+            for names in (("x", "y"), VELOCITY, THRUST)
+            if names[0] in self.columns
+        }
         flown = vehicle_of(self.settings) if vehicle is None else vehicle
-        flow = flow_of_settings(self.settings)
-        measured = THRUST[0] in self.columns
-        thrust = np.column_stack([self.columns[name] for name in THRUST]) if measured else None
-        if "vx" not in self.columns:
-            return Flight.from_positions(time, position, flown, flow, thrust, self.frame)
-        velocity = np.column_stack([self.columns["vx"], self.columns["vy"]])
-        return Flight(time, position, velocity, flown, flow, True, thrust, self.frame)
+        first = (self.columns["time"], vectors["x", "y"])
+        flow, thrust = flow_of(self.settings), vectors.get(THRUST)
+        if VELOCITY not in vectors:
+            return Flight.from_positions(*first, flown, flow, thrust, self.frame)
+        return Flight(*first, vectors[VELOCITY], flown, flow, True, thrust, self.frame)
 
     def since(self, epoch: datetime | None) -> FlightTable:
-        """Return the same rows by a clock that is 0 at ``epoch``, where the log tells its own."""
+        """Return the same rows by a clock that is 0 at ``epoch``, where the log has a calendar."""
         own = self.anchor.epoch
         if epoch is None or own is None or epoch == own:
             return self
@@ -89,78 +132,8 @@ class FlightTable:
             return self
         time = self.columns["time"]
         low, high = -math.inf if start is None else start, math.inf if end is None else end
-        kept = np.flatnonzero((time >= low) & (time <= high))
-        if not len(kept):
+        inside = (time >= low) & (time <= high)
+        if not inside.any():
             ends = f"{time.min():g} … {time.max():g} s" if len(time) else "nothing"
             raise InputError(f"no sample from {low:g} s to {high:g} s; the log has {ends}")
-        columns = {name: values[kept] for name, values in self.columns.items()}
-        return replace(self, columns=columns)
-
-
-def is_key(name: str) -> bool:
-    """Tell whether ``name`` is a setting a flight file may hold."""
-    return name in KEYS or is_flow_key(name)
-
-
-def finite_in(text: str) -> float:
-    """Return the finite number that ``text`` is, else NaN; ``1_000`` is none in a log."""
-    try:
-        value = math.nan if "_" in text else float(text)
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
-
-
-def number(text: str, place: str, more: str = "") -> float:
-    """Return the finite number that ``text`` is, as `finite_in`.
-
-    Raises:
-        InputError: naming ``place``, the line and column, and what is ``more`` to mend, where it is
-            no number.
-    """
-    value = finite_in(text)
-    if math.isnan(value):
-        shown = ascii(text.strip()[:40])
-        raise InputError(f"{place}: {shown} is not a finite number; repair or drop it{more}")
-    return value
-
-
-def frame_of(text: str, place: str) -> str:
-    """Return the frame that ``text`` names.
-
-    Raises:
-        InputError: naming ``place``, where it is none.
-    """
-    with told_with(place):
-        one_of("frame", text.strip(), filter(None, FRAMES))
-    return text.strip()
-
-
-def vehicle_of(settings: dict[str, float]) -> PointMassVehicle:
-    """Return the vehicle that the settings name; its thrust is 0 where they do not say.
-
-    With quadratic drag and no response time it has no other drag.
-
-    Raises:
-        InputError: if they name neither a response time nor drag, or a value is out of its range.
-    """
-    drag = settings.get("drag", 0.0)
-    if "response_time" not in settings and not drag:
-        raise InputError(
-            "no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
-        )
-    thrust = (settings.get("thrust_ax", 0.0), settings.get("thrust_ay", 0.0))
-    response = settings.get("response_time", math.inf)
-    return PointMassVehicle(response, thrust, drag, settings.get("thrust_scale", 1.0))
-
-
-def _settings_of(vehicle: PointMassVehicle) -> dict[str, float]:
-    """The settings of a vehicle; without a response time where its drag is quadratic only."""
-    ax, ay = vehicle.thrust_acceleration
-    linear = {"response_time": vehicle.response_time} if vehicle.rate else {}
-    settings = linear | {"thrust_ax": ax, "thrust_ay": ay}
-    if vehicle.drag:
-        settings["drag"] = vehicle.drag
-    if vehicle.thrust_scale != 1.0:
-        settings["thrust_scale"] = vehicle.thrust_scale
-    return settings
+        return replace(self, columns={name: row[inside] for name, row in self.columns.items()})

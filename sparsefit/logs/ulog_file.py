@@ -12,17 +12,16 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from datetime import datetime
 from importlib import import_module
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import BoolArray, IntArray
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.flight.record import MOST_SAMPLES
-from sparsefit.logs.anchor import Anchor, moment_at
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.table import COLUMNS, FlightTable
+from sparsefit.logs.table import COLUMNS, Anchor, FlightTable, moment_at
 
 TOPIC, LANDED = "vehicle_local_position", "vehicle_land_detected"
 GPS = "vehicle_gps_position"
@@ -39,14 +38,14 @@ class _Content(io.BytesIO):
     """A log in memory that is refused where it ends within a message: pyulog would go on."""
 
     def read(self, size: int | None = -1, /) -> bytes:
-        found = super().read(size)
+        block = super().read(size)
         wanted = -1 if size is None else size
-        if len(found) < wanted and (wanted != HEADER or len(found) > 0):
+        if len(block) < wanted and (wanted != HEADER or len(block) > 0):
             raise EOFError  # no ValueError: of those pyulog makes nothing
-        return found
+        return block
 
 
-def decode(content: bytes, layout: Layout) -> FlightTable:
+def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     """Return the table in a log's content; its frame is NED.
 
     Raises:
@@ -55,6 +54,7 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
         MissingExtra: without pyulog.
     """
     layout.refuse_any("a PX4 log")
+    content = file.read()
     if content.find(MAGIC, 1) > 0:
         raise InputError("two logs in one file, one after the other; split it where another begins")
     log = _parsed(content)
@@ -69,15 +69,20 @@ def decode(content: bytes, layout: Layout) -> FlightTable:
     lacking = [name for name in ("timestamp", *FIELDS) if name not in local]
     if lacking:
         raise InputError(f"{TOPIC} has no {', '.join(lacking)}; is it a log of PX4?")
-    kept = _valid(local)
-    _check_flown(local, kept, _topic(log, LANDED))
-    if np.count_nonzero(kept) > MOST_SAMPLES:
+    valid = np.ones(len(local["timestamp"]), dtype=bool)
+    for name in VALID:
+        valid &= np.asarray(local.get(name, True)) != 0
+    for name in FIELDS:
+        valid &= np.isfinite(local[name])
+    _check_flown(local, valid, _topic(log, LANDED))
+    if np.count_nonzero(valid) > MOST_SAMPLES:
         raise InputError(f"more than {MOST_SAMPLES} samples: cut the log into pieces")
-    time = _time(local)[kept]
-    values = [time - time[0], *(np.asarray(local[name], np.float64)[kept] for name in FIELDS)]
+    time = _stamps(local)[valid]
+    fields = (np.asarray(local[name], np.float64)[valid] for name in FIELDS)
+    values = [(time - time[0]) / 1e6, *fields]
     columns = dict(zip(COLUMNS, values, strict=True))
-    notes = _notes(log, local, kept)
-    anchor = Anchor(_origin(local, kept), _epoch(log, local, kept))
+    notes = _notes(log, local, valid)
+    anchor = Anchor(_origin(local, valid), _epoch(log, local, valid))
     return _at(FlightTable(columns, {}, "NED", notes, anchor), layout.anchor.origin)
 
 
@@ -99,30 +104,19 @@ def _parsed(content: bytes) -> Any:
 
 def _topic(log: Any, name: str) -> dict[str, Any] | None:
     """The samples of the first instance of a topic, by field."""
-    found = [data for data in log.data_list if data.name == name]
-    return min(found, key=lambda data: data.multi_id).data if found else None
+    topics = [data for data in log.data_list if data.name == name]
+    return min(topics, key=lambda data: data.multi_id).data if topics else None
 
 
-def _valid(local: dict[str, Any]) -> BoolArray:
-    """The samples (m,) that the filter calls valid and that are numbers."""
-    kept = np.ones(len(local["timestamp"]), dtype=bool)
-    for name in VALID:
-        if name in local:
-            kept &= np.asarray(local[name]) != 0
-    for name in FIELDS:
-        kept &= np.isfinite(local[name])
-    return kept
-
-
-def _check_flown(local: dict[str, Any], kept: BoolArray, landed: dict[str, Any] | None) -> None:
+def _check_flown(local: dict[str, Any], valid: BoolArray, landed: dict[str, Any] | None) -> None:
     """Refuse a log without a fix, and one of a vehicle that never left the ground."""
     grounded = landed is not None and "landed" in landed and bool(np.all(landed["landed"]))
-    if not kept.any():
+    if not valid.any():
         rests = grounded or not (np.ptp(local["x"]) or np.ptp(local["y"]))
         still = ", and stands still" if rests else ""
         raise InputError(
-            f"the vehicle has no valid local position in any of {len(kept)} samples{still}; give a "
-            "log of a flight with a position fix"
+            f"the vehicle has no valid local position in any of {len(valid)} samples{still}; "
+            "give a log of a flight with a position fix"
         )
     if grounded:
         raise InputError(
@@ -130,37 +124,30 @@ def _check_flown(local: dict[str, Any], kept: BoolArray, landed: dict[str, Any] 
         )
 
 
-def _time(local: dict[str, Any]) -> Array:
-    """Seconds since the first message: of the measurement where it is told, else of the message."""
-    microseconds = _stamps(local)
-    time: Array = (microseconds - microseconds[0]) / 1e6
-    return time
-
-
 def _stamps(local: dict[str, Any]) -> IntArray:
-    """Microseconds since the vehicle was switched on."""
+    """Microseconds (m,) since the vehicle was switched on, of the measurement where it has any."""
     stamps = local.get("timestamp_sample")
     stamps = stamps if stamps is not None and np.all(stamps) else local["timestamp"]
     return np.asarray(stamps).astype(np.int64)
 
 
-def _origin(local: dict[str, Any], kept: BoolArray) -> tuple[float, float] | None:
+def _origin(local: dict[str, Any], valid: BoolArray) -> tuple[float, float] | None:
     """Longitude and latitude of the filter's origin, where it knows one and keeps it."""
     if not all(name in local for name in ("ref_lon", "ref_lat", "xy_global")):
         return None
-    places = np.column_stack([local["ref_lon"], local["ref_lat"]])[kept]
-    if not np.all(local["xy_global"][kept]) or np.ptp(places, axis=0).any():
+    places = np.column_stack([local["ref_lon"], local["ref_lat"]])[valid]
+    if not np.all(local["xy_global"][valid]) or np.ptp(places, axis=0).any():
         return None
     return float(places[0, 0]), float(places[0, 1])
 
 
-def _epoch(log: Any, local: dict[str, Any], kept: BoolArray) -> datetime | None:
+def _epoch(log: Any, local: dict[str, Any], valid: BoolArray) -> datetime | None:
     """The time of the first sample, by the satellites' clock."""
     fixes = _topic(log, GPS)
     if fixes is None or "time_utc_usec" not in fixes or not np.any(fixes["time_utc_usec"]):
         return None
     row = int(np.argmax(fixes["time_utc_usec"] > 0))
-    since_boot = int(_stamps(local)[kept][0]) - int(fixes["timestamp"][row])
+    since_boot = int(_stamps(local)[valid][0]) - int(fixes["timestamp"][row])
     return moment_at(int(fixes["time_utc_usec"][row]) + since_boot)
 
 
@@ -178,13 +165,13 @@ def _at(table: FlightTable, origin: tuple[float, float] | None) -> FlightTable:
     return replace(table, columns=columns, anchor=replace(table.anchor, origin=origin))
 
 
-def _notes(log: Any, local: dict[str, Any], kept: BoolArray) -> tuple[str, ...]:
+def _notes(log: Any, local: dict[str, Any], valid: BoolArray) -> tuple[str, ...]:
     notes = [f"PX4's {TOPIC}"]
-    invalid = len(kept) - int(np.count_nonzero(kept))
+    invalid = len(valid) - int(np.count_nonzero(valid))
     if invalid:
-        notes.append(f"{invalid} of {len(kept)} samples are not valid, and left out")
+        notes.append(f"{invalid} of {len(valid)} samples are not valid, and left out")
     if RESETS in local:
-        resets = int(np.count_nonzero(np.diff(np.asarray(local[RESETS])[kept])))
+        resets = int(np.count_nonzero(np.diff(np.asarray(local[RESETS])[valid])))
         if resets:
             notes.append(f"the filter reset its position {resets} times: it jumps there")
     if log.dropouts:

@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -182,7 +184,7 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
         ("# length_scale=0\n# mean_velocity=1\n" + HEADER + ROWS, "length_scale must be"),
         (bytes(range(256)) * 4, "not a text file"),
         ("\x00\x01\x02" * 50, "not a text file"),
-        (HEADER + "0,1,2,3," + "4" * 200_000 + "\n", "field larger than field limit"),
+        (HEADER + "0,1,2,3," + "4" * 200_000 + "\n", "line 3 is longer than 65536 bytes"),
     ],
 )
 def test_bad_csv_is_one_line_that_names_the_place(csv_of, text, message):
@@ -235,6 +237,30 @@ def test_parquet_of_other_writers(tmp_path):
     metadata = {"response_time": "0.5", "pandas": "{}", b"\xff": b"\xff"}
     pq.write_table(pa.table({**columns, "note": ["a", "b", "c"]}, metadata=metadata), path)
     assert read_flight(path).vehicle == PointMassVehicle(0.5)
+
+
+def test_bombs_are_refused_before_they_unpack(tmp_path):
+    long, ends, packed = (tmp_path / name for name in ("long.csv", "ends.csv", "packed.parquet"))
+    with long.open("wb") as file:
+        file.write(HEADER.encode())
+        file.truncate(400_000_000)  # a line of zero bytes, without a byte on the disk
+    ends.write_bytes(HEADER.replace("\n", "\r").encode() + b"1,1,1,1,1\r" * 5_100_000)
+    texts = pa.array(["1" * 50_000_000] * 4)
+    pq.write_table(pa.table(dict.fromkeys(("time", "x", "y"), texts)), packed)
+    assert packed.stat().st_size < 10_000_000
+    script = f"""
+import resource, sys
+resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30))
+import sparsefit as sf
+for path in {[str(long), str(ends), str(packed)]}:
+    try: sf.read_flight(path)
+    except sf.InputError as error: print(error)
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    words = ("is longer than 65536 bytes", "are more than the 5000000", "column time unpacks to 50")
+    assert len(run.stdout.splitlines()) == 3, run.stderr
+    for line, expected in zip(run.stdout.splitlines(), words, strict=True):
+        assert expected in line
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"junk" * 100, b"PAR1" + b"\0" * 99 + b"PAR1"])
