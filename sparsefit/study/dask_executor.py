@@ -1,0 +1,113 @@
+"""Outcomes of batches from the workers of a dask cluster, on one machine or on many.
+
+A task is a few batches. It runs them through a pool of its own (`pool`) on the machine of the dask
+worker, so that limits hold there as here, and a case that hangs or dies costs its own row, not the
+worker. Where a dask worker itself is lost, dask gives its tasks to another; batches that have cost
+several workers are tried one by one, and one that does it again is `crashed`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack
+from importlib import import_module
+from itertools import islice
+from typing import Any
+
+from sparsefit.errors import InputError, MissingExtra, described
+from sparsefit.study.columns import Outcome
+from sparsefit.study.plan import Batch, Experiment
+from sparsefit.study.pool import outcomes
+
+LARGEST = 32  # batches of a task: a process starts for each task
+SHARES = 4  # tasks for every hand, at least, so that all end at about the same time
+AHEAD = 2  # tasks for every hand that are handed out at once
+CONNECT_SECONDS = 30.0
+
+
+def outcomes_on_dask(
+    experiment: Experiment,
+    batches: Sequence[Batch],
+    scheduler: str | None,
+    processes: int,
+    stop: Callable[[], bool],
+) -> Generator[Outcome, None, None]:
+    """Every cell of every batch, as its task ends.
+
+    scheduler: its address, or None for a cluster of ``processes`` workers on this machine, which
+    ends with the run. Once ``stop`` says so, no task is begun that is not handed out.
+
+    Raises:
+        MissingExtra: dask is not installed.
+        InputError: the scheduler cannot be reached, or has no workers.
+    """
+    dask = distributed()
+    with ExitStack() as stack:
+        client = _client(dask, scheduler, processes, stack)
+        hands = sum(client.nthreads().values())
+        if not hands:
+            raise InputError(f"the dask scheduler {scheduler} has no workers yet: start some first")
+        size = max(1, min(LARGEST, len(batches) // (SHARES * hands)))
+        chunks = iter([list(batches[i : i + size]) for i in range(0, len(batches), size)])
+        there = client.scatter(experiment, broadcast=True)
+        ended, given = dask.as_completed(), dict[str, Sequence[Batch]]()
+
+        def submit(chunk: Sequence[Batch]) -> None:
+            future = client.submit(run_batches, there, list(chunk), pure=False)
+            given[future.key] = chunk
+            ended.add(future)
+
+        for chunk in islice(chunks, hands * AHEAD):
+            submit(chunk)
+        tried: set[Batch] = set()
+        while given:
+            future = next(ended)
+            mine = given.pop(future.key)
+            if future.status == "finished":
+                yield from future.result()
+            elif set(mine) & tried:
+                yield from _crashed(mine, described(future.exception()))
+            else:
+                tried.update(mine)
+                for batch in mine:
+                    submit([batch])
+            for more in islice(chunks, 0 if stop() else 1):
+                submit(more)
+
+
+def _crashed(chunk: Sequence[Batch], cause: str) -> Iterator[Outcome]:
+    for batch in chunk:
+        for cell in batch.cells:
+            yield Outcome(batch.unit, cell, "crashed", f"the dask task failed: {cause}")
+
+
+def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:
+    """On a dask worker: the outcomes of batches, from a process that can be killed."""
+    # A dask worker is a daemon, which multiprocessing lets start nothing; ours end with it anyway.
+    current: Any = multiprocessing.current_process()
+    current._config["daemon"] = False
+    return list(outcomes(experiment, iter(batches), 1))
+
+
+def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) -> Any:
+    if scheduler is None:
+        cluster = dask.LocalCluster(
+            n_workers=processes, threads_per_worker=1, dashboard_address=None, processes=True
+        )
+        return stack.enter_context(dask.Client(stack.enter_context(cluster)))
+    try:
+        return stack.enter_context(dask.Client(scheduler, timeout=CONNECT_SECONDS))
+    except (OSError, ValueError) as error:
+        cause = described(error)
+        raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None
+
+
+def distributed() -> Any:
+    """The package of dask's scheduler; MissingExtra where it is not installed."""
+    try:
+        return import_module("distributed")
+    except ImportError:
+        raise MissingExtra(
+            "dask is not installed: pip install 'sparsefit[dask]', or leave --executor out"
+        ) from None

@@ -1,0 +1,188 @@
+"""`manifest.json`: what made these results and how many ended how, in one small file.
+
+    code_version("my-plugin 1.2")  ->  "0.4.0+1a2b3c4d my-plugin 1.2"
+
+It holds the sha256 of the Parquet files beside it: rows that a disk or a hand has changed since
+are not read. The version of a row is that of every file that can change a number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import stat
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import sparsefit
+from sparsefit.errors import InputError
+from sparsefit.whole_file import write_whole
+
+MANIFEST = "manifest.json"
+LARGEST = 1 << 24  # bytes of a record that is read
+PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
+# Rooms and files of the study that no case is computed by: they show what others computed.
+SHOWING = ("cli", "plot", "sklearn", "pysindy", "__main__.py", "sklearn.py", "pysindy.py")
+STUDY_ROOM = "study"
+COMPUTING = (  # files of `study/` that a worker, its questions or its answers pass through
+    *("clock", "columns", "contenders", "crossing", "data_sets", "definition", "draw"),
+    *("flight_desk", "flight_experiment", "logged", "plan", "problem_desk", "problem_experiment"),
+    *("quantities", "reading", "referee", "toml_file", "worker", "manifest", "__init__"),
+)
+SOURCES = (".py", ".pyx", ".pxd")
+DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
+COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
+
+
+def code_version(plugin: str = "") -> str:
+    """`0.4.0+1a2b3c4d`, and the distribution and version that a plug-in comes from."""
+    return " ".join(part for part in (f"{sparsefit_version()}+{_digest()}", plugin) if part)
+
+
+@cache
+def _digest() -> str:
+    """The first 8 digits of the sha256 of all that determines numbers, equal on every machine."""
+    total = hashlib.sha256()
+    package = Path(sparsefit.__file__).parent
+    for path in sources():
+        text = without_words(path.read_text(encoding="utf-8"))
+        total.update(f"{path.relative_to(package).as_posix()}\0{text}\0".encode())
+    return total.hexdigest()[:8]
+
+
+def sources() -> Iterator[Path]:
+    """The source files of the package that can change a number, in order."""
+    package = Path(sparsefit.__file__).parent
+    for path in sorted(package.rglob("*")):
+        room = path.relative_to(package).parts[0]
+        if path.suffix not in SOURCES or room in SHOWING:
+            continue
+        if room != STUDY_ROOM or path.stem in COMPUTING:
+            yield path
+
+
+def without_words(source: str) -> str:
+    """A Python source without docstrings, comments and empty lines, which change no number.
+
+    By its text, which is the same for every version of Python, and quick; comments stay where a
+    string of several lines might hold what looks like one.
+    """
+    text = DOCSTRING.sub(r'\1\2""\n', source)
+    return text if '"""' in text else COMMENT.sub("", text)
+
+
+def write_manifest(folder: Path, content: Mapping[str, object]) -> None:
+    """Write the manifest of a finished run: this content, the checksums, and on what it ran."""
+    checksums = {path.name: _sha256(path) for path in sorted(folder.glob("*.parquet"))}
+    load = [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None
+    whole = {
+        **content,
+        "sha256": checksums,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "processors": os.cpu_count(),
+        "load": load,
+        "git_commit": git_commit(),
+    }
+    write_whole(folder / MANIFEST, json.dumps(whole, indent=2) + "\n")
+
+
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of a results folder; None where there is none that can be read."""
+    return read_record(folder / MANIFEST)
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """The JSON object in a regular file; None where there is none that can be read."""
+    try:
+        told = path.stat()
+        if not stat.S_ISREG(told.st_mode) or told.st_size > LARGEST:
+            return None
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def check_whole(path: Path, *, strict: bool = False) -> None:
+    """Raise `InputError` unless a file has the checksum that the manifest beside it tells.
+
+    strict: also where the manifest tells none, of a part that is merged from elsewhere.
+    """
+    written = (read_manifest(path.parent) or {}).get("sha256")
+    if not isinstance(written, dict) or path.name not in written:
+        if strict:
+            words = f"no checksum of it stands in {MANIFEST}"
+            raise InputError(f"{path}: {words}: take both files from where they came")
+        return
+    if _sha256(path) != written[path.name]:
+        raise InputError(
+            f"{path}: not what was written (its sha256 is not that of {MANIFEST}): "
+            "take both files from where they came, or run the study with --fresh"
+        )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of sparsefit, Python and what computes; None for what is not installed."""
+    told = {"sparsefit": sparsefit_version(), "python": platform.python_version()}
+    return {**told, **{name: version_of(name) for name in PACKAGES}}
+
+
+def sparsefit_version() -> str:
+    """The version of the package that runs, installed or not."""
+    return str(getattr(sparsefit, "__version__", None) or version_of("sparsefit") or "unknown")
+
+
+def version_of(name: str) -> str | None:
+    """The version of an installed package; None where it is not."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def git_commit() -> str | None:
+    """The commit of the checkout that holds this package, `+changes` if it was edited since."""
+    package = Path(sparsefit.__file__).resolve().parent
+    top = _git(package, "rev-parse", "--show-toplevel")
+    # An installed copy may lie inside a checkout of something else.
+    if not top or Path(top).resolve() != package.parent:
+        return None
+    commit = _git(package, "rev-parse", "--verify", "HEAD")
+    changed = _git(package, "status", "--porcelain", "--", ".")
+    return f"{commit}+changes" if commit and changed else commit
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    """The answer of git; None where git, the checkout or the answer is missing."""
+    command = ["git", "-C", str(folder), *words]
+    try:
+        done = subprocess.run(command, capture_output=True, check=True, text=True, timeout=10)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def processor() -> str:
+    """The name of the CPU, where the system tells it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,254 @@
+"""The plan of a study: ONE frame with unit, condition, candidate, title and factors of every case.
+
+    case = unit x cell,    cell = condition x candidate
+
+A unit is what statistics draw whole (a flight with all its conditions; a regression problem), a
+candidate what is compared. Nothing is ever read back out of a name. An experiment, of which there
+are two, supplies units, cells and the way in which a batch of cases is run; all else is common.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+import numpy as np
+
+from sparsefit.arrays import BoolArray
+from sparsefit.errors import InputError
+from sparsefit.study.columns import Column, Outcome
+from sparsefit.study.definition import Definition
+from sparsefit.study.worker import Ask, Lost, Record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Columns: TypeAlias = Mapping[str, Sequence[Any]]
+Step: TypeAlias = Generator[Ask | Outcome, Record | Lost | None, None]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Cells of one unit that are run together; alone: nothing is shared between them."""
+
+    unit: int
+    cells: tuple[int, ...]
+    alone: bool = False
+
+
+class Experiment(Protocol):
+    """A kind of study: its units, its cells, and how a batch of cases is run."""
+
+    @property
+    def definition(self) -> Definition:
+        """The study file."""
+        ...
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns of `cases.parquet`, but for swept factors."""
+        ...
+
+    @property
+    def judged(self) -> Sequence[str]:
+        """The columns in which two rows of one case must agree."""
+        ...
+
+    @property
+    def alone(self) -> bool:
+        """Whether cases are timed, so that one process works at a time."""
+        ...
+
+    def units(self) -> Columns:
+        """The columns of the units (u,): `flight`, `unit`, `identity` and others."""
+        ...
+
+    def cells(self) -> Columns:
+        """The columns of the cells (c,): `condition`, `candidate`, `title`, `identity`, factors."""
+        ...
+
+    def factors(self) -> Mapping[str, str]:
+        """All that varies by dotted key: "condition" or "candidate"."""
+        ...
+
+    def case_id(self, unit: int, cell: int) -> str:
+        """The id of a case in its row, stable whatever else the study plans."""
+        ...
+
+    def names(self, cell: int) -> Sequence[str]:
+        """The names by which a user may call a cell."""
+        ...
+
+    def version(self, cell: int) -> str:
+        """The code that makes the rows of a cell, here and now."""
+        ...
+
+    def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
+        """The cases (u, c) to compute so that those ``wanted`` are comparable with the rest.
+
+        version: of each row (u * c,), empty where there is none.
+        """
+        ...
+
+    def batches(self, wanted: BoolArray) -> Iterator[Batch]:
+        """The cases ``wanted`` (u, c) in batches."""
+        ...
+
+    def run(self, batch: Batch) -> Step:
+        """Asks for workers, whose answers are sent in, and an outcome for each of the cells."""
+        ...
+
+    def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
+        """The class of a desk by its name, and its arguments: what lives in a worker."""
+        ...
+
+    def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
+        """The columns that are known of a case before it is run, and stand in every row."""
+        ...
+
+    def cost(self, unit: int, cell: int) -> int:
+        """The number of the fit that the case reads: cases of one number share its seconds."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Every case of a study, unit by unit, in the order of the rows of `cases.parquet`."""
+
+    experiment: Experiment
+
+    @cached_property
+    def shape(self) -> tuple[int, int]:
+        """The numbers of units and cells (u, c)."""
+        units, cells = self.experiment.units(), self.experiment.cells()
+        return len(units["identity"]), len(cells["identity"])
+
+    @property
+    def size(self) -> int:
+        """The number of cases."""
+        return self.shape[0] * self.shape[1]
+
+    @cached_property
+    def case_ids(self) -> list[str]:
+        """The id of every case, in plan order."""
+        units, cells = self.shape
+        case_id = self.experiment.case_id
+        return [case_id(unit, cell) for unit in range(units) for cell in range(cells)]
+
+    @cached_property
+    def identities(self) -> list[str]:
+        """The identity of every case: what it is, whatever study asks for it."""
+        cells = [str(name) for name in self.experiment.cells()["identity"]]
+        rows = [str(name) for name in self.experiment.units()["identity"]]
+        return [f"{row}.{cell}" if row else cell for row in rows for cell in cells]
+
+    @cached_property
+    def keys(self) -> list[str]:
+        """The key under which the store keeps each case."""
+        flights = [int(number) for number in self.experiment.units()["flight"]]
+        rows = [str(name) for name in self.experiment.units()["identity"]]
+        cells = self.shape[1]
+        identities, numbers = self.identities, np.repeat(flights, cells).tolist()
+        if any(rows):
+            return identities
+        return [key_of(n, name) for n, name in zip(numbers, identities, strict=True)]
+
+    @cached_property
+    def place_of(self) -> dict[str, int]:
+        """The place of each key in the plan."""
+        return {key: place for place, key in enumerate(self.keys)}
+
+    @cached_property
+    def place_of_case(self) -> dict[str, int]:
+        """The place of each case id in the plan."""
+        return {case_id: place for place, case_id in enumerate(self.case_ids)}
+
+    def at(self, place: int) -> tuple[int, int]:
+        """The unit and the cell of a place in the plan."""
+        return divmod(place, self.shape[1])
+
+    @cached_property
+    def versions(self) -> list[str]:
+        """The code that makes the rows of each cell now."""
+        return [self.experiment.version(cell) for cell in range(self.shape[1])]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Every planned column, a value a case."""
+        units, cells = self.shape
+        unit_columns, cell_columns = self.experiment.units(), self.experiment.cells()
+        told: dict[str, list[Any]] = {"case_id": self.case_ids}
+        for name, values in unit_columns.items():
+            if name not in ("unit", "identity"):
+                told[name] = [value for value in values for _ in range(cells)]
+        for name, values in cell_columns.items():
+            if name != "identity":
+                told[name] = list(values) * units
+        conditions = cell_columns["condition"]
+        varied = len(set(conditions)) > 1
+        told["unit"] = [
+            f"{unit} in {condition}" if varied and condition else unit
+            for unit in map(str, unit_columns["unit"])
+            for condition in map(str, conditions)
+        ]
+        told["identity"] = self.identities
+        told["study"] = [self.experiment.definition.name] * self.size
+        return told
+
+    def frame(self) -> pd.DataFrame:
+        """The plan as a frame, one row a case."""
+        import pandas as pd
+
+        first = ("case_id", "unit", "flight", "condition", "candidate", "title", "split")
+        columns = self.columns()
+        order = dict.fromkeys([*(name for name in first if name in columns), *columns])
+        return pd.DataFrame({name: columns[name] for name in order})
+
+    def named(self, names: Iterable[str]) -> BoolArray:
+        """The cases (u, c) that any of these names or case ids mean; `*` is for any letters.
+
+        Raises:
+            InputError: where a name is that of nothing in the study.
+        """
+        wanted: BoolArray = np.zeros(self.shape, dtype=bool)
+        units = [str(unit) for unit in self.experiment.units()["unit"]]
+        called = [self.experiment.names(cell) for cell in range(self.shape[1])]
+        for name in names:
+            cells = np.array([any(fnmatchcase(own, name) for own in each) for each in called])
+            rows = np.array([fnmatchcase(unit, name) for unit in units])
+            mine: BoolArray = cells[None, :] | rows[:, None]
+            if not mine.any() and name in self.place_of_case:
+                mine[self.at(self.place_of_case[name])] = True
+            if not mine.any():
+                known = ", ".join(sorted({own for each in called for own in each[1:]}))
+                words = "give a back-end, a label, a protocol, a problem, a solver"
+                study = self.experiment.definition.name
+                raise InputError(
+                    f'nothing in study {study} is called "{name}": {words} ({known}) or a case id'
+                )
+            wanted |= mine
+        return wanted
+
+
+def key_of(flight: int, identity: str) -> str:
+    """The key of a case of a flight that is known by its number."""
+    return f"{flight}:{identity}"
+
+
+def digest(content: str) -> str:
+    """16 hexadecimal digits of the sha256 of a text."""
+    return hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
+
+
+def numbered(names: Iterable[str]) -> list[str]:
+    """The names, the second of equal ones with `-2` behind: cases that differ in nothing else."""
+    seen: Counter[str] = Counter()
+    told = []
+    for name in names:
+        seen[name] += 1
+        told.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+    return told

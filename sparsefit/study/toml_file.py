@@ -1,0 +1,142 @@
+"""One TOML file as typed values, in bounded time and memory.
+
+    read_toml("study.toml") -> {"name": "smoke", "flights": {"count": 4}, ...}
+
+Whatever does not fit is refused by file, section and key (`codec.Place`). A dotted key of d parts
+costs a parser d² steps and d tables, so keys are bounded before the text is parsed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias, cast
+
+from sparsefit.codec import Place, number, shown
+from sparsefit.errors import InputError
+from sparsefit.whole_file import read_whole
+
+Section: TypeAlias = Mapping[str, object]
+LARGEST = 1_000_000  # bytes of a study file, which are parsed within a second
+DEEPEST = 32  # tables and lists in one another
+KEY = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+LONG_KEY = re.compile(rf"{KEY}(?:[ \t]*+\.[ \t]*+{KEY}){{{DEEPEST},}}+")
+MOST_DIGITS = 300  # an integer beyond is no number that anything is computed with
+
+
+def read_toml(path: str | Path) -> dict[str, object]:
+    """The tables of a TOML file.
+
+    Raises:
+        InputError: with the file and, where it is not TOML, the line; also of a file that is too
+            large, nested too deeply or holds an integer beyond 300 digits.
+    """
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file: check the name")
+    try:
+        text = read_whole(path, most=LARGEST).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not UTF-8 text: save the study file as UTF-8") from None
+    if (long := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, long.start()) + 1
+        raise InputError(f"{path}:{line}: a key of more than {DEEPEST} parts: shorten it")
+    deep = f"{path}: nested too deeply for a study file: at most {DEEPEST} levels"
+    digits = f"{path}: holds an integer of more than {MOST_DIGITS} digits: write a smaller one"
+    try:
+        parsed = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"at line (\d+)", str(error))
+        line = int(at.group(1)) if at else text.count("\n") + 1
+        raise InputError(f"{path}:{line}: not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(deep) from None
+    except ValueError:  # Python reads no decimal integer of more than 4300 digits
+        raise InputError(digits) from None
+    for depth, value in _leaves(parsed):
+        if depth > DEEPEST:
+            raise InputError(deep)
+        if isinstance(value, int) and abs(value) > 10**MOST_DIGITS:
+            raise InputError(digits)
+    return parsed
+
+
+def _leaves(value: object, depth: int = 0) -> Iterator[tuple[int, object]]:
+    """Every value that is no container, and every container below `DEEPEST`, with its depth."""
+    if depth <= DEEPEST and isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _leaves(item, depth + 1)
+    else:
+        yield depth, value
+
+
+def required(section: Section, key: str, place: Place) -> object:
+    """The value of a key that a study must give."""
+    if key not in section:
+        raise place.at(key).error("missing: a study needs it")
+    return section[key]
+
+
+def positive(value: object, place: Place) -> float:
+    """A finite number above zero."""
+    real = number(value, place)
+    if real <= 0.0:
+        raise place.error(f"must be above 0, not {shown(value)}")
+    return real
+
+
+def items(value: object, place: Place) -> list[object]:
+    """A list of at least one item."""
+    if not isinstance(value, list):
+        raise place.error(f"must be a list, not {shown(value)}")
+    if not value:
+        raise place.error("must not be an empty list: remove the key or give values")
+    return value
+
+
+def as_items(value: object, place: Place) -> list[object]:
+    """A list of distinct items; a value that is no list is a list of one."""
+    listed = items(value, place) if isinstance(value, list) else [value]
+    distinct(listed, place)
+    return listed
+
+
+def distinct(values: Sequence[object], place: Place) -> None:
+    """Refuse a list that holds a value twice."""
+    seen: set[str] = set()
+    for value in values:
+        canonical = canonical_json(value)
+        if canonical in seen:
+            raise place.error(f"lists {shown(value)} twice")
+        seen.add(canonical)
+
+
+def read_section(value: object, place: Place) -> Section:
+    """A TOML table."""
+    if not isinstance(value, dict):
+        raise place.error(f"must be a table, not {shown(value)}")
+    return cast(Section, value)
+
+
+def read_sections(value: object, place: Place) -> list[Section]:
+    """An array of tables, `[[name]]`, of at least one."""
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        raise place.error(f"must be written as [[{place.key or place.section}]]")
+    return cast(list[Section], items(value, place))
+
+
+def canonical_json(value: object) -> str:
+    """JSON with sorted keys, without blanks, 10.0 written as 10: equal content, equal text."""
+    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), default=str)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

@@ -1,0 +1,246 @@
+"""A process in which code of others runs, asked one thing at a time, and killed at its limit.
+
+    worker = Worker.start(Desk, (definition,), memory=2000.0)   # Desk(definition) lives in there
+    worker.send(Ask("cases", {"unit": 3}, limit=60.0))
+    worker.receive()            # None while it works; the answer, a mapping; or Lost
+
+The parent keeps the clock: an ask has its limit, whatever the process says. An answer is one line
+of JSON with a checksum and the number of its ask; all else that comes through the channel ends
+the process. Nothing that the process says is believed before `plan` checked it (`runner`).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import json
+import math
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+from zlib import crc32
+
+from sparsefit.child import Child
+from sparsefit.errors import described
+
+Record: TypeAlias = dict[str, Any]
+CHUNK = 1 << 20  # bytes that are read at once
+LONGEST = 64 << 20  # bytes of one answer
+GARBLED = "the message channel of the worker process was written into"
+SHARE = 0.8  # of the machine's memory that all workers together may take
+START_SECONDS = 180.0
+
+
+class Desk(Protocol):
+    """The object that lives in a worker and answers."""
+
+    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+        """The answer to an ask, as JSON can hold it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ask:
+    """One thing that a worker is to do within `limit` seconds [s] on the wall.
+
+    desk: which process of several is asked, so that code of others shares none with ours.
+    """
+
+    verb: str
+    told: Mapping[str, Any]
+    limit: float
+    desk: str = ""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """The process was killed at its limit (``timeout``) or died (``crashed``), with the reason.
+
+    started: whether it had answered before; by_signal: whether it was killed from outside.
+    """
+
+    status: str
+    reason: str
+    started: bool = True
+    by_signal: bool = False
+
+
+def packed(record: Mapping[str, Any]) -> bytes:
+    """One line: a CRC-32 and the JSON of the record; ValueError or TypeError where it has none."""
+    body = json.dumps(record, separators=(",", ":")).encode()
+    return b"%08x %s\n" % (crc32(body), body)
+
+
+def unpacked(line: bytes) -> Record | None:
+    """The record of a line without its end; None where it is not whole."""
+    if line[8:9] != b" " or line[:8] != b"%08x" % crc32(line[9:]):
+        return None
+    try:
+        record = json.loads(line[9:])
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def serve(
+    make: Callable[..., Desk],
+    told: tuple[Any, ...],
+    memory: float,
+    asks: Connection,
+    answers: Connection,
+) -> None:
+    """The life of the process: answer until the parent is gone.
+
+    A copy of it, made by code that forks, ends where it would answer.
+    """
+    owner = os.getpid()
+    if math.isfinite(memory):
+        _limit_memory(memory)
+    desk = make(*told)
+    _reply(answers, {"number": 0})
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            number, verb, arguments = asks.recv()
+            record: Record = {}
+            try:
+                record = {"number": number, "answer": desk.answer(verb, **arguments)}
+                line = packed(record)
+            except MemoryError as error:
+                gc.collect()
+                line = packed({"number": number, "error": f"memory: {described(error)}"})
+            except BaseException as error:  # code of others may raise anything, SystemExit too
+                line = packed({"number": number, "error": described(error)})
+            if os.getpid() != owner:
+                os._exit(0)
+            while line:
+                line = line[os.write(answers.fileno(), line) :]
+
+
+def _reply(answers: Connection, record: Record) -> None:
+    os.write(answers.fileno(), packed(record))
+
+
+def _limit_memory(megabytes: float) -> None:
+    """Let allocations beyond the limit fail; of Linux, where private memory is counted."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        most = int(megabytes * 1e6)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def memory_limit(asked: float | None, processes: int) -> float:
+    """Megabytes [MB] that a worker may take: those asked for, or its share of the machine's."""
+    if asked is not None:
+        return asked
+    try:
+        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
+    except (ValueError, OSError, AttributeError):
+        return math.inf
+    with suppress(OSError, ValueError):  # of a container, which may have less
+        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e6)
+    return SHARE * total / max(processes, 1)
+
+
+@dataclass
+class Worker:
+    """The parent's end of a process.
+
+    number: of the last ask; ready: whether the process has started; busy: whether it works.
+    """
+
+    child: Child
+    asks: Connection
+    answers: Connection
+    deadline: float
+    limit: float = START_SECONDS
+    number: int = 0
+    ready: bool = False
+    busy: bool = True
+    buffer: bytearray = field(default_factory=bytearray)
+
+    @classmethod
+    def start(
+        cls, make: Callable[..., Desk], told: tuple[Any, ...], *, memory: float = math.inf
+    ) -> Worker:
+        """A new process with ``make(*told)`` in it; it is busy until it has started."""
+        asks, ours = multiprocessing.Pipe(duplex=False)
+        answers, theirs = multiprocessing.Pipe(duplex=False)
+        child = Child.start(serve, make, told, memory, asks, theirs)
+        asks.close()
+        theirs.close()
+        os.set_blocking(answers.fileno(), False)
+        return cls(child, ours, answers, time.monotonic() + START_SECONDS)
+
+    def send(self, ask: Ask) -> None:
+        """Ask; if the process has died meanwhile, `receive` says so."""
+        self.number += 1
+        self.busy, self.limit = True, ask.limit
+        self.deadline = time.monotonic() + ask.limit
+        with suppress(OSError):
+            self.asks.send((self.number, ask.verb, dict(ask.told)))
+
+    def receive(self) -> Record | Lost | None:
+        """The answer that has come, {"answer": ...} or {"error": ...}; None while it works."""
+        try:
+            while chunk := os.read(self.answers.fileno(), CHUNK):
+                self.buffer += chunk
+                if len(self.buffer) > LONGEST:
+                    return self._lost("crashed", GARBLED)
+            return self._ended()
+        except BlockingIOError:
+            pass
+        except OSError:
+            return self._ended()
+        return self._message()
+
+    def _message(self) -> Record | Lost | None:
+        line, end, rest = bytes(self.buffer).partition(b"\n") if self.buffer else (b"", b"", b"")
+        if end:
+            record = unpacked(line)
+            self.buffer = bytearray(rest)
+            if rest or record is None or record.get("number") != self.number:
+                return self._lost("crashed", GARBLED)
+            if not self.ready:
+                self.ready, self.busy, record = True, False, {"answer": {}}
+            self.busy = False
+            return record
+        if time.monotonic() > self.deadline:
+            return self._lost("timeout", f"took longer than {self.limit:g} s")
+        return None
+
+    def _ended(self) -> Record | Lost | None:
+        """The process closed its end: its last words, if they are whole, or how it ended."""
+        if b"\n" in self.buffer and not isinstance(message := self._message(), Lost):
+            return message
+        self.child.process.join(timeout=1.0)
+        code = self.child.process.exitcode or 0
+        reason = f"the worker process {self.child.end}"
+        return self._lost("crashed", reason, by_signal=code < 0)
+
+    def _lost(self, status: str, reason: str, *, by_signal: bool = False) -> Lost:
+        self.close()
+        return Lost(status, reason, self.ready, by_signal)
+
+    def excuse(self, seconds: float) -> None:
+        """Do not charge seconds [s] in which the parent was stopped or suspended."""
+        self.deadline += seconds
+
+    def close(self) -> None:
+        """End the process for real, with all that it started, and wait until it is gone."""
+        self.child.kill()
+        self.asks.close()
+        self.answers.close()
+
+
+def trim_memory() -> None:
+    """Give freed memory back to the system, where the C library can."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
