@@ -1,0 +1,8 @@
+"""Rows for the search: states and their derivatives, each a linear filter of the log."""
+
+from sparsefit.rows.clean import Repairs
+from sparsefit.rows.derivative import METHODS, Derivative
+from sparsefit.rows.samples import Samples, WeakRows
+from sparsefit.rows.smoothing import Smoothing
+
+__all__ = ["METHODS", "Derivative", "Repairs", "Samples", "Smoothing", "WeakRows"]

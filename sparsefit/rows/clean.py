@@ -1,0 +1,314 @@
+"""A log made fit for the search: gaps, uneven steps, repeated samples, outliers and jumps.
+
+Rows that only repeat the one before are dropped; a step much longer than the others cuts the flight
+into pieces, none of which a filter crosses; uneven steps are made even for filters that need it.
+An outlier is a velocity far from what a polynomial through its neighbours predicts, a jump a step
+of the position far from the integral of the velocity: by robust standard deviations and beside the
+samples around it (Hampel, 1974). A clean log comes out as the very arrays that went in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.cached import cached_property
+from sparsefit.flight import Flight
+from sparsefit.flight.record import MINIMUM_SAMPLES
+
+ONE_STEP = 1e-6  # relative: what a polynomial through the samples takes for one and the same step
+GAP = 4.0  # median steps: a polynomial through the samples carries over less
+REST = 2.0  # least increments of the log: who moves farther in a step cannot stay where he was
+SURE = 6.5  # robust standard deviations: white noise goes beyond it once in 1e6 flights
+ALONE, AROUND = 3.0, 4  # times the median of so many samples on either side
+FELT = 0.01, 0.1  # of the rms speed, and of the way in a step: less moves no parameter
+ROUNDS = 6  # an outlier spoils the prediction of its neighbours too
+PREDICTION = 11, 5  # samples and degree of the polynomial that predicts a velocity
+MOST = 0.2, 0.02  # outliers and jumps, of the samples: more, and the others are no measure of them
+ROUNDING = 1e-12  # of the largest position: shifts below it are none
+JUMP_SIDE = 30  # samples on either side that the size of a jump is read from
+RAYLEIGH = math.sqrt(2.0 * math.log(2.0))  # median of the length of a pair of unit normals
+
+
+@dataclass(frozen=True)
+class Repairs:
+    """The samples that were replaced or dropped before a derivative was taken.
+
+    Args:
+        outliers: velocities that were replaced.
+        jumps: steps of the position that were taken out.
+        gaps: interruptions that no derivative was taken across.
+        resampled: samples on even time steps that stand for those on uneven ones.
+        repeated: samples that were dropped as they repeat the position of the one before.
+        dropped: samples between gaps that were too few to be smoothed.
+        largest_outlier: [m/s], 0 where there is none.
+        largest_jump: [m].
+        longest_gap: [s].
+    """
+
+    outliers: int = 0
+    jumps: int = 0
+    gaps: int = 0
+    resampled: int = 0
+    repeated: int = 0
+    dropped: int = 0
+    largest_outlier: float = 0.0
+    largest_jump: float = 0.0
+    longest_gap: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """The repairs in words; empty where there were none."""
+        parts = (
+            (self.outliers, "outlier", f" of up to {self.largest_outlier:.3g} m/s replaced"),
+            (self.jumps, "jump", f" of up to {self.largest_jump:.3g} m taken out"),
+            (self.gaps, "gap", f" of up to {self.longest_gap:.3g} s left open"),
+            (self.resampled, "sample", " put on even time steps"),
+            (self.repeated, "repeated sample", " dropped"),
+            (self.dropped, "sample", " between gaps dropped"),
+        )
+        return ", ".join(f"{n} {noun}{'s' * (n > 1)}{what}" for n, noun, what in parts if n)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """The samples of a flight and its gaps.
+
+    Args:
+        time: [s], (m,).
+        position: [m], (m, 2).
+        velocity: [m/s], (m, 2).
+        starts: the first rows of all pieces but the first, (pieces - 1,).
+        velocity_measured: whether the velocity tells more than the position.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    starts: IntArray
+    velocity_measured: bool = True
+
+    @classmethod
+    def of(cls, flight: Flight) -> Pieces:
+        """The samples of a flight as they are, in one piece."""
+        starts = np.empty(0, dtype=np.intp)
+        return cls(flight.time, flight.position, flight.velocity, starts, flight.velocity_measured)
+
+    @cached_property
+    def slices(self) -> list[slice]:
+        """The rows of each piece."""
+        return [slice(*ends) for ends in pairwise([0, *self.starts.tolist(), len(self.time)])]
+
+    @property
+    def lengths(self) -> IntArray:
+        """The samples of each piece."""
+        return np.diff(np.concatenate([[0], self.starts, [len(self.time)]]))
+
+    @cached_property
+    def step(self) -> float:
+        """The mean time step [s] within the pieces."""
+        within = sum(float(self.time[p.stop - 1] - self.time[p.start]) for p in self.slices)
+        return within / (len(self.time) - len(self.slices))
+
+    @cached_property
+    def even(self) -> bool:
+        """Tell whether the steps within the pieces are one and the same."""
+        away = np.abs(np.diff(self.time) - self.step)
+        away[self.starts - 1] = 0.0
+        return bool(away.max() <= ONE_STEP * self.step + clock_rounding(self.time))
+
+    def at(self, rows: IntArray | BoolArray) -> Pieces:
+        """Some samples of a log in one piece."""
+        return replace(
+            self, time=self.time[rows], position=self.position[rows], velocity=self.velocity[rows]
+        )
+
+    def cut(self, shortest: int) -> Pieces:
+        """The samples cut at their gaps, without pieces of fewer samples if there are longer."""
+        steps = np.diff(self.time)
+        if steps.max() <= GAP * steps.min():
+            return self
+        whole = replace(self, starts=np.flatnonzero(steps > GAP * np.median(steps)) + 1)
+        long = [piece for piece in whole.slices if piece.stop - piece.start >= shortest]
+        if len(long) in (0, len(whole.slices)):
+            return whole
+        rows = np.concatenate([np.arange(piece.start, piece.stop) for piece in long])
+        starts = np.cumsum([piece.stop - piece.start for piece in long[:-1]], dtype=np.intp)
+        return replace(self.at(rows), starts=starts)
+
+    def resampled(self) -> Pieces:
+        """The pieces on even steps, the mean one; each begins with its own first sample.
+
+        Position by the cubic Hermite polynomial of two neighbours, velocity by a straight line.
+        """
+        grids, step = [], self.step
+        for piece in self.slices:
+            first, last = self.time[piece.start], self.time[piece.stop - 1]
+            steps = np.arange(int((last - first) / step + 1e-6) + 1)
+            grids.append(np.minimum(first + step * steps, last))
+        time = np.concatenate(grids)
+        position = hermite(self.time, self.position, self.velocity, time)
+        starts = np.cumsum([len(grid) for grid in grids[:-1]], dtype=np.intp)
+        arrays = time, position, interpolated(self.time, self.velocity, time)
+        return Pieces(*arrays, starts, self.velocity_measured)
+
+
+def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repairs]:
+    """The samples of a flight made fit for a filter, and the repairs.
+
+    even: whether uneven time steps are made even; shortest: samples that a piece needs.
+    """
+    log = Pieces.of(flight)
+    fresh = _fresh(log)
+    pieces = fresh.cut(shortest)
+    steps = np.diff(pieces.time)[pieces.starts - 1]
+    repairs = Repairs(
+        gaps=len(steps),
+        longest_gap=float(steps.max(initial=0.0)),
+        repeated=len(log.time) - len(fresh.time),
+        dropped=len(fresh.time) - len(pieces.time),
+    )
+    if not pieces.even:
+        if not even:
+            return pieces, repairs
+        pieces = pieces.resampled()
+        repairs = replace(repairs, resampled=len(pieces.time))
+    if not flight.velocity_measured:
+        return pieces, repairs
+    velocity, position = pieces.velocity.copy(), pieces.position.copy()
+    for piece in pieces.slices:
+        velocity[piece] = clean_velocity(pieces.velocity[piece])
+        position[piece] = clean_position(pieces.position[piece], velocity[piece], pieces.step)
+    off = _length(velocity - pieces.velocity)
+    moved = _length(np.diff(position - pieces.position, axis=0))
+    jumps = moved > ROUNDING * np.abs(position).max()
+    jumps[pieces.starts - 1] = False
+    if not off.any() and not jumps.any():
+        return pieces, repairs
+    return replace(pieces, position=position, velocity=velocity), replace(
+        repairs,
+        outliers=int(np.count_nonzero(off)),
+        jumps=int(jumps.sum()),
+        largest_outlier=float(off.max()),
+        largest_jump=float(moved[jumps].max(initial=0.0)),
+    )
+
+
+def _fresh(log: Pieces) -> Pieces:
+    """The log without rows that repeat a position, if the vehicle moved on at most of these."""
+    moved = np.abs(np.diff(log.position, axis=0))
+    repeats = ~moved.any(axis=1)
+    if not repeats.any() or not moved.any():
+        return log
+    way = np.abs(log.velocity[1:]).max(axis=1) * np.diff(log.time)
+    flown = repeats & (way > REST * float(moved[moved > 0].min()))
+    rows = np.concatenate([[True], ~repeats])
+    few = 2 * flown.sum() <= repeats.sum() or rows.sum() < MINIMUM_SAMPLES
+    return log if few else log.at(rows)
+
+
+def clean_velocity(velocity: Array) -> Array:
+    """The velocity (m, 2) [m/s] on even steps with its outliers replaced; the array itself if none.
+
+    The residual of a sample is that of a polynomial through the others: its own weight h in the
+    fit taken out, the residual over 1 - h.
+    """
+    window, degree = PREDICTION
+    if len(velocity) < 3 * window:
+        return velocity
+    powers = np.vander(np.linspace(-1.0, 1.0, window), degree + 1, increasing=True)
+    hat, half = powers @ np.linalg.pinv(powers), window // 2
+    weight = np.full((len(velocity), 1), hat[half, half])
+    weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
+    least = FELT[0] * math.sqrt(float(np.mean(velocity**2)))
+    cleaned, outliers = velocity, np.zeros(len(velocity), dtype=bool)
+    for _ in range(ROUNDS):
+        inner = [np.correlate(column, hat[half], "valid") for column in cleaned.T]
+        ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
+        fitted = np.vstack([ends[0], np.column_stack(inner), ends[1]])
+        predicted = (fitted - weight * cleaned) / (1.0 - weight)
+        scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
+        before = outliers
+        outliers = _isolated(_length(velocity - predicted), scale, least)
+        if not outliers.any() or outliers.mean() > MOST[0]:
+            return velocity
+        cleaned = np.where(outliers[:, None], predicted, velocity)
+        if np.array_equal(outliers, before):
+            break
+    return cleaned
+
+
+def clean_position(position: Array, velocity: Array, step: float) -> Array:
+    """The position (m, 2) [m] on even steps without its jumps; the array itself if none.
+
+    The size of a jump is the change of the mean, on either side, of what the integral of the
+    velocity (m, 2) [m/s] leaves of the position.
+    """
+    if len(position) < 3 * PREDICTION[0]:
+        return position
+    mean = 0.5 * (velocity[1:] + velocity[:-1])
+    mean[1:-1] = (13.0 * (velocity[1:-2] + velocity[2:-1]) - velocity[:-3] - velocity[3:]) / 24.0
+    left = np.diff(position, axis=0) - step * mean
+    least = FELT[1] * step * math.sqrt(float(np.mean(velocity**2)))
+    size = _length(left)
+    jumps = np.flatnonzero(_isolated(size, np.ones_like(size), least)).tolist()
+    if not 0 < len(jumps) <= MOST[1] * len(position):
+        return position
+    beside = np.vstack([[0.0, 0.0], np.cumsum(left, axis=0)])
+    shift, ends = np.zeros_like(position), [-1, *jumps, len(left)]
+    for before, jump, after in zip(ends[:-2], jumps, ends[2:], strict=True):
+        here = beside[max(before, jump - JUMP_SIDE) + 1 : jump + 1]
+        there = beside[jump + 1 : min(after, jump + JUMP_SIDE) + 1]
+        shift[jump + 1] = there.mean(axis=0) - here.mean(axis=0)
+    return position - np.cumsum(shift, axis=0)
+
+
+def _isolated(size: Array, scale: Array, least: float) -> BoolArray:
+    """Which errors (m,) stand out from all others, and from those around them, beyond ``least``."""
+    scaled = scale * size
+    spread = max(float(np.median(scaled)) / RAYLEIGH, 1e-300)
+    outstanding: BoolArray = (scaled > SURE * spread) & (size > least)
+    rows = np.flatnonzero(outstanding)
+    first = np.clip(rows - AROUND, 0, len(size) - 2 * AROUND - 1)
+    around = scaled[first[:, None] + np.arange(2 * AROUND + 1)]
+    outstanding[rows] = scaled[rows] > ALONE * np.median(around, axis=1)
+    return outstanding
+
+
+def straddling(starts: IntArray, width: int, rows: int) -> BoolArray:
+    """Which of ``rows`` windows, the j-th of the samples j to j + width - 1, cross a gap."""
+    crossing = np.zeros(rows, dtype=bool)
+    for start in starts:
+        crossing[max(start - width + 1, 0) : start] = True
+    return crossing
+
+
+def clock_rounding(time: Array) -> float:
+    """The rounding [s] of a difference of two times [s], (m,)."""
+    return 4.0 * float(np.spacing(np.abs(time).max()))
+
+
+def hermite(time: Array, position: Array, velocity: Array, at: Array) -> Array:
+    """Positions (q, 2) at the times (q,) by the cubic through position and velocity beside them."""
+    low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    width = (time[low + 1] - time[low])[:, None]
+    s = (at - time[low])[:, None] / width
+    rest = 1.0 - s
+    left = (1.0 + 2.0 * s) * position[low] + s * width * velocity[low]
+    right = (1.0 + 2.0 * rest) * position[low + 1] - rest * width * velocity[low + 1]
+    between: Array = rest**2 * left + s**2 * right
+    return between
+
+
+def interpolated(time: Array, values: Array, at: Array) -> Array:
+    """Values (q, 2) at the times (q,) on the straight lines between those (m, 2) at times (m,)."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+
+
+def _length(pairs: Array) -> Array:
+    length: Array = np.hypot(pairs[:, 0], pairs[:, 1])
+    return length
