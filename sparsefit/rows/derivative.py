@@ -74,7 +74,7 @@ class Derivative:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default)
         if self.method == "savgol":
-            largest = integer("window", self.window, 3, odd=True) - 1
+            largest = integer("window", self.window or 0, 3, odd=True) - 1
             if not is_integer(self.order, 1, largest):
                 raise InputError(
                     f"order must be an integer from 1 to window - 1 = {largest}; got {self.order!r}"

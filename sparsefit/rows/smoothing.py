@@ -90,7 +90,7 @@ def polynomial_kernels(window: int, order: int, step: float, ratio: float = 0.0)
         slopes = np.zeros_like(powers)
         slopes[:, 1:] = powers[:, :-1] * np.arange(1, order + 2) / reach
         basis, triangle = np.linalg.qr(np.vstack([ratio * powers, slopes]))
-        solved = np.linalg.solve(triangle.T, np.eye(order + 2)[:, :3]).T @ basis.T
+        solved: Array = np.linalg.solve(triangle.T, np.eye(order + 2)[:, :3]).T @ basis.T
         solved[:, :window] *= ratio
     else:
         solved = np.zeros((3, window))
@@ -160,10 +160,10 @@ class Channels:
             weights = np.fft.rfft(halves[used], self._length).conj()
             product = np.einsum("cq,crq->rq", weights, self._spectra[used])
             return np.fft.irfft(product, self._length)[:, : size - window + 1]
-        sums: Array = sum(
+        sums = [
             np.stack([np.correlate(row, halves[c], "valid") for row in self.rows[c]]) for c in used
-        )
-        return sums
+        ]
+        return sums[0] if len(sums) == 1 else sums[0] + sums[1]
 
     def residuals(self, window: int, *, coupled: bool) -> tuple[Array, float]:
         """Squared residuals (m - n + 1,) in units of the noise, and the sum of the own weights."""

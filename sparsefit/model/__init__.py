@@ -1,0 +1,23 @@
+"""The model: candidate functions, what their weights say, and the search for shapes of flow."""
+
+from sparsefit.model.cells import CANDIDATES, candidate_columns
+from sparsefit.model.grid import LengthScaleGrid, WaveGrid
+from sparsefit.model.library import TARGET_NAMES, Library
+from sparsefit.model.readout import GridReading, Readout, read_grid
+from sparsefit.model.search import Proposal, Search, Start, flight_weights
+
+__all__ = [
+    "CANDIDATES",
+    "TARGET_NAMES",
+    "GridReading",
+    "LengthScaleGrid",
+    "Library",
+    "Proposal",
+    "Readout",
+    "Search",
+    "Start",
+    "WaveGrid",
+    "candidate_columns",
+    "flight_weights",
+    "read_grid",
+]

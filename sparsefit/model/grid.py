@@ -1,0 +1,207 @@
+"""The grids of a library: length scales (paper Eq. 18), and wavevectors over half the plane.
+
+A flight of extent D resolves wavenumbers to about pi/D: a grid may be made for it. A wave of psi
+with wavevector k is the one with -k, so half a plane holds them all; square cells of length scale L
+are two waves of |k| = sqrt(2) pi/L, so a ring of waves is a length scale.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray, box
+from sparsefit.cached import cached_property
+from sparsefit.errors import InputError, integer_setting, is_number, one_of, positive
+from sparsefit.flight import Flight
+
+Spacing = Literal["length-scale", "wavenumber", "flight"]
+
+Bounds = tuple[float, float]
+
+MAX_SCALES = 2_048  # k = 16 384 columns: Z'Z alone is 2 GiB
+MAX_WAVES = 4_096  # k = 8192 columns: Z'Z alone is 0.5 GiB
+FEWEST = 2  # waves of a ring: cells are two
+
+
+def extent_of(position: Array) -> float:
+    """The larger side of the bounding box of positions (m, 2) [m]."""
+    low, high = box(position)
+    return float((high - low).max())
+
+
+def middle(position: Array) -> Array:
+    """The middle of the bounding box of positions (m, c)."""
+    low, high = box(position)
+    centre: Array = 0.5 * (high + low)
+    return centre
+
+
+@dataclass(frozen=True)
+class LengthScaleGrid:
+    """The candidate length scales (Eq. 18), ascending [m].
+
+    Uniform in length scale, L_lb, L_lb + dL, ..., L_ub (the paper's 1...12 m by 0.2 m is the
+    default), or uniform in wavenumber k = pi/L with ``count`` scales between the same bounds, or
+    with spacing ``flight``: `resolving` the extent of the flight, at ``fraction`` of its lobe.
+    Raises InputError on settings that are out of range or do not belong together, and on more
+    than 2048 scales.
+    """
+
+    lower: float = 1.0
+    upper: float = 12.0
+    step: float | None = None
+    count: int | None = None
+    spacing: Spacing = "length-scale"
+    fraction: float = 0.25
+
+    def __post_init__(self) -> None:
+        one_of("spacing", self.spacing, get_args(Spacing))
+        for name in ("lower", "upper"):
+            positive(f"grid: {name}", getattr(self, name), "m")
+        if self.upper < self.lower:
+            raise InputError(
+                f"grid: upper ({self.upper:g} m) is below lower ({self.lower:g} m); swap them"
+            )
+        if self.step is not None and self.count is not None:
+            raise InputError("grid: give step or count, not both")
+        if self.spacing == "wavenumber" and self.count is None:
+            raise InputError("grid: spacing 'wavenumber' needs count (the number of scales)")
+        if self.step is not None:
+            positive("grid: step", self.step, "m")
+        if self.count is not None:
+            integer_setting("grid", "count", self.count, least=1)
+        if not is_number(self.fraction, 0.0, 1.0, open_low=True):
+            raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {self.fraction!r}")
+        if self.spacing == "flight":
+            if self.step is not None or self.count is not None:
+                raise InputError("grid: spacing 'flight' takes fraction, not step or count")
+            return
+        if self.size > MAX_SCALES:
+            raise InputError(
+                f"grid: {self.size} length scales are more than the {MAX_SCALES} that can be "
+                "held; use a larger step or a narrower range"
+            )
+
+    @classmethod
+    def for_flight(
+        cls, flight: Flight, lower: float = 1.0, upper: float = 12.0, *, fraction: float = 0.25
+    ) -> LengthScaleGrid:
+        """The grid that resolves a flight: uniform in wavenumber, at a fraction of the lobe.
+
+        The residual as a function of k has lobes of width 2 pi / extent; steps of a quarter of
+        it, the default, put a candidate in every lobe. Finer at small L than a grid uniform in
+        L, and coarser at large L.
+        """
+        return cls(lower, upper, spacing="flight", fraction=fraction).resolving(flight.extent)
+
+    def resolving(self, extent: float) -> LengthScaleGrid:
+        """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own."""
+        if self.spacing != "flight":
+            return self
+        span = np.pi / self.lower - np.pi / self.upper
+        steps = np.ceil(span * extent / (2 * np.pi * self.fraction))
+        count = int(min(steps, 1e15)) + 1
+        return LengthScaleGrid(self.lower, self.upper, count=count, spacing="wavenumber")
+
+    @property
+    def size(self) -> int:
+        """Number of length scales. Raises InputError where only a flight can tell it."""
+        if self.spacing == "flight":
+            raise InputError("grid: spacing 'flight' has scales of its own for every flight")
+        if self.count is not None:
+            return self.count
+        # A hair of tolerance: (12 - 1)/0.2 is 54.99999999999999 in binary.
+        steps = min((self.upper - self.lower) / self._step, 1e15)  # beyond any that can be held
+        return int(np.floor(steps + 1e-9)) + 1
+
+    @property
+    def _step(self) -> float:
+        return 0.2 if self.step is None else self.step
+
+    @cached_property
+    def scales(self) -> Array:
+        """The length scales [m], ascending, shape (g,)."""
+        if self.spacing == "wavenumber":
+            return np.ascontiguousarray(
+                1.0 / np.linspace(1.0 / self.upper, 1.0 / self.lower, self.size)[::-1]
+            )
+        if self.count is not None:
+            return np.linspace(self.lower, self.upper, self.count)
+        # Rounding to 12 digits gives 4.2, not 4.200000000000001, as the scale that is reported.
+        return np.round(self.lower + self._step * np.arange(self.size), 12)
+
+
+@dataclass(frozen=True, eq=False)
+class Rings:
+    """Wavevectors (w, 2) [1/m], ring by ring, and the ring of each (w,); scales (g,) [m] of rings.
+
+    Length scales ascend, so that the first ring is the one of the shortest waves.
+    """
+
+    wavevectors: Array
+    ring: IntArray
+    scales: Array
+
+
+@dataclass(frozen=True)
+class WaveGrid:
+    """How fine the wavevectors of a wave library are, and how many there may be.
+
+    The bounds of the length scale are those of the library's ``grid``.
+
+    Args:
+        step: between rings, and between the waves of a ring, as a share of pi / extent.
+        most: waves that a flight may ask for; beyond it the library is refused.
+
+    Raises:
+        InputError: if the step is not above 0, or most is not from 2 to 4096.
+    """
+
+    step: float = 1.0
+    most: int = 2_048
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "step", positive("waves: step, a share of pi/extent,", self.step))
+        integer_setting("waves", "most", self.most, least=FEWEST)
+        if self.most > MAX_WAVES:
+            raise InputError(
+                f"waves: most must be {MAX_WAVES} or less, what memory holds; got {self.most}"
+            )
+
+    def rings(self, lower: float, upper: float, extent: float) -> Rings:
+        """The rings between two length scales [m] for a flight of that extent [m].
+
+        Raises:
+            InputError: if the flight does not move, or the grid has more than ``most`` waves.
+        """
+        if not extent > 0:
+            raise InputError("the flight does not move: no wave can be told; fly farther")
+        least, largest = (math.sqrt(2.0) * math.pi / scale for scale in (upper, lower))
+        apart = self.step * math.pi / extent
+        # Before any ring is made: the half ring of area pi (b^2 - a^2)/2, at one wave a square.
+        about = 0.5 * math.pi * (largest**2 - least**2) / apart**2
+        if about > 2 * self.most:
+            raise self._too_many(about, lower, extent)
+        count = math.ceil((largest - least) / apart * (1 - 1e-12)) + 1
+        sizes = np.linspace(largest, least, count)
+        waves = np.maximum(np.ceil(math.pi * sizes / apart * (1 - 1e-12)), FEWEST).astype(int)
+        if waves.sum() > self.most:
+            raise self._too_many(float(waves.sum()), lower, extent)
+        ring = np.repeat(np.arange(count), waves)
+        place = np.arange(len(ring)) - np.repeat(np.cumsum(waves) - waves, waves)
+        # Every other ring is half a step on, so that no direction is favoured.
+        angle = math.pi * (place + 0.5 * (ring % 2)) / waves[ring]
+        wavevectors = sizes[ring][:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return Rings(wavevectors, ring, math.sqrt(2.0) * math.pi / sizes)
+
+    def _too_many(self, waves: float, lower: float, extent: float) -> InputError:
+        return InputError(
+            f"a flight of {extent:.3g} m resolves {waves:.0f} waves down to {lower:g} m, more than "
+            f"the {self.most} of waves.most: raise the grid's lower bound to about "
+            f"{lower * math.sqrt(waves / self.most):.2g} m, or waves.step, or use a piece of the "
+            "flight"
+        )

@@ -1,0 +1,317 @@
+"""Candidate functions over a grid, and the regression problem they make.
+
+Three families: the paper's cells (Eqs. 17-19), for every length scale L the 8 products and singles
+of sin and cos of pi x / L and pi y / L, with weights for each velocity component; ``stream``, the 4
+amplitudes of a stream function for every L, which both components share; ``waves``, the waves of a
+stream function over the plane of wavevectors, cells of any heading and shape among them. Where both
+components share their weights, theta has a row for each, x before y, sample after sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+from sparsefit.errors import InputError, integer_setting, one_of, told_of
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.model.cells import CANDIDATES, candidate_columns
+from sparsefit.model.continuum import EQUATION_1, CellContinuum, WaveContinuum, wave_names
+from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
+from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out, refuse_spanned
+from sparsefit.model.waves import wave_theta
+from sparsefit.regression.problem import RegressionProblem, compressed
+from sparsefit.regression.statistics import row_blocks
+from sparsefit.rows import Samples, WeakRows
+
+Target = Literal["flow-velocity", "acceleration", "state-derivative"]
+FamilyName = Literal["cells", "stream", "waves"]
+WaveGroups = Literal["wave", "ring", "nested"]
+
+TARGET_NAMES: dict[str, tuple[str, ...]] = {
+    "flow-velocity": ("w_x", "w_y"),
+    "acceleration": ("dv_x/dt", "dv_y/dt"),
+    "state-derivative": ("dx/dt", "dy/dt", "dv_x/dt", "dv_y/dt"),
+}
+STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
+
+
+@dataclass(frozen=True, eq=False)
+class GridColumns:
+    """The columns of theta before any flight is put into them.
+
+    Args:
+        family: of the columns.
+        wavevectors: of the waves (w, 2) [rad/m]; none of cells.
+        parameters: of the modes on the grid, (s, p): k [1/m], or wavevectors [rad/m].
+        group: of each column (k,).
+        scales: the length scale of each group (g,) [m].
+        names: of the columns (k,).
+        subgroups: the mode of each column (k,), where modes are groups within their groups.
+    """
+
+    family: FamilyName
+    wavevectors: Array
+    parameters: Array
+    group: IntArray
+    scales: Array
+    names: tuple[str, ...]
+    subgroups: IntArray | None = None
+
+    @property
+    def components(self) -> int:
+        """Rows of a sample: 2 where the velocity components share their weights."""
+        return 1 if self.family == "cells" else 2
+
+    def at(self, position: Array) -> Array:
+        """Theta at positions (m, 2) [m]; InputError where it would not fit in memory."""
+        if self.family == "cells":
+            return candidate_columns(position, self.scales)
+        return wave_theta(position, self.wavevectors)
+
+    def blocks(self, source: Samples | WeakRows) -> Iterator[tuple[slice, Array]]:
+        """Rows of theta in blocks, of samples or of averages of them, and which they are."""
+        per, size = self.components, len(self.names)
+        if isinstance(source, WeakRows):
+            for rows, weights, position in source.blocks():
+                values = self.at(position).reshape(len(position), -1)
+                yield slice(per * rows.start, per * rows.stop), (weights @ values).reshape(-1, size)
+            return
+        start = 0
+        for (position,) in row_blocks(source.position):
+            values = self.at(position)
+            yield slice(start, start + len(values)), values
+            start += len(values)
+
+
+@dataclass(frozen=True)
+class Library:
+    """The library builder: candidates of a family over a grid, and what they are regressed on.
+
+    ``target``: ``flow-velocity`` Phi = tau (v' - a) + v (Eq. 23), ``acceleration`` v', or
+    ``state-derivative`` (x', v'), the literal reading of Eq. 20.
+    ``unknown``: what is estimated with the flow, of ``response_time``, ``drag``, ``thrust_scale``,
+    ``thrust_acceleration`` and ``wind`` (`sparsefit.model.unknowns`); what is not is as the
+    vehicle says, the wind 0.
+    ``family``: ``cells``, ``stream`` or ``waves``. Those of a stream function have one weight for
+    both velocity components, and their one target is the flow velocity.
+    ``waves``: how fine the wavevectors of ``waves`` are; ``grid`` gives the bounds of the length
+    scale. ``groups``: what its groups are: the ``wave``, the ``ring`` of waves of one |k|, which is
+    the length scale, or ``nested``: waves within rings, for penalties of groups in groups.
+    ``every``: rows are every so many-th sample, where a smoothed flight has more than it has to
+    say; the search and the measurement still take all. Raises InputError on settings out of range.
+    """
+
+    grid: LengthScaleGrid = LengthScaleGrid()
+    target: Target = "flow-velocity"
+    unknown: tuple[str, ...] = ()
+    family: FamilyName = "cells"
+    waves: WaveGrid = WaveGrid()
+    groups: WaveGroups = "wave"
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        one_of("target", self.target, TARGET_NAMES)
+        one_of("family of the library", self.family, get_args(FamilyName))
+        one_of("groups of the library", self.groups, get_args(WaveGroups))
+        if self.family != "cells" and self.target != "flow-velocity":
+            raise InputError(
+                f"family {self.family!r} is of a stream function, which gives the flow velocity: "
+                f"target {self.target!r} needs family 'cells'"
+            )
+        if self.family != "waves" and (self.groups != "wave" or self.waves != WaveGrid()):
+            setting = "groups" if self.groups != "wave" else "waves"
+            raise InputError(
+                f"library: {setting!r} is a setting of family 'waves', not of {self.family!r}; "
+                "leave it out"
+            )
+        integer_setting("library", "every", self.every, least=1)
+        object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
+
+    @property
+    def bounds(self) -> Bounds:
+        """The bounds of the wavenumber k = pi/L [1/m]."""
+        return math.pi / self.grid.upper, math.pi / self.grid.lower
+
+    def response(self, samples: Samples | WeakRows, vehicle: PointMassVehicle) -> Array:
+        """The target of the regression (m, n), one row per sample."""
+        if self.target == "flow-velocity":
+            return samples.flow_velocity(vehicle)
+        if self.target == "acceleration":
+            return samples.acceleration
+        return np.hstack([samples.position_rate, samples.acceleration])
+
+    def columns(self, position: Array) -> GridColumns:
+        """The columns that the grid gives flights at positions (m, 2) [m].
+
+        Raises InputError where they are too many to hold.
+        """
+        extent = extent_of(position)
+        if self.family == "waves":
+            rings = self.waves.rings(self.grid.lower, self.grid.upper, extent)
+            k, wave = rings.wavevectors, np.repeat(np.arange(len(rings.ring)), 2)
+            if self.groups == "wave":
+                scales = rings.scales[rings.ring]
+                return GridColumns("waves", k, k, wave, scales, wave_names(k))
+            ring, nested = np.repeat(rings.ring, 2), wave if self.groups == "nested" else None
+            return GridColumns("waves", k, k, ring, rings.scales, wave_names(k), nested)
+        scales = self.grid.resolving(extent).scales
+        wavenumbers = math.pi / scales[:, None]
+        words = [f" (L = {scale:g} m)" for scale in scales.tolist()]
+        if self.family == "cells":
+            names = tuple(name + scale for scale in words for name in CANDIDATES)
+            group, none = np.repeat(np.arange(len(scales)), len(CANDIDATES)), np.zeros((0, 2))
+            return GridColumns("cells", none, wavenumbers, group, scales, names)
+        parts = ("cos k(x + y)", "sin k(x + y)", "cos k(x - y)", "sin k(x - y)")
+        names = tuple(f"psi = {part}{scale}" for scale in words for part in parts)
+        k = (wavenumbers[:, None] * [[1.0, 1.0], [1.0, -1.0]]).reshape(-1, 2)
+        group = np.repeat(np.arange(len(scales)), len(parts))
+        return GridColumns("stream", k, wavenumbers, group, scales, names)
+
+    def build(self, samples: Samples, vehicle: PointMassVehicle) -> RegressionProblem:
+        """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
+
+        Of a stream function theta has two rows a sample, x and y, and one column of the target.
+        """
+        return self.build_flights([samples], [vehicle], [1.0])
+
+    def build_flights(
+        self,
+        flights: Sequence[Samples],
+        vehicles: Sequence[PointMassVehicle],
+        weights: Sequence[float],
+    ) -> RegressionProblem:
+        """The problem of flights through one flow: the rows of each times its weight.
+
+        Gram matrices add up. What is unknown of a flight is taken from its own rows.
+
+        Where theta would exceed 1 GiB it is compressed block by block
+        (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
+        """
+        position = np.concatenate([samples.position for samples in flights])
+        if self.family == "cells":
+            _refuse_axes(position)
+        columns = self.columns(position)
+        sources = [self._rows(samples) for samples in flights]
+        targets = []
+        for source, vehicle in zip(sources, vehicles, strict=True):
+            response = self.response(source, vehicle)
+            targets.append(response.reshape(-1, response.shape[1] // columns.components))
+        rows, size = sum(map(len, targets)), len(columns.names)
+        large = rows * size * 8 > STREAM_BYTES and rows > size + targets[0].shape[1]
+
+        def blocks() -> Iterator[tuple[Array, Array]]:
+            each = zip(sources, vehicles, targets, weights, strict=True)
+            for number, (source, vehicle, target, weight) in enumerate(each, 1):
+                with told_of("flight", number, len(flights)):
+                    for theta, own in self._blocks(source, vehicle, target, columns, large):
+                        yield (theta, own) if weight == 1.0 else (weight * theta, weight * own)
+
+        if large:
+            triangle, _, _ = compressed(blocks())
+            theta, target = triangle[:, :size].copy(), triangle[:, size:].copy()
+            return self._problem(theta, target, columns, rows, None)
+        parts = list(blocks())
+        theta, target = (
+            part[0] if len(part) == 1 else np.concatenate(part) for part in zip(*parts, strict=True)
+        )
+        places = [source.position for source in sources if isinstance(source, Samples)]
+        if self.unknown or not places:
+            return self._problem(theta, target, columns, None, None)
+        weight = np.repeat(weights, list(map(len, places))) if len(places) > 1 else None
+        continuum = self._continuum(np.concatenate(places), columns, weight)
+        own = len(target) if self.family == "cells" else None
+        return self._problem(theta, target, columns, own, continuum)
+
+    def _rows(self, samples: Samples) -> Samples | WeakRows:
+        """The rows of the regression: averages, or every so many-th sample."""
+        if self.every == 1:
+            return samples.source
+        if samples.weak:
+            raise InputError(
+                "library: 'every' thins samples, but the weak form has averages of its own; leave "
+                "it out, or use a larger window"
+            )
+        return samples.every(self.every)
+
+    def _blocks(
+        self,
+        source: Samples | WeakRows,
+        vehicle: PointMassVehicle,
+        target: Array,
+        columns: GridColumns,
+        large: bool,
+    ) -> Iterator[tuple[Array, Array]]:
+        """Rows of theta and of the target of a flight, less what its unknowns explain."""
+        weak = isinstance(source, WeakRows)
+        if not self.unknown and not weak and not large:
+            yield columns.at(source.position), target
+            return
+        pieces = ((block, target[rows]) for rows, block in columns.blocks(source))
+        if not self.unknown:
+            yield from pieces
+            return
+        unknowns = UnknownColumns(self.unknown, vehicle)
+        basis = unknowns.basis(source, shared=columns.components == 2)
+        if not large:
+            yield project_out(basis, np.vstack([block for block, _ in pieces]), target)
+            return
+        # Folding [Q, theta, target] into a triangle, Q the basis, and dropping the first rows and
+        # columns of it, takes the projection in the same pass.
+        skip, size = basis.shape[1], len(columns.names)
+        triangle, _, _ = compressed(
+            (np.hstack([basis[rows], block]), target[rows])
+            for rows, block in columns.blocks(source)
+        )
+        left = triangle[skip:, skip:].copy()
+        before = np.linalg.norm(triangle[:, skip : skip + size], axis=0)
+        refuse_spanned(np.linalg.norm(left[:, :size], axis=0), before)
+        yield left[:, :size].copy(), left[:, size:].copy()
+
+    def _continuum(
+        self, position: Array, columns: GridColumns, weight: Array | None
+    ) -> CellContinuum | WaveContinuum | None:
+        """The columns between those of the grid, at positions (m, 2) [m], where they are known."""
+        low, high = (float(np.pi / scale) for scale in (columns.scales.max(), columns.scales.min()))
+        if self.family == "cells":
+            pattern = EQUATION_1 if self.target == "flow-velocity" else None
+            return CellContinuum(position, (low, high), pattern, weight)
+        if self.family == "waves" and self.groups == "wave" and weight is None:
+            return WaveContinuum(position, (low, high))
+        return None
+
+    def _problem(
+        self,
+        theta: Array,
+        target: Array,
+        columns: GridColumns,
+        count: int | None,
+        continuum: CellContinuum | WaveContinuum | None,
+    ) -> RegressionProblem:
+        names = TARGET_NAMES[self.target]
+        return RegressionProblem(
+            theta,
+            target,
+            columns.group,
+            columns.names,
+            names if columns.components == 1 else (" ".join(names),),
+            columns.scales,
+            count,
+            continuum,
+            columns.subgroups,
+            columns.parameters,
+        )
+
+
+def _refuse_axes(position: Array) -> None:
+    """InputError where a flight stays on a line on which candidates are zero."""
+    for axis, values in zip("xy", position.T, strict=True):
+        if not values.any():
+            raise InputError(
+                f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
+                "are zero: no length scale can be told; leave that line"
+            )

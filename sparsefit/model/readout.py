@@ -1,0 +1,405 @@
+"""Parameters read from weights: the length scale (Eq. 21), the mean velocity (Eqs. 22-24).
+
+On the grid these are the answer; off the grid they say where the search starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError, number_setting, one_of
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import WaveFlow
+from sparsefit.model.cells import (
+    CandidateFlow,
+    candidate_columns,
+    peak_mean_velocity,
+    rms_mean_velocity,
+)
+from sparsefit.model.grid import Bounds, extent_of, middle
+from sparsefit.model.library import Library
+from sparsefit.model.search import Search, Start
+from sparsefit.model.shapes import read_cells
+from sparsefit.model.unknowns import UnknownColumns
+from sparsefit.model.waves import strengths, wave_peaks, wave_theta
+from sparsefit.regression.fit import Fit
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.rows import Samples, WeakRows
+
+LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
+MeanVelocityReadout = Literal["paper", "rms", "peak"]
+Eq24 = Literal["mean-ratio", "pseudo-inverse"]
+Refine = Literal["none", "variable-projection", "ladder"]
+Scales = Literal["one", "several"]
+Correction = Literal["none", "first-order"]
+
+UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
+MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
+PROPOSED = 0.02  # of the largest |W_g|: what is smaller proposes nothing
+SLOWEST = 0.05  # of the fastest mode's velocity: systematic errors of a derivative reach 2 %
+Vehicles = tuple[tuple[PointMassVehicle | None, tuple[float, float]], ...]
+Window = tuple[
+    float, float, float
+]  # the wavenumber of a candidate, and from where to where to look
+
+
+@dataclass(frozen=True)
+class Readout:
+    """The way from weights to parameters.
+
+    length_scale: the scale with the largest sum of weights (``signed-sum``, Eq. 21 to the
+    letter), of their absolute values (``absolute-sum``) or the largest Euclidean norm of its
+    block (``group-norm``).
+    mean_velocity, after a refit on the 8 columns of that scale: ``paper`` (Eqs. 22-24, whose last
+    step is read as the mean of element-wise ratios, ``mean-ratio``, which has poles, or as the
+    least-squares coefficient, ``pseudo-inverse``), ``rms`` over the cell in closed form, or the
+    ``peak`` of |w| over the cell.
+    refine: ``variable-projection`` moves the chosen scale off the grid, to the steady square cells
+    along the axes that fit best between the grid's bounds; ``ladder``, the default, goes on from
+    there to the shapes of an incompressible flow, cells at any heading, of any sides, steady or
+    drifting, and lets the flight choose (`sparsefit.model.search`). ``none`` reports the candidate
+    itself. Files that name no refinement mean ``variable-projection``.
+    scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
+    flight bears out, each with a velocity, ``rms`` or ``peak``. Its peaks are those of the
+    Euclidean norm always.
+    correction: ``first-order`` or ``none``; kept for old files, the measurement has no bias to take
+    off.
+    precision: the largest half-width of the 95 % intervals of U0, L and tau_w, as a share of the
+    value, that is still called ``ok``; at 0.03 a value is off by 5 % once in a thousand flights.
+    """
+
+    length_scale: LengthScaleReadout = "group-norm"
+    mean_velocity: MeanVelocityReadout = "rms"
+    eq24: Eq24 = "pseudo-inverse"
+    refine: Refine = "ladder"
+    scales: Scales = "one"
+    correction: Correction = "first-order"
+    precision: float = 0.03
+
+    def __post_init__(self) -> None:
+        for key, valid in (
+            ("length_scale", get_args(LengthScaleReadout)),
+            ("mean_velocity", get_args(MeanVelocityReadout)),
+            ("eq24", get_args(Eq24)),
+            ("refine", get_args(Refine)),
+            ("scales", get_args(Scales)),
+            ("correction", get_args(Correction)),
+        ):
+            one_of(f"readout {key}", getattr(self, key), valid)
+        number_setting("readout", "precision", self.precision, low=0.0)
+        if self.scales == "several" and self.mean_velocity == "paper":
+            raise InputError(
+                "readout: mean_velocity 'paper' (Eq. 22) scales one field to its range and cannot "
+                "part several; use 'rms' or 'peak', or scales 'one'"
+            )
+
+    def scale_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """The weight of each group (g,), by the length-scale readout, from weights (k, n)."""
+        groups = int(problem.groups.max()) + 1
+        rows = {
+            "signed-sum": weights.sum(axis=1),
+            "absolute-sum": np.abs(weights).sum(axis=1),
+            "group-norm": np.square(weights).sum(axis=1),
+        }[self.length_scale]
+        sums = np.bincount(problem.groups, weights=rows, minlength=groups).astype(float)
+        return np.sqrt(sums) if self.length_scale == "group-norm" else sums
+
+    def by_scale(self, fit: Fit, library: Library) -> dict[float, float]:
+        """The weight of each length scale [m]: of waves the norm of their strengths [m/s]."""
+        if library.family == "waves":
+            assert fit.problem.parameters is not None
+            k, weights = fit.problem.parameters, fit.weights.reshape(-1, 2)
+            scales = math.sqrt(2.0) * math.pi / np.linalg.norm(k, axis=1)
+            rings, ring = np.unique(np.round(scales, 9), return_inverse=True)
+            squares = np.bincount(ring, strengths(k, weights) ** 2, len(rings))
+            return dict(zip(rings.tolist(), np.sqrt(squares).tolist(), strict=True))
+        assert fit.problem.group_scales is not None
+        own = self.scale_weights(fit.problem, fit.weights).tolist()
+        return dict(zip(fit.problem.group_scales.tolist(), own, strict=True))
+
+    def velocity(self, weights: Array) -> float:
+        """U0 [m/s], ``rms`` or ``peak``, from the weights (8, 2) [m/s] of one mode of cells."""
+        rms = self.mean_velocity == "rms"
+        return rms_mean_velocity(weights) if rms else peak_mean_velocity(weights)
+
+    def start(self, search: Search, fit: Fit, library: Library) -> Start:
+        """The start of a search that the weights of a fit propose."""
+        if library.family == "waves":
+            assert fit.problem.parameters is not None
+            k, weights = fit.problem.parameters, fit.weights.reshape(-1, 2)
+            peaks = wave_peaks(k, weights, search.extent, MOST_WAVES)[1].tolist()
+            return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
+        if self.scales == "several":
+            lobe = 2 * math.pi / search.extent
+            return Start(self.refine, windows=windows(fit, lobe, search.bounds))
+        by_scale = self.by_scale(fit, library)
+        candidate = math.pi / max(by_scale, key=lambda scale: by_scale[scale])
+        nearest = search.lobes[np.abs(search.lobes - candidate).argmin()]
+        return Start(self.refine, float(nearest))
+
+
+def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
+    """The peaks of |W_g| by group, strongest first, one per lobe: (k, low, high) [1/m] of each.
+
+    A window goes to the neighbouring candidates and at least a ``lobe`` [1/m] wide, within bounds.
+    """
+    scales = fit.problem.group_scales
+    assert scales is not None
+    squares = np.bincount(fit.problem.groups, np.square(fit.weights).sum(axis=1), len(scales))
+    order = np.argsort(-scales, kind="stable")
+    k, strength = math.pi / scales[order], np.sqrt(squares[order])
+    below, above = k - lobe, k + lobe
+    below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
+    chosen: list[Window] = []
+    for i in np.argsort(-strength, kind="stable"):
+        apart = all(abs(k[i] - other) > lobe for other, _, _ in chosen)
+        if apart and strength[i] > PROPOSED * strength.max() and len(chosen) < MOST_SCALES:
+            low, high = max(float(below[i]), bounds[0]), min(float(above[i]), bounds[1])
+            chosen.append((float(k[i]), low, high))
+    return tuple(chosen)
+
+
+@dataclass(frozen=True)
+class GridScale:
+    """U0 [m/s] and L [m] of one mode on the grid of a back-end; heading [rad] of waves."""
+
+    mean_velocity: float
+    length_scale: float
+    heading: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class GridReading:
+    """The parameters on the grid.
+
+    Args:
+        scales: of each mode, fastest first.
+        flow: that the weights say; None where they are not those of a flow velocity, or no vehicle
+            could have flown so.
+        vehicles: of each flight with its unknowns and the wind [m/s]; empty where all is known,
+            None of one that cannot be.
+    """
+
+    scales: tuple[GridScale, ...]
+    flow: CandidateFlow | WaveFlow | None
+    vehicles: Vehicles = ()
+
+
+def read_grid(
+    fit: Fit,
+    flights: Sequence[Samples],
+    vehicles: Sequence[PointMassVehicle],
+    library: Library,
+    readout: Readout,
+    weights: Sequence[float] = (1.0,),
+) -> GridReading:
+    """The parameters of the modes that a fit's weights choose, where they are on the grid.
+
+    weights: of the rows of each flight. Raises InputError where the flight does not move.
+    """
+    rows = _GridRows.of(flights, vehicles, library, weights)
+    position = np.concatenate([samples.position for samples in flights])
+    if library.family == "waves":
+        return _read_waves(fit, rows, extent_of(position))
+    by_scale = readout.by_scale(fit, library)
+    k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
+    if readout.scales == "several":
+        extent = extent_of(position)
+        if not extent > 0:
+            raise InputError("the flight does not move: no length scale can be told; fly farther")
+        on_grid = windows(fit, 2 * math.pi / extent, (0.0, math.inf))
+        k = np.array([window[0] for window in on_grid])
+        speeds = np.array([readout.velocity(own) for own in rows.cells(k)[0]])
+        k = k[speeds >= SLOWEST * speeds.max()]
+    own, coefficients = rows.cells(k)
+    found = rows.read(coefficients)
+    possible = all(vehicle is not None for vehicle, _ in found)
+    ratio = rows.ratio(coefficients)
+    if readout.scales == "several":
+        speeds = np.array([readout.velocity(mode / ratio) for mode in own])
+        order = np.argsort(-speeds)
+        scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in order)
+    else:
+        scales = (
+            GridScale(_velocity(rows, readout, k, own / ratio, found), math.pi / float(k[0])),
+        )
+    flow: CandidateFlow | WaveFlow | None = None
+    if readout.scales == "several" and possible:
+        flow = CandidateFlow(k, own / ratio, rows.origin, found[0][1] if found else (0.0, 0.0))
+    elif library.target == "flow-velocity" and not library.unknown:
+        flow = _weighed(fit, library)
+    return GridReading(scales, flow, found)
+
+
+def _weighed(fit: Fit, library: Library) -> CandidateFlow | WaveFlow | None:
+    """The flow that the weights of a back-end say as they are."""
+    scales = fit.problem.group_scales
+    if scales is None:
+        return None
+    if library.family == "stream":
+        assert fit.problem.parameters is not None
+        k = (fit.problem.parameters[:, None] * [[1.0, 1.0], [1.0, -1.0]]).reshape(-1, 2)
+        return WaveFlow(k, *fit.weights.reshape(-1, 2).T)
+    own = fit.weights.reshape(len(scales), 8, -1)
+    used = own.any(axis=(1, 2))
+    return CandidateFlow(math.pi / scales[used], own[used], np.zeros(2))
+
+
+def _read_waves(fit: Fit, rows: _GridRows, extent: float) -> GridReading:
+    """Waves on the grid: U0 and L of their peaks, fitted together, and their sum as the flow."""
+    assert fit.problem.parameters is not None
+    k, own = fit.problem.parameters, fit.weights.reshape(-1, 2)
+    tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
+    amplitudes, coefficients = rows.waves(k[tops])
+    ratio, found = rows.ratio(coefficients), rows.read(coefficients)
+    used = own.any(axis=1)
+    cells = read_cells(k[tops], amplitudes / ratio)
+    flow = WaveFlow(k[used], *(own[used] / ratio).T)
+    reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
+    return GridReading((reading,), flow, found)
+
+
+def _velocity(
+    rows: _GridRows, readout: Readout, k: Array, weights: Array, found: Vehicles
+) -> float:
+    """U0 of the one mode of cells at k (1,), by the vehicles that fit best where these are unknown.
+
+    weights (1, 8, 2): fitted to the rows of the regression. Known vehicles on plain samples, and
+    the paper's readout, take a refit on all samples.
+    """
+    plain = not found and not any(samples.weak for samples in rows.flights)
+    if not plain and readout.mean_velocity != "paper":
+        possible = all(vehicle is not None for vehicle, _ in found)
+        return readout.velocity(weights[0]) if possible else math.nan
+    pairs = list(zip(rows.flights, rows.vehicles, strict=True))
+    phi = target = np.concatenate([own.flow_velocity(vehicle) for own, vehicle in pairs])
+    if plain or not found:
+        target = np.concatenate([rows.library.response(own, vehicle) for own, vehicle in pairs])
+    else:
+        parts = []
+        for samples, (vehicle, wind) in zip(rows.flights, found, strict=True):
+            if vehicle is None:
+                return math.nan
+            parts.append(samples.flow_velocity(vehicle) - np.array(wind))
+        phi = target = np.concatenate(parts)
+    position = np.concatenate([samples.position for samples in rows.flights])
+    columns = candidate_columns(position, np.pi / k)
+    if readout.mean_velocity != "paper":
+        return readout.velocity(_least_squares(columns, phi))
+    field = columns @ _least_squares(columns, target[:, -2:])
+    return paper_mean_velocity(field, phi, readout.eq24)
+
+
+def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
+    """Eqs. 22-24: normalise the fitted field (m, 2) to a range of sqrt(2), then scale it to Phi.
+
+    Eq. 22 gives each component an amplitude of sqrt(2)/2; that of Eq. 1 is 1, so U0 comes out up
+    to sqrt(2) too large once the flight covers a cell.
+    """
+    high, low = field.max(axis=0), field.min(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        normal = math.sqrt(2.0) * (field - 0.5 * (high + low)) / (high - low)
+        if eq24 == "mean-ratio":
+            return float(np.mean(flow_velocity / normal))
+        return float(np.sum(flow_velocity * normal) / np.sum(normal * normal))
+
+
+@dataclass(frozen=True, eq=False)
+class _GridRows:
+    """The rows of the regression of flights, to refit a few modes on.
+
+    Args:
+        flights: the samples of each.
+        vehicles: of each, as they are believed to be.
+        library: of the regression.
+        weights: of the rows of each flight.
+        origin: from which phases count, (2,) [m].
+    """
+
+    flights: Sequence[Samples]
+    vehicles: Sequence[PointMassVehicle]
+    library: Library
+    weights: Sequence[float]
+    origin: Array
+
+    @classmethod
+    def of(
+        cls,
+        flights: Sequence[Samples],
+        vehicles: Sequence[PointMassVehicle],
+        library: Library,
+        weights: Sequence[float],
+    ) -> _GridRows:
+        sources = [samples.source.position for samples in flights]
+        return cls(flights, vehicles, library, weights, middle(np.concatenate(sources)))
+
+    @property
+    def unknowns(self) -> list[UnknownColumns]:
+        """The unknowns of each flight."""
+        return [UnknownColumns(self.library.unknown, vehicle) for vehicle in self.vehicles]
+
+    def cells(self, k: Array) -> tuple[Array, Array]:
+        """Weights (s, 8, 2) [m/s] of cells at k (s,), and the coefficients of the unknowns."""
+        scales = math.pi / k
+        theta = [
+            candidate_columns(samples.source.position - self.origin, scales)
+            for samples in self.flights
+        ]
+        weights, coefficients = self.fitted(theta, shared=False)
+        return weights.reshape(2, len(k), 8).transpose(1, 2, 0), coefficients
+
+    def waves(self, k: Array) -> tuple[Array, Array]:
+        """Weights a, b (w, 2) [m^2/s] of waves k (w, 2) in the flight's own coordinates."""
+        theta = [wave_theta(samples.source.position, k) for samples in self.flights]
+        weights, coefficients = self.fitted(theta, shared=True)
+        return weights.reshape(-1, 2), coefficients
+
+    def fitted(self, theta: Sequence[Array], *, shared: bool) -> tuple[Array, Array]:
+        """Weights of the columns and coefficients of the unknowns, by least squares.
+
+        shared: whether both velocity components share their weights, theta with rows x before y of
+        each sample; else weights of x come before those of y.
+        """
+        parts, targets = [], []
+        unknowns = [
+            own.columns(s.source) for own, s in zip(self.unknowns, self.flights, strict=True)
+        ]
+        ends = np.cumsum([0, *(part.shape[2] for part in unknowns)]).tolist()
+        for number, (columns, samples) in enumerate(zip(theta, self.flights, strict=True)):
+            source = samples.source
+            if isinstance(source, WeakRows):
+                flat = columns.reshape(len(source.position), -1)
+                columns = (source.operator @ flat).reshape(-1, columns.shape[1])
+            both = columns if shared else np.kron(np.eye(2), columns)
+            own, target = unknowns[number], source.flow_velocity(self.vehicles[number])
+            if not shared:
+                own, target = own.swapaxes(0, 1), target.T
+            own = own.reshape(len(both), -1)
+            padded = np.pad(own, ((0, 0), (ends[number], ends[-1] - ends[number + 1])))
+            parts.append(self.weights[number] * np.hstack([both, padded]))
+            targets.append(self.weights[number] * target.ravel())
+        solution = _least_squares(np.concatenate(parts), np.concatenate(targets))
+        return solution[: len(solution) - ends[-1]], solution[len(solution) - ends[-1] :]
+
+    def read(self, coefficients: Array) -> Vehicles:
+        """The vehicle and the wind of each flight from coefficients; empty where all is known."""
+        if not len(coefficients):
+            return ()
+        parts = np.array_split(coefficients, len(self.flights))
+        return tuple(own.read(part) for own, part in zip(self.unknowns, parts, strict=True))
+
+    def ratio(self, coefficients: Array) -> float:
+        """Phi of the believed vehicle over the true one's, where one flight tells it."""
+        if len(self.flights) > 1 or not len(coefficients):
+            return 1.0
+        return self.unknowns[0].ratio(coefficients)
+
+
+def _least_squares(columns: Array, target: Array) -> Array:
+    return np.linalg.lstsq(columns, target, rcond=None)[0].astype(float, copy=False)

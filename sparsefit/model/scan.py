@@ -1,0 +1,272 @@
+"""The Fourier scan: sums over rows that say, for a whole grid of wavevectors, what a wave explains.
+
+With s_k = sum exp(i k.x) Phi the columns of a wave k have the inner products (k_y, -k_x) . s_k with
+Phi, and their Gram matrix needs the sums of exp(i k.x) and exp(2 i k.x) alone: non-uniform Fourier
+transforms (finufft; Barnett, Magland and af Klinteberg, 2019) give them at all k of a uniform grid,
+along a line (1-D), over the plane (2-D), or with the frequency of waves that drift (3-D).
+
+A track that is long beside the waves is cut into pieces, each with amplitudes of its own: a piece
+resolves less, and so needs fewer waves. There the Gram matrix is m/2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array, ComplexArray, IntArray, box
+from sparsefit.cached import cached_property
+from sparsefit.model.grid import Bounds, extent_of, middle
+
+FLAT = 1e-2  # of m: eigenvalues of the Gram matrix below it are those of a constant
+COARSE = 1e-4  # accuracy of the search's sums, relative to the number of rows
+MOST_SINGLE = 2_048  # steps from the middle of a grid: its sums then round to 1e-4 of the rows
+LINE_STEP = 0.5  # of a scan along a line, in 1/extent: the phase of a row turns by as many radians
+MOST_PLACES = 500_000  # wavevectors of the plane, 0.1 s; longer tracks are cut into pieces
+MOST_WAVES = 300_000  # wavevectors and frequencies
+FEWEST_PIECES, FEW = 4, 12  # of a scan in pieces, and rows of a piece, at least
+
+
+@dataclass(frozen=True, eq=False)
+class FourierSums:
+    """Sums of loads times exp(i k.x) over rows, k = middle + step * n for n in a centred box.
+
+    Args:
+        place: x of the rows (m, d), d of 1 to 3.
+        step: between wavenumbers along each axis (d,).
+        half: how many steps there are from the middle to either side, along each axis.
+        middle: of the grid, where d is 1; else 0.
+        accuracy: of the sums, relative to the number of rows.
+    """
+
+    place: Array
+    step: Array
+    half: tuple[int, ...]
+    middle: float = 0.0
+    accuracy: float = COARSE
+
+    @property
+    def single(self) -> bool:
+        """Whether the sums are taken in single precision, whose rounding grows with the grid."""
+        return self.accuracy >= COARSE and max(self.half) <= MOST_SINGLE
+
+    @cached_property
+    def axes(self) -> list[Array]:
+        """The wavenumbers along each axis."""
+        steps = (np.arange(-n, n + 1.0) for n in self.half)
+        return [self.middle + step * n for step, n in zip(self.step, steps, strict=True)]
+
+    def of(self, loads: Array | ComplexArray, times: int = 1) -> ComplexArray:
+        """The sums (..., 2 half + 1, ...) of loads (m,) or (j, m), with ``times`` times k."""
+        import finufft
+
+        if self.middle:
+            loads = loads * np.exp(1j * times * self.middle * self.place.sum(axis=1))
+        real, both = (np.float32, np.complex64) if self.single else (np.float64, np.complex128)
+        nodes = (times * self.step * self.place).T.astype(real, order="C")
+        size = tuple(2 * n + 1 for n in self.half)
+        transform = (finufft.nufft1d1, finufft.nufft2d1, finufft.nufft3d1)[len(size) - 1]
+        sums: ComplexArray = transform(
+            *nodes,
+            np.ascontiguousarray(loads, dtype=both),
+            size if len(size) > 1 else size[0],
+            eps=self.accuracy,
+            isign=1,
+            nthreads=1,
+            upsampfac=1.25 if self.single else 2.0,
+        )
+        return sums
+
+
+def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: float) -> Array:
+    """b'G^-1 b of one wave at every k: the fall of RSS by its two columns, constants projected out.
+
+    load: (k_y, -k_x)/|k| . s_k, of rows less their mean; once, twice: means of exp(i k.x) and of
+    exp(2 i k.x) over ``count`` rows.
+    """
+    # The Gram matrix over m: of cos^2, sin cos and sin^2, less what constants take.
+    first = 0.5 + 0.5 * twice.real - once.real**2
+    last = 0.5 - 0.5 * twice.real - once.imag**2
+    mixed = 0.5 * twice.imag - once.real * once.imag
+    determinant = np.maximum(first * last - mixed**2, FLAT * np.maximum(first, last))
+    gains = last * load.real**2 - 2 * mixed * load.real * load.imag + first * load.imag**2
+    gains /= determinant * count
+    return np.asarray(gains, dtype=np.float64)
+
+
+def peaks(values: Array, most: int | None = None) -> IntArray:
+    """Indices (p, d) of the local maxima above 0 of values of d dimensions, highest first."""
+    around = values
+    for axis in range(values.ndim):
+        ends = [(1, 1) if other == axis else (0, 0) for other in range(values.ndim)]
+        padded = np.moveaxis(np.pad(around, ends, constant_values=-np.inf), axis, 0)
+        highest = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+        around = np.moveaxis(highest, 0, axis)
+    places = np.argwhere((values >= around) & (values > 0))
+    order = np.argsort(-values[tuple(places.T)], kind="stable")
+    ordered: IntArray = places[order[:most]]
+    return ordered
+
+
+def line_steps(extent: float, bounds: Bounds) -> int:
+    """The steps of a scan of square cells along the axes between bounds of k = pi/L [1/m]."""
+    return max(8, math.ceil((bounds[1] - bounds[0]) * extent / LINE_STEP))
+
+
+def axis_gains(
+    position: Array, rest: Array, bounds: Bounds, weight: Array | None = None
+) -> tuple[Array, Array]:
+    """The fall of RSS by square cells along the axes: k = pi/L (q,) [1/m] and the gains (q,).
+
+    Their two waves k (1, 1) and k (1, -1) flow at right angles, so that their gains add up.
+
+    Args:
+        position: of the rows (m, 2) [m].
+        rest: of the rows (m, 2) [m/s], times their weight.
+        bounds: of k [1/m].
+        weight: of the rows (m,); None: all are 1.
+    """
+    half = (line_steps(extent_of(position), bounds) + 1) // 2
+    step = np.array([0.5 * (bounds[1] - bounds[0]) / half or 1.0])
+    own = np.ones(len(position)) if weight is None else weight
+    count, total = float(own @ own), np.zeros(2 * half + 1)
+    moved = own[:, None] * (rest - np.outer(own, own @ rest / count))
+    x, y = (position - middle(position)).T
+    for along, load in ((x + y, moved[:, 0] - moved[:, 1]), (x - y, moved[:, 0] + moved[:, 1])):
+        sums = FourierSums(along[:, None], step, (half,), 0.5 * (bounds[0] + bounds[1]))
+        once, twice = (sums.of(own * own, times) / count for times in (1, 2))
+        total += gain(sums.of(math.sqrt(0.5) * load), once, twice, count)
+    return sums.axes[0], total
+
+
+@dataclass(frozen=True, eq=False)
+class WaveScan:
+    """What one wave explains of rows, over the grid of wavevectors that the track resolves.
+
+    Args:
+        place: (x, y, t) of the rows from their middle (m, 3) [m], [s].
+        radii: the least and the largest |k| [rad/m].
+        fastest: the largest drift [m/s]; 0: waves stand.
+        pieces: of the track, each with amplitudes of its own.
+        weight: of the rows (m,); None: all are 1.
+    """
+
+    place: Array
+    radii: Bounds
+    fastest: float = 0.0
+    pieces: int = 1
+    weight: Array | None = None
+
+    @classmethod
+    def of(
+        cls, place: Array, radii: Bounds, fastest: float = 0.0, weight: Array | None = None
+    ) -> WaveScan | None:
+        """The scan in the fewest pieces that can be looked at; None where there is none."""
+        scan = cls(place, radii, fastest, FEWEST_PIECES if fastest else 1, weight)
+        most = MOST_WAVES if fastest else MOST_PLACES
+        while math.prod(2 * half + 1 for half in scan.halves) * scan.pieces > most * (
+            1 if scan.pieces == 1 else FEWEST_PIECES
+        ):
+            pieces = max(FEWEST_PIECES, scan.pieces + scan.pieces // 4)
+            if len(place) < FEW * pieces:
+                return None
+            scan = cls(place, radii, fastest, pieces, weight)
+        return scan
+
+    @cached_property
+    def steps(self) -> Array:
+        """Between wavenumbers [rad/m] and frequencies [rad/s]: half a lobe of a piece, (3,)."""
+        corners = (box(piece) for piece in np.array_split(self.place, self.pieces))
+        x, y, t = np.max([high - low for low, high in corners], axis=0).tolist()
+        return math.pi / np.array([max(x, y), max(x, y), t])
+
+    @property
+    def halves(self) -> tuple[int, ...]:
+        """Steps from the middle of the grid to its sides, along k_x, k_y and omega."""
+        half = math.ceil(self.radii[1] / self.steps[0])
+        if not self.fastest:
+            return half, half
+        return half, half, math.ceil(self.radii[1] * self.fastest / self.steps[2])
+
+    @cached_property
+    def axis(self) -> Array:
+        """The wavenumbers (n,) along either axis [rad/m]."""
+        half = self.halves[0]
+        axis: Array = self.steps[0] * np.arange(-half, half + 1.0)
+        return axis
+
+    @cached_property
+    def _inside(self) -> Array:
+        radius = np.hypot(self.axis[:, None], self.axis)
+        inside: Array = ((radius >= self.radii[0]) & (radius <= self.radii[1])).astype(float)
+        return inside
+
+    @property
+    def count(self) -> float:
+        """The wavevectors that the scan tells apart."""
+        return max(1.0, 0.5 * float(self._inside.sum()))
+
+    def gains(self, rest: Array) -> tuple[Array, Array]:
+        """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""
+        own = np.ones(len(self.place)) if self.weight is None else self.weight
+        cuts = (np.array_split(part, self.pieces) for part in (self.place, rest, own))
+        total = np.zeros(1)
+        dimensions = len(self.halves)
+        for place, errors, weight in zip(*cuts, strict=True):
+            nodes = (place - middle(place))[:, :dimensions] * (1.0, 1.0, -1.0)[:dimensions]
+            sums = FourierSums(nodes, self.steps[:dimensions], self.halves)
+            squares = weight * weight
+            count = float(squares.sum())
+            constant = np.outer(weight, weight @ errors / count)
+            moved = weight[:, None] * (errors - constant)
+            load = self._across(sums.of(moved[:, 0] + 1j * moved[:, 1]))
+            if self.pieces == 1 and dimensions == 2:
+                once, twice = self._means
+                total = gain(load, once, twice, count)
+            else:
+                total = total + (2.0 / count) * (load.real**2 + load.imag**2)
+        if dimensions == 2:
+            return self._inside * total, np.zeros_like(total)
+        half = self.halves[2]
+        omega = self.steps[2] * np.arange(-half, half + 1.0)
+        radius = np.hypot(self.axis[:, None], self.axis)
+        total = total * (np.abs(omega) <= (self.fastest * radius + self.steps[2])[..., None])
+        best = total.argmax(axis=2)
+        highest = np.take_along_axis(total, best[..., None], axis=2)[..., 0]
+        return self._inside * highest, omega[best]
+
+    @cached_property
+    def _means(self) -> tuple[ComplexArray, ComplexArray]:
+        own = np.ones(len(self.place)) if self.weight is None else self.weight
+        nodes = (self.place - middle(self.place))[:, :2]
+        sums = FourierSums(nodes, self.steps[:2], self.halves)
+        loads = own * own
+        return sums.of(loads) / loads.sum(), sums.of(loads, 2) / loads.sum()
+
+    def _across(self, both: ComplexArray) -> ComplexArray:
+        """(k_y, -k_x)/|k| . sum exp(i k.x) Phi from the sums (n, n, ...) of u + i v, Phi real."""
+        back = np.conj(np.flip(both))
+        k_y = self.axis.reshape(-1, *[1] * (both.ndim - 2)).astype(both.real.dtype)
+        k_x = k_y[:, None]
+        radius = np.hypot(k_x, k_y)
+        radius[radius == 0] = 1.0
+        # Sums of u are half of both + back, sums of v half of both - back over i.
+        of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
+        load: ComplexArray = (of_u + of_v) * both + (of_u - of_v) * back
+        return load
+
+    def waves(self, gains: Array, most: int) -> Array:
+        """The wavevectors (p, 2) [rad/m] of the highest peaks of gains, one of k and -k."""
+        half = len(gains) // 2
+        upper = np.where(np.arange(-half, half + 1) >= 0, gains, 0.0)  # of k_y >= 0
+        chosen: Array = self.axis[peaks(upper, most)]
+        return chosen
+
+    def squares(self, gains: Array, most: int) -> IntArray:
+        """The places (p, 2) of the highest squares, two waves at right angles, one of four."""
+        half = len(gains) // 2
+        crossed = gains + gains[::-1].T
+        rows = np.arange(-half, half + 1)
+        return peaks(np.where((rows[:, None] > 0) & (rows >= 0), crossed, 0.0), most)

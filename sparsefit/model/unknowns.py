@@ -1,0 +1,171 @@
+"""Unknowns beside the flow, in the rows of the search: the vehicle's parameters and a steady wind.
+
+With the parameters tau_0, a_0 that the vehicle is believed to have, Phi_0 = tau_0 (v' - a_0) + v,
+and v' = (C W + wind - v)/tau + a gives
+
+    Phi_0 = (tau_0/tau) C W + (1 - tau_0/tau) v + [tau_0 (a - a_0) + (tau_0/tau) wind]:
+
+linear in a coefficient of v and a constant per component. Of a measured thrust m(t) that is scaled
+by s, believed to be s_0, one column more: tau_0 (s - s_0) m. Where drag is quadratic only, Phi_0 =
+v + r_0 with c_0 |r_0| r_0 = v' - a, and w = v + r_0 sqrt(c_0/c): linear in v with sqrt(c/c_0) in
+the place of tau_0/tau. These columns N join the regression without a penalty: minimising over them
+first leaves a problem in (I - P_N) C and (I - P_N) Phi_0 (Frisch and Waugh, 1933; Lovell, 1963),
+exactly, for every back-end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError, one_of
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.rows import Samples, WeakRows
+
+UNKNOWNS = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
+RANK = 1e-10  # singular values of N below this, relative, are dropped
+SPANNED = 1e-9  # of a candidate's norm; what is left of it beside N is rounding
+
+
+def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
+    """The names in the order of `UNKNOWNS`; InputError on any other, or a pair that none can tell.
+
+    A constant thrust and a steady wind act alike, as a + wind/tau.
+    """
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise InputError(
+            f"unknown must be a list of names such as ('response_time',); got {names!r}"
+        )
+    for name in names:
+        one_of("parameter of the vehicle", name, UNKNOWNS)
+    ordered = tuple(name for name in UNKNOWNS if name in names)
+    if {"thrust_acceleration", "wind"} <= set(ordered):
+        raise InputError(
+            "thrust_acceleration and wind cannot both be unknown: a flight only tells "
+            "a + wind/tau; give one of them"
+        )
+    if ordered and target != "flow-velocity":
+        raise InputError(
+            f"unknown {ordered[0]!r} needs the target 'flow-velocity', not {target!r}; "
+            "leave one out"
+        )
+    return ordered
+
+
+@dataclass(frozen=True)
+class UnknownColumns:
+    """The columns of the unknowns: coefficients of v and of m, and a constant per component.
+
+    Raises InputError where the drag of the believed vehicle does not let it be sought.
+    """
+
+    unknown: tuple[str, ...]
+    believed: PointMassVehicle
+
+    def __post_init__(self) -> None:
+        """Check that the rows are linear in the unknowns."""
+        drag, unknown = self.believed.drag, set(self.unknown)
+        if drag and math.isfinite(self.believed.response_time) and self.scaled:
+            raise InputError(
+                "drag that is linear and quadratic at once has to be known: leave response_time "
+                "and drag out of unknown, or believe in one of them (drag 0, response_time inf)"
+            )
+        if drag and "response_time" in unknown:
+            raise InputError("quadratic drag has no response time; its unknown is 'drag'")
+        if drag and unknown & {"thrust_acceleration", "thrust_scale"}:
+            raise InputError(
+                "a thrust cannot be sought under quadratic drag, whose flow velocity is not linear "
+                "in it: give it, or measure it; drag and wind can be sought"
+            )
+        if "drag" in unknown and not drag:
+            raise InputError("unknown 'drag' needs a vehicle with quadratic drag to start from")
+
+    @property
+    def scaled(self) -> bool:
+        """Whether v has a column: tau or c is unknown."""
+        return bool({"response_time", "drag"} & set(self.unknown))
+
+    def columns(self, source: Samples | WeakRows) -> Array:
+        """N (m, 2, p) of rows with velocities (m, 2): of v, of m, then of a constant in x and in y.
+
+        Raises InputError where the scale of a thrust is unknown that was not measured.
+        """
+        columns = [source.velocity] if self.scaled else []
+        if "thrust_scale" in self.unknown:
+            if source.thrust is None:
+                raise InputError(
+                    "unknown 'thrust_scale' needs a measured thrust: the flight has none (columns "
+                    "ax, ay of its file)"
+                )
+            columns.append(source.thrust)
+        if {"thrust_acceleration", "wind"} & set(self.unknown):
+            columns += [np.broadcast_to(unit, source.velocity.shape) for unit in np.eye(2)]
+        if not columns:
+            return np.zeros((*source.velocity.shape, 0))
+        return np.stack(columns, axis=2)
+
+    def basis(self, source: Samples | WeakRows, *, shared: bool) -> Array:
+        """An orthonormal basis (2 m, r) of the span of N, or (m, r) of its series.
+
+        shared: whether both components share their coefficients, rows x before y of each sample.
+        A back-end whose components have weights of their own shares one theta between them, and
+        so each has coefficients of its own, of v_x and of v_y.
+        """
+        columns = self.columns(source)
+        if shared:
+            columns = columns.reshape(-1, columns.shape[2])
+        else:
+            moving = columns[:, :, : self.scaled + ("thrust_scale" in self.unknown)]
+            constant = np.ones((len(columns), int(columns.shape[2] > moving.shape[2])))
+            series = moving.swapaxes(1, 2).reshape(len(columns), -1)
+            columns = np.hstack([series, constant])
+        left, roots, _ = np.linalg.svd(columns, full_matrices=False)
+        basis: Array = left[:, roots > RANK * roots[0]]
+        return basis
+
+    def ratio(self, coefficients: Array) -> float:
+        """tau_0 / tau, or sqrt(c / c_0), by which Phi of the believed vehicle is the true one's."""
+        return 1.0 - float(coefficients[0]) if self.scaled else 1.0
+
+    def read(self, coefficients: Array) -> tuple[PointMassVehicle | None, tuple[float, float]]:
+        """The vehicle and the wind [m/s] from coefficients (p,); None of one that cannot be."""
+        ratio, vehicle = self.ratio(coefficients), self.believed
+        if not ratio > 0 or not np.isfinite(coefficients).all():
+            return None, (0.0, 0.0)
+        changes: dict[str, float | tuple[float, float]] = {}
+        if "thrust_scale" in self.unknown:
+            push = float(coefficients[int(self.scaled)]) / vehicle.response_time
+            changes["thrust_scale"] = vehicle.thrust_scale + push
+        wind = (0.0, 0.0)
+        if "wind" in self.unknown:
+            x, y = (coefficients[-2:] / ratio).tolist()
+            wind = x, y
+        if "thrust_acceleration" in self.unknown:
+            given = np.array(vehicle.thrust_acceleration)
+            x, y = (given + coefficients[-2:] / vehicle.response_time).tolist()
+            changes["thrust_acceleration"] = x, y
+        if "response_time" in self.unknown:
+            changes["response_time"] = vehicle.response_time / ratio
+        if "drag" in self.unknown:
+            changes["drag"] = vehicle.drag * ratio**2
+        return replace(vehicle, **changes), wind  # type: ignore[arg-type]
+
+
+def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
+    """(I - Q Q') theta and target, Q (m, r); InputError where a candidate is a combination of Q."""
+    left = theta - basis @ (basis.T @ theta)
+    refuse_spanned(np.linalg.norm(left, axis=0), np.linalg.norm(theta, axis=0))
+    return left, target - basis @ (basis.T @ target)
+
+
+def refuse_spanned(left: Array, norms: Array) -> None:
+    """InputError if nothing is left of a candidate, norms (k,) before and after."""
+    if (left <= SPANNED * norms).any():
+        raise InputError(
+            "a candidate is a combination of the velocity and a constant: the flight is too "
+            "straight to tell what is unknown; turn, or give the vehicle"
+        )
