@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
         place, part = rows.place[first:last], target[first:last].ravel()
         own = 1.0 if rows.weight is None else rows.weight[first:last, None]
         waves = wave_columns(place, phases)
-        columns = (waves * own).reshape(len(waves), -1)
+        columns = (waves * own).reshape(len(waves), 2 * len(place))
         if pieces == 1 and rows.unknowns.shape[2]:
             unknowns = rows.unknowns.reshape(-1, rows.unknowns.shape[2])
             columns = np.vstack([columns, unknowns.T])
@@ -158,7 +159,7 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
 def _cuts(rows: int, pieces: int) -> list[tuple[int, int]]:
     """The ends of consecutive pieces, as `numpy.array_split` has them."""
     ends = np.cumsum([0, *(rows // pieces + (i < rows % pieces) for i in range(pieces))]).tolist()
-    return list(zip(ends[:-1], ends[1:], strict=True))
+    return list(pairwise(ends))
 
 
 def _by_phase(waves: Array, across: Array, weights: Array) -> tuple[Array, Array]:

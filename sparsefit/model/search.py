@@ -38,9 +38,8 @@ MOST_STEPS = 150_000  # of a scan along the axes: more lobes are looked into by 
 MOST_ROWS = 1_500  # of the search, as long as they are a quarter of the least length scale apart
 LONGEST_ROWS = 20_000  # rows of any track
 LINES = 5  # lobes along the axes that are descended into
-SQUARES, DESCENDED = 20, 4  # peaks of the plane that are ranked by their fit, and descended into
+RANKED, DESCENDED = 10, 4  # peaks of the plane that are ranked by their fit, and descended into
 STRONG, ALIKE = 24, 0.15  # single waves that rectangles are made of; the difference of their |k|
-MOVING = 8  # peaks of squares that drift
 FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 MOST_WAVES = 4  # waves of several
 INSTEAD = 4  # places that are tried for either wave of a pair
@@ -382,21 +381,21 @@ class _Climb:
     def squares(self) -> None:
         """Squares that stand, from the peaks of the plane."""
         scan = self.search.scan
-        if scan is None:
-            return
-        k = scan.axis[scan.squares(self.search.gains, SQUARES)]
-        self.stand([np.array([first, first[[1, 0]] * (1, -1)]) for first in k], SQUARE)
+        if scan is not None:
+            k = scan.axis[scan.squares(self.search.gains, RANKED)]
+            self.stand([np.array([first, first[[1, 0]] * (1, -1)]) for first in k], SQUARE)
 
     def rectangles(self) -> None:
         """Rectangles that stand, of two strong waves that are equally long."""
         if self.search.scan is None:
             return
-        pairs = []
-        for pair in combinations(self.search.scan.waves(self.search.gains, STRONG), 2):
-            lengths = np.hypot(*np.array(pair).T)
-            if abs(lengths[0] - lengths[1]) <= ALIKE * lengths.max():
-                pairs.append(np.array(pair))
-        self.stand(pairs, RECTANGLE)
+        strong = self.search.scan.waves(self.search.gains, STRONG)  # the strongest first
+        pairs = [
+            np.array(pair)
+            for pair in sorted(combinations(range(len(strong)), 2), key=sum)
+            if np.ptp(lengths := np.hypot(*strong[list(pair)].T)) <= ALIKE * lengths.max()
+        ]
+        self.stand([strong[pair] for pair in pairs[:RANKED]], RECTANGLE)
 
     def stand(self, pairs: list[Array], shape: Shape) -> None:
         """A shape from pairs of waves (2, 2), those of most promise as they are."""
@@ -414,7 +413,7 @@ class _Climb:
             return
         gains, omega = scan.gains(rest)
         shape, starts = SQUARE.moving, []
-        for i, j in scan.squares(gains, MOVING):
+        for i, j in scan.squares(gains, RANKED):
             k = scan.axis[[i, j]]
             later = omega[j, len(omega) - 1 - i]  # of the wave turned clockwise, (k_y, -k_x)
             starts.append(shape.nearest(np.array([[*k, omega[i, j]], [k[1], -k[0], later]])))
@@ -437,14 +436,16 @@ class _Climb:
                 self.descend(PAIR, np.concatenate([alone.q, second]))
 
     def several(self) -> None:
-        """More waves, one by one, from what two leave."""
-        here = self.best
-        while len(here.phases) < MOST_WAVES:
-            more = self.search.strong(here.rest, 1)
-            there = self.with_waves(here, np.vstack([here.phases[:, :2], more]))
-            if there is None or not len(more):
-                return
-            here = there
+        """More waves, one by one, from what the best leaves, moving or standing."""
+        standing = [fit for fit in self.tried if not fit.shape.drifting]
+        starts = [self.best, min(standing, key=self.bic)]
+        for here in starts[: 1 + self.best.shape.drifting]:
+            while len(here.phases) < MOST_WAVES:
+                more = self.search.strong(here.rest, 1)
+                there = self.with_waves(here, np.vstack([here.phases[:, :2], more]))
+                if there is None or not len(more):
+                    break
+                here = there
 
     def with_waves(self, here: ShapeFit, waves: Array) -> ShapeFit | None:
         """Waves k (j, 2) moved together; None where BIC does not fall, or two nearly cancel."""

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from sparsefit.derivative import METHODS, Derivative, Smoothing
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.rows import METHODS, Derivative, Smoothing
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 UNEVEN = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.6, 0.9, 1.0])

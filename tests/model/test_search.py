@@ -1,0 +1,168 @@
+"""The search: the shape that was flown is proposed first, near its place, and no freer one."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.flight import simulate_flight
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import WaveFlow
+from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights
+from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
+from sparsefit.rows import Derivative, Samples
+
+TIME = np.linspace(0, 12, 300)
+TRACK = np.column_stack(
+    [14 * np.sin(0.61 * TIME) + 1.7 * TIME, 11 * np.cos(0.83 * TIME) - 0.9 * TIME]
+)
+VEHICLE = PointMassVehicle(0.5)
+LIBRARY = Library(LengthScaleGrid(2.5, 6.0))
+
+
+def samples_of(flow, noise, memory=0.0, seed=11):
+    """Samples of a track on which Phi is a flow and errors with a memory, per sample."""
+    errors = np.random.default_rng(seed).standard_normal(TRACK.shape)
+    for row in range(1, len(errors)):
+        errors[row] += memory * errors[row - 1]
+    phi = flow.velocity(*TRACK.T, TIME) + noise * errors
+    velocity = np.gradient(TRACK, TIME, axis=0)
+    return Samples(TIME, TRACK, velocity, velocity, (phi - velocity) / 0.5)
+
+
+def flow_of(shape, q, weights=(1.0, 0.4, -0.4, 1.0)):
+    phases = shape.phases(np.array(q, dtype=float))[0]
+    a, b = np.reshape(weights, (-1, 2)).T
+    return WaveFlow(phases[:, :2], a, b, phases[:, 2])
+
+
+def proposed(shape, q, weights=(1.0, 0.4, -0.4, 1.0), noise=0.05, start=None, **errors):
+    flow = flow_of(shape, q, weights)
+    search = Search.of([samples_of(flow, noise, **errors)], [VEHICLE], LIBRARY)
+    return flow, search.propose(start or Start())
+
+
+CASES = {
+    "axis": (AXIS, (0.9,)),
+    "square": (SQUARE, (0.9, 0.4)),
+    "rectangle": (RECTANGLE, (0.8, 1.0, -0.3)),
+    "drifting": (AXIS.moving, (0.9, 0.3, 0.6)),
+    "pair": (PAIR, (1.0, 0.3, -0.2, 0.7)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_shape_that_was_flown_is_proposed_first_at_its_place(name):
+    shape, q = CASES[name]
+    weights = (1.0, 0.4, 0.9, -1.5) if name == "pair" else (1.0, 0.4, -0.4, 1.0)
+    flow, proposals = proposed(shape, q, weights)
+    best = proposals[0]
+    assert (best.shape, best.drifting) == (shape.name, shape.drifting)
+    assert best.residual < 0.05
+    reach = math.pi / np.ptp(TRACK, axis=0).max()
+    for wave in flow.wavevectors:
+        apart = [np.linalg.norm(sign * best.wavevectors - wave, axis=1) for sign in (1, -1)]
+        assert np.min(apart) < 0.03 * reach
+    assert best.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.02)
+    truth, own = (f.velocity(*TRACK.T, TIME) for f in (flow, best.flow))
+    assert np.sum((truth - own) ** 2) < 2e-3 * np.sum(truth**2)
+
+
+def test_coloured_noise_is_no_reason_for_more_waves():
+    _, proposals = proposed(AXIS, (0.9,), noise=0.15, memory=0.97)
+    assert proposals[0].shape == "axis"
+    assert all(other.shape != "several" for other in proposals)
+
+
+def test_what_another_shape_explains_as_well_is_proposed_beside_it():
+    _, proposals = proposed(AXIS.moving, (0.9, 0.05, 0.05), noise=1.0)
+    assert {(p.shape, p.drifting) for p in proposals} >= {("axis", True), ("axis", False)}
+    gaps = np.diff([p.bic for p in proposals])
+    assert (gaps >= 0).all()
+    assert proposals[-1].bic - proposals[0].bic <= 10.0
+
+
+def test_variable_projection_is_steady_cells_along_the_axes():
+    _, proposals = proposed(SQUARE, (0.9, 0.4), start=Start("variable-projection", 0.9))
+    assert {p.shape for p in proposals} == {"axis"}
+    assert not any(p.drifting for p in proposals)
+
+
+def test_waves_of_a_back_end_are_joined_and_moved():
+    start = Start(waves=((0.62, 1.1), (-1.12, 0.6), (0.3, 0.3)))
+    _, proposals = proposed(SQUARE, (0.9, 0.4), start=start)
+    assert proposals[0].shape == "square"
+    start = Start("variable-projection", waves=start.waves)
+    _, proposals = proposed(SQUARE, (0.9, 0.4), start=start)
+    assert {len(p.wavevectors) for p in proposals} <= {2}
+
+
+def test_several_length_scales_come_from_their_windows():
+    flow = flow_of(axis_cells(2), (0.8, 1.15), (1.0, 0.4, -0.4, 1.0, 0.6, 0.2, 0.2, 0.6))
+    search = Search.of([samples_of(flow, 0.05)], [VEHICLE], LIBRARY)
+    windows = ((0.8, 0.7, 0.9), (1.1, 1.0, 1.25), (0.6, 0.55, 0.65))
+    (best,) = search.propose(Start(windows=windows))
+    assert best.shape == "several"
+    np.testing.assert_allclose(best.wavevectors[::2, 0], [0.8, 1.15], rtol=2e-3)
+    np.testing.assert_allclose(np.abs(best.wavevectors[1::2]), np.abs(best.wavevectors[::2]))
+
+
+def test_unknown_vehicles_are_linear_columns_of_the_rows():
+    flow, vehicle = flow_of(AXIS, (0.9,)), PointMassVehicle(0.4, (2.0, -1.0))
+    flight = simulate_flight(flow, vehicle, duration=20.0, sample_rate=50.0, seed=3)
+    believed = PointMassVehicle(0.5, (2.0, -1.0))
+    library = Library(LIBRARY.grid, unknown=("response_time", "wind"))
+    search = Search.of([Derivative()(flight)], [believed], library)
+    best = search.propose(Start())[0]
+    assert best.shape == "axis"
+    assert best.vehicles[0].response_time == pytest.approx(0.4, rel=0.01)
+    assert best.wind == pytest.approx((0.0, 0.0), abs=0.05)
+    assert best.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.02)
+
+
+def test_flights_through_one_flow_are_weighed_by_their_noise():
+    flow = flow_of(AXIS, (0.9,))
+    flights = [samples_of(flow, 0.05, seed=1), samples_of(flow, 0.5, seed=2)]
+    weights = flight_weights(flights, [VEHICLE] * 2, LIBRARY)
+    assert weights[0] / weights[1] == pytest.approx(10.0, rel=0.3)
+    assert np.mean(np.square(weights)) == pytest.approx(1.0)
+    assert flight_weights(flights[:1], [VEHICLE], LIBRARY) == (1.0,)
+    assert Search.of(flights, [VEHICLE] * 2, LIBRARY, weights).propose(Start())[0].shape == "axis"
+
+
+def test_a_flight_that_rests_or_is_too_long_is_refused_at_once():
+    flow = flow_of(AXIS, (0.9,))
+    samples = samples_of(flow, 0.0)
+    resting = Samples(TIME, np.ones_like(TRACK), TRACK, TRACK, TRACK)
+    with pytest.raises(InputError, match="does not move"):
+        Search.of([resting], [VEHICLE], LIBRARY)
+    far = Samples(TIME, 1e4 * TRACK, samples.velocity, samples.velocity, samples.acceleration)
+    with pytest.raises(InputError, match="too many lobes; raise the grid's lower bound"):
+        Search.of([far], [VEHICLE], LIBRARY)
+
+
+@pytest.mark.parametrize("heading", [0.3, -0.7, 1.2, 2.9, -2.2])
+def test_any_two_waves_of_a_rectangle_lead_back_to_it(heading):
+    phases = RECTANGLE.moving.phases(np.array([0.8, 0.5, heading, 0.7, -0.2]))[0]
+    for waves in (phases, -phases, phases[::-1], phases * [[1], [-1]]):
+        q = RECTANGLE.moving.nearest(waves)
+        assert -math.pi / 4 < q[2] <= math.pi / 4
+        again = RECTANGLE.moving.phases(q)[0]
+        same = [np.abs(again - sign * phases[order]).max(axis=1)
+                for sign in (1, -1) for order in ([0, 1], [1, 0])]  # fmt: skip
+        assert np.min(same, axis=0).max() < 1e-12
+
+
+SHAPES = (AXIS, SQUARE.moving, RECTANGLE, RECTANGLE.moving, PAIR.moving, axis_cells(2))
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, free_waves(3)], ids=lambda shape: shape.name)
+def test_derivatives_of_phases_are_differences(shape: Shape):
+    q = np.random.default_rng(2).uniform(0.5, 1.5, shape.parameters)
+    phases, slopes = shape.phases(q)
+    assert phases.shape == (len(shape.waves), 3)
+    for number, slope in enumerate(slopes):
+        step = 1e-6 * np.eye(len(q))[number]
+        expected = (shape.phases(q + step)[0] - shape.phases(q - step)[0]) / 2e-6
+        np.testing.assert_allclose(slope, expected, atol=1e-8)
