@@ -130,17 +130,18 @@ class Readout:
 
     def start(self, search: Search, fit: Fit, library: Library) -> Start:
         """The start of a search that the weights of a fit propose."""
+        lookout = search.lookout
         if library.family == "waves":
             assert fit.problem.parameters is not None
             k, weights = fit.problem.parameters, fit.weights.reshape(-1, 2)
-            peaks = wave_peaks(k, weights, search.extent, MOST_WAVES)[1].tolist()
+            peaks = wave_peaks(k, weights, lookout.extent, MOST_WAVES)[1].tolist()
             return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
         if self.scales == "several":
-            lobe = 2 * math.pi / search.extent
-            return Start(self.refine, windows=windows(fit, lobe, search.bounds))
+            lobe = 2 * math.pi / lookout.extent
+            return Start(self.refine, windows=windows(fit, lobe, lookout.bounds))
         by_scale = self.by_scale(fit, library)
         candidate = math.pi / max(by_scale, key=lambda scale: by_scale[scale])
-        nearest = search.lobes[np.abs(search.lobes - candidate).argmin()]
+        nearest = lookout.lobes[np.abs(lookout.lobes - candidate).argmin()]
         return Start(self.refine, float(nearest))
 
 

@@ -1,0 +1,415 @@
+"""The ladder of shapes: where scans show waves, and the shapes that are fitted from there.
+
+A Fourier scan of cells along the axes, and where these leave more than noise one of the whole
+plane, shows where waves may be; from there shapes are fitted to the rows
+(`sparsefit.model.fitting`), and around the best of them freer and simpler ones. With n rows worth
+counting and p parameters,
+
+    BIC = n ln RSS + p ln n,
+
+orders them (Schwarz, 1978). All steps are bounded in number.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
+from sparsefit.model.fitting import FlowRows, ShapeFit, descended, fitted
+from sparsefit.model.grid import Bounds, extent_of
+from sparsefit.model.scan import WaveScan, axis_gains, peaks
+from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
+
+LINES = 5  # lobes along the axes that are descended into
+RANKED, DESCENDED = 10, 4  # peaks of the plane that are ranked by their fit, and descended into
+STRONG, ALIKE = 24, 0.15  # single waves that rectangles are made of; the difference of their |k|
+FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
+MOST_WAVES = 4  # waves of several
+INSTEAD = 4  # places that are tried for either wave of a pair
+AROUND = 4  # rounds of the search around the best shape
+FAR = 0.75  # of |Phi|^2: what leaves more has no shape around it that is the flow
+SETTLED = 0.05  # of |Phi|^2: what is less is turbulence, or a vehicle that is another
+CLOSE, MOST = 10.0, 6  # of BIC to the best, and shapes: what is proposed beside it
+EXACT = 1e-6  # of |Phi|^2: less is what smoothing takes, and tells no shape
+STRONGEST = 6.0  # of the rms of a component of Phi: a wave that strong is one of two that cancel
+LOUD, SPREAD = 2.0, 6.0  # of the mean power, and of its standard deviation: more is a flow
+PART, FALSE_ALARM = 0.05, 1e-3  # of |Phi|^2: errors that are more could hide a flow; of finding it
+BINS = 16  # of the residuals' spectrum, averaged: its level is then known to 18 %
+WEAKEST = 0.05  # of the fastest of several length scales: systematic errors of a derivative are 2 %
+
+
+@dataclass(frozen=True, eq=False)
+class Lookout:
+    """Rows of the flow velocity, and what scans say of them.
+
+    Args:
+        rows: thinned samples of one flight, or of several.
+        bounds: of the wavenumber k = pi/L [1/m].
+        worth: how many rows, of both components, count where errors correlate.
+    """
+
+    rows: FlowRows
+    bounds: Bounds
+    worth: float
+
+    @property
+    def extent(self) -> float:
+        """The larger side of the bounding box of the rows [m]."""
+        return extent_of(self.rows.place[:, :2])
+
+    @cached_property
+    def lobes(self) -> Array:
+        """Wavenumbers k (l,) [1/m] of cells along the axes that leave least, deepest first."""
+        return self.line(self.rows.rest)
+
+    def line(self, rest: Array) -> Array:
+        """The wavenumbers (l,) of the minima of what one mode of cells more leaves of errors."""
+        if not self.bounds[0] < self.bounds[1]:
+            return np.array([self.bounds[0]])
+        k, gains = axis_gains(self.rows.place[:, :2], rest, self.bounds, self.rows.weight)
+        places = peaks(gains)[:, 0]
+        before, here, after = (
+            gains[np.clip(places + shift, 0, len(k) - 1)] for shift in (-1, 0, 1)
+        )
+        bow = 2 * here - before - after  # of the parabola through three points, highest at:
+        offset = np.where(bow > 0, 0.5 * (after - before) / np.where(bow > 0, bow, 1.0), 0.0)
+        lobes: Array = np.clip(k[places] + (k[1] - k[0]) * np.clip(offset, -0.5, 0.5), *self.bounds)
+        return lobes
+
+    @cached_property
+    def radii(self) -> Bounds:
+        """The bounds of |k| of the waves of square cells [rad/m]."""
+        return math.sqrt(2) * self.bounds[0], math.sqrt(2) * self.bounds[1]
+
+    @cached_property
+    def scan(self) -> WaveScan | None:
+        """The scan of standing waves over the plane; None of a track that is too long."""
+        return WaveScan.of(self.rows.place, self.radii, weight=self.rows.weight)
+
+    @cached_property
+    def gains(self) -> Array:
+        """The fall of RSS by one standing wave over the plane."""
+        return np.zeros((1, 1)) if self.scan is None else self.scan.gains(self.rows.rest)[0]
+
+    def strong(self, rest: Array, most: int) -> Array:
+        """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2)."""
+        if self.scan is None:
+            return np.zeros((0, 2))
+        return self.scan.waves(self.scan.gains(rest)[0], most)
+
+    @cached_property
+    def power(self) -> Array:
+        """The power (f,) of what is to be explained, by frequency."""
+        return _power(self.rows.rest)
+
+    def quiet(self, rest: Array) -> bool:
+        """Whether errors (m, 2) have no more power where Phi has its own than elsewhere.
+
+        Where they are a good part of Phi, no wave may explain more of them than chance does either.
+        """
+        whole = float(np.sum(rest**2))
+        share = whole / (float(np.sum(self.rows.rest**2)) or 1.0)
+        if share <= EXACT or not self.power.any():
+            return True
+        own, power = self.power / self.power.sum(), _power(rest)
+        spread = math.sqrt(0.5 * float(np.sum(own**2)))
+        if float(own @ power) > (LOUD + SPREAD * spread) * float(power.mean()):
+            return False
+        if share < PART or self.scan is None:
+            return True
+        gain = float(self.scan.gains(rest)[0].max())
+        most = 2 * math.log(self.scan.count / FALSE_ALARM) + 8
+        return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
+
+
+class Ladder:
+    """One search: the shapes that were fitted so far, and those that were looked around."""
+
+    def __init__(self, lookout: Lookout) -> None:
+        self.lookout, self.rows = lookout, lookout.rows
+        self.tried: list[ShapeFit] = []
+        self.surrounded: list[ShapeFit] = []
+
+    @property
+    def best(self) -> ShapeFit:
+        """The fit of least BIC."""
+        return min(self.tried, key=self.bic)
+
+    @property
+    def done(self) -> bool:
+        """Whether no more than noise is left, or what is left is settled to be no waves."""
+        return bool(self.tried) and (
+            self.best.residual <= SETTLED * self.rows.square or self.lookout.quiet(self.best.rest)
+        )
+
+    def bic(self, fit: ShapeFit, worth: float | None = None) -> float:
+        """N ln RSS + p ln n of a fit, RSS over |Phi|^2."""
+        n = worth or self.lookout.worth
+        share = max(fit.residual / self.rows.square, EXACT)
+        return n * math.log(share) + fit.shape.size * math.log(n)
+
+    def goal(self, shape: Shape) -> float:
+        """The RSS above which a shape is no answer: another is better, and not close."""
+        if not self.tried:
+            return math.inf
+        n = self.lookout.worth
+        share = (self.bic(self.best) + CLOSE - shape.size * math.log(n)) / n
+        return math.exp(share) * self.rows.square
+
+    def descend(self, shape: Shape, q: Array) -> ShapeFit:
+        """A shape moved from q (p,) while it could be the answer."""
+        fit = descended(self.rows, shape, q, goal=self.goal(shape))
+        self.tried.append(fit)
+        return fit
+
+    def from_waves(self, shape: Shape, phases: Array) -> ShapeFit:
+        """A shape of two waves, from the nearest to waves (2, 3)."""
+        return self.descend(shape, shape.nearest(phases))
+
+    def lines(self, candidate: float) -> None:
+        """Square cells along the axes, from the deepest lobes, and the one nearest a candidate."""
+        lobes = self.lookout.lobes
+        starts = lobes[:LINES].tolist()
+        if candidate:
+            starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
+        for k in dict.fromkeys(starts):
+            self.descend(AXIS, np.array([k]))
+
+    def climb(self, proposed: Array) -> None:
+        """All shapes, from what is there, from proposed waves (p, 2), and from the plane."""
+        if self.done or self.best.residual <= FAR * self.rows.square:
+            self.around()
+        if len(proposed) and not self.done:
+            self.join(proposed)
+            self.around()
+        for look in (self.squares, self.rectangles, self.moving, self.pairs, self.several):
+            if self.done:
+                break
+            look()
+            self.around()
+        self.instead()
+
+    def around(self) -> None:
+        """Every shape of two waves from the best one, where one could have a lower BIC."""
+        price = math.log(self.lookout.worth)
+        for _ in range(AROUND):
+            here = self.best
+            far = here.residual > FAR * self.rows.square and not self.lookout.quiet(here.rest)
+            if len(here.phases) != 2 or far or any(here is fit for fit in self.surrounded):
+                return
+            self.surrounded.append(here)
+            order = [shape.name for shape in (AXIS, SQUARE, RECTANGLE)]
+            simpler = (AXIS, SQUARE, RECTANGLE)[
+                : order.index(here.shape.name) if here.shape.cells else None
+            ]
+            for shape in reversed(simpler):
+                self.from_waves(shape.moving if here.shape.drifting else shape, here.phases)
+            if here.shape.drifting:
+                self.from_waves(here.shape.steady, here.phases)
+            best = self.best
+            free = self.from_waves(PAIR.moving, best.phases)
+            gained = self.lookout.worth * math.log(
+                max(best.residual, EXACT * self.rows.square)
+                / max(free.residual, EXACT * self.rows.square)
+            )
+            if gained > price:
+                for shape in (RECTANGLE, SQUARE, AXIS):
+                    self.from_waves(shape.moving, free.phases)
+                    self.from_waves(shape, free.phases)
+                self.from_waves(PAIR, free.phases)
+            if self.bic(here) - self.bic(self.best) < 0.1:
+                return
+
+    def squares(self) -> None:
+        """Squares that stand, from the peaks of the plane."""
+        scan = self.lookout.scan
+        if scan is not None:
+            k = scan.axis[scan.squares(self.lookout.gains, RANKED)]
+            self.stand([np.array([first, first[[1, 0]] * (1, -1)]) for first in k], SQUARE)
+
+    def rectangles(self) -> None:
+        """Rectangles that stand, of two strong waves that are equally long."""
+        if self.lookout.scan is None:
+            return
+        strong = self.lookout.scan.waves(self.lookout.gains, STRONG)  # the strongest first
+        pairs = [
+            np.array(pair)
+            for pair in sorted(combinations(range(len(strong)), 2), key=sum)
+            if np.ptp(lengths := np.hypot(*strong[list(pair)].T)) <= ALIKE * lengths.max()
+        ]
+        self.stand([strong[pair] for pair in pairs[:RANKED]], RECTANGLE)
+
+    def stand(self, pairs: list[Array], shape: Shape) -> None:
+        """A shape from pairs of waves (2, 2), those of most promise as they are."""
+        starts = [shape.nearest(np.pad(pair, ((0, 0), (0, 1)))) for pair in pairs]
+        starts.sort(key=lambda q: fitted(self.rows, shape, q).residual)
+        for q in starts[:DESCENDED]:
+            self.descend(shape, q)
+
+    def moving(self) -> None:
+        """Square cells that drift, followed from pieces of the track to the whole."""
+        rest = self.rows.rest
+        fastest = FASTEST * math.sqrt(2 * float(np.mean(np.sum(rest**2, axis=1))))
+        scan = WaveScan.of(self.rows.place, self.lookout.radii, fastest, self.rows.weight)
+        if scan is None:
+            return
+        gains, omega = scan.gains(rest)
+        shape, starts = SQUARE.moving, []
+        for i, j in scan.squares(gains, RANKED):
+            k = scan.axis[[i, j]]
+            later = omega[j, len(omega) - 1 - i]  # of the wave turned clockwise, (k_y, -k_x)
+            starts.append(shape.nearest(np.array([[*k, omega[i, j]], [k[1], -k[0], later]])))
+        fits = [fitted(self.rows, shape, q, scan.pieces) for q in starts]
+        for fit in sorted(fits, key=lambda fit: fit.residual)[:DESCENDED]:
+            q, pieces, goal = fit.q, scan.pieces, self.goal(shape)
+            while pieces > 1:
+                there = descended(self.rows, shape, q, pieces=pieces, goal=goal)
+                if there.residual > goal:
+                    break
+                q, pieces = there.q, (pieces + 1) // 2
+            else:
+                self.descend(shape, q)
+
+    def pairs(self) -> None:
+        """Any two waves that stand: the strongest, and the strongest beside it."""
+        for first in self.lookout.strong(self.rows.rest, 1):
+            alone = descended(self.rows, free_waves(1), first)
+            for second in self.lookout.strong(alone.rest, 2):
+                self.descend(PAIR, np.concatenate([alone.q, second]))
+
+    def several(self) -> None:
+        """More waves, one by one, from what the best leaves, moving or standing."""
+        standing = [fit for fit in self.tried if not fit.shape.drifting]
+        starts = [self.best, min(standing, key=self.bic)]
+        for here in starts[: 1 + self.best.shape.drifting]:
+            while len(here.phases) < MOST_WAVES:
+                more = self.lookout.strong(here.rest, 1)
+                there = self.with_waves(here, np.vstack([here.phases[:, :2], more]))
+                if there is None or not len(more):
+                    break
+                here = there
+
+    def with_waves(self, here: ShapeFit, waves: Array) -> ShapeFit | None:
+        """Waves k (j, 2) moved together; None where BIC does not fall, or two nearly cancel."""
+        drift = here.q[-2:] if here.shape.drifting else np.zeros(0)
+        shape = free_waves(len(waves), drifting=here.shape.drifting)
+        fit = descended(self.rows, shape, np.concatenate([waves.ravel(), drift]))
+        k, rms = fit.phases[:, :2], math.sqrt(float(np.mean(self.rows.rest**2)))
+        first, second = np.triu_indices(len(k), 1)
+        apart = [np.hypot(*(k[first] + sign * k[second]).T) for sign in (-1.0, 1.0)]
+        one = np.min(apart, initial=math.inf) < 0.5 * math.pi / self.lookout.extent
+        if one or fit.strengths.max() > STRONGEST * rms or self.bic(fit) >= self.bic(here):
+            return None
+        self.tried.append(fit)
+        return fit
+
+    def join(self, proposed: Array) -> None:
+        """Waves that a back-end proposes (p, 2), joined one by one where BIC falls."""
+        here = fitted(self.rows, free_waves(0), np.zeros(0)) if len(proposed) else None
+        for wave in proposed:
+            assert here is not None
+            there = self.with_waves(here, np.vstack([here.phases[:, :2], wave]))
+            while there is not None:  # the weakest leave where what is left does without
+                here = there
+                weakest = int(np.argmin(here.strengths))
+                fewer = np.delete(here.phases[:, :2], weakest, axis=0)
+                there = self.with_waves(here, fewer) if len(fewer) else None
+        if here is not None and len(here.phases) >= 2:
+            order = np.argsort(-here.strengths)[:2]
+            for shape in (SQUARE, RECTANGLE):
+                self.from_waves(shape, here.phases[order])
+
+    def instead(self) -> None:
+        """Other places for either wave of the best pair, which may fit a track as well."""
+        here = self.best
+        if here.shape.name != PAIR.name or not self.lookout.quiet(here.rest):
+            return
+        for wave in range(2):
+            alone = fitted(self.rows, free_waves(1), here.phases[1 - wave, :2])
+            for place in self.lookout.strong(alone.rest, INSTEAD):
+                phases = here.phases.copy()
+                phases[wave, :2] = place
+                self.from_waves(here.shape, phases)
+
+    def length_scales(self, windows: tuple[tuple[float, float, float], ...]) -> None:
+        """Cells along the axes of several length scales, one from each window where BIC falls."""
+        here, unused = fitted(self.rows, free_waves(0), np.zeros(0)), list(windows)
+        lobe = 2 * math.pi / self.lookout.extent
+        while unused and len(here.q) < len(windows):
+            offers = []
+            for k in self.lookout.line(here.rest).tolist():
+                inside = [w for w in unused if w[1] <= k <= w[2]]
+                if inside and np.all(np.abs(here.q - k) > 0.5 * lobe):
+                    offers.append((k, min(inside, key=lambda w: abs(w[0] - k))))
+            fits = [
+                (descended(self.rows, axis_cells(len(here.q) + 1), np.append(here.q, k)), window)
+                for k, window in offers[:2]
+            ]
+            fits = [pair for pair in fits if np.all(np.diff(np.sort(pair[0].q)) > 0.5 * lobe)]
+            if not fits:
+                break
+            there, window = min(fits, key=lambda pair: pair[0].residual)
+            if len(here.q) and self.bic(there) + 2 * math.log(len(self.lookout.lobes)) > self.bic(
+                here
+            ):
+                break
+            here = there
+            unused.remove(window)
+        if not len(here.q):
+            here = descended(self.rows, AXIS, np.array([windows[0][0]]))
+        speeds = np.hypot(*here.strengths.reshape(-1, 2).T)
+        if np.any(speeds < WEAKEST * speeds.max()):
+            q = here.q[speeds >= WEAKEST * speeds.max()]
+            here = descended(self.rows, axis_cells(len(q)), q)
+        self.tried.append(here)
+
+    def ranked(self) -> list[tuple[ShapeFit, float]]:
+        """The best fits with their BIC, best first, of alike ones of a shape the best.
+
+        Where more than noise is left rows count for less: as many as white errors of the highest
+        power in the residual's spectrum would be.
+        """
+        if not self.tried:
+            return []
+        worth, rest = self.lookout.worth, self.best.rest
+        if not self.lookout.quiet(rest):
+            power = np.cumsum(np.concatenate([[0.0], _power(rest)]))
+            bins = min(BINS, len(power) - 1)
+            highest = float((power[bins:] - power[:-bins]).max()) / bins
+            worth = min(worth, 2 * len(rest) * float(power[-1] / (len(power) - 1)) / highest)
+        pairs = sorted(
+            ((fit, self.bic(fit, worth)) for fit in self.tried), key=lambda pair: pair[1]
+        )
+        distinct: list[tuple[ShapeFit, float]] = []
+        for fit, bic in pairs:
+            if bic - pairs[0][1] > CLOSE or len(distinct) == MOST:
+                break
+            if not any(self.alike(fit, other) for other, _ in distinct):
+                distinct.append((fit, bic))
+        return distinct
+
+    def alike(self, fit: ShapeFit, other: ShapeFit) -> bool:
+        """Whether two fits are of one shape and in one lobe."""
+        if fit.shape != other.shape:
+            return False
+        near = 0.3 * self.rows.reach()
+        return all(
+            any(
+                np.all(np.abs(wave - sign * there) < near)
+                for there in other.phases
+                for sign in (-1, 1)
+            )
+            for wave in fit.phases
+        )
+
+
+def _power(values: Array) -> Array:
+    """The power (f,) of both components of values (m, 2), by frequency."""
+    spectra = np.fft.rfft(values, axis=0)
+    power: Array = np.sum(spectra.real**2 + spectra.imag**2, axis=1)
+    return power
