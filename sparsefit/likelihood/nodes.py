@@ -1,0 +1,164 @@
+"""The nodes of a log: the times at which its readings stand, and those between them.
+
+A node has up to four readings (position x, y, velocity x, y); a reading that is missing has the
+weight 0. Positions that are older than the velocities of their rows stand at nodes of their own.
+Where readings are further apart than a step of the motion may be, nodes without any lie between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.errors import InputError
+
+if TYPE_CHECKING:
+    from sparsefit.flight import Flight
+
+MOST_NODES = 64  # in one gap per reading of the log, before the log is refused
+
+
+@dataclass(frozen=True, eq=False)
+class FlightLog:
+    """Readings of one flight.
+
+    Args:
+        time: t (m,) [s], increasing.
+        position: (m, 2) [m], NaN where there is no reading; None: there is none at all.
+        velocity: (m, 2) [m/s], NaN or None likewise.
+        thrust: the thrust acceleration [m/s^2], (2,) or one per row (m, 2).
+
+    Raises:
+        InputError: if the shapes differ, the time does not increase, or nothing was read.
+    """
+
+    time: Array
+    position: Array | None
+    velocity: Array | None
+    thrust: Array
+
+    def __post_init__(self) -> None:
+        """Check the arrays and give each its full shape."""
+        time = np.ascontiguousarray(self.time, dtype=np.float64)
+        if time.ndim != 1 or len(time) < 3 or not (np.diff(time) > 0.0).all():
+            raise InputError("a log needs three rows or more, of a time that increases")
+        object.__setattr__(self, "time", time)
+        for name in ("position", "velocity"):
+            given = getattr(self, name)
+            array = np.full((len(time), 2), np.nan) if given is None else np.array(given, float)
+            if array.shape != (len(time), 2):
+                raise InputError(f"{name} must have shape ({len(time)}, 2); got {array.shape}")
+            object.__setattr__(self, name, array)
+        thrust = np.broadcast_to(np.asarray(self.thrust, dtype=np.float64), (len(time), 2))
+        object.__setattr__(self, "thrust", np.ascontiguousarray(thrust))
+        if np.isfinite(self.places).sum() < 4:
+            raise InputError("the log has fewer than two positions: nothing can be measured")
+
+    @classmethod
+    def of_flight(cls, flight: Flight) -> FlightLog:
+        """Return the readings of a flight; its velocity only where it was measured."""
+        thrust = flight.vehicle.thrust_acceleration if flight.thrust is None else flight.thrust
+        velocity = flight.velocity if flight.velocity_measured else None
+        return cls(flight.time, flight.position, velocity, np.asarray(thrust, dtype=np.float64))
+
+    @property
+    def places(self) -> Array:
+        """The positions (m, 2), NaN where missing."""
+        assert self.position is not None
+        return self.position
+
+    @property
+    def speeds(self) -> Array:
+        """The velocities (m, 2), NaN where missing."""
+        assert self.velocity is not None
+        return self.velocity
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """The middle (x, y, t) of the box around the positions, and of the time."""
+        x, y = 0.5 * (np.nanmin(self.places, axis=0) + np.nanmax(self.places, axis=0))
+        return float(x), float(y), 0.5 * float(self.time[0] + self.time[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The readings of a log in the order of their times, about its origin.
+
+    Args:
+        time: from the origin (m,) [s].
+        thrust: (m, 2) [m/s^2].
+        measured: (m, 4), 0 where missing.
+        weights: 1, or 0 where missing or left out (m, 4).
+        rows: the row of the log (m, 2) that the position and the velocity are of, -1 for none.
+        seen: whether there is a reading (m, 4).
+    """
+
+    time: Array
+    thrust: Array
+    measured: Array
+    weights: Array
+    rows: IntArray
+    seen: BoolArray
+
+    @classmethod
+    def of(
+        cls,
+        log: FlightLog,
+        origin: tuple[float, float, float],
+        longest: float,
+        latency: float = 0.0,
+        stride: int = 1,
+    ) -> Nodes:
+        """Return the nodes of every `stride`-th row.
+
+        Args:
+            log: the readings.
+            origin: x, y, t [m, m, s] that positions and times are counted from.
+            longest: the longest step of the motion [s].
+            latency: by which positions are older than velocities [s].
+            stride: of the rows.
+        """
+        rows = np.arange(0, len(log.time), stride)
+        clock = log.time[rows] - origin[2]
+        place, speed = log.places[rows] - origin[:2], log.speeds[rows]
+        times = clock
+        if latency and np.isfinite(speed).any():
+            times = np.union1d(clock, clock - latency)
+        count = np.maximum(np.ceil(np.diff(times) / longest - 1e-9), 1.0).astype(np.intp)
+        if count.sum() > MOST_NODES * len(rows) + 1000:
+            raise InputError(
+                f"gaps of up to {np.diff(times).max():.3g} s are too long for motion that needs "
+                f"steps of {longest:.3g} s; split the log there"
+            )
+        starts = np.concatenate([[0], np.cumsum(count)])
+        within = np.arange(starts[-1]) - np.repeat(starts[:-1], count)
+        steps = np.repeat(np.diff(times) / count, count)
+        time = np.append(np.repeat(times[:-1], count) + within * steps, times[-1])
+        at = np.full((len(time), 2), -1, dtype=np.intp)
+        measured, weights = np.zeros((len(time), 4)), np.zeros((len(time), 4))
+        shift = latency if len(times) > len(clock) else 0.0
+        for half, (values, own) in enumerate(((place, clock - shift), (speed, clock))):
+            nodes = starts[np.searchsorted(times, own)]
+            at[nodes, half] = rows
+            good = np.isfinite(values)
+            measured[nodes, 2 * half : 2 * half + 2] = np.where(good, values, 0.0)
+            weights[nodes, 2 * half : 2 * half + 2] = good
+        thrust = np.column_stack(
+            [np.interp(time, log.time - origin[2], each) for each in log.thrust.T]
+        )
+        return cls(time, thrust, measured, weights, at, weights > 0.0)
+
+    def track(self, states: int) -> Array:
+        """Return a first track (m, states) through the readings, walkers at 0."""
+        track = np.zeros((len(self.time), states))
+        for channel in range(4):
+            seen = self.weights[:, channel] > 0.0
+            if seen.any():
+                values = self.measured[seen, channel]
+                track[:, channel] = np.interp(self.time, self.time[seen], values)
+            else:
+                track[:, channel] = np.gradient(track[:, channel - 2], self.time)
+        return track

@@ -1,0 +1,217 @@
+"""Patterns of flow: plane waves of a stream function, bound to each other by a shape.
+
+    psi = sum_j a_j cos(phi_j) + b_j sin(phi_j),   phi_j = k_j . (x - x0 - c (t - t0)),
+    w = (d psi/dy, -d psi/dx)
+
+Cells have two waves k = q + p and q - p of one amplitude A, p and q at right angles:
+|p| = pi/L_x at the heading, |q| = pi/L_y, and U0 = A sqrt(|k_1|^2 + |k_2|^2). "axis" has no heading
+and L_x = L_y; "square" any heading; "rectangle" two lengths. The waves of "pair" and "several" have
+wavevectors and amplitudes of their own. Every shape may drift with a velocity c.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError
+
+SHAPES = ("axis", "square", "rectangle", "pair", "several")
+CELLS = {
+    "axis": ("mean_velocity", "length_scale", "phase_1", "phase_2"),
+    "square": ("mean_velocity", "length_scale", "heading", "phase_1", "phase_2"),
+    "rectangle": (
+        *("mean_velocity", "length_scale_x", "length_scale_y", "heading"),
+        *("phase_1", "phase_2"),
+    ),
+}
+DRIFT = ("drift_x", "drift_y")
+WAVE = ("kx", "ky", "cosine", "sine", "frequency")  # the elementary quantities of a wave
+
+
+@dataclass(frozen=True)
+class StreamPattern:
+    """A flow of waves in a shape.
+
+    Args:
+        shape: "axis", "square", "rectangle", "pair" or "several".
+        values: the parameters of the shape, in the order of `names`; lengths [m], velocities
+            [m/s], angles and phases [rad], wavevectors [rad/m], amplitudes of psi [m^2/s].
+        drifting: whether the pattern moves; its velocity stands last in `values`.
+        origin: (x0, y0, t0) [m, m, s], where the phases are counted from.
+
+    Raises:
+        InputError: if the shape is unknown, the number of values is not that of the shape, or a
+            value is not finite.
+    """
+
+    shape: str
+    values: tuple[float, ...]
+    drifting: bool = False
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check the shape and its values."""
+        if self.shape not in SHAPES:
+            raise InputError(f"no flow pattern {self.shape!r}; choose from {', '.join(SHAPES)}")
+        count = len(self.values) - 2 * self.drifting
+        wanted = len(CELLS[self.shape]) if self.shape in CELLS else max(count - count % 4, 4)
+        if count != wanted or not np.isfinite(self.values).all():
+            raise InputError(
+                f"a {self.shape} pattern needs {wanted} finite values and 2 more of a drift; "
+                f"got {self.values}"
+            )
+
+    @classmethod
+    def of_waves(
+        cls,
+        shape: str,
+        wavevectors: Array,
+        cosine: Array,
+        sine: Array,
+        drift: Sequence[float] | None = None,
+    ) -> StreamPattern:
+        """Return the pattern of a shape nearest to given waves.
+
+        Args:
+            shape: the name of the shape; cells need two waves.
+            wavevectors: k (j, 2) [rad/m].
+            cosine: a (j,) [m^2/s].
+            sine: b (j,) [m^2/s].
+            drift: the velocity c (2,) [m/s] of a pattern that moves, or None.
+        """
+        waves = np.array(wavevectors, dtype=np.float64).reshape(-1, 2)
+        a, b = np.array(cosine, dtype=np.float64), np.array(sine, dtype=np.float64)
+        moving = () if drift is None else (float(drift[0]), float(drift[1]))
+        if shape not in CELLS:
+            values = np.column_stack([waves, a, b]).ravel()
+            return cls(shape, (*values.tolist(), *moving), drift is not None)
+        if len(waves) != 2:
+            raise InputError(f"a {shape} pattern has two waves; got {len(waves)}")
+        speed = math.sqrt(float(np.sum(waves**2 * (a**2 + b**2)[:, None])))
+        p, q = 0.5 * (waves[0] - waves[1]), 0.5 * (waves[0] + waves[1])
+        if abs(p[0]) < abs(p[1]):  # the other sign of the second wave exchanges p and q
+            waves[1], b[1], p, q = -waves[1], -b[1], q, p
+        if p[0] < 0.0:
+            waves, a, b, p = waves[::-1], a[::-1], b[::-1], -p
+        if p[0] * q[1] < p[1] * q[0]:
+            waves, a, b, q = -waves[::-1], a[::-1], -b[::-1], -q
+        phases = np.arctan2(-b, a).tolist()
+        heading = 0.5 * (math.atan2(p[1], p[0]) + math.atan2(-q[0], q[1]))
+        sides = np.hypot(*p), np.hypot(*q)
+        side = math.pi / math.sqrt(float(np.mean(np.square(sides))))
+        lengths = {"axis": (side,), "square": (side, heading)}.get(
+            shape, (math.pi / float(sides[0]), math.pi / float(sides[1]), heading)
+        )
+        return cls(shape, (speed, *lengths, *phases, *moving), drift is not None)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the values; those of a wave j are kx_j, ky_j, cosine_j, sine_j."""
+        count = (len(self.values) - 2 * self.drifting) // 4
+        free = tuple(f"{name}_{j + 1}" for j in range(count) for name in WAVE[:4])
+        return CELLS.get(self.shape, free) + DRIFT * self.drifting
+
+    @property
+    def drift(self) -> tuple[float, float]:
+        """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) where it stands."""
+        return (self.values[-2], self.values[-1]) if self.drifting else (0.0, 0.0)
+
+    @property
+    def waves(self) -> Array:
+        """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""
+        return self._expanded()[0]
+
+    @property
+    def jacobian(self) -> Array:
+        """The derivatives (5 j, p) of the elementary quantities by the values."""
+        return self._expanded()[1]
+
+    @property
+    def mean_velocity(self) -> float:
+        """U0 = sqrt(sum |k|^2 (a^2 + b^2)) [m/s]."""
+        kx, ky, a, b, _ = self.waves.T
+        return math.sqrt(float(np.sum((kx**2 + ky**2) * (a**2 + b**2))))
+
+    @property
+    def length_scale(self) -> float:
+        """L = sqrt(2) pi / sqrt(mean |k|^2) [m], the side of square cells."""
+        kx, ky = self.waves[:, :2].T
+        return math.pi * math.sqrt(2.0 / float(np.mean(kx**2 + ky**2)))
+
+    def about(self, origin: tuple[float, float, float]) -> StreamPattern:
+        """Return the same flow with its phases counted from another origin (x0, y0, t0)."""
+        kx, ky, a, b, omega = self.waves.T
+        x, y, t = np.subtract(origin, self.origin)
+        shift = kx * x + ky * y - omega * t
+        cos, sin = np.cos(shift), np.sin(shift)
+        values = np.array(self.values)
+        if self.shape in CELLS:
+            turned = np.array([values[self.names.index(name)] for name in ("phase_1", "phase_2")])
+            turned = np.angle(np.exp(1j * (turned + shift)))
+            first = self.names.index("phase_1")
+            values[first : first + 2] = turned
+        else:
+            bare = values[: 4 * len(a)].reshape(-1, 4)
+            bare[:, 2], bare[:, 3] = a * cos + b * sin, b * cos - a * sin
+        return replace(self, values=tuple(values.tolist()), origin=origin)
+
+    def _expanded(self) -> tuple[Array, Array]:
+        """Elementary quantities (j, 5) and their derivatives (5 j, p) by the values."""
+        values = np.array(self.values)
+        size = len(values) - 2 * self.drifting
+        if self.shape in CELLS:
+            waves, slopes = _cells(dict(zip(self.names, self.values, strict=True)))
+            columns = [slopes[name] for name in CELLS[self.shape]]
+            jacobian = np.stack(columns, axis=-1)  # (2, 5, p)
+        else:
+            waves = np.zeros((size // 4, 5))
+            waves[:, :4] = values[:size].reshape(-1, 4)
+            jacobian = np.zeros((size // 4, 5, size))
+            for j in range(size // 4):
+                jacobian[j, :4, 4 * j : 4 * j + 4] = np.eye(4)
+        if self.drifting:  # omega = k . c
+            drift = values[-2:]
+            waves[:, 4] = waves[:, :2] @ drift
+            jacobian[:, 4] = np.einsum("d,jdp->jp", drift, jacobian[:, :2])
+            moving = np.zeros((len(waves), 5, 2))
+            moving[:, 4] = waves[:, :2]
+            jacobian = np.concatenate([jacobian, moving], axis=2)
+        return waves, jacobian.reshape(5 * len(waves), -1)
+
+
+def _cells(values: dict[str, float]) -> tuple[Array, dict[str, Array]]:
+    """The two waves (2, 5) of cells, and their derivatives (2, 5) by every parameter by name."""
+    side = values.get("length_scale", 0.0)
+    lengths = values.get("length_scale_x", side), values.get("length_scale_y", side)
+    heading, speed = values.get("heading", 0.0), values["mean_velocity"]
+    along = np.array([math.cos(heading), math.sin(heading)])
+    across = np.array([-along[1], along[0]])
+    p, q = math.pi / lengths[0], math.pi / lengths[1]
+    phases = np.array([values["phase_1"], values["phase_2"]])
+    unit = np.column_stack([np.cos(phases), -np.sin(phases)])  # of (a, b)
+    size = math.sqrt(2.0 * (p * p + q * q))
+    signs = np.array([[1.0], [-1.0]])
+
+    def rows(vectors: Array, amplitudes: Array) -> Array:
+        return np.hstack([vectors, amplitudes, np.zeros((2, 1))])
+
+    still, amplitude = np.zeros((2, 2)), speed / size * unit
+    slopes = {
+        "mean_velocity": rows(still, unit / size),
+        "length_scale_x": rows(-p / lengths[0] * signs * along,
+                               amplitude * 2.0 * p * p / lengths[0] / size**2),
+        "length_scale_y": rows(-q / lengths[1] * np.ones((2, 1)) * across,
+                               amplitude * 2.0 * q * q / lengths[1] / size**2),
+        "heading": rows(p * signs * across - q * along, still),
+    }  # fmt: skip
+    slopes["length_scale"] = slopes["length_scale_x"] + slopes["length_scale_y"]
+    for j, name in enumerate(("phase_1", "phase_2")):
+        turned = np.zeros((2, 5))
+        turned[j, 2:4] = speed / size * np.array([unit[j, 1], -unit[j, 0]])
+        slopes[name] = turned
+    return rows(q * across + p * signs * along, amplitude), slopes

@@ -1,0 +1,361 @@
+"""The passes in plain NumPy: a step of the motion with its derivatives, the filter, the adjoint.
+
+The state is written as a deviation delta from a track s-bar, theta as one from its value:
+
+    delta_i+1 = F_i delta_i + g_i + E_i dtheta + kick,    g_i = f(s-bar_i) - s-bar_i+1
+    z_i - h(s-bar_i) = H_i delta_i + D_i dtheta + noise
+
+f is one step of Runge and Kutta's fourth order, F and E its exact derivatives. Half of a step's
+kick comes before it, half after. The filter runs at dtheta = 0 and carries V = d delta/d dtheta
+(Friedland 1969, IEEE Trans. Autom. Control 14, 359); an innovation is then e - G dtheta, and
+
+    log L(dtheta) = log L(0) + b' dtheta - dtheta' J dtheta/2,   J = sum G'G/S,   b = sum G'e/S
+
+Backwards runs the adjoint r of the state (Bryson and Frazier 1963) with its covariance N:
+delta_i given all = delta_i predicted + P_i r_i, and the score of the variance of a kick is
+(r^2 - N)/2 (Koopman and Shephard 1992, Biometrika 79, 823). `passes.pyx` is this file compiled.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+
+OWN = 22  # elements before those of the waves, in the order of `model.ELEMENTS`
+TINY = 1e-300
+
+
+def acceleration(
+    elements: Array, ids: IntArray, state: Array, time: Array, thrust: Array
+) -> tuple[Array, Array, Array]:
+    """Return v' and its derivatives by the state and by elements.
+
+    Args:
+        elements: their values (m, 22 + 5 j).
+        ids: the elements (c,) to derive by.
+        state: x, y, v_x, v_y (m, 4).
+        time: from the middle of the log (m,) [s].
+        thrust: m (m, 2) [m/s^2].
+
+    Returns:
+        v' (m, 2), its derivatives by x, y, v_x, v_y (m, 2, 4) and by the elements (m, 2, c).
+    """
+    tau, scale, turn, bx, by, drag, wx, wy, gx, gy, rate, lag, gain, growth = elements[:, :14].T
+    x, y = (state[:, :2] - lag[:, None] * state[:, 2:4]).T
+    t = time - lag
+    swell, shape = 1.0 + gain, 1.0 + growth * time
+    wave = elements[:, OWN:].reshape(len(x), -1, 5)
+    kx, ky, a, b, omega = np.moveaxis(wave, 2, 0)
+    phase = kx * x[:, None] + ky * y[:, None] - omega * t[:, None]
+    cos, sin = np.cos(phase), np.sin(phase)
+    slope, psi = b * cos - a * sin, a * cos + b * sin
+    flow = np.stack([(ky * slope).sum(1), -(kx * slope).sum(1)], axis=1)
+    size = (swell * shape)[:, None]
+    gradient = np.empty((len(x), 2, 2))
+    gradient[:, 0, 0] = -(kx * ky * psi).sum(1)
+    gradient[:, 0, 1] = -(ky * ky * psi).sum(1)
+    gradient[:, 1, 0] = (kx * kx * psi).sum(1)
+    gradient[:, 1, 1] = -gradient[:, 0, 0]
+    gradient *= size[:, :, None]
+    change = size * np.stack([(omega * ky * psi).sum(1), -(omega * kx * psi).sum(1)], axis=1)
+    air = np.stack([wx + gx * time, wy + gy * time], axis=1)
+    relative = size * flow + air - state[:, 2:4]
+    speed = np.sqrt(np.sum(relative**2, axis=1) + TINY)
+    c, d, (push, side) = np.cos(turn), np.sin(turn), thrust.T
+    turned = np.stack([c * push - d * side, d * push + c * side], axis=1)
+    weight = 1.0 / ((1.0 + rate * time) * (1.0 - lag / tau))
+    drawn = (1.0 + drag * speed)[:, None] * relative / tau[:, None]
+    force = drawn + scale[:, None] * turned + np.stack([bx, by], axis=1)
+    result = weight[:, None] * force
+    by_air = np.einsum("m,mi,mj->mij", drag / speed, relative, relative)
+    by_air[:, 0, 0] += 1.0 + drag * speed
+    by_air[:, 1, 1] += 1.0 + drag * speed
+    by_air *= (weight / tau)[:, None, None]
+    by_state = np.empty((len(x), 2, 4))
+    by_state[:, :, :2] = by_air @ gradient
+    by_state[:, :, 2:] = -by_air - lag[:, None, None] * by_state[:, :, :2]
+
+    def derivative(element: int) -> Any:
+        if element >= OWN:
+            j, kind = divmod(element - OWN, 5)
+            px, py = -ky[:, j] * psi[:, j], kx[:, j] * psi[:, j]
+            by_wave = [
+                (px * x, py * x - slope[:, j]),
+                (px * y + slope[:, j], py * y),
+                (-ky[:, j] * sin[:, j], kx[:, j] * sin[:, j]),
+                (ky[:, j] * cos[:, j], -kx[:, j] * cos[:, j]),
+                (-px * t, -py * t),
+            ][kind]
+            return _times(by_air, size * np.stack(by_wave, axis=1))
+        lagged = lag / (tau * (tau - lag))
+        one = np.zeros((len(x), 2))
+        if element in (3, 4, 6, 7, 8, 9):
+            one[:, (element - 3) % 2 if element < 5 else element % 2] = 1.0
+        match element:
+            case 0:
+                return -weight[:, None] * drawn / tau[:, None] - lagged[:, None] * result
+            case 1:
+                return weight[:, None] * turned
+            case 2:
+                return (weight * scale)[:, None] * turned[:, ::-1] * [-1.0, 1.0]
+            case 3 | 4:
+                return weight[:, None] * one
+            case 5:
+                return (weight * speed / tau)[:, None] * relative
+            case 6 | 7:
+                return _times(by_air, one)
+            case 8 | 9:
+                return _times(by_air, one) * time[:, None]
+            case 10:
+                return -result * (time / (1.0 + rate * time))[:, None]
+            case 11:
+                moved = -_times(gradient, state[:, 2:4]) - change
+                return result / (tau - lag)[:, None] + _times(by_air, moved)
+            case 12:
+                return _times(by_air, shape[:, None] * flow)
+            case 13:
+                return _times(by_air, (swell * time)[:, None] * flow)
+        return np.zeros((len(x), 2))
+
+    columns = [derivative(int(element)) for element in ids]
+    by_elements = np.stack(columns, axis=2) if columns else np.zeros((len(x), 2, 0))
+    return result, by_state, by_elements
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    product: Array = np.einsum("mij,mj->mi", matrix, vector)
+    return product
+
+
+def transitions(
+    elements: Array,
+    walkers: IntArray,
+    rates: Array,
+    columns: IntArray,
+    time: Array,
+    thrust: Array,
+    track: Array,
+) -> tuple[Array, Array]:
+    """Return the step from every node to the next, and its derivatives.
+
+    Args:
+        elements: their values (22 + 5 j,).
+        walkers: the elements (w,) of the states from the fourth on.
+        rates: their rates (w,).
+        columns: the elements (p,) of the other derivatives.
+        time: of the nodes (m,) [s].
+        thrust: at the nodes (m, 2), a straight line between them.
+        track: the states s-bar (m, 4 + w).
+
+    Returns:
+        The next states (m - 1, 4 + w) and the derivatives of their first four entries by the
+        state and by the elements (m - 1, 4, 4 + w + p).
+    """
+    steps, ids = np.diff(time), np.concatenate([walkers, columns])
+    wandering = len(walkers)
+    slope = np.zeros((len(steps), 4, 4 + len(ids)))
+    slope[:, :, :4] = np.eye(4)
+    state, whole, total = track[:-1, :4], np.zeros((len(steps), 4)), np.zeros_like(slope)
+    speed, tangent = whole, np.zeros_like(slope)
+    for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+        reach = (share * steps)[:, None]
+        fading = np.exp(-rates * reach)
+        full = np.tile(elements, (len(steps), 1))
+        for i, walker in enumerate(walkers):
+            full[:, walker] += fading[:, i] * track[:-1, 4 + i]
+        now = state + reach * speed
+        moved = slope + reach[:, :, None] * tangent
+        force, by_state, by_ids = acceleration(
+            full, ids, now, time[:-1] + reach[:, 0],
+            (1.0 - share) * thrust[:-1] + share * thrust[1:],
+        )  # fmt: skip
+        by_ids[:, :, :wandering] *= fading[:, None, :]
+        speed = np.concatenate([now[:, 2:4], force], axis=1)
+        tangent = np.concatenate([moved[:, 2:4], by_state @ moved], axis=1)
+        tangent[:, 2:, 4:] += by_ids
+        whole, total = whole + weight * speed, total + weight * tangent
+    following = np.exp(-rates * steps[:, None]) * track[:-1, 4:]
+    step = steps[:, None] / 6.0
+    return (
+        np.concatenate([state + step * whole, following], axis=1),
+        slope + step[:, :, None] * total,
+    )
+
+
+def observation(
+    elements: Array, walkers: IntArray, columns: IntArray, state: Array
+) -> tuple[Array, Array, Array]:
+    """Return the four readings of a state, H (4, 4 + w) and D (4, p).
+
+    Args:
+        elements: their values (22 + 5 j,).
+        walkers: the elements that wander.
+        columns: the elements to derive by.
+        state: (4 + w,).
+    """
+    full = elements.copy()
+    np.add.at(full, walkers, state[4:])
+    place, rate, bias, turn = full[14], full[15], full[16:18], full[18]
+    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    seen = rotation @ state[2:4]
+    reading = np.concatenate([place * state[:2] + full[20:22], rate * seen + bias])
+    derivative = np.zeros((4, len(full)))
+    derivative[:2, 14] = state[:2]
+    derivative[2:, 15] = seen
+    derivative[2, 16] = derivative[3, 17] = derivative[0, 20] = derivative[1, 21] = 1.0
+    derivative[2:, 18] = rate * seen[1] * -1.0, rate * seen[0]
+    derivative[:2, 19] = -place * state[2:4]
+    by_state = np.zeros((4, len(state)))
+    by_state[:2, :2] = place * np.eye(2)
+    by_state[2:, 2:4] = rate * rotation
+    by_state[:, 4:] = derivative[:, walkers]
+    return reading, by_state, derivative[:, columns]
+
+
+def forward(
+    elements: Array, walkers: IntArray, rates: Array, columns: IntArray,
+    kicks: Array, noise: Array,
+    time: Array, thrust: Array, measured: Array, weights: Array, track: Array,
+    adjoint: Array, scores: Array, state: Array, stored: Array | None,
+) -> float:  # fmt: skip
+    """Filter a block of nodes and carry the state on to the next block's first node.
+
+    Args:
+        elements, walkers, rates, columns: as of `transitions`.
+        kicks: the variance per second that each level gives to each state (l, n).
+        noise: the variance that each level gives to each channel (l, 4).
+        time, thrust, track: of the block's m nodes and the one after them, if any: (m or m + 1).
+        measured: the readings (m, 4).
+        weights: by which the variance of each reading is divided (m, 4); 0: it is missing.
+        adjoint: r before and after each node (m + 1, 2 n) of the last backward pass, which the
+            columns of the levels need; of no rows: there are none.
+        scores: the scores u (m, 12) of the readings of that pass.
+        state: delta, V, P, then b and J as rows (n + q + n + 1 + q, width): changed in place.
+        stored: what the backward pass reads (m, ...), written in place; None: not wanted.
+
+    Returns:
+        The log-likelihood of the block at dtheta = 0.
+    """
+    p, n = len(columns), 4 + len(walkers)
+    levels = len(kicks) if len(adjoint) else 0
+    q = p + levels
+    delta, sensitivity, covariance = (
+        state[0, :n],
+        state[1 : 1 + q, :n],
+        state[1 + q : 1 + q + n, :n],
+    )
+    score, information = state[1 + q + n, :q], state[2 + q + n : 2 + q + n + q, :q]
+    following, slopes = transitions(elements, walkers, rates, columns, time, thrust, track)
+    kick, spread = kicks.sum(axis=0), noise.sum(axis=0)
+    total, inputs = 0.0, np.zeros((4, q))
+    for i in range(len(measured)):
+        if stored is not None:
+            stored[i, : n * (1 + p + n)] = np.concatenate(
+                [delta, sensitivity[:p].ravel(), covariance.ravel()]
+            )
+            gains = stored[i, n * (1 + p + n) :]
+            gains[: 4 * (2 * n + p + 2)] = 0.0
+        reading, by_state, inputs[:, :p] = observation(elements, walkers, columns, track[i])
+        for channel in range(4):
+            if weights[i, channel] <= 0.0:
+                continue
+            h, variance = by_state[channel], spread[channel] / weights[i, channel]
+            if levels:
+                inputs[channel, p:] = noise[:, channel] * scores[i, channel] / weights[i, channel]
+            gain = covariance @ h
+            size = gain @ h + variance
+            innovation = measured[i, channel] - reading[channel] - h @ delta
+            response = inputs[channel] + sensitivity @ h
+            if stored is not None:
+                place = channel * (2 * n + p + 2)
+                gains[place : place + 2 * n + p + 2] = np.concatenate(
+                    [h, gain / size, response[:p], [innovation, size]]
+                )
+            delta += gain * (innovation / size)
+            sensitivity -= np.outer(response, gain / size)
+            covariance -= np.outer(gain, gain / size)
+            score += response * (innovation / size)
+            information += np.outer(response, response / size)
+            total -= 0.5 * (innovation**2 / size + math.log(2.0 * math.pi * size))
+        if i + 1 == len(time):
+            break
+        step = time[i + 1] - time[i]
+        if levels:
+            sensitivity[p:] += 0.5 * step * kicks * adjoint[i, n:]
+        covariance[np.diag_indices(n)] += 0.5 * step * kick
+        matrix = np.zeros((n, n))
+        matrix[:4] = slopes[i, :, :n]
+        matrix[range(4, n), range(4, n)] = np.exp(-rates * step)
+        delta[:] = matrix @ delta + following[i] - track[i + 1]
+        sensitivity[:] = sensitivity @ matrix.T
+        sensitivity[:p, :4] += slopes[i, :, n:].T
+        covariance[:] = matrix @ covariance @ matrix.T
+        covariance[np.diag_indices(n)] += 0.5 * step * kick
+        if levels:
+            sensitivity[p:] += 0.5 * step * kicks * adjoint[i + 1, :n]
+        if stored is not None:
+            stored[i, -4 * n :] = matrix[:4].ravel()
+    return total
+
+
+def backward(
+    rates: Array, columns: int, time: Array, weights: Array, change: Array, noise: Array,
+    stored: Array, carried: Array, smoothed: Array, adjoint: Array, scores: Array, sums: Array,
+) -> None:  # fmt: skip
+    """Run the adjoint through a block, from its last node to its first.
+
+    Args:
+        rates: of the walkers (w,).
+        columns: their number p.
+        time: of the block's nodes and the one after them, if any.
+        weights: of the readings (m, 4).
+        change: dtheta (p,) of the columns' elements.
+        noise: the variance of each channel (4,).
+        stored: what `forward` wrote.
+        carried: r and N of the node after the block (1 + n, n): changed in place.
+        smoothed: delta given all measurements (m, n), written.
+        adjoint: r at each node and after it (m, 2 n), written.
+        scores: of the readings (m, 12), written: u, then the residual that each leaves when it is
+            left out over its deviation, u/sqrt(D), then the standardised innovation e/sqrt(S).
+        sums: (n, 2) sums of r^2 and of N over the half kicks, times their seconds, then (4, 2) of
+            R u^2 and of R times its variance over the readings, then (1, 2) of e^2/S at dtheta
+            and its number: added to.
+    """
+    n, p = carried.shape[1], columns
+    r, covariance = carried[0], carried[1:]
+    width = 2 * n + p + 2
+    for i in range(len(weights) - 1, -1, -1):
+        if i + 1 < len(time):
+            step = time[i + 1] - time[i]
+            sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
+            matrix = np.zeros((n, n))
+            matrix[:4] = stored[i, -4 * n :].reshape(4, n)
+            matrix[range(4, n), range(4, n)] = np.exp(-rates * step)
+            r[:] = matrix.T @ r
+            covariance[:] = matrix.T @ covariance @ matrix
+            sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
+        adjoint[i, n:] = r
+        gains = stored[i, n * (1 + p + n) :]
+        scores[i] = 0.0
+        for channel in range(3, -1, -1):
+            if weights[i, channel] <= 0.0:
+                continue
+            part = gains[channel * width : (channel + 1) * width]
+            h, gain, response = part[:n], part[n : 2 * n], part[2 * n : 2 * n + p]
+            innovation, size = part[-2] - response @ change, part[-1]
+            along = covariance @ gain
+            u, spread = innovation / size - gain @ r, 1.0 / size + gain @ along
+            scores[i, channel::4] = u, u / math.sqrt(spread), innovation / math.sqrt(size)
+            r += h * u
+            covariance += spread * np.outer(h, h) - np.outer(h, along) - np.outer(along, h)
+            variance = noise[channel] / weights[i, channel]
+            sums[n + channel] += variance * u * u, variance * spread
+            sums[n + 4] += innovation**2 / size, 1.0
+        adjoint[i, :n] = r
+        delta, sensitivity = stored[i, :n], stored[i, n : n * (1 + p)].reshape(p, n)
+        predicted = stored[i, n * (1 + p) : n * (1 + p + n)].reshape(n, n)
+        smoothed[i] = delta + change @ sensitivity + predicted @ r

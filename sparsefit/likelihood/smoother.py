@@ -1,0 +1,458 @@
+"""The iterated smoother: trajectory, parameters and levels at the maximum of the likelihood.
+
+A pass linearises the motion along the last track, filters forward and smooths backward, which is
+one Gauss-Newton step on trajectory and parameters together (Bell 1994, SIAM J. Optim. 4, 626).
+Levels move in the same pass. With the derivative of log L by the logarithm of a variance written
+as a - n, a = sum r^2/2 of what was smoothed and n its expectation, far from the optimum the
+variance moves by a secant on log(a/n), near it by scoring with the average information (Gilmour,
+Thompson and Cullis 1995, Biometrics 51, 1440): the response of the readings to the smoothed
+disturbance itself is one more column per level. The process noise comes down from a level at which
+every start converges; the first passes see few rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+from sparsefit.errors import InputError
+from sparsefit.likelihood.model import LEVELS, Model, StateSpace
+from sparsefit.likelihood.nodes import FlightLog, Nodes
+from sparsefit.likelihood.posterior import Descent, Posterior, Track
+from sparsefit.likelihood.trellis import Pass, Smoothed
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Settings of the iterated smoother.
+
+    Args:
+        coarse: the rows of a log that the first passes see.
+        phase: the largest step of the motion, in the phase of the flow's waves [rad].
+        anneal: the process noise that the search starts from, in |w|/tau per sqrt(|k| |w|).
+        passes: the most passes on few rows, and on all.
+        gain: the log-likelihood that a last pass may still gain.
+        negligible: the degrees of freedom that a level may take and count as zero.
+        gate: the deviations beyond which a reading is left out; infinite: none is.
+        outliers: the largest share of readings that may be left out.
+        diffuse: the first state's deviation, in those of its readings.
+        dependent: the least eigenvalue of the scaled information that an observable model has.
+    """
+
+    coarse: int = 300
+    phase: float = 0.4
+    anneal: float = 1.0
+    passes: int = 30
+    gain: float = 0.003
+    negligible: float = 0.01
+    gate: float = 4.5
+    outliers: float = 0.2
+    diffuse: float = 30.0
+    dependent: float = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One pass of all logs, forward and, where it was wanted, backward.
+
+    Args:
+        start: where it was linearised.
+        passes: the forward passes.
+        chains: per log, the derivatives of the columns' elements by its free parameters.
+        value: the log-likelihood at the start, priors included.
+        gain: that the step should gain.
+        change: of the free parameters (p,).
+        information: of the free parameters (p, p), priors included.
+        levels: per log, the average information of the logarithms of the variances (l, l).
+        weak: the names that the log cannot tell from each other, if any.
+    """
+
+    start: Descent
+    passes: tuple[Pass, ...]
+    chains: tuple[Array, ...]
+    value: float
+    gain: float
+    change: Array
+    information: Array
+    levels: tuple[Array, ...]
+    weak: tuple[str, ...]
+
+
+def measure(
+    logs: FlightLog | Sequence[FlightLog],
+    model: Model | Sequence[Model],
+    levels: Sequence[str] = LEVELS,
+    start: Descent | None = None,
+    settings: Smoothing | None = None,
+) -> Posterior:
+    """Find the maximum of the likelihood of logs that share the free parameters.
+
+    Args:
+        logs: one flight or several through one flow.
+        model: one for all, or one per log, with the same pattern and the same free parameters;
+            the values are where the search starts.
+        levels: the names of the levels to estimate; others are at their values.
+        start: of an earlier posterior of the same logs; the noise is then not annealed.
+        settings: of the smoother.
+
+    Raises:
+        InputError: if a level or a parameter has no such name, or the log has gaps too long.
+    """
+    records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
+    models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
+    return _Search(records, models, tuple(levels), settings or Smoothing()).posterior(start)
+
+
+class _Search:
+    """The passes of one measurement; its attributes do not change after its making."""
+
+    def __init__(
+        self,
+        logs: tuple[FlightLog, ...],
+        models: tuple[Model, ...],
+        levels: tuple[str, ...],
+        settings: Smoothing,
+    ) -> None:
+        names = models[0].names
+        if len(models) != len(logs) or any(each.names != names for each in models):
+            raise InputError("several logs need one model each, with the same free parameters")
+        for name in levels:
+            if name not in models[0].disturbance.levels:
+                valid = ", ".join(models[0].disturbance.levels)
+                raise InputError(f"no level {name!r} in this model (known: {valid})")
+        self.logs, self.settings, self.levels, self.local = logs, settings, levels, names
+        x, y, t = np.mean([log.origin for log in logs], axis=0).tolist()
+        self.origin = (x, y, t)
+        self.models = tuple(
+            replace(each, pattern=each.pattern.about(self.origin)) for each in models
+        )
+        shared = (*models[0].pattern.names, "growth")
+        self.names, self.places = names, [np.arange(len(names))]
+        for number in range(2, len(logs) + 1):
+            own = [name for name in names if name not in shared]
+            place = np.arange(len(names))
+            place[[names.index(name) for name in own]] = len(self.names) + np.arange(len(own))
+            self.names += tuple(f"{name}@{number}" for name in own)
+            self.places.append(place)
+        self.centres, self.priors = self.values(self.models), np.ones(len(self.names))
+        for model, place in zip(self.models, self.places, strict=True):
+            self.priors[place] = [model.parameters[name].prior for name in names]
+        self.wanted = [list(models[0].disturbance.levels).index(name) for name in levels]
+
+    def values(self, models: tuple[Model, ...]) -> Array:
+        """The values (p,) of the free parameters."""
+        values = np.zeros(len(self.names))
+        for model, place in zip(models, self.places, strict=True):
+            values[place] = [model.parameters[name].value for name in self.local]
+        return values
+
+    def at(self, models: tuple[Model, ...], values: Array) -> tuple[Model, ...]:
+        """The models with these values (p,) of the free parameters."""
+        return tuple(
+            model.at(dict(zip(self.local, values[place].tolist(), strict=True)))
+            for model, place in zip(models, self.places, strict=True)
+        )
+
+    def starting(self, stride: int) -> Descent:
+        """The first track through every `stride`-th row."""
+        nodes = tuple(
+            self.nodes(*pair, stride) for pair in zip(self.logs, self.models, strict=True)
+        )
+        tracks = tuple(
+            each.track(4 + len(StateSpace.of(model).walkers))
+            for each, model in zip(nodes, self.models, strict=True)
+        )
+        models = []
+        for model in self.models:
+            tau, speed = model.parameters["response_time"].value, model.pattern.mean_velocity
+            rate = math.sqrt(2.0) * math.pi / model.pattern.length_scale * speed + 1e-9
+            level = self.settings.anneal * speed / tau / math.sqrt(rate)
+            level = max(level, model.disturbance.acceleration)
+            models.append(
+                replace(model, disturbance=replace(model.disturbance, acceleration=level))
+            )
+        return Descent(tuple(models), nodes, tracks, stride=stride)
+
+    def nodes(self, log: FlightLog, model: Model, stride: int = 1) -> Nodes:
+        """The nodes of a log, close enough for the motion in a model's flow."""
+        parameters = model.parameters
+        waves, tau = model.pattern.waves, parameters["response_time"].value
+        speeds = np.hypot(*log.speeds.T) if np.isfinite(log.speeds).any() else np.hypot(
+            *(np.diff(log.places, axis=0) / np.diff(log.time)[:, None]).T
+        )  # fmt: skip
+        speed = float(np.nanquantile(speeds, 0.95)) + 1e-9
+        size = float(np.hypot(waves[:, 0], waves[:, 1]).max())
+        longest = min(self.settings.phase / (size * speed), 0.5 * tau)
+        latency = parameters["latency"].value
+        return Nodes.of(log, self.origin, longest * (1.0 + (stride > 1)), latency, stride)
+
+    def renoded(self, old: Descent, stride: int) -> Descent:
+        """The nodes of every `stride`-th row, with the track of others or of another latency."""
+        logs = zip(self.logs, old.models, strict=True)
+        nodes = [self.nodes(log, model, stride) for log, model in logs]
+        tracks = tuple(
+            _between(before.time, track, after.time)
+            for after, before, track in zip(nodes, old.nodes, old.tracks, strict=True)
+        )
+        same = stride == old.stride and all(
+            np.array_equal(a.rows, b.rows) for a, b in zip(nodes, old.nodes, strict=True)
+        )
+        if same:
+            pairs = zip(nodes, old.nodes, strict=True)
+            nodes = [replace(new, weights=before.weights) for new, before in pairs]
+        return Descent(old.models, tuple(nodes), tracks, old.last if same else None, stride)
+
+    def step(self, start: Descent) -> Step:
+        """Filter all logs, and solve for the change of the free parameters."""
+        value, passes, chains, crosses, blocks = 0.0, [], [], [], []
+        score, information = np.zeros(len(self.names)), np.zeros((len(self.names),) * 2)
+        for i, (model, nodes, track) in enumerate(
+            zip(start.models, start.nodes, start.tracks, strict=True)
+        ):
+            chain = model.jacobian(self.local)
+            columns = np.flatnonzero(np.abs(chain).sum(axis=1))
+            chain, place = chain[columns], self.places[i]
+            noise = model.disturbance.position_noise, model.disturbance.velocity_noise
+            spread = (self.settings.diffuse * np.repeat(noise, 2)) ** 2
+            if not np.isfinite(self.logs[i].speeds).any():
+                spread[2:] += (10.0 * model.pattern.mean_velocity) ** 2
+            last = None if start.last is None else start.last[i]
+            space = StateSpace.of(model, columns)
+            each = Pass.forward(space, nodes, track, spread, last)
+            p = len(columns)
+            value += each.value
+            score[place] += chain.T @ each.score[:p]
+            information[np.ix_(place, place)] += chain.T @ each.information[:p, :p] @ chain
+            cross = np.zeros((len(self.names), len(each.score) - p))
+            cross[place] = chain.T @ each.information[:p, p:]
+            passes.append(each)
+            chains.append(chain)
+            crosses.append(cross)
+            blocks.append(each.information[p:, p:])
+        away = (self.centres - self.values(start.models)) / self.priors
+        value -= 0.5 * float(np.sum(away**2))
+        score += away / self.priors
+        information += np.diag(self.priors**-2.0)
+        inverse, weak = _inverse(information, self.settings.dependent)
+        change = inverse @ score
+        levels = tuple(
+            0.5 * (block - cross.T @ inverse @ cross)
+            for block, cross in zip(blocks, crosses, strict=True)
+        )
+        return Step(
+            start, tuple(passes), tuple(chains), value, 0.5 * float(score @ change), change,
+            information, levels, tuple(self.names[j] for j in weak),
+        )  # fmt: skip
+
+    def moved(self, step: Step, smoothed: tuple[Smoothed, ...], share: float,
+              levels: list[Array]) -> Descent:  # fmt: skip
+        """A share of a step of tracks, parameters and logarithms of variances."""
+        start = step.start
+        models = self.at(start.models, self.values(start.models) + share * step.change)
+        renewed = []
+        for model, change in zip(models, levels, strict=True):
+            size = dict(zip(model.disturbance.levels, np.exp(0.5 * share * change), strict=True))
+            old = model.disturbance.levels
+            new = {name: float(old[name] * size[name]) for name in old}
+            renewed.append(replace(model, disturbance=model.disturbance.at(new)))
+        tracks = tuple(
+            track + share * (each.track - track)
+            for track, each in zip(start.tracks, smoothed, strict=True)
+        )
+        descent = Descent(tuple(renewed), start.nodes, tracks, smoothed, start.stride)
+        if "latency" not in self.local:
+            return descent
+        return self.renoded(descent, start.stride)  # the positions are then of other times
+
+    def descended(self, start: Descent, hold: int) -> tuple[Step, tuple[Smoothed, ...], int, str]:
+        """Pass after pass while the likelihood rises.
+
+        Args:
+            start: where the search starts.
+            hold: the passes before the levels of the instruments move.
+
+        Returns:
+            The last pass that was accepted, forward and backward, the number of passes, and the
+            reason why the search did not converge.
+        """
+        settings = self.settings
+        scouts = [_Levels(self.wanted, settings, hold) for _ in self.logs]
+        current, reason, halvings, fresh = start, "", 0, True
+        best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
+        count = 0
+        while count < settings.passes:
+            count += 1
+            step = self.step(current)
+            reached = step.value + step.gain
+            if not math.isfinite(reached) or (
+                best is not None and not fresh and reached < best[0].value + best[0].gain - 1.0
+            ):
+                if best is None or halvings == 6:
+                    reason = "the likelihood cannot be raised from where the search started"
+                    break
+                halvings += 1
+                current = self.moved(*best[:2], 0.5**halvings, best[2])
+                continue
+            halvings = 0
+            smoothed = tuple(
+                each.backward(chain @ step.change[place])
+                for each, chain, place in zip(step.passes, step.chains, self.places, strict=True)
+            )
+            fresh = self.gated(current, smoothed)
+            changes, gains = [], 0.0
+            for i, scout in enumerate(scouts):
+                logs = list(current.models[i].disturbance.levels.values())
+                change, gain = scout.change(logs, smoothed[i].squares, step.levels[i],
+                                            self.models[i].disturbance.acceleration)  # fmt: skip
+                changes.append(change)
+                gains += gain
+            best = (step, smoothed, changes)
+            if step.gain < settings.gain and gains < settings.gain and not fresh:
+                break
+            current = self.moved(step, smoothed, 1.0, changes)
+        else:
+            reason = f"not at the maximum after {settings.passes} passes"
+        if best is None:
+            raise InputError("the likelihood of the log is not a number: values too large, or NaN")
+        if best[0].weak and not reason:
+            *others, final = best[0].weak
+            reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
+                f"the log does not see {final}"
+            )  # fmt: skip
+        return best[0], best[1], count, reason
+
+    def gated(self, descent: Descent, smoothed: tuple[Smoothed, ...]) -> bool:
+        """Leave readings out that all others contradict; take in those that they bear out.
+
+        Returns:
+            Whether any weight changed.
+        """
+        if not math.isfinite(self.settings.gate):
+            return False
+        changed = False
+        for nodes, each, model in zip(descent.nodes, smoothed, descent.models, strict=True):
+            far = np.abs(each.scores[:, 4:8])
+            most = max(self.settings.gate, 0.3 * float(far.max()))
+            noise = np.sqrt(StateSpace.of(model).noise.sum(axis=0))
+            out = nodes.seen & (nodes.weights == 0.0)
+            away = np.abs(nodes.measured - each.track[:, :4]) / noise
+            out &= away > self.settings.gate
+            gate = out | (far > most)
+            if gate.sum() <= self.settings.outliers * nodes.seen.sum():
+                weights = np.where(nodes.seen & ~gate, 1.0, 0.0)
+                changed |= bool((weights != nodes.weights).any())
+                nodes.weights[:] = weights
+        return changed
+
+    def posterior(self, start: Descent | None) -> Posterior:
+        """Anneal on few rows, then on all."""
+        few, hold = 0, 0
+        if start is None:
+            stride = max(min(len(log.time) for log in self.logs) // self.settings.coarse, 1)
+            start, hold = self.starting(stride), 2
+            if stride > 1:
+                step, smoothed, few, _ = self.descended(start, hold)
+                hold = 0
+                still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
+                start = self.renoded(self.moved(step, smoothed, 1.0, still), 1)
+        step, smoothed, whole, reason = self.descended(start, hold)
+        still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
+        end = self.moved(step, smoothed, 1.0, still)
+        shape = np.ix_(self.wanted, self.wanted)
+        information = step.levels[0][shape] if step.levels[0].size else np.zeros(shape[0].shape[0])
+        tracks = tuple(map(_track, step.start.nodes, smoothed))
+        return Posterior(
+            end.models, self.names, _inverse(step.information, self.settings.dependent)[0],
+            step.value + step.gain, tracks, self.levels, information, reason, (few, whole),
+            self.origin, end,
+        )  # fmt: skip
+
+
+class _Levels:
+    """The steps of the logarithms of the variances of one log, pass after pass."""
+
+    def __init__(self, wanted: list[int], settings: Smoothing, hold: int) -> None:
+        self.wanted, self.settings, self.hold = wanted, settings, hold
+        self.count, self.size = 0, math.inf
+        self.place: Array | None = None
+        self.slope: Array | None = None
+
+    def change(
+        self, levels: list[float], squares: Array, information: Array, least: float
+    ) -> tuple[Array, float]:
+        """Return the step (l,) of the logarithms, and what it may gain.
+
+        Args:
+            levels: standard deviations (l,).
+            squares: a and n (l, 2).
+            information: of the logarithms (l, l), or of no rows.
+            least: the process noise, where it is not estimated.
+        """
+        self.count += 1
+        (a, n), step = squares.T, np.zeros(len(levels))
+        place = 2.0 * np.log(np.maximum(levels, 1e-150))
+        active = [j for j in self.wanted if max(a[j], n[j]) > self.settings.negligible]
+        if 0 not in self.wanted and levels[0] > least:
+            step[0] = max(2.0 * math.log(max(least, 1e-9) / levels[0]), -math.log(100.0))
+            active = [j for j in active if j > 2]
+        near = self.size < 0.3 and len(information) and self.count > self.hold
+        ratio = np.log(np.maximum(a, 1e-300) / np.maximum(n, 1e-300))
+        slope = np.where(np.arange(len(a)) % len(a) < 1, 0.4, 1.0)
+        if near and active:
+            block = information[np.ix_(active, active)]
+            step[active] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)),
+                                           (a - n)[active])  # fmt: skip
+            limit = 1.0 if self.size > 0.1 else 2.3
+            step[active] = np.clip(step[active], -limit, limit)
+        elif active:
+            if self.place is not None and self.slope is not None:
+                moved = place - self.place
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    secant = np.where(np.abs(moved) > 0.05, (self.slope - ratio) / moved, slope)
+                slope = np.clip(secant, 0.2, 1.0)
+            tried = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))
+            step[active] = tried[active]
+            if self.count <= self.hold:
+                step[1:] = 0.0
+        self.place, self.slope = place, ratio
+        self.size = float(np.abs(step).max())
+        gain = float(np.abs((a - n) * step)[active].sum()) if active else 0.0
+        if step[0] and 0 not in self.wanted:
+            gain = math.inf
+        return step, gain if near or not active else math.inf
+
+
+def _between(old: Array, track: Array, new: Array) -> Array:
+    """A track (m, n) at other times."""
+    from scipy.interpolate import CubicSpline
+
+    inside = np.clip(new, old[0], old[-1])
+    result: Array = CubicSpline(old, track)(inside)
+    result[:, :2] += (new - inside)[:, None] * result[:, 2:4]
+    return result
+
+
+def _track(nodes: Nodes, smoothed: Smoothed) -> Track:
+    residual, innovation = smoothed.scores[:, 4:8], smoothed.scores[:, 8:]
+    used = nodes.weights > 0.0
+    return Track(
+        nodes.time, smoothed.track, np.where(used, innovation, np.nan),
+        np.where(used, residual, np.nan), nodes.rows, int((nodes.seen & ~used).sum()),
+    )  # fmt: skip
+
+
+def _inverse(information: Array, least: float) -> tuple[Array, IntArray]:
+    """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
+    if not len(information) or not np.isfinite(information).all():
+        return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)
+    size = np.sqrt(np.diag(information))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(information / scale / scale[:, None])
+    blind = values < least
+    weak = np.flatnonzero((np.abs(vectors[:, blind]) > 0.2).any(axis=1))
+    half = vectors[:, ~blind] / np.sqrt(values[~blind]) / scale[:, None]
+    return half @ half.T, weak

@@ -1,0 +1,230 @@
+"""The iterated smoother: the maximum of the likelihood, found from a start, by independent ways."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sparsefit.errors import InputError
+from sparsefit.likelihood import (
+    Disturbance,
+    FlightLog,
+    Model,
+    Motion,
+    Process,
+    StreamPattern,
+    measure,
+)
+from sparsefit.likelihood.model import LEVELS, StateSpace
+from sparsefit.likelihood.nodes import Nodes
+from sparsefit.likelihood.trellis import Pass
+
+TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
+THRUST = (5.0, 3.0)
+TAU = 0.3
+
+
+def flown(seed, count=400, rate=25.0, noise=(0.05, 0.2), pattern=TRUE, place=(0.3, -0.8)):
+    """A flight without process noise through a pattern, and its log."""
+    kx, ky, a, b, omega = pattern.waves.T
+
+    def motion(t, s):
+        phase = kx * s[0] + ky * s[1] - omega * t
+        slope = b * np.cos(phase) - a * np.sin(phase)
+        flow = np.array([np.sum(ky * slope), -np.sum(kx * slope)])
+        return np.concatenate([s[2:], (flow - s[2:]) / TAU + THRUST])
+
+    time = np.arange(count) / rate
+    flight = solve_ivp(motion, (0, time[-1]), [*place, 2.0, 1.0], "DOP853", time, rtol=1e-10)
+    states = flight.y.T
+    rng = np.random.default_rng(seed)
+    readings = states + rng.normal(size=states.shape) * np.repeat(noise, 2)
+    return FlightLog(time, readings[:, :2], readings[:, 2:], THRUST), states
+
+
+def nearby(pattern=TRUE, share=0.004):
+    values = np.array(pattern.values) * (1 + share * np.cos(np.arange(len(pattern.values)) * 2.0))
+    return StreamPattern(pattern.shape, tuple(values), pattern.drifting)
+
+
+def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
+    """Without waves the motion is linear: delta, score and information of one covariance matrix."""
+    log, _ = flown(1, count=12)
+    pattern = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
+    turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5)
+    model = Model(pattern, Motion(TAU), disturbance=Disturbance(0.8, 0.05, 0.2, (turbulence,)))
+    model = model.free("wind_x", "thrust_scale")
+    names = ("wind_x", "thrust_scale")
+    chain = model.jacobian(names)
+    columns = np.flatnonzero(chain.sum(axis=1))
+    space = StateSpace.of(model, columns)
+    nodes = Nodes.of(log, log.origin, 1.0)
+    track, spread = nodes.track(6), np.array([1.0, 2.0, 3.0, 4.0])
+    forward = Pass.forward(space, nodes, track, spread)
+    m, n = track.shape
+    from sparsefit.likelihood import reference
+
+    following, slopes = reference.transitions(
+        space.elements, space.walkers, space.rates, columns, nodes.time, nodes.thrust, track
+    )
+    # every state as a linear map of the first state, of all kicks and of theta
+    size = n + 2 * n * (m - 1)
+    maps, offset, by_theta = [np.zeros((n, size))], [np.zeros(n)], [np.zeros((n, 2))]
+    maps[0][:, :n] = np.eye(n)
+    offset[0][4:] = -track[0, 4:]
+    variances = [np.concatenate([spread, space.spread.sum(axis=0)[4:]])]
+    for i in range(m - 1):
+        step = nodes.time[i + 1] - nodes.time[i]
+        f = np.zeros((n, n))
+        f[:4] = slopes[i, :, :n]
+        f[[4, 5], [4, 5]] = np.exp(-space.rates * step)
+        before = maps[-1].copy()
+        before[:, n + 2 * n * i : n + 2 * n * i + n] += np.eye(n)
+        after = f @ before
+        after[:, 2 * n + 2 * n * i : 2 * n + 2 * n * i + n] += np.eye(n)
+        maps.append(after)
+        offset.append(f @ offset[-1] + following[i] - track[i + 1])
+        moved = f @ by_theta[-1]
+        moved[:4] += slopes[i, :, n:]
+        by_theta.append(moved)
+        variances += [0.5 * step * space.kicks.sum(axis=0)] * 2
+    prior = np.diag(np.concatenate(variances))
+    h = np.vstack([each[:4] for each in maps])
+    noise = np.tile(space.noise.sum(axis=0), m)
+    covariance = h @ prior @ h.T + np.diag(noise)
+    error = (nodes.measured - track[:, :4]).ravel() - np.concatenate([each[:4] for each in offset])
+    design = np.vstack([each[:4] for each in by_theta])
+    solved = np.linalg.solve(covariance, np.column_stack([error, design]))
+    value = -0.5 * (error @ solved[:, 0] + np.linalg.slogdet(2 * np.pi * covariance)[1])
+    assert forward.value == pytest.approx(value, rel=1e-10)
+    np.testing.assert_allclose(forward.score, design.T @ solved[:, 0], rtol=1e-8)
+    np.testing.assert_allclose(forward.information, design.T @ solved[:, 1:], rtol=1e-8)
+    change = np.linalg.solve(forward.information, forward.score)
+    weights = np.linalg.solve(covariance, error - design @ change)
+    given = [
+        o + t @ change + x @ prior @ h.T @ weights
+        for o, t, x in zip(offset, by_theta, maps, strict=True)
+    ]
+    smoothed = forward.backward(change)
+    np.testing.assert_allclose(smoothed.track, track + given, rtol=1e-8, atol=1e-10)
+    # the derivative of log L by the logarithm of each variance
+    for level, name in enumerate(model.disturbance.levels):
+        kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
+        for step in np.diff(nodes.time):
+            kicked += [0.5 * step * space.kicks[level]] * 2
+        slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
+        expected = 0.5 * np.trace(np.linalg.solve(covariance, slope))
+        squares = 0.5 * weights @ slope @ weights, expected
+        np.testing.assert_allclose(smoothed.squares[level], squares, rtol=1e-8, err_msg=name)
+    # and the average information, with the columns of the levels
+    again = Pass.forward(space, nodes, track, spread, smoothed)
+    pushed = []
+    for level in range(4):
+        kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
+        for step in np.diff(nodes.time):
+            kicked += [0.5 * step * space.kicks[level]] * 2
+        slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
+        pushed.append(slope @ weights)
+    both = np.column_stack([design, *pushed])
+    expected = both.T @ np.linalg.solve(covariance, both)
+    np.testing.assert_allclose(again.information, expected, rtol=1e-7, atol=1e-9)
+
+
+def test_blocks_change_nothing(monkeypatch):
+    log, _ = flown(2, count=50)
+    model = Model(TRUE.about(log.origin), Motion(TAU), disturbance=Disturbance(0.5))
+    columns = np.flatnonzero(np.abs(model.jacobian(model.names)).sum(axis=1))
+    space, nodes = StateSpace.of(model, columns), Nodes.of(log, log.origin, 0.03)
+    track = nodes.track(4)
+
+    def both():
+        forward = Pass.forward(space, nodes, track, np.ones(4))
+        smoothed = forward.backward(1e-3 * np.ones(len(columns)))
+        again = Pass.forward(space, nodes, track, np.ones(4), smoothed)
+        return forward.value, again.information, smoothed.track, smoothed.adjoint, smoothed.squares
+
+    whole = both()
+    monkeypatch.setattr("sparsefit.likelihood.trellis.BLOCK", 16)
+    for expected, value in zip(whole, both(), strict=True):
+        np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
+    """Independently: shooting from the first state, least squares over it and the parameters."""
+    from scipy.optimize import least_squares
+
+    log, states = flown(3, count=150)
+
+    def misfit(p):
+        pattern = StreamPattern("axis", tuple(p[4:]))
+        kx, ky, a, b, _ = pattern.waves.T
+
+        def motion(_, s):
+            slope = b * np.cos(kx * s[0] + ky * s[1]) - a * np.sin(kx * s[0] + ky * s[1])
+            flow = np.array([np.sum(ky * slope), -np.sum(kx * slope)])
+            return np.concatenate([s[2:], (flow - s[2:]) / TAU + THRUST])
+
+        path = solve_ivp(motion, (0, log.time[-1]), p[:4], "DOP853", log.time, rtol=1e-10).y.T
+        return ((path - np.hstack([log.places, log.speeds])) / [0.05, 0.05, 0.2, 0.2]).ravel()
+
+    fit = least_squares(misfit, [*states[0], *TRUE.values], x_scale="jac", xtol=1e-12)
+    errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))[4:6]
+    posterior = measure(log, Model(nearby(), Motion(TAU)), levels=())
+    assert posterior.converged, posterior.reason
+    for place, name in enumerate(("mean_velocity", "length_scale")):
+        assert posterior.error(name) == pytest.approx(errors[place], rel=0.02)
+        away = posterior.value(name) - fit.x[4 + place]
+        assert abs(away) < 0.03 * errors[place]
+
+
+def test_levels_are_at_the_maximum():
+    log, _ = flown(4, count=300)
+    model = Model(nearby(), Motion(TAU), disturbance=Disturbance(0.1, 0.06, 0.17))
+    posterior = measure(log, model)
+    levels = posterior.model.disturbance.levels
+    assert levels["position_noise"] == pytest.approx(0.05, rel=0.1)
+    assert levels["velocity_noise"] == pytest.approx(0.2, rel=0.1)
+    for name in LEVELS[1:]:
+        for factor in (0.97, 1.03):
+            there = model.disturbance.at(levels | {name: levels[name] * factor})
+            other = Model(posterior.model.pattern, Motion(TAU), disturbance=there)
+            worse = measure(log, other, levels=())
+            assert worse.log_likelihood < posterior.log_likelihood
+
+
+def test_parameters_that_a_log_cannot_tell_apart_are_named():
+    log, _ = flown(5)
+    model = Model(nearby(), Motion(TAU)).free("wind_x", "thrust_bias_x")
+    posterior = measure(log, model)
+    assert not posterior.converged
+    assert posterior.reason == "the log cannot tell thrust_bias_x from wind_x"
+    with pytest.raises(InputError, match='did you mean "wind_x"'):
+        model.free("windx")
+    with pytest.raises(InputError, match="no level"):
+        measure(log, model, levels=("acceleraton",))
+
+
+@pytest.mark.parametrize("case", ["gaps", "positions", "velocities missing", "uneven", "outliers"])
+def test_logs_with_faults_are_measured(case):
+    log, _ = flown(6, count=500)
+    time, places, speeds = log.time.copy(), log.places.copy(), log.speeds.copy()
+    rng = np.random.default_rng(1)
+    rows = np.ones(len(time), dtype=bool)
+    if case == "gaps":
+        rows[100:120] = rows[300:330] = False
+    elif case == "positions":
+        speeds[:] = np.nan
+    elif case == "velocities missing":
+        speeds[rng.uniform(size=len(time)) < 0.5] = np.nan
+    elif case == "uneven":
+        rows = rng.uniform(size=len(time)) < 0.6
+    else:
+        hit = rng.uniform(size=len(time)) < 0.02
+        speeds[hit] += 5.0 * rng.choice([-1, 1], size=(hit.sum(), 2))
+    faulty = FlightLog(time[rows], places[rows], speeds[rows], THRUST)
+    posterior = measure(faulty, Model(nearby(), Motion(TAU)))
+    assert posterior.converged, posterior.reason
+    for name in ("mean_velocity", "length_scale"):
+        true = dict(zip(TRUE.names, TRUE.values, strict=True))[name]
+        assert abs(posterior.value(name) - true) < 4.0 * posterior.error(name)
+        assert posterior.error(name) < 1e-3 * true
+    assert (posterior.tracks[0].outliers > 5) == (case == "outliers")
