@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sparsefit.backends import get
 from sparsefit.errors import MissingExtra
 from sparsefit.regression.backend import Backend
 from sparsefit.regression.fit import TOLERANCE
@@ -32,9 +33,11 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
 
     Parameters
     ----------
-    backend : str or back-end, default="lasso"
+    backend : str or back-end, default="stlsq"
         A name, with its default settings, or what ``sparsefit.backends.get(name, **settings)``
-        returns. One of groups, such as ``group-lasso``, keeps or drops a term for all states.
+        returns. The name ``stlsq`` is PySINDy's own STLSQ with PySINDy's defaults: threshold 0.1
+        and ridge 0.05 on columns as they are. A back-end of groups, such as ``group-lasso``, keeps
+        or drops a term for all states.
     groups : array-like of shape (n_library_terms,), default=None
         Labels, equal for the terms of one group; None makes each term a group of its own.
     unbias : bool, default=True
@@ -52,7 +55,7 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
 
     def __init__(
         self,
-        backend: str | Backend = "lasso",
+        backend: str | Backend = "stlsq",
         *,
         groups: ArrayLike | None = None,
         unbias: bool = True,
@@ -65,16 +68,29 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
 
     def _reduce(self, x: Any, y: Any) -> None:
         """Set coef_ for the library's columns x (m, k) and the derivatives y (m, n)."""
+        pysindys = self.backend == "stlsq"
         regressor = SparseRegressor(
-            self.backend,
+            get("stlsq", mode="pysindy") if pysindys else self.backend,
             groups=self.groups,
             fit_intercept=False,
             certificate_tolerance=self.certificate_tolerance,
         ).fit(np.asarray(x), np.asarray(y))
         self.coef_ = regressor.coef_
         self.history_.append(self.coef_)
-        self.status_, self.reason_ = regressor.status_, regressor.reason_
-        self.certificate_ = regressor.certificate_
-        self.solver_status_ = regressor.solver_status_
-        if hasattr(regressor, "alpha_fraction_"):
-            self.alpha_fraction_ = regressor.alpha_fraction_
+        for name in ("status_", "reason_", "certificate_", "solver_status_", "alpha_fraction_"):
+            if hasattr(regressor, name):
+                setattr(self, name, getattr(regressor, name))
+
+    def __str__(self) -> str:
+        """The parameters, and after a fit its status with what that does and does not say."""
+        if not hasattr(self, "status_"):
+            return repr(self)
+        kind = self.certificate_.kind if self.certificate_ else "no certificate"
+        claim = {
+            "duality_gap": "these weights are the optimum of their penalised problem",
+            "normal_equations": "these weights are the least squares of their columns",
+            "fixed_point": "one more iteration keeps these terms: no optimum is claimed",
+        }.get(kind, kind)
+        said = claim if self.status_ == "ok" else f"{self.reason_}; were it ok, {claim}"
+        value = f" {self.certificate_.value:.1e}" if self.certificate_ else ""
+        return f"{self!r}\n{self.status_} ({kind}{value}): {said}; not that the model is true"

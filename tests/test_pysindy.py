@@ -6,6 +6,7 @@ import pytest
 from pysindy.utils import lorenz
 from scipy.integrate import solve_ivp
 from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
 
 from sparsefit import backends
 from sparsefit.pysindy import Optimizer
@@ -33,6 +34,34 @@ def test_stlsq_is_that_of_pysindy(states):
     assert ours.predict(states[:5]) == pytest.approx(theirs.predict(states[:5]), rel=1e-9)
     assert ours.complexity == theirs.complexity == 7
     assert ours.optimizer.status_ == "ok"
+
+
+@pytest.mark.parametrize("name", [None, "stlsq"])
+def test_by_default_it_is_pysindys_own_and_finds_the_noise_free_lorenz_system(states, name):
+    ours = fitted(Optimizer() if name is None else Optimizer(name), states)
+    assert ours.coefficients() == pytest.approx(fitted(ps.STLSQ(), states).coefficients(), rel=1e-9)
+    terms = ours.get_feature_names()
+    found = {
+        ("xyz"[state], terms[term]): ours.coefficients()[state, term]
+        for state, term in zip(*np.nonzero(ours.coefficients()), strict=True)
+    }
+    assert found == pytest.approx(TRUTH, rel=5e-3)  # finite differences of steps of 0.002
+
+
+def test_printing_says_that_ok_is_no_word_on_the_truth(states):
+    optimizer = Optimizer()
+    assert str(optimizer) == "Optimizer()"
+    fitted(optimizer, states)
+    words = str(optimizer).splitlines()[-1]
+    assert words == (
+        "ok (fixed_point 0.0e+00): one more iteration keeps these terms: no optimum is claimed; "
+        "not that the model is true"
+    )
+    lasso = Optimizer("lasso", certificate_tolerance=0.0)
+    with pytest.warns(ConvergenceWarning):
+        fitted(lasso, states)
+    assert "inaccurate (duality_gap" in str(lasso)
+    assert "were it ok, these weights are the optimum" in str(lasso)
 
 
 def test_weights_that_are_not_fitted_again_are_those_that_are_certified(states):

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.design import Design, RowDesign, SparseDesign
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
@@ -96,15 +97,45 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Targets y (m, b) that are solved together, at fractions f (p,), with the design X (m, k).
+class Whole:
+    """X (m, k), dense in Fortran order or scipy CSC, with all targets (m, n), and what these share.
 
-    design: X, dense in Fortran order or scipy CSC. lambdas (k,): weights of single coefficients of
-    the sparse-group LASSO, or the sequence of SLOPE. ridge: rho.
+    Targets that are solved apart share X'X and a QR: each is formed once, and charged once.
     """
 
     design: Any
     target: Array
+
+    @property
+    def tall(self) -> bool:
+        """Whether X is dense and its rows are many."""
+        (m, k), n = self.design.shape, self.target.shape[1]
+        return isinstance(self.design, np.ndarray) and m > TALL * (k + n)
+
+    @cached_property
+    def gram(self) -> Array:
+        """X'X/m (k, k), dense."""
+        gram = self.design.T @ self.design / len(self.target)
+        dense: Array = gram if isinstance(gram, np.ndarray) else gram.toarray()
+        return dense
+
+    @cached_property
+    def triangle(self) -> tuple[Array, Array]:
+        """X and the targets as the rows of a QR of both, which keeps every inner product."""
+        rows: Any = np.linalg.qr(np.hstack([self.design, self.target]), mode="r")
+        return rows[:, : self.design.shape[1]], rows[:, self.design.shape[1] :]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Targets y (m, b) that are solved together, at fractions f (p,), with the design X (m, k).
+
+    lambdas (k,): weights of single coefficients of the sparse-group LASSO, or the sequence of
+    SLOPE. ridge: rho.
+    """
+
+    whole: Whole
+    targets: slice
     groups: IntArray
     fractions: Array
     kind: Kind
@@ -112,22 +143,23 @@ class Part:
     lambdas: Array | None = None
 
     @property
-    def samples(self) -> int:
-        """The number m of samples."""
-        return len(self.target)
+    def design(self) -> Any:
+        """X (m, k)."""
+        return self.whole.design
 
     @property
-    def tall(self) -> bool:
-        """Whether X is dense and its rows are many."""
-        return isinstance(self.design, np.ndarray) and len(self.target) > TALL * (
-            self.design.shape[1] + self.target.shape[1]
-        )
+    def target(self) -> Array:
+        """The targets (m, b)."""
+        return np.ascontiguousarray(self.whole.target[:, self.targets])
+
+    @property
+    def samples(self) -> int:
+        """The number m of samples."""
+        return len(self.whole.target)
 
     def gram(self) -> Array:
-        """X'X/m (k, k), dense."""
-        gram = self.design.T @ self.design
-        dense: Array = gram if isinstance(gram, np.ndarray) else gram.toarray()
-        return dense / self.samples
+        """X'X/m (k, k), dense; a copy, as some work in place."""
+        return self.whole.gram.copy()
 
     def cross(self) -> Array:
         """X'y/m (k,) of the first of the targets."""
@@ -136,10 +168,11 @@ class Part:
 
     def rows(self) -> Rows:
         """The rows of a QR of X and the targets where they are fewer, else both as they are."""
-        design, target, count = self.design, self.target, self.target.shape[1]
-        if self.tall:
-            triangle: Any = np.linalg.qr(np.hstack([design, target]), mode="r")
-            design, target = triangle[:, : design.shape[1]], triangle[:, design.shape[1] :]
+        design, target = self.design, self.target
+        if self.whole.tall:
+            design, target = self.whole.triangle
+            target = target[:, self.targets]
+        count = target.shape[1]
         root = math.sqrt(len(target) * count / self.samples)
         if count > 1:
             stack: Any = np.kron if isinstance(design, np.ndarray) else sparse.kron
@@ -222,14 +255,16 @@ def parts_of(
         omega = penalty.weights[penalty.blocks]
     matrix = matrix_of(design)
     if np.any(omega != 1.0):
-        scale, whole = sparse.diags(1.0 / omega), isinstance(matrix, np.ndarray)
-        matrix = np.asfortranarray(matrix / omega) if whole else (matrix @ scale).tocsc()
+        scale = sparse.diags(1.0 / omega)
+        is_array = isinstance(matrix, np.ndarray)
+        matrix = np.asfortranarray(matrix / omega) if is_array else (matrix @ scale).tocsc()
     if dense and not isinstance(matrix, np.ndarray):
         matrix = matrix.toarray(order="F")
     ridge, fractions = unit * penalty.ridge / float(omega[0]) ** 2, alphas / unit
-    count = 1 if penalty.coupled else target.shape[1]
+    whole, count = Whole(matrix, target / unit), target.shape[1]
+    apart = [slice(t, t + 1) for t in range(count)]
     parts = tuple(
-        Part(matrix, each / unit, penalty.blocks, fractions, kind, ridge, lambdas)
-        for each in np.split(target, count, axis=1)
+        Part(whole, targets, penalty.blocks, fractions, kind, ridge, lambdas)
+        for targets in ([slice(0, count)] if penalty.coupled else apart)
     )
     return Parts(parts, unit / omega)

@@ -35,7 +35,7 @@ class ScikitDescent(Peer):
         """Each point from the last one; tolerance: of the gap over the target's square."""
         linear_model: Any = import_module("sklearn.linear_model")
         form: dict[str, Any] = {"precompute": False}
-        if part.tall:
+        if part.whole.tall:
             form = {"precompute": part.gram() * part.samples, "Xy": part.cross() * part.samples}
         found = []
         start = np.zeros(part.design.shape[1])

@@ -36,7 +36,7 @@ class ScikitLars(Peer):
             "alpha_min": float(part.fractions[-1]),
             "max_iter": self.steps * part.design.shape[1],
         }
-        if part.tall:
+        if part.whole.tall:
             knots, _, coefficients = linear_model.lars_path_gram(
                 part.cross() * part.samples,
                 part.gram() * part.samples,
@@ -72,7 +72,7 @@ class Spams(Peer):
         root, columns = np.sqrt(part.samples), part.design.shape[1]
         target = np.asfortranarray(part.target[:, :1] / root)
         cross = np.asfortranarray(part.cross()[:, None])
-        if part.tall:
+        if part.whole.tall:
             gram = np.asfortranarray(part.gram())
             data = {"Q": gram, "q": cross}
         else:
