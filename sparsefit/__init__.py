@@ -12,9 +12,6 @@ if TYPE_CHECKING:
     from sparsefit.backends.by_name import fit as fit
     from sparsefit.backends.by_name import path as path
     from sparsefit.derivative import Derivative as Derivative
-    from sparsefit.derivative.quality import LogQuality as LogQuality
-    from sparsefit.derivative.quality import quality_of as quality_of
-    from sparsefit.derivative.refusal import check_log as check_log
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
     from sparsefit.estimator import Estimate as Estimate
@@ -37,6 +34,9 @@ if TYPE_CHECKING:
     from sparsefit.library import WaveGrid as WaveGrid
     from sparsefit.logs import read_flight as read_flight
     from sparsefit.logs import write_flight as write_flight
+    from sparsefit.logs.checks import LogQuality as LogQuality
+    from sparsefit.logs.checks import check_log as check_log
+    from sparsefit.logs.checks import quality_of as quality_of
     from sparsefit.modes import Readout as Readout
     from sparsefit.online import OnlineEstimator as OnlineEstimator
     from sparsefit.regression import Certificate as Certificate
@@ -65,9 +65,9 @@ _HOMES = {
     "read_flight": "logs",
     "write_flight": "logs",
     "Derivative": "derivative",
-    "LogQuality": "derivative.quality",
-    "quality_of": "derivative.quality",
-    "check_log": "derivative.refusal",
+    "LogQuality": "logs.checks",
+    "quality_of": "logs.checks",
+    "check_log": "logs.checks",
     "LengthScaleGrid": "library",
     "Library": "library",
     "WaveGrid": "library",

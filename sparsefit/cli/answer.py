@@ -13,9 +13,9 @@ from sparsefit.estimator.estimate import FINEST, decimals
 from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:
-    from sparsefit.derivative.quality import LogQuality
     from sparsefit.estimator.estimate import Estimate, FlightEstimate, ScaleEstimate
     from sparsefit.flight import Flight
+    from sparsefit.logs.checks import LogQuality
 
 SLIGHT = 1e-3  # of U0: turbulence below it is none that anybody felt
 NOTHING = 5e-7  # of |Phi|^2: where R² is printed as 1, what is left is nobody's noise

@@ -107,8 +107,7 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[Log]:
     """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
     from sparsefit.cli.answer import Log
     from sparsefit.derivative import Derivative
-    from sparsefit.derivative.quality import quality_of
-    from sparsefit.derivative.refusal import check_log
+    from sparsefit.logs.checks import check_log, quality_of
     from sparsefit.logs.files import read_table
 
     if len(args.only or ()) > 1:

@@ -19,9 +19,8 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
+from sparsefit.logs.checks import GAP, ONE_STEP, clock_rounding
 
-ONE_STEP = 1e-6  # relative: what a polynomial through the samples takes for one and the same step
-GAP = 4.0  # median steps: a polynomial through the samples carries over less
 REST = 2.0  # least increments of the log: who moves farther in a step cannot stay where he was
 SURE = 6.5  # robust standard deviations: white noise goes beyond it once in 1e6 flights
 ALONE, AROUND = 3.0, 4  # times the median of so many samples on either side
@@ -285,11 +284,6 @@ def straddling(starts: IntArray, width: int, rows: int) -> BoolArray:
     for start in starts:
         crossing[max(start - width + 1, 0) : start] = True
     return crossing
-
-
-def clock_rounding(time: Array) -> float:
-    """The rounding [s] of a difference of two times [s], (m,)."""
-    return 4.0 * float(np.spacing(np.abs(time).max()))
 
 
 def hermite(time: Array, position: Array, velocity: Array, at: Array) -> Array:

@@ -10,7 +10,8 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
-from sparsefit.rows.clean import ONE_STEP, Pieces, Repairs, clock_rounding, interpolated, repaired
+from sparsefit.logs.checks import ONE_STEP, clock_rounding
+from sparsefit.rows.clean import Pieces, Repairs, interpolated, repaired
 from sparsefit.rows.samples import ORDER, Samples, WeakRows
 from sparsefit.rows.smoothing import FEWEST, Smoothing, polynomial_kernels, smooth
 

@@ -20,7 +20,8 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.rows.clean import Repairs, clock_rounding
+from sparsefit.logs.checks import clock_rounding
+from sparsefit.rows.clean import Repairs
 from sparsefit.rows.smoothing import Smoothing
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from sparsefit import Fit, RegressionProblem
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
-from sparsefit.library.scan import extent_of
+from sparsefit.model.grid import extent_of
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
 from sparsefit.study.draw import Draw
 from sparsefit.uncertainty.bound import Bound, cramer_rao

@@ -92,7 +92,7 @@ def test_less_than_one_period_is_told_only_where_it_fits_exactly(noise):
 
 def test_the_command_line_tells_the_goodness_of_fit():
     from sparsefit.cli.answer import Log, lines
-    from sparsefit.derivative.quality import quality_of
+    from sparsefit.logs.checks import quality_of
 
     flow = sf.SuperposedFlow((sf.CellularFlow(12.0, 4.0),), (1.5, 0.0))
     flight = sf.simulate_flight(

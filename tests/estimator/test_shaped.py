@@ -7,8 +7,8 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.cli.answer import Log, lines
-from sparsefit.derivative.quality import quality_of
 from sparsefit.flight.waves import WaveFlow
+from sparsefit.logs.checks import quality_of
 from sparsefit.modes.readout import Readout
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))

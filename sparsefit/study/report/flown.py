@@ -12,11 +12,11 @@ from matplotlib.image import AxesImage
 
 from sparsefit.arrays import Array
 from sparsefit.derivative import Samples
-from sparsefit.derivative.quality import gaps_of
 from sparsefit.estimator.estimate import Estimate, FlightEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import FlowField
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.logs.checks import gaps_of
 from sparsefit.study.report.drawing import COLOURS, GREY, logarithmic
 
 POINTS = 160  # of the map, along its longer side, at least

@@ -13,7 +13,7 @@ import numpy as np
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
-from sparsefit.library.scan import extent_of
+from sparsefit.model.grid import extent_of
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.derivative.quality import quality_of
-from sparsefit.derivative.refusal import check_log
+from sparsefit.logs.checks import check_log, quality_of
 from tests.fleet import fly_together
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))

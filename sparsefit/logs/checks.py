@@ -1,0 +1,300 @@
+"""A log before anything is made of it: its rate, gaps and noise in words, and what is refused.
+
+Where position and velocity are both logged, the steps of the position against the integral of the
+velocity, d = c m T, say what is wrong: T is the identity of one motion, and c is 1 in one unit; T
+has exchanged or opposite axes where frames are mixed. With noise of the velocity alone the share of
+d that m explains is at most c: a share of 0.8 leaves no c below 0.67 but to units.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from sparsefit.arrays import Array, BoolArray
+from sparsefit.errors import InputError, positive
+from sparsefit.flight import Flight
+from sparsefit.logs.layout import LENGTHS, SPEEDS, TIMES, named
+
+GAP = 4.0  # median steps: a polynomial through the samples carries over less
+ONE_STEP = 1e-6  # relative: what is taken for one and the same step
+CLEAN = 1e-9  # of the extent, or the speed: noise below it is rounding
+LONGEST_GAP = 60.0  # s
+LONGEST_STEPS = 20.0  # median steps: of slow logs a gap is longer
+RESTING = 5.0  # s: who goes no farther in that time rests; shorter logs are only short
+EXPLAINED = 0.8  # of the motion, by whatever T fits best
+MORE = 0.05  # of it than the identity explains
+FEWEST = 12  # steps, as many together as may be, that are held against the velocity
+NOTHING = 1e-300
+FRAMES = {  # T, and what it says
+    ((1, 0), (0, 1)): "",
+    (
+        (0, 1),
+        (1, 0),
+    ): "vx goes with y and vy with x: position and velocity are in different frames, "
+    "NED and ENU, say; exchange vx and vy",
+    ((-1, 0), (0, 1)): "vx has the opposite sign of the position's motion; check the frame",
+    ((1, 0), (0, -1)): "vy has the opposite sign of the position's motion; check the frame",
+    (
+        (-1, 0),
+        (0, -1),
+    ): "vx and vy have the opposite sign of the position's motion; check the frame",
+}
+LEAST, MOST = 0.67, 2.0  # factors between: coarse samples alone do as much
+APART = 20.0  # times what all other steps do: no step of one vehicle
+FAST, SHARP = 5.0, 2.0  # the same of the largest speed, with a turn beyond all others
+BESIDE = (1, 5)  # samples on either side of a turn
+ALTERNATING = (2, 3, 4)  # vehicles whose rows take turns
+CLOSE = 0.1  # of the steps between them: how little each of these moves
+
+
+class NoiseLevels(Protocol):
+    """Noise levels of a log, as a smoother finds them."""
+
+    @property
+    def sigma_position(self) -> float:
+        """Standard deviation of the position's noise [m]."""
+        ...
+
+    @property
+    def sigma_velocity(self) -> float:
+        """Standard deviation of the velocity's noise [m/s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class LogQuality:
+    """What a log is like before anything is made of it.
+
+    Args:
+        samples: m.
+        duration: from the first sample to the last [s].
+        rate: one over the median step [Hz].
+        jitter: rms of the steps about the median one, gaps aside, as a share of it.
+        gaps: steps longer than four median ones.
+        longest_gap: [s], 0 where there is none.
+        extent: sides of the bounding box (x, y) [m].
+        speed: rms [m/s].
+        velocity_measured: whether it was logged, or is that of the positions.
+        frame: what x and y are: ``ENU``, ``NED``, or empty where the log does not say.
+        position_noise: standard deviation [m] as the smoother finds it, NaN where it cannot.
+        velocity_noise: [m/s].
+    """
+
+    samples: int
+    duration: float
+    rate: float
+    jitter: float
+    gaps: int
+    longest_gap: float
+    extent: tuple[float, float]
+    speed: float
+    velocity_measured: bool
+    frame: str = ""
+    position_noise: float = math.nan
+    velocity_noise: float = math.nan
+
+    @property
+    def words(self) -> str:
+        """The numbers in a line."""
+        pace = f"{self.rate:.4g} Hz" if self.rate >= 0.1 else f"every {1.0 / self.rate:.4g} s"
+        even = f"jitter {100 * self.jitter:.2g} %" if self.jitter else "even steps"
+        gaps, (x, y) = "no gaps", self.extent
+        if self.gaps:
+            plural = "s" if self.gaps > 1 else ""
+            gaps = f"{self.gaps} gap{plural} of up to {self.longest_gap:.3g} s"
+        sides = f"{x:.3g} × {y:.3g} m"
+        if max(x, y) >= 1e3:
+            sides = f"{x / 1e3:.3g} × {y / 1e3:.3g} km"
+        noise = []
+        if self.velocity_noise > CLEAN * self.speed and self.velocity_measured:
+            noise.append(f"{self.velocity_noise:.2g} m/s")
+        if self.position_noise > CLEAN * max(x, y):
+            noise.append(f"{self.position_noise:.2g} m")
+        levels = f"noise {' and '.join(noise)}" if noise else "no noise"
+        if not noise and math.isnan(self.position_noise):
+            levels = "noise not known"
+        return f"{pace}, {even}; {gaps}; {sides} at {self.speed:.3g} m/s rms; {levels}"
+
+
+def quality_of(flight: Flight, smoothing: NoiseLevels | None = None) -> LogQuality:
+    """Return what a flight's log is like.
+
+    Args:
+        flight: the flight.
+        smoothing: what the smoother found of its noise, where it was asked.
+    """
+    steps = np.diff(flight.time)
+    step, gap = float(np.median(steps)), gaps_of(flight.time)
+    within = steps[~gap]
+    jitter = math.sqrt(float(np.mean((within - step) ** 2))) if within.size else 0.0
+    even = jitter <= ONE_STEP * step + clock_rounding(flight.time)
+    sides = np.ptp(flight.position, axis=0).tolist()
+    return LogQuality(
+        samples=flight.samples,
+        duration=flight.duration,
+        rate=1.0 / step,
+        jitter=0.0 if even else jitter / step,
+        gaps=int(gap.sum()),
+        longest_gap=float(steps[gap].max(initial=0.0)),
+        extent=(sides[0], sides[1]),
+        speed=math.sqrt(float(np.mean(np.sum(flight.velocity**2, axis=1)))),
+        velocity_measured=flight.velocity_measured,
+        frame=flight.frame,
+        position_noise=smoothing.sigma_position if smoothing else math.nan,
+        velocity_noise=smoothing.sigma_velocity if smoothing else math.nan,
+    )
+
+
+def gaps_of(time: Array) -> BoolArray:
+    """Tell which steps (m - 1,) of times (m,) [s] are gaps: longer than `GAP` median ones."""
+    steps = np.diff(time)
+    gaps: BoolArray = steps > GAP * np.median(steps)
+    return gaps
+
+
+def clock_rounding(time: Array) -> float:
+    """The rounding [s] of a difference of two times [s], (m,)."""
+    return 4.0 * float(np.spacing(np.abs(time).max()))
+
+
+def check_log(
+    flight: Flight,
+    *,
+    smallest: float = 0.0,
+    largest: float = math.inf,
+    longest_gap: float | None = None,
+) -> None:
+    """Refuse a log that no estimate should be made of.
+
+    Args:
+        flight: the flight.
+        smallest: the least length scale that will be sought [m].
+        largest: likewise.
+        longest_gap: that is allowed [s]; None is 60 s, or 20 steps where they are longer.
+
+    Raises:
+        InputError: naming the first of these: a long gap, a vehicle that stands still, samples
+            too far apart for what is sought, rows of two vehicles or flights, velocities in another
+            unit, frame or sign than positions.
+    """
+    longest = None if longest_gap is None else positive("longest_gap", longest_gap, "s")
+    _check_motion(flight, smallest, largest, longest)
+    _check_tracks(flight)
+    if flight.velocity_measured:
+        _check_units(flight)
+
+
+def _check_motion(flight: Flight, smallest: float, largest: float, longest: float | None) -> None:
+    """A log without long gaps, of a vehicle that moves, sampled as finely as what is sought."""
+    steps = np.diff(flight.time)
+    row = int(np.argmax(steps))
+    allowed = max(LONGEST_GAP, LONGEST_STEPS * float(np.median(steps)))
+    if steps[row] > (allowed if longest is None else longest):
+        long = float(steps[row])
+        words = f"{long:.4g} s" if long < 120.0 else f"{long / 60.0:.4g} minutes"
+        raise InputError(
+            f"a gap of {words} after t={flight.time[row]:.10g} s (row {row}): what flew there is "
+            f"not known; cut the log, or allow a longest gap of {math.ceil(long)} s"
+        )
+    if not flight.extent or (flight.duration >= RESTING and flight.extent < smallest):
+        where = "never leaves its place"
+        if flight.extent:
+            where = f"stays within {flight.extent:.3g} m in {flight.duration:.3g} s"
+        least = f", less than the smallest length scale sought, {smallest:g} m" if smallest else ""
+        raise InputError(f"the vehicle stands still: it {where}{least}; give a log of a flight")
+    apart = _median_step(flight.position, 1)
+    if apart > largest:  # half a period is the least step that tells a wave from another one
+        raise InputError(
+            f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
+            f": no flow of that size shows; raise the grid's bounds (--grid-lower, --grid-upper)"
+        )
+
+
+def _median_step(position: Array, lag: int) -> float:
+    return float(np.median(np.hypot(*(position[lag:] - position[:-lag]).T)))
+
+
+def _check_tracks(flight: Flight) -> None:
+    """Rows of one vehicle in one flight: none that take turns, no sudden place and velocity."""
+    position, apart = flight.position, _median_step(flight.position, 1)
+    for count in ALTERNATING:
+        if count < len(position) - 1 and _median_step(position, count) < CLOSE * apart:
+            raise InputError(
+                f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "
+                "one vehicle; give the rows of one"
+            )
+    moved = np.hypot(*np.diff(position, axis=0).T)
+    speeds = moved / np.diff(flight.time)
+    row = int(np.argmax(speeds))
+    others = np.delete(speeds, row)
+    if len(others) < 2:
+        return
+    if flight.velocity_measured:
+        fastest = float(np.hypot(*flight.velocity.T).max())
+        turns = any(_turns(flight.velocity, row, width) for width in BESIDE)
+        elsewhere = speeds[row] > FAST * fastest and turns
+    else:
+        elsewhere = speeds[row] > APART * others.max()
+    if elsewhere:
+        raise InputError(
+            f"between rows {row} and {row + 1} (t={flight.time[row]:.10g} s) the vehicle jumps by "
+            f"{moved[row]:.3g} m to another motion: two flights in one log? give one of them"
+        )
+
+
+def _turns(velocity: Array, row: int, width: int) -> bool:
+    """Whether the velocity changes behind a row as nowhere else, by medians of a few samples.
+
+    A velocity that is far off by itself changes twice, and is no second flight.
+    """
+    medians = np.median(sliding_window_view(velocity, width, axis=0), axis=-1)
+    changes = np.hypot(*(medians[width:] - medians[:-width]).T)  # behind row width - 1, ...
+    place = row - width + 1
+    if not 0 <= place < len(changes):
+        return False
+    far = np.abs(np.arange(len(changes)) - place) >= width
+    return bool(changes[place] > SHARP * changes[far].max(initial=0.0))
+
+
+def _check_units(flight: Flight) -> None:
+    """Position and velocity of one motion in one unit and one frame.
+
+    Over so many steps together as leave the least of the noise: a position's is that of its ends.
+    """
+    steps, within = np.diff(flight.time)[:, None], ~gaps_of(flight.time)
+    meant = (steps * (flight.velocity[1:] + flight.velocity[:-1]) / 2.0)[within]
+    moved = np.diff(flight.position, axis=0)[within]
+    if not meant.any():
+        raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
+    shares, factor, together = [0.0] * len(FRAMES), 1.0, 1
+    while together * FEWEST <= len(moved):
+        whole = len(moved) // together * together
+        d, m = (part[:whole].reshape(-1, together, 2).sum(axis=1) for part in (moved, meant))
+        along = [float(np.sum(m @ np.array(frame, dtype=np.float64) * d)) for frame in FRAMES]
+        own, square = float(np.sum(m * m)), float(np.sum(d * d))
+        explained = [max(part, 0.0) ** 2 / max(own * square, NOTHING) for part in along]
+        if max(explained) > max(shares):
+            shares, factor = explained, along[0] / max(own, NOTHING)
+        together *= 2
+    best = int(np.argmax(shares))
+    if shares[best] < EXPLAINED:
+        return
+    if shares[best] > shares[0] + MORE:
+        raise InputError(list(FRAMES.values())[best])
+    if not LEAST < factor < MOST:
+        units = (
+            ("position", named(1.0 / factor, LENGTHS)),
+            ("velocity", named(factor, SPEEDS)),
+            ("time", named(factor, TIMES)),
+        )
+        likely = " or ".join(f"{what} in {unit}" for what, unit in units if unit)
+        raise InputError(
+            f"the position moves {factor:.4g} times as far as the velocity says: units are "
+            f"mixed{f' ({likely}?)' if likely else ''}; give all in s, m and m/s, or name their "
+            "units"
+        )
