@@ -14,7 +14,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from importlib import import_module
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -287,8 +286,9 @@ def definition_of(document: Section, path: str) -> Definition:
         design: object = _read_flights(document, place)
         told = _flight_hash(document, place)
     else:
-        contenders = import_module("sparsefit.study.contenders")
-        design, told = contenders.read_problem_design(document, place)
+        from sparsefit.study.contenders import read_problem_design
+
+        design, told = read_problem_design(document, place)
     sweep = design.sweep if isinstance(design, FlightDesign) else ()
     protocols = design.protocols if isinstance(design, FlightDesign) else ()
     return Definition(

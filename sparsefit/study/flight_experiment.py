@@ -35,8 +35,8 @@ from sparsefit.study.draw import FlightRules
 from sparsefit.study.flight_desk import FlightDesk, draw_of, path_fractions, truth_of
 from sparsefit.study.logged import Logs
 from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Batch, Step, digest, numbered
-from sparsefit.study.toml_file import canonical_json
+from sparsefit.study.plan import Batch, Step
+from sparsefit.study.toml_file import canonical_json, digest, numbered
 from sparsefit.study.worker import Ask, Lost, Record
 
 SPACED = "linspace"  # the rule by which a flight depends on how many there are

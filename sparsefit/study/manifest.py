@@ -34,9 +34,11 @@ PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
 SHOWING = ("cli", "plot", "sklearn", "pysindy", "__main__.py", "sklearn.py", "pysindy.py")
 STUDY_ROOM = "study"
 COMPUTING = (  # files of `study/` that a worker, its questions or its answers pass through
-    *("clock", "columns", "contenders", "crossing", "data_sets", "definition", "draw"),
+    *("arena", "clock", "columns", "contenders", "crossing", "data_sets", "definition"),
+    "draw",
     *("flight_desk", "flight_experiment", "logged", "plan", "problem_desk", "problem_experiment"),
-    *("quantities", "reading", "referee", "toml_file", "worker", "manifest", "__init__"),
+    *("problem_sources", "holdout"),
+    *("quantities", "reading", "toml_file", "worker", "manifest", "__init__"),
 )
 SOURCES = (".py", ".pyx", ".pxd")
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')

@@ -9,8 +9,6 @@ are two, supplies units, cells and the way in which a batch of cases is run; all
 
 from __future__ import annotations
 
-import hashlib
-from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -237,18 +235,3 @@ class Plan:
 def key_of(flight: int, identity: str) -> str:
     """The key of a case of a flight that is known by its number."""
     return f"{flight}:{identity}"
-
-
-def digest(content: str) -> str:
-    """16 hexadecimal digits of the sha256 of a text."""
-    return hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
-
-
-def numbered(names: Iterable[str]) -> list[str]:
-    """The names, the second of equal ones with `-2` behind: cases that differ in nothing else."""
-    seen: Counter[str] = Counter()
-    told = []
-    for name in names:
-        seen[name] += 1
-        told.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
-    return told

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from sparsefit.errors import InputError
 from sparsefit.study.definition import Definition, definition_of, read_definition
@@ -105,8 +105,9 @@ class Study:
             from sparsefit.study.flight_experiment import FlightExperiment
 
             return FlightExperiment(self.definition)
-        other = import_module("sparsefit.study.problem_experiment")
-        return cast(Experiment, other.ProblemExperiment(self.definition))
+        from sparsefit.study.problem_experiment import ProblemExperiment
+
+        return ProblemExperiment(self.definition)
 
     @cached_property
     def planned(self) -> Plan:

@@ -8,10 +8,12 @@ costs a parser d² steps and d tables, so keys are bounded before the text is pa
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
 
@@ -140,3 +142,18 @@ def _plain(value: object) -> object:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
+
+
+def digest(content: str) -> str:
+    """16 hexadecimal digits of the sha256 of a text."""
+    return hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
+
+
+def numbered(names: Iterable[str]) -> list[str]:
+    """The names, the second of equal ones with `-2` behind: cases that differ in nothing else."""
+    seen: Counter[str] = Counter()
+    told = []
+    for name in names:
+        seen[name] += 1
+        told.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+    return told

@@ -22,12 +22,14 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 from zlib import crc32
 
 from sparsefit.child import Child
 from sparsefit.errors import described
+from sparsefit.study.clock import cpu_seconds
 
 Record: TypeAlias = dict[str, Any]
 CHUNK = 1 << 20  # bytes that are read at once
@@ -49,13 +51,15 @@ class Desk(Protocol):
 class Ask:
     """One thing that a worker is to do within `limit` seconds [s] on the wall.
 
-    desk: which process of several is asked, so that code of others shares none with ours.
+    desk: which process of several is asked, so that code of others shares none with ours; timed:
+    whether the answer comes with its seconds, "wall" and "cpu", by the parent's clock.
     """
 
     verb: str
     told: Mapping[str, Any]
     limit: float
     desk: str = ""
+    timed: bool = False
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,8 @@ def memory_limit(asked: float | None, processes: int) -> float:
 class Worker:
     """The parent's end of a process.
 
-    number: of the last ask; ready: whether the process has started; busy: whether it works.
+    number: of the last ask; ready: whether the process has started; busy: whether it works;
+    began: the parent's clock and the process's CPU [s] when a timed ask was sent.
     """
 
     child: Child
@@ -165,6 +170,7 @@ class Worker:
     ready: bool = False
     busy: bool = True
     buffer: bytearray = field(default_factory=bytearray)
+    began: tuple[float, float] | None = None
 
     @classmethod
     def start(
@@ -184,13 +190,19 @@ class Worker:
         self.number += 1
         self.busy, self.limit = True, ask.limit
         self.deadline = time.monotonic() + ask.limit
+        self.began = (0.0, cpu_seconds(self.child.process.pid)) if ask.timed else None
         with suppress(OSError):
-            self.asks.send((self.number, ask.verb, dict(ask.told)))
+            message = ForkingPickler.dumps((self.number, ask.verb, dict(ask.told)))
+            if ask.timed:
+                self.began = (time.perf_counter(), self.began[1] if self.began else math.nan)
+            self.asks.send_bytes(message)
 
     def receive(self) -> Record | Lost | None:
         """The answer that has come, {"answer": ...} or {"error": ...}; None while it works."""
+        heard = time.perf_counter()
         try:
             while chunk := os.read(self.answers.fileno(), CHUNK):
+                heard = time.perf_counter()
                 self.buffer += chunk
                 if len(self.buffer) > LONGEST:
                     return self._lost("crashed", GARBLED)
@@ -199,7 +211,13 @@ class Worker:
             pass
         except OSError:
             return self._ended()
-        return self._message()
+        message = self._message()
+        if self.began is not None and isinstance(message, dict):
+            began, cpu = self.began
+            used = cpu_seconds(self.child.process.pid) - cpu
+            message |= {"wall": heard - began, "cpu": used}
+            self.began = None
+        return message
 
     def _message(self) -> Record | Lost | None:
         line, end, rest = bytes(self.buffer).partition(b"\n") if self.buffer else (b"", b"", b"")

@@ -1,0 +1,345 @@
+"""Regression problems of a study: flights, files of numbers, data sets by name, and generators.
+
+    [[problems]]
+    dataset = "digits"                     # all that ships inside scikit-learn
+
+    [[problems]]
+    file = "mine.npz"                      # theta (m, k), target (m,) or (m, n), groups (k,)
+    test = "later.npz"                     # rows that no solver sees
+
+    [[problems]]
+    generator = "correlated"               # or "wide", "sparse", "grouped": the truth is known
+    samples = 200
+    columns = 1000
+
+Any may have `groups`, and be made degenerate (`alter`). Sizes in files are read before numbers are,
+and nothing in a file is ever run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+
+from sparsefit.arrays import Array, BoolArray
+from sparsefit.errors import InputError, MissingExtra, one_of
+
+MOST_VALUES = 64_000_000  # numbers in a problem: half a gigabyte
+MOST_BYTES = 1 << 30  # of a file
+SUFFIXES = (".npz", ".parquet", ".csv")
+WIDEST = 256  # bytes of a label of a group
+TARGET = "target"
+DATASETS = (
+    *("diabetes", "diabetes-quadratic", "linnerud", "digits", "iris", "wine", "breast-cancer"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Arrays of a regression problem: theta (m, k), target (m, n), labels of groups (k,) or None.
+
+    truth (k,): which columns the target is made of, where that is known; samples: the number of
+    rows that ``theta`` stands for, where it is compressed; test: rows held out in a file.
+    """
+
+    theta: Array
+    target: Array
+    groups: Any = None
+    truth: BoolArray | None = None
+    samples: int | None = None
+    test: tuple[Array, Array] | None = None
+
+
+def read_data(path: Path) -> Data:
+    """The arrays of a data file.
+
+    Raises:
+        InputError: if there is no such file, it is too large, holds no theta or target, or
+            anything but plain numbers.
+    """
+    check_file(path)
+    try:
+        return _read_npz(path) if path.suffix == ".npz" else _read_table(path)
+    except InputError:
+        raise
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError) as error:
+        words = str(error) or type(error).__name__
+        raise InputError(f"{path}: not readable: {words[:200]}") from None
+
+
+def digest_of(path: Path) -> str:
+    """sha256 of a data file. Raises InputError unless it is a regular file of a size to read."""
+    check_file(path)
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_file(path: Path) -> None:
+    """Raise `InputError` unless there is a regular data file of a size to read."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path}: must be a file of kind {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        cause = "is no regular file" if path.exists() else "no such file"
+        raise InputError(f"{path}: {cause}: it is sought beside the study file")
+    if path.stat().st_size > MOST_BYTES:
+        raise InputError(f"{path}: larger than {MOST_BYTES >> 20} MB: take fewer samples")
+
+
+def _read_npz(path: Path) -> Data:
+    with zipfile.ZipFile(path) as archive:
+        shapes = {
+            member.filename.removesuffix(".npy"): _shape(archive, member)
+            for member in archive.infolist()
+            if member.filename.endswith(".npy")
+        }
+    _check_names(path, list(shapes))
+    _check_size(path, sum(math.prod(shape) for shape in shapes.values()))
+    with np.load(path, allow_pickle=False) as arrays:
+        groups = np.asarray(arrays["groups"]) if "groups" in arrays else None
+        truth = np.asarray(arrays["truth"]).astype(bool) if "truth" in arrays else None
+        theta, target = np.asarray(arrays["theta"]), np.asarray(arrays[TARGET])
+    for name, values in (("theta", theta), (TARGET, target)):
+        if values.dtype.kind not in "fiub":
+            raise InputError(f"{path}: {name} holds {values.dtype}, not real numbers")
+    return Data(theta, target, groups, truth)
+
+
+def _shape(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[int, ...]:
+    """The shape in the header of an array, before its numbers are unpacked."""
+    with archive.open(member) as stream:
+        file: IO[bytes] = stream
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0
+        if version != (1, 0):
+            read = np.lib.format.read_array_header_2_0
+        shape, _, kind = read(file)
+    if kind.hasobject:
+        raise ValueError("it holds Python objects, and only numbers are read")
+    if kind.itemsize > WIDEST:
+        raise ValueError(f"it holds {kind}, and only numbers are read")
+    return tuple(int(length) for length in shape)
+
+
+def _read_table(path: Path) -> Data:
+    """Columns whose names begin with ``target`` are targets, all others are of theta."""
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet as pq
+
+    try:
+        if path.suffix == ".parquet":
+            file = pq.ParquetFile(path)
+            _check_size(path, file.metadata.num_rows * len(file.schema_arrow.names))
+            _check_columns(path, file.schema_arrow)
+            table = file.read()
+        else:
+            table = pyarrow.csv.read_csv(path)
+            _check_columns(path, table.schema)
+    except pa.ArrowException as error:
+        raise ValueError(str(error)) from None
+    names = table.column_names
+    targets = [name for name in names if name.startswith(TARGET)]
+    columns = [name for name in names if name not in targets]
+    theta, target = (
+        np.column_stack([table[name].to_numpy().astype(np.float64) for name in part])
+        for part in (columns, targets)
+    )
+    return Data(theta, target)
+
+
+def _check_columns(path: Path, schema: Any) -> None:
+    import pyarrow as pa
+
+    for field in schema:
+        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
+            raise InputError(f'{path}: column "{field.name}" holds {field.type}, not numbers')
+    if len(set(schema.names)) < len(schema.names):
+        raise InputError(f"{path}: has two columns of one name: give each its own")
+    targets = [name for name in schema.names if name.startswith(TARGET)]
+    if not targets:
+        last = schema.names[-1] if schema.names else "y"
+        words = f'no column is a target: rename that column ("{last}") to {TARGET}'
+        raise InputError(f"{path}: {words}")
+    _check_names(path, [TARGET, *(["theta"] if len(targets) < len(schema.names) else [])])
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    for name in ("theta", TARGET):
+        if name not in names:
+            there = ", ".join(sorted(names)[:8]) or "nothing"
+            raise InputError(f"{path}: holds no {name} (found: {there}): it needs theta and target")
+
+
+def _check_size(path: Path, values: int) -> None:
+    if values > MOST_VALUES:
+        words = f"holds {values} numbers, more than {MOST_VALUES}"
+        raise InputError(f"{path}: {words}: take fewer samples or columns")
+
+
+def read_public(name: str) -> Data:
+    """A data set that ships inside scikit-learn, centred, as there is no intercept.
+
+    Of a classification (digits, iris, wine, breast-cancer) the targets are the indicators of the
+    classes. ``diabetes-quadratic``: the 64 predictors of Efron, Hastie, Johnstone and Tibshirani
+    (Ann. Statist. 32, 2004), each variable's square in its group.
+
+    Raises:
+        InputError: on an unknown name.
+        MissingExtra: where scikit-learn is not installed.
+    """
+    one_of("data set", name, DATASETS)
+    try:
+        datasets: Any = import_module("sklearn.datasets")
+    except ImportError:
+        remedy = "pip install 'sparsefit[peers]'"
+        raise MissingExtra(f'data set "{name}" ships with scikit-learn: {remedy}') from None
+    load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
+    theta, target = (np.asarray(part, float) for part in load(return_X_y=True))
+    if name in ("digits", "iris", "wine", "breast-cancer"):
+        classes = np.unique(target)
+        target = (target[:, None] == classes[len(classes) == 2 :]).astype(float)
+    theta, target = theta - theta.mean(axis=0), target - target.mean(axis=0)
+    if name != "diabetes-quadratic":
+        return Data(theta[:, theta.any(axis=0)], target)
+    # Variables, their squares (but of sex, which has two values) and products.
+    squared = [j for j in range(theta.shape[1]) if len(np.unique(theta[:, j])) > 2]
+    pairs = list(itertools.combinations(range(theta.shape[1]), 2))
+    products = np.column_stack([theta[:, i] * theta[:, j] for i, j in pairs])
+    columns = np.hstack([theta, theta[:, squared] ** 2, products])
+    groups = [*range(theta.shape[1]), *squared, *(theta.shape[1] + i for i in range(len(pairs)))]
+    columns = columns - columns.mean(axis=0)
+    return Data(columns / columns.std(axis=0), target, np.array(groups))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generator:
+    """A problem that is drawn: y = Z w + noise, w of ones with random signs on its support.
+
+    samples m, columns k, targets n; support: how many columns (groups, where it is grouped) the
+    target is made of; snr: |Z w|² over that of the noise; correlation: of neighbouring columns, rho
+    to the power of their distance; group: columns of a group; density: share of entries that are
+    not zero, of a sparse design.
+    """
+
+    samples: int = 200
+    columns: int = 100
+    targets: int = 1
+    support: int = 5
+    snr: float = 5.0
+    correlation: float = 0.0
+    group: int = 1
+    density: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.samples < 2 or self.columns < 1 or self.targets < 1 or self.group < 1:
+            raise InputError("samples must be at least 2, columns, targets and group at least 1")
+        if self.samples * self.columns > MOST_VALUES:
+            raise InputError(f"samples times columns must be at most {MOST_VALUES}")
+        if not 1 <= self.support * self.group <= self.columns:
+            raise InputError("support must be at least 1, and lie within the columns")
+        if self.snr <= 0.0 or not 0.0 <= self.correlation < 1.0 or not 0.0 < self.density <= 1.0:
+            words = "snr must be above 0, correlation in [0, 1), density in (0, 1]"
+            raise InputError(words)
+
+    def draw(self, random: np.random.Generator) -> Data:
+        """Arrays with their truth, equal for equal random numbers."""
+        m, k, rho = self.samples, self.columns, self.correlation
+        theta = random.standard_normal((m, k))
+        if rho:  # a first-order autoregression along the columns
+            for j in range(1, k):
+                theta[:, j] = rho * theta[:, j - 1] + math.sqrt(1.0 - rho**2) * theta[:, j]
+        if self.density < 1.0:
+            theta *= random.random((m, k)) < self.density
+            theta[random.integers(m, size=k), np.arange(k)] = 1.0
+        groups = np.arange(k) // self.group
+        chosen = random.choice(k // self.group, self.support, replace=False)
+        truth = np.isin(groups, chosen)
+        weights = random.choice([-1.0, 1.0], (k, self.targets)) * truth[:, None]
+        clean = theta @ weights
+        level = np.sqrt((clean**2).mean(axis=0) / self.snr)
+        target = clean + level * random.standard_normal(clean.shape)
+        return Data(theta, target, groups, truth)
+
+
+GENERATORS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "correlated": {"correlation": 0.8},
+        "wide": {"samples": 100, "columns": 2000},
+        "sparse": {"samples": 1000, "columns": 500, "density": 0.01},
+        "grouped": {"columns": 200, "group": 5},
+    }
+)
+"""Name -> the settings of `Generator` that it stands for, where a study gives no others."""
+
+Alter: TypeAlias = Callable[[Array, Array, np.random.Generator], tuple[Array, Array]]
+AS_IT_IS = "as it is"
+
+
+def _duplicated(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """A fifth of the columns replaced by copies, negatives and multiples of others."""
+    theta, k = theta.copy(), theta.shape[1]
+    count = max(1, k // 5)
+    to, source = draw.choice(k, count, replace=False), draw.integers(0, k, count)
+    theta[:, to] = theta[:, source] * draw.choice([-2.0, -1.0, 1.0, 3.0], count)
+    return theta, target
+
+
+def _dependent(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """Columns that differ from others in the ninth digit."""
+    theta, k = theta.copy(), theta.shape[1]
+    to, source = draw.choice(k, k // 4, replace=False), draw.integers(0, k, k // 4)
+    theta[:, to] = theta[:, source] + 1e-9 * draw.standard_normal((len(theta), k // 4))
+    return theta, target
+
+
+def _dead(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """Columns that are zero in all samples but one."""
+    theta = theta.copy()
+    for column in draw.choice(theta.shape[1], theta.shape[1] // 8, replace=False):
+        theta[:, column] = 0.0
+        theta[draw.integers(len(theta)), column] = 1.0
+    return theta, target
+
+
+def _units(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """Tiny and huge units, of each column and of the target."""
+    scale = 10.0 ** draw.uniform(-12, 12, theta.shape[1])
+    return theta * scale, target * 10.0 ** draw.uniform(-12, 12)
+
+
+def _few(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """Fewer samples than columns."""
+    keep = draw.integers(4, max(5, min(theta.shape) // 2))
+    return theta[:keep], target[:keep]
+
+
+def _last_zero(theta: Array, target: Array, _: np.random.Generator) -> tuple[Array, Array]:
+    """A last target of zeros."""
+    target = target.copy()
+    target[:, -1] = 0.0
+    return theta, target
+
+
+ALTERATIONS: Mapping[str, Alter] = MappingProxyType(
+    {
+        AS_IT_IS: lambda theta, target, _: (theta, target),
+        "duplicated columns": _duplicated,
+        "nearly dependent columns": _dependent,
+        "dead columns": _dead,
+        "units 1e-12 to 1e12": _units,
+        "fewer samples than columns": _few,
+        "a target of zeros": _last_zero,
+        "a target of noise": lambda t, y, draw: (t, draw.standard_normal(y.shape)),
+    }
+)
+"""Name, as a study file has it -> what is done to theta and target: degenerate problems."""

@@ -1,0 +1,257 @@
+"""The worker's side of a study of problems: solve what is in hand, and judge it in another process.
+
+A solver's process (`SolverDesk`) meets each problem as files. For every solve it makes arrays of
+its own: read-only copies at other addresses, with the signs of rows and of the target changed,
+(D Z, s D y) for signs D and s, which is the same problem with the solution s W in other bytes: an
+answer that was kept from an earlier call is none. Weights are written into a file that the parent
+has filled with NaN; whatever is not there when the clock stops is no answer.
+
+The judge (`JudgeDesk`) has a process of its own. With V the answer, from the rows of the problem,
+
+    excess = (P(V) - max(D, D_ref)) / (|Y|^2 / 2m),
+
+the worst over the path, with P the objective of the contender's weights, D the dual bound that its
+own residual gives and D_ref that of sparsefit's exact path at the same penalty. Any dual bound is a
+proof for everyone, by weak duality: a solver is not blamed for a poor dual point.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import math
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sparsefit import RegressionProblem, backends
+from sparsefit import path as certified_path
+from sparsefit.arrays import Array
+from sparsefit.backends import Solution
+from sparsefit.backends.penalised import PenalisedPath
+from sparsefit.errors import one_line
+from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_fraction
+from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.judgement import certificate_of
+from sparsefit.regression.objective import alpha_max
+from sparsefit.solvers.registry import answers
+from sparsefit.study.contenders import Contender, ProblemDesign, penalty_of, small_problem
+from sparsefit.study.worker import trim_memory
+
+RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
+PROBLEM, WEIGHTS = "problem.npz", "weights.npy"
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Arrays of a problem in a folder: theta (m, k), target (m, n), groups (k,) or None.
+
+    samples: the number of rows that theta stands for, where it is compressed.
+    """
+
+    theta: Array
+    target: Array
+    groups: Any
+    samples: int | None
+
+    @classmethod
+    def load(cls, folder: str) -> Rows:
+        """The problem that the parent wrote."""
+        with np.load(Path(folder) / PROBLEM, allow_pickle=False) as arrays:
+            groups = arrays.get("groups")
+            samples = int(arrays["samples"]) or None
+            return cls(arrays["theta"], arrays["target"], groups, samples)
+
+    def problem(self) -> RegressionProblem:
+        """The regression problem of these rows."""
+        problem = RegressionProblem.from_arrays(self.theta, self.target, self.groups)
+        if self.samples is None:
+            return problem
+        return dataclasses.replace(problem, sample_count=self.samples)
+
+    def part(self, rows: Sequence[int] | None, seed: int) -> Rows:
+        """A copy of these rows, of all where None, with signs by a seed, and read-only."""
+        chosen = slice(None) if rows is None else np.asarray(rows)
+        theta, target = np.array(self.theta[chosen]), np.array(self.target[chosen])
+        signs, sign = signs_of(len(theta), seed)
+        theta *= signs[:, None]
+        target *= sign * signs[:, None]
+        for array in (theta, target):
+            array.setflags(write=False)
+        return Rows(theta, target, self.groups, self.samples if rows is None else None)
+
+
+def signs_of(rows: int, seed: int) -> tuple[Array, float]:
+    """The signs of the rows (m,) and of the target; seed 0 changes none."""
+    if not seed:
+        return np.ones(rows), 1.0
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], rows)
+    return signs, -1.0 if seed % 2 else 1.0
+
+
+def small_rows() -> Rows:
+    """The rows of the problem of a first call."""
+    problem = small_problem()
+    return Rows(problem.theta, problem.target, problem.groups, None)
+
+
+def solve(
+    contender: Contender, problem: RegressionProblem, fractions: Sequence[float], tolerance: float
+) -> Sequence[Solution]:
+    """The contender's answers, one per penalty; uncertified unless that is in its time."""
+    backend: Any = backends.get(contender.backend, **contender.settings)
+    stop, asked = None if math.isnan(tolerance) else tolerance, tuple(fractions)
+    if contender.certified:
+        data = (problem.theta, problem.target, problem.groups)
+        fits = certified_path(RegressionProblem.from_arrays(*data), backend, asked).fits
+        return [Solution(fit.weights, solver_status=fit.status) for fit in fits]
+    if not isinstance(backend, PenalisedBackend):
+        return [backend.solve(problem)]
+    asked = asked or own_fraction(backend)
+    if contender.recipe is not None:
+        penalty = penalty_of(backend, problem)
+        return answers(contender.recipe.make(), problem, penalty, asked, stop).solutions
+    if isinstance(backend, PathBackend):
+        return backend.solve_path(problem, asked)
+    penalised: Any = backend
+    points = [dataclasses.replace(penalised, alpha_fraction=fraction) for fraction in asked]
+    return [point.solve(problem) for point in points]
+
+
+def own_fraction(backend: Any) -> tuple[float, ...]:
+    """The penalty fraction of a back-end's own settings; none where it has no penalty."""
+    if isinstance(backend, PenalisedBackend):
+        return (numeric_fraction(backend.name, backend.alpha_fraction),)
+    return ()
+
+
+class SolverDesk:
+    """Solves for the contenders of one family, one call at a time."""
+
+    def __init__(self, design: ProblemDesign) -> None:
+        self._design = design
+        self._rows: Rows | None = None
+        self._work: tuple[Any, ...] = ()
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+
+    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+        """`nothing`, `problem`, `first`, `ready` or `solve`."""
+        if verb == "problem":
+            self._rows = Rows.load(told["folder"])
+        elif verb == "first":
+            self._ready(small_rows(), told["contender"], told["tolerance"], 0)
+            self._solve()
+            gc.collect()
+            gc.freeze()  # later collections pass over what is loaded now
+        elif verb == "ready":
+            assert self._rows is not None
+            part = self._rows.part(told["rows"], told["seed"])
+            self._ready(part, told["contender"], told["tolerance"], told["seed"])
+            self._into = np.lib.format.open_memmap(told["weights"], mode="r+")
+            memory = _peak_from_here()
+            gc.collect()
+            gc.disable()
+            return {"memory": memory}
+        elif verb == "solve":
+            return self._solved()
+        return {}
+
+    def _ready(self, rows: Rows, contender: int, tolerance: float, seed: int) -> None:
+        chosen = self._design.contenders[contender]
+        problem = rows.problem()
+        self._work = (chosen, problem, self._design.fractions, tolerance)
+
+    def _solve(self) -> Sequence[Solution]:
+        work, self._work = self._work, ()
+        return solve(*work)
+
+    def _solved(self) -> Mapping[str, Any]:
+        """Solve, and write what is an answer; all of it counts as time."""
+        solutions = self._solve()
+        for into, solution in zip(self._into, solutions, strict=False):
+            if solution.status != "error" and solution.weights is not None:
+                into[...] = np.asarray(solution.weights, float)
+        gc.enable()
+        worst = max(solutions, key=lambda each: RANK.get(each.status, 3), default=None)
+        words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
+        return {"words": one_line(words, 200), "memory": _resident("VmHWM")}
+
+
+class JudgeDesk:
+    """Judges answers from the rows of a problem, in a process that no solver shares."""
+
+    def __init__(self, design: ProblemDesign) -> None:
+        self._design = design
+        self._problem: RegressionProblem | None = None
+        self._bounds: dict[str, Array] = {}
+
+    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+        """`problem`, or the `verdict` on the weights of a contender."""
+        if verb == "problem":
+            self._problem, self._bounds = Rows.load(told["folder"]).problem(), {}
+            return {}
+        contender = self._design.contenders[told["contender"]]
+        kind, gap, excess = self._judged(contender, np.load(told["weights"]))
+        return {"kind": kind, "gap": _finite(gap), "excess": _finite(excess)}
+
+    def _judged(self, contender: Contender, weights: Array) -> tuple[str, float, float]:
+        """The kind of the certificate, its worst value, and the excess, of weights (p, k, n)."""
+        problem = self._problem
+        assert problem is not None
+        backend: Any = backends.get(contender.backend, **contender.settings)
+        kind = str(backend.certificate_kind)
+        if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):
+            solutions = [Solution(each) for each in weights]
+            certificates = [certificate_of(problem, backend, one, problem) for one in solutions]
+            values = [math.nan if c is None else c.value for c in certificates]
+            worst = max(math.inf if math.isnan(value) else value for value in values)
+            return kind, worst, worst
+        fractions = self._design.fractions or own_fraction(backend)
+        statistics, penalty = problem.statistics, backend.penalty(problem)
+        alphas = alpha_max(statistics.cross, penalty) * np.array(fractions)
+        data = (problem.theta, problem.target, statistics.rms, weights, alphas, penalty)
+        gaps = duality_gaps(*data, samples=problem.samples)
+        primal, dual = np.array([c.primal for c in gaps]), np.array([c.dual for c in gaps])
+        bounds = self._bound(contender.problem_of, backend, fractions)
+        excess = np.maximum(primal - np.maximum(dual, bounds), 0.0)
+        null = statistics.null_objective or 1.0
+        return kind, max(c.value for c in gaps), float(excess.max()) / null
+
+    def _bound(self, solved: str, backend: Any, fractions: Sequence[float]) -> Array:
+        """D_ref (p,): certified lower bounds by the exact path; -inf where it has none."""
+        if solved not in self._bounds:
+            bounds = np.full(len(fractions), -np.inf)
+            if isinstance(backend, PenalisedPath) and self._problem is not None:
+                fits = certified_path(self._problem, backend, fractions).fits
+                bounds = np.array([f.certificate.dual if f.certificate else -np.inf for f in fits])
+            self._bounds[solved] = bounds
+        return self._bounds[solved]
+
+
+def _peak_from_here() -> float | None:
+    """Megabytes resident now [MB], with the highest so far forgotten; None without /proc."""
+    trim_memory()
+    with suppress(OSError):
+        with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
+            file.write("5")
+        return _resident("VmRSS")
+    return None
+
+
+def _resident(name: str) -> float | None:
+    with suppress(OSError, ValueError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith(name):
+                return float(line.split()[1]) / 1e3
+    return None
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,211 @@
+"""The experiment with regression problems: units are problems, candidates are solvers.
+
+A case is one solver at one tolerance on one problem: a whole path of penalties with [path], a
+single fit without. Cases of one problem and one objective are judged one by one and timed by turns
+until the median is known; every timed repeat returns its answer, and each is judged. With [holdout]
+a solver also fits parts of the rows, and is judged by the rest.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sparsefit import backends
+from sparsefit.arrays import BoolArray
+from sparsefit.study.arena import JUDGE, Arena, Case, Crew, size_of
+from sparsefit.study.columns import PROBLEM_COLUMNS, Column
+from sparsefit.study.contenders import Contender, ProblemDesign
+from sparsefit.study.data_sets import Data
+from sparsefit.study.definition import Definition
+from sparsefit.study.manifest import code_version, processor, version_of, versions
+from sparsefit.study.plan import Batch, Step
+from sparsefit.study.problem_desk import PROBLEM, JudgeDesk, SolverDesk
+from sparsefit.study.toml_file import canonical_json, digest, numbered
+
+ON = " on "  # between the code and the machine
+PEERS = (
+    *("scikit-learn", "celer", "skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp"),
+    *("daqp", "pysindy", "numba"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemExperiment:
+    """Problems x (solvers x tolerances x settings), as `Experiment` asks for it."""
+
+    definition: Definition
+
+    @property
+    def design(self) -> ProblemDesign:
+        """The problems and contenders of the study file."""
+        design = self.definition.design
+        assert isinstance(design, ProblemDesign)
+        return design
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns of `cases.parquet`."""
+        return PROBLEM_COLUMNS
+
+    @property
+    def judged(self) -> Sequence[str]:
+        """No column: no time is like another."""
+        return ()
+
+    @property
+    def alone(self) -> bool:
+        """One process works at a time."""
+        return True
+
+    def units(self) -> dict[str, list[Any]]:
+        """The problems."""
+        sources = self.design.problems
+        return {
+            "flight": list(range(len(sources))),
+            "unit": [source.name for source in sources],
+            "problem": [source.name for source in sources],
+            "series": [source.series for source in sources],
+            "level": [source.level for source in sources],
+            "split": ["all"] * len(sources),
+            "identity": numbered(digest(source.identity) for source in sources),
+        }
+
+    def cells(self) -> dict[str, list[Any]]:
+        """Every contender at each of its tolerances."""
+        return self._cells
+
+    @cached_property
+    def _cells(self) -> dict[str, list[Any]]:
+        pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
+        several = len({contender.objective for contender, _ in pairs}) > 1
+        return {
+            "condition": [""] * len(pairs),
+            "candidate": [digest(n)[:12] for n in self.design.cell_identities()],
+            "title": [_title(contender, stop, several) for contender, stop in pairs],
+            "objective": [contender.objective for contender, _ in pairs],
+            "label": [contender.objective for contender, _ in pairs],
+            "backend": [contender.backend for contender, _ in pairs],
+            "settings": [contender.told for contender, _ in pairs],
+            "solver": [contender.solver for contender, _ in pairs],
+            "tolerance": [stop for _, stop in pairs],
+            "identity": self.design.cell_identities(),
+        }
+
+    def factors(self) -> dict[str, str]:
+        """Nothing is swept over all problems."""
+        return {}
+
+    def case_id(self, unit: int, cell: int) -> str:
+        """The number of the problem and a digest of the case: `003-9f1c0d6a41b2e857`."""
+        return f"{unit:03d}-{digest(self._unit_names[unit] + self._cells['identity'][cell])}"
+
+    @cached_property
+    def _unit_names(self) -> list[str]:
+        return [str(name) for name in self.units()["identity"]]
+
+    def names(self, cell: int) -> Sequence[str]:
+        """The back-end, the objective, the solver."""
+        contender = self.design.contenders[self.design.cells[cell][0]]
+        return (contender.backend, contender.objective, contender.solver)
+
+    def version(self, cell: int) -> str:
+        """The code, a plug-in's, and on what it runs."""
+        name = self.design.contenders[self.design.cells[cell][0]].backend
+        return f"{code_version(backends.distribution(name))}{ON}{self._machine}"
+
+    @cached_property
+    def _machine(self) -> str:
+        return digest(canonical_json(timed_on()))[:8]
+
+    def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
+        """All that take turns with a case ``wanted``, and all that was timed elsewhere."""
+        here = np.array([word.rpartition(ON)[2] in ("", self._machine) for word in version])
+        if not wanted.any():
+            return wanted
+        wanted = wanted | (done & ~here.reshape(done.shape))
+        whole = np.zeros_like(wanted)
+        for cells in self._objectives.values():
+            whole[:, cells] = wanted[:, cells].any(axis=1, keepdims=True)
+        return whole
+
+    @cached_property
+    def _objectives(self) -> dict[str, list[int]]:
+        cells: dict[str, list[int]] = {}
+        for cell, objective in enumerate(self._cells["objective"]):
+            cells.setdefault(objective, []).append(cell)
+        return cells
+
+    def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
+        """The size of the problem."""
+        return size_of(self._data[unit])
+
+    def cost(self, unit: int, cell: int) -> int:
+        """Every case is a solve of its own."""
+        return unit * len(self.design.cells) + cell
+
+    @cached_property
+    def _data(self) -> list[Data]:
+        """Every problem, so that one that is none is refused before work starts."""
+        return [source.build() for source in self.design.problems]
+
+    def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
+        """A process for each family of solvers, and one for the judge."""
+        return (JudgeDesk if name == JUDGE else SolverDesk), (self.design,)
+
+    def batches(self, wanted: BoolArray) -> Iterator[Batch]:
+        """All cases of one problem and one objective, which take turns."""
+        _ = self._data
+        for unit in np.flatnonzero(wanted.any(axis=1)).tolist():
+            for cells in self._objectives.values():
+                if mine := [cell for cell in cells if wanted[unit, cell]]:
+                    yield Batch(unit, tuple(mine))
+
+    def run(self, batch: Batch) -> Step:
+        """Judge each case, time all by turns, then hold rows out."""
+        cases = []
+        for cell in batch.cells:
+            number, stop = self.design.cells[cell]
+            cases.append(Case(cell, number, self.design.contenders[number], stop))
+        data, folder = self._data[batch.unit], self._folder(batch.unit)
+        yield from Arena(self.design, batch.unit, data, folder, self._crew).run(cases)
+
+    def _folder(self, unit: int) -> Path:
+        """The folder with the arrays of a problem, written once."""
+        folder = Path(self._home.name) / str(unit)
+        if not folder.exists():
+            folder.mkdir()
+            data = self._data[unit]
+            told = {"theta": data.theta, "target": data.target, "samples": data.samples or 0}
+            if data.groups is not None:
+                told["groups"] = np.unique(data.groups, return_inverse=True)[1]
+            np.savez(folder / PROBLEM, **told)  # type: ignore[arg-type]
+        return folder
+
+    @cached_property
+    def _home(self) -> tempfile.TemporaryDirectory[str]:
+        return tempfile.TemporaryDirectory(prefix="sparsefit-study-")
+
+    @cached_property
+    def _crew(self) -> Crew:
+        return Crew()
+
+
+def timed_on() -> dict[str, object]:
+    """On what the times of one comparison are taken."""
+    peers = {name: version_of(name) for name in PEERS}
+    return {"processor": processor(), "processors": os.cpu_count(), "versions": versions() | peers}
+
+
+def _title(contender: Contender, stop: float, several: bool) -> str:
+    words = [f"{contender.objective}, {contender.solver}" if several else contender.solver]
+    if len(contender.tolerances) > 1:
+        words.append(f"at {stop:g}")
+    return " ".join(words)
