@@ -129,10 +129,11 @@ def _encoding(file: BinaryIO) -> str:
             utf8 = False
     if head.startswith(_MARKS):
         return "utf-16"
-    if _BINARY.search(head):
-        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
     # Numbers are the same in all encodings of a spreadsheet but the first.
-    return "utf-8-sig" if utf8 else "cp1252"
+    encoding = "utf-8-sig" if utf8 else "cp1252"
+    if _BINARY.search(head) or (not utf8 and "\ufffd" in head.decode(encoding, "replace")):
+        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
+    return encoding
 
 
 def _settings(text: _Text, *, foreign: bool) -> tuple[dict[str, float], str]:
