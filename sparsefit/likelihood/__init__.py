@@ -1,5 +1,6 @@
 """One likelihood of the raw log: the model, its smoother, and what a log says of it."""
 
+from sparsefit.likelihood.information import Gain, bound, gains
 from sparsefit.likelihood.model import (
     ELEMENTS,
     Disturbance,
@@ -18,6 +19,7 @@ __all__ = [
     "ELEMENTS",
     "Disturbance",
     "FlightLog",
+    "Gain",
     "Model",
     "Motion",
     "Parameter",
@@ -27,5 +29,7 @@ __all__ = [
     "Smoothing",
     "StreamPattern",
     "Track",
+    "bound",
+    "gains",
     "measure",
 ]

@@ -250,6 +250,14 @@ class Model:
         )
         return replace(freed, fixed=fixed)
 
+    def known(self, *names: str) -> Model:
+        """Return the model with these parameters known, at their values."""
+        flow = tuple(name for name in self.pattern.names if name in names or name in self.fixed)
+        bound = self._with(
+            lambda name, old: Parameter(old.value) if name in names else old, self.pattern
+        )
+        return replace(bound, fixed=flow)
+
     def _with(self, change: Callable[[str, Parameter], Parameter], pattern: StreamPattern) -> Model:
         """The model with every parameter outside of the pattern changed by a function."""
 

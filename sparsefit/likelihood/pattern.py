@@ -143,6 +143,13 @@ class StreamPattern:
         kx, ky = self.waves[:, :2].T
         return math.pi * math.sqrt(2.0 / float(np.mean(kx**2 + ky**2)))
 
+    def reshaped(self, shape: str, drifting: bool = False) -> StreamPattern:
+        """Return these waves in another shape, about the same origin."""
+        kx, ky, a, b, _ = self.waves.T
+        drift = self.drift if drifting else None
+        other = StreamPattern.of_waves(shape, np.column_stack([kx, ky]), a, b, drift)
+        return replace(other, origin=self.origin)
+
     def about(self, origin: tuple[float, float, float]) -> StreamPattern:
         """Return the same flow with its phases counted from another origin (x0, y0, t0)."""
         kx, ky, a, b, omega = self.waves.T

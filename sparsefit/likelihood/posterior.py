@@ -43,6 +43,7 @@ class Descent:
         models: one per log.
         nodes: one per log.
         tracks: one per log.
+        spreads: per log, the variance of the first position and velocity (4,).
         last: the last smoothed passes, of the nodes and tracks before; None: none of use.
         stride: of the rows that the nodes are of.
     """
@@ -50,6 +51,7 @@ class Descent:
     models: tuple[Model, ...]
     nodes: tuple[Nodes, ...]
     tracks: tuple[Array, ...]
+    spreads: tuple[Array, ...]
     last: tuple[Smoothed, ...] | None = None
     stride: int = 1
 
@@ -70,6 +72,7 @@ class Posterior:
         passes: the number of passes over few rows, and over all.
         origin: (x, y, t), that the phases of the pattern and the tracks are counted from.
         state: what further passes start from.
+        prior: the information of the priors (p, p).
     """
 
     models: tuple[Model, ...]
@@ -83,6 +86,7 @@ class Posterior:
     passes: tuple[int, int]
     origin: tuple[float, float, float]
     state: Descent
+    prior: Array
 
     @property
     def converged(self) -> bool:

@@ -104,10 +104,10 @@ def measure(
     """
     records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
-    return _Search(records, models, tuple(levels), settings or Smoothing()).posterior(start)
+    return Search(records, models, tuple(levels), settings or Smoothing()).posterior(start)
 
 
-class _Search:
+class Search:
     """The passes of one measurement; its attributes do not change after its making."""
 
     def __init__(
@@ -138,6 +138,15 @@ class _Search:
             place[[names.index(name) for name in own]] = len(self.names) + np.arange(len(own))
             self.names += tuple(f"{name}@{number}" for name in own)
             self.places.append(place)
+        self.spreads = tuple(
+            np.repeat([
+                (settings.diffuse * model.disturbance.position_noise) ** 2,
+                (settings.diffuse * model.disturbance.velocity_noise) ** 2
+                + (0.0 if np.isfinite(log.speeds).any() else 10.0 * model.pattern.mean_velocity)
+                ** 2,
+            ], 2)
+            for log, model in zip(logs, models, strict=True)
+        )  # fmt: skip
         self.centres, self.priors = self.values(self.models), np.ones(len(self.names))
         for model, place in zip(self.models, self.places, strict=True):
             self.priors[place] = [model.parameters[name].prior for name in names]
@@ -175,7 +184,7 @@ class _Search:
             models.append(
                 replace(model, disturbance=replace(model.disturbance, acceleration=level))
             )
-        return Descent(tuple(models), nodes, tracks, stride=stride)
+        return Descent(tuple(models), nodes, tracks, self.spreads, stride=stride)
 
     def nodes(self, log: FlightLog, model: Model, stride: int = 1) -> Nodes:
         """The nodes of a log, close enough for the motion in a model's flow."""
@@ -189,6 +198,16 @@ class _Search:
         longest = min(self.settings.phase / (size * speed), 0.5 * tau)
         latency = parameters["latency"].value
         return Nodes.of(log, self.origin, longest * (1.0 + (stride > 1)), latency, stride)
+
+    def along(self, tracks: list[tuple[Array, Array]]) -> Descent:
+        """The nodes of all rows, with given tracks: times (m,) and states (m, 4 or n) of each."""
+        nodes = tuple(map(self.nodes, self.logs, self.models))
+        states = []
+        for (time, track), each, model in zip(tracks, nodes, self.models, strict=True):
+            wide = np.zeros((len(time), 4 + len(StateSpace.of(model).walkers)))
+            wide[:, : track.shape[1]] = track
+            states.append(_between(time, wide, each.time))
+        return Descent(self.models, nodes, tuple(states), self.spreads)
 
     def renoded(self, old: Descent, stride: int) -> Descent:
         """The nodes of every `stride`-th row, with the track of others or of another latency."""
@@ -204,7 +223,8 @@ class _Search:
         if same:
             pairs = zip(nodes, old.nodes, strict=True)
             nodes = [replace(new, weights=before.weights) for new, before in pairs]
-        return Descent(old.models, tuple(nodes), tracks, old.last if same else None, stride)
+        last = old.last if same else None
+        return Descent(old.models, tuple(nodes), tracks, self.spreads, last, stride)
 
     def step(self, start: Descent) -> Step:
         """Filter all logs, and solve for the change of the free parameters."""
@@ -216,13 +236,9 @@ class _Search:
             chain = model.jacobian(self.local)
             columns = np.flatnonzero(np.abs(chain).sum(axis=1))
             chain, place = chain[columns], self.places[i]
-            noise = model.disturbance.position_noise, model.disturbance.velocity_noise
-            spread = (self.settings.diffuse * np.repeat(noise, 2)) ** 2
-            if not np.isfinite(self.logs[i].speeds).any():
-                spread[2:] += (10.0 * model.pattern.mean_velocity) ** 2
             last = None if start.last is None else start.last[i]
             space = StateSpace.of(model, columns)
-            each = Pass.forward(space, nodes, track, spread, last)
+            each = Pass.forward(space, nodes, track, self.spreads[i], last)
             p = len(columns)
             value += each.value
             score[place] += chain.T @ each.score[:p]
@@ -237,7 +253,7 @@ class _Search:
         value -= 0.5 * float(np.sum(away**2))
         score += away / self.priors
         information += np.diag(self.priors**-2.0)
-        inverse, weak = _inverse(information, self.settings.dependent)
+        inverse, weak = inverted(information, self.settings.dependent)
         change = inverse @ score
         levels = tuple(
             0.5 * (block - cross.T @ inverse @ cross)
@@ -263,7 +279,7 @@ class _Search:
             track + share * (each.track - track)
             for track, each in zip(start.tracks, smoothed, strict=True)
         )
-        descent = Descent(tuple(renewed), start.nodes, tracks, smoothed, start.stride)
+        descent = replace(start, models=tuple(renewed), tracks=tracks, last=smoothed)
         if "latency" not in self.local:
             return descent
         return self.renoded(descent, start.stride)  # the positions are then of other times
@@ -366,9 +382,9 @@ class _Search:
         information = step.levels[0][shape] if step.levels[0].size else np.zeros(shape[0].shape[0])
         tracks = tuple(map(_track, step.start.nodes, smoothed))
         return Posterior(
-            end.models, self.names, _inverse(step.information, self.settings.dependent)[0],
+            end.models, self.names, inverted(step.information, self.settings.dependent)[0],
             step.value + step.gain, tracks, self.levels, information, reason, (few, whole),
-            self.origin, end,
+            self.origin, end, np.diag(self.priors**-2.0),
         )  # fmt: skip
 
 
@@ -445,7 +461,7 @@ def _track(nodes: Nodes, smoothed: Smoothed) -> Track:
     )  # fmt: skip
 
 
-def _inverse(information: Array, least: float) -> tuple[Array, IntArray]:
+def inverted(information: Array, least: float) -> tuple[Array, IntArray]:
     """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
     if not len(information) or not np.isfinite(information).all():
         return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)

@@ -12,6 +12,8 @@ from sparsefit.likelihood import (
     Motion,
     Process,
     StreamPattern,
+    bound,
+    gains,
     measure,
 )
 from sparsefit.likelihood.model import LEVELS, StateSpace
@@ -228,3 +230,115 @@ def test_logs_with_faults_are_measured(case):
         assert abs(posterior.value(name) - true) < 4.0 * posterior.error(name)
         assert posterior.error(name) < 1e-3 * true
     assert (posterior.tracks[0].outliers > 5) == (case == "outliers")
+
+
+def test_a_score_test_predicts_what_freeing_gains():
+    log, _ = flown(7, count=500)
+    wrong = Model(nearby(), Motion(TAU * 1.002), disturbance=Disturbance())
+    posterior = measure(log, wrong, levels=())
+    tests = gains(
+        posterior,
+        {
+            "vehicle": ("response_time",),
+            "wind": ("wind_x", "wind_y"),
+            "square": posterior.model.pattern.reshaped("square"),
+            "drift": posterior.model.pattern.reshaped("axis", drifting=True),
+            "pair": posterior.model.pattern.reshaped("pair"),
+        },
+    )
+    assert [each.freedom for each in tests.values()] == [1, 2, 1, 2, 4]
+    freed = measure(log, wrong.free("response_time"), levels=())
+    gained = 2.0 * (freed.log_likelihood - posterior.log_likelihood)
+    vehicle = tests["vehicle"]
+    assert vehicle.gain == pytest.approx(gained, rel=0.02)
+    assert TAU * 1.002 + vehicle.step[0] == pytest.approx(TAU, abs=4.0 * vehicle.error[0])
+    assert vehicle.error[0] == pytest.approx(freed.error("response_time"), rel=0.05)
+
+
+def test_the_bound_is_the_covariance_at_the_truth():
+    log, states = flown(8)
+    true = Model(TRUE, Motion(TAU), disturbance=Disturbance(0.0, 0.05, 0.2))
+    at_truth = bound(log, true, [states])
+    posterior = measure(log, true, levels=())
+    size = np.sqrt(np.diag(at_truth))
+    for covariance in (posterior.covariance, bound(log, true)):
+        np.testing.assert_allclose(covariance / size / size[:, None],
+                                   at_truth / size / size[:, None], atol=0.02)  # fmt: skip
+    blind = true.free("wind_x", "thrust_bias_x")
+    with pytest.raises(InputError, match="does not see all of thrust_bias_x, wind_x"):
+        bound(log, blind, [states])
+
+
+def test_flights_share_the_flow_and_have_vehicles_of_their_own():
+    logs = [flown(9)[0], flown(10, place=(2.0, 1.0))[0]]
+    model = Model(nearby(), Motion(TAU), disturbance=Disturbance()).free("response_time")
+    alone = [measure(log, model, levels=()) for log in logs]
+    both = measure(logs, model, levels=())
+    assert both.converged, both.reason
+    assert both.names == (*model.names, "response_time@2")
+    assert both.models[0].pattern == both.models[1].pattern
+    for place, name in enumerate(("mean_velocity", "length_scale")):
+        assert both.error(name) < min(each.error(name) for each in alone)
+        assert abs(both.value(name) - TRUE.values[place]) < 4.0 * both.error(name)
+    tests = gains(both, {"wind": ("wind_x",), "growth": ("growth",)})
+    assert (tests["wind"].freedom, tests["growth"].freedom) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("response_time", 0.33),
+        ("wind_x", 0.5),
+        ("velocity_scale", 1.05),
+        ("position_scale", 0.96),
+        ("velocity_bias_y", 0.3),
+        ("velocity_rotation", 0.05),
+        ("thrust_scale", 1.1),
+        ("thrust_rotation", 0.1),
+        ("latency", 0.06),
+        ("latency", 0.04),
+    ],
+)
+def test_a_parameter_that_is_free_is_measured(name, value):
+    """The log of a vehicle or an instrument that is as believed, believed to be otherwise."""
+    log, _ = flown(11, count=500)
+    motion, places, speeds, time = Motion(TAU), log.places, log.speeds, log.time
+    model = Model(nearby(), motion).free(name)
+    if name == "response_time":
+        model = Model(nearby(), Motion(value)).free(name)
+        value = TAU
+    elif name in ("thrust_scale", "wind_x", "thrust_rotation"):
+        model = model.at({name: value})
+        value = 1.0 if name == "thrust_scale" else 0.0
+    elif name == "velocity_scale":
+        speeds = speeds * value
+    elif name == "position_scale":
+        places = places * value  # as the search sees the flow
+        scaled = StreamPattern("axis", (9.0, 4.0 * value, 0.7, -1.2))
+        model = Model(nearby(scaled), motion).free(name)
+    elif name == "velocity_bias_y":
+        speeds = speeds + np.array([0.0, value])
+    elif name == "velocity_rotation":
+        c, s = np.cos(value), np.sin(value)
+        speeds = speeds @ np.array([[c, s], [-s, c]])
+    else:
+        late = round(value * 25)
+        value = late / 25
+        places, speeds, time = places[:-late], speeds[late:], time[late:]
+    posterior = measure(FlightLog(time, places, speeds, THRUST), model)
+    assert posterior.converged, posterior.reason
+    assert abs(posterior.value(name) - value) < 4.0 * posterior.error(name)
+    assert posterior.error(name) < 0.02
+    away = posterior.value("length_scale") - 4.0
+    assert abs(away) < 4.0 * posterior.error("length_scale")
+
+
+def test_turbulence_has_its_level():
+    log, _ = flown(12)
+    turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
+    posterior = measure(
+        log, Model(nearby(), Motion(TAU), disturbance=Disturbance(processes=(turbulence,))),
+        (*LEVELS, "turbulence"),
+    )  # fmt: skip
+    assert posterior.converged, posterior.reason
+    assert posterior.model.disturbance.levels["turbulence"] < 0.02
