@@ -1,14 +1,29 @@
 """What a fit answers: a back-end's weights with what the caller verified about them."""
 
+import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, Brief, IntArray
-from sparsefit.regression.backend import Backend
+from sparsefit.errors import is_real
+from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.certificate import Certificate
+from sparsefit.regression.frames import (
+    frame_of_fit,
+    frame_of_path,
+    html_of_fit,
+    html_of_path,
+    plot_path,
+    predicted,
+)
+from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.penalty_choice import PenaltyChoice
 from sparsefit.regression.problem import RegressionProblem
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,6 +51,34 @@ class Fit(Brief):
     penalty_choice: PenaltyChoice | None = field(default=None, repr=False, kw_only=True)
     shared_seconds: float = field(default=0.0, repr=False, kw_only=True)
     problem: RegressionProblem = field(repr=False, kw_only=True)
+
+    @property
+    def alpha_fraction(self) -> float:
+        """The penalty as a fraction of alpha_max; NaN of a back-end without one."""
+        value = getattr(self.backend, "alpha_fraction", None)
+        return float(value) if is_real(value) else math.nan
+
+    @property
+    def alpha(self) -> float:
+        """The penalty in the unit of the target, alpha_fraction * alpha_max; NaN without one."""
+        if math.isnan(self.alpha_fraction) or not isinstance(self.backend, PenalisedBackend):
+            return math.nan
+        cross = self.problem.statistics.cross
+        return self.alpha_fraction * alpha_max(cross, self.backend.penalty(self.problem))
+
+    def predict(self, theta: Any) -> Array:
+        """The target at theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n).
+
+        Raises InputError where theta has other columns than the problem.
+        """
+        return predicted(self, theta)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Weights by the names of columns (rows) and targets (columns)."""
+        return frame_of_fit(self)
+
+    def _repr_html_(self) -> str:
+        return html_of_fit(self)
 
     @property
     def support(self) -> IntArray:
@@ -70,6 +113,22 @@ class Path(Brief):
     alpha_max: float
     fits: tuple[Fit, ...]
     seconds: float
+
+    @property
+    def alphas(self) -> Array:
+        """The penalties alpha (p,), in the unit of the target."""
+        return self.alpha_fractions * self.alpha_max
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Weights with a row per penalty (alpha_fraction, alpha) and columns by their names."""
+        return frame_of_path(self)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the weights over the penalty on axes of matplotlib (new ones by default)."""
+        return plot_path(self, axes)
+
+    def _repr_html_(self) -> str:
+        return html_of_path(self)
 
     @property
     def weights(self) -> Array:

@@ -66,7 +66,12 @@ def numbers_of(labels: ArrayLike, columns: int, name: str) -> IntArray:
 
     Raises InputError on labels that are missing, too many, NaN or cannot be sorted.
     """
-    given = np.asarray(labels)
+    try:
+        given = np.asarray(labels)
+    except ValueError:  # lists of columns, say
+        raise InputError(
+            f"{name} must have one label per column, such as [0, 0, 1], not lists of columns"
+        ) from None
     if given.shape != (columns,):
         raise InputError(
             f"{name} must have one label per column: {columns} columns, {name} of shape "
