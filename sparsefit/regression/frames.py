@@ -1,4 +1,7 @@
-"""Fits and paths for people: frames of pandas, a picture of a path, tables of a notebook."""
+"""Fits and paths for people: frames of pandas, a picture of a path, tables of a notebook.
+
+The arguments are a `Fit` and a `Path` of `answer`, whose methods call these functions.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,11 @@ from sparsefit.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.regression.answer import Fit, Path
-
 LABELLED = 10  # curves of a picture that a legend names
 ROWS = 30  # of a notebook's table
 
 
-def frame_of_fit(fit: Fit) -> pd.DataFrame:
+def frame_of_fit(fit: Any) -> pd.DataFrame:
     """Weights (k, n) with a row per column of theta and a column per target, by their names."""
     import pandas as pd
 
@@ -29,7 +30,7 @@ def frame_of_fit(fit: Fit) -> pd.DataFrame:
                         columns=list(problem.target_names))  # fmt: skip
 
 
-def frame_of_path(path: Path) -> pd.DataFrame:
+def frame_of_path(path: Any) -> pd.DataFrame:
     """Weights with a row per penalty, by alpha_fraction and alpha, and the columns of theta.
 
     Of several targets the columns are pairs (target, column).
@@ -48,7 +49,7 @@ def frame_of_path(path: Path) -> pd.DataFrame:
     return pd.DataFrame(flat, index=index, columns=columns)
 
 
-def plot_path(path: Path, axes: Any = None) -> Any:
+def plot_path(path: Any, axes: Any = None) -> Any:
     """Weights in columns of unit rms over the penalty, on axes of matplotlib, which it returns.
 
     The largest have a name in the legend; points whose certificate is above its tolerance have
@@ -79,7 +80,7 @@ def plot_path(path: Path, axes: Any = None) -> Any:
     return axes
 
 
-def html_of_fit(fit: Fit) -> str:
+def html_of_fit(fit: Any) -> str:
     """A heading and the weights that are not zero, the largest first, as HTML."""
     certificate = fit.certificate
     proof = (
@@ -99,7 +100,7 @@ def html_of_fit(fit: Fit) -> str:
     return f"<p>{html.escape(words)}</p>{table}{more}"
 
 
-def html_of_path(path: Path) -> str:
+def html_of_path(path: Any) -> str:
     """A row per penalty: its size, columns in use, status and certificate, as HTML."""
     import pandas as pd
 
@@ -116,7 +117,7 @@ def html_of_path(path: Path) -> str:
     return f"<p>{html.escape(words)}</p>{table.to_html(float_format='{:.4g}'.format, index=False)}"
 
 
-def predicted(fit: Fit, theta: Any) -> Array:
+def predicted(fit: Any, theta: Any) -> Array:
     """theta W for theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n)."""
     values = getattr(theta, "to_numpy", lambda: theta)()
     rows = values if hasattr(values, "tocsr") else np.atleast_2d(np.asarray(values, dtype=float))
