@@ -15,6 +15,8 @@ from sparsefit.regression.fit import path as certified_path
 from sparsefit.regression.penalty_choice import FRACTIONS
 from sparsefit.regression.problem import RegressionProblem
 
+FEWEST_CLASSES = 20  # samples of 0 and 1 from which these are taken for classes
+
 
 def fit(
     problem: Any,
@@ -85,7 +87,7 @@ def _posed(
     if settings and not isinstance(backend, str):
         raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
     values = np.unique(problem.target[:1000])
-    if len(values) == 2 and np.array_equal(values, [0.0, 1.0]):
+    if np.array_equal(values, [0.0, 1.0]) and len(problem.target) >= FEWEST_CLASSES:
         warnings.warn(
             "the target holds 0 and 1 only: it is fitted by squares, as numbers, not as classes",
             UserWarning,
