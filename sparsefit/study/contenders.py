@@ -261,6 +261,7 @@ def read_contenders(
         if path and "alpha_fraction" in entry:
             raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
         contenders += _of_entry(entry, recipes, tolerances, clock, here)
+    contenders = _described(contenders, clock, here)
     seen: set[tuple[str, str]] = set()
     for contender in contenders:
         key = (contender.objective, contender.solver)
@@ -375,34 +376,51 @@ def _resolved(
     varied = {key for r in chosen for key in r.settings if _several(key, chosen)}
     for recipe in chosen:
         titled = [solver, *(f"{k}={shown(v)}" for k, v in recipe.settings.items() if k in varied)]
-        contender = replace(base, solver=" ".join(titled), recipe=recipe)
-        yield _described(contender, recipe, ours, clock, place)
+        yield replace(base, solver=" ".join(titled), recipe=recipe)
 
 
 def _several(key: str, recipes: Sequence[Recipe]) -> bool:
     return len({repr(recipe.settings.get(key)) for recipe in recipes}) > 1
 
 
-def _described(
-    contender: Contender, recipe: Recipe, ours: float, clock: Clock, place: Place
-) -> Contender:
-    """The contender of a recipe; code of others is asked in a process of its own."""
-    shipped = not recipe.file and not recipe.command and recipe.name in shipped_names()
-    told = (recipe, contender.backend, dict(contender.settings))
-    try:
-        about = about_solver(*told) if shipped else in_child(about_solver, *told, seconds=60.0)
-    except InputError as error:
-        raise place.at("solver").error(str(error)) from None
-    if about["refused"]:
-        raise place.at("solver").error(about["refused"])
-    return replace(
-        contender,
-        tolerances=contender.tolerances if about["stops"] else NO_TOLERANCE,
-        form=about["form"],
-        missing=about["missing"],
-        family=about["package"] or f"{recipe.name}{recipe.settings or ''}",
-        first=ours if shipped else clock.first or contender.limit,
-    )
+def _described(contenders: Sequence[Contender], clock: Clock, place: Place) -> list[Contender]:
+    """The contenders with what their recipes tell; code of others tells it in another process."""
+    shipped = shipped_names()
+    foreign = [c for c in contenders if c.recipe and not _ships(c.recipe, shipped)]
+    told: list[dict[str, Any]] = []
+    if foreign:
+        try:
+            told = in_child(about_solvers, [_asked_of(c) for c in foreign], seconds=120.0)
+        except InputError as error:
+            raise place.at("solver").error(str(error)) from None
+    abouts = {id(contender): about for contender, about in zip(foreign, told, strict=True)}
+    described = []
+    for contender in contenders:
+        recipe = contender.recipe
+        if recipe is None:
+            described.append(contender)
+            continue
+        about = abouts.get(id(contender)) or about_solvers([_asked_of(contender)])[0]
+        if about["refused"]:
+            raise place.at("solver").error(about["refused"])
+        ours = clock.first or max(contender.limit, FIRST_SECONDS)
+        known = {
+            "tolerances": contender.tolerances if about["stops"] else NO_TOLERANCE,
+            "form": about["form"],
+            "missing": about["missing"],
+            "family": about["package"] or f"{recipe.name}{dict(recipe.settings) or ''}",
+            "first": ours if _ships(recipe, shipped) else clock.first or contender.limit,
+        }
+        described.append(replace(contender, **known))
+    return described
+
+
+def _ships(recipe: Recipe, shipped: set[str]) -> bool:
+    return not recipe.file and not recipe.command and recipe.name in shipped
+
+
+def _asked_of(contender: Contender) -> tuple[Any, str, dict[str, Any]]:
+    return contender.recipe, contender.backend, dict(contender.settings)
 
 
 def shipped_names() -> set[str]:
@@ -411,16 +429,26 @@ def shipped_names() -> set[str]:
     return {*SOLVERS, *BEHIND_CVXPY, *cvxpy, "clarabel-working-set"}
 
 
-def about_solver(recipe: Recipe, backend: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The form of a solver, whether a tolerance stops it, and why it is missing or refuses."""
-    about = {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing, "refused": ""}
-    about["package"] = ""
-    if not recipe.command:
-        about["package"] = str(getattr(solver_type(recipe.name, recipe.file), "package", ""))
-    if not about["missing"]:
-        takes = getattr(recipe.make(), "takes", None)
-        penalty = penalty_of(backends.get(backend, **settings), small_problem())
-        about["refused"] = str(takes(penalty) or "") if callable(takes) else ""
+def about_solvers(asked: Sequence[tuple[Recipe, str, dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Of each (recipe, back-end, its settings): form, package, whether a tolerance stops it.
+
+    missing: why it cannot run here; refused: why it is none, or does not take the penalty.
+    """
+    return [_about(*told) for told in asked]
+
+
+def _about(recipe: Recipe, backend: str, settings: dict[str, Any]) -> dict[str, Any]:
+    about: dict[str, Any] = {"missing": "", "refused": "", "package": ""}
+    try:
+        about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
+        if not recipe.command:
+            about["package"] = str(getattr(solver_type(recipe.name, recipe.file), "package", ""))
+        if not about["missing"]:
+            takes = getattr(recipe.make(), "takes", None)
+            penalty = penalty_of(backends.get(backend, **settings), small_problem())
+            about["refused"] = str(takes(penalty) or "") if callable(takes) else ""
+    except InputError as error:
+        about["refused"] = str(error)
     return about
 
 

@@ -192,6 +192,13 @@ class SelectionRule:
         summary, _, name = self.criterion.rpartition(" ")
         return summary, name
 
+    def changed(self, **options: object) -> SelectionRule:
+        """The rule with these options in place of its own; InputError names one that is wrong."""
+        names = [item.name for item in fields(SelectionRule) if item.name != "limits"]
+        own = {name: getattr(self, name) for name in names}
+        own |= {item.name: getattr(self.limits, item.name) for item in fields(Limits)}
+        return _rule(own | options, Place("select", "select"))
+
 
 @dataclass(frozen=True, eq=False)
 class FlightDesign:
@@ -425,33 +432,28 @@ def _check_predicted(outputs: Outputs, others: int, place: Place) -> None:
 
 
 def read_selection(
-    value: object,
-    protocols: tuple[Protocol, ...],
-    sweep: tuple[Factor, ...],
-    place: Place,
-    base: SelectionRule | None = None,
+    value: object, protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...], place: Place
 ) -> SelectionRule:
-    """Read [select], over a rule that is there; InputError names what does not fit."""
+    """Read [select]; InputError names the first key or factor that does not fit."""
     here = place.within("select")
-    section = read_section(value, place.at("select"))
-    names = {item.name for item in fields(SelectionRule)} - {"limits"}
-    limits = [item.name for item in fields(Limits)]
-    only(section, [*sorted(names), *limits], here)
-    told: dict[str, object] = {}
-    if base is not None:
-        told |= {name: getattr(base, name) for name in names}
-        told |= {name: getattr(base.limits, name) for name in limits}
-    told |= section
-    bounds = build(Limits, {key: told[key] for key in limits if key in told}, here)
-    rest = {key: item for key, item in told.items() if key in names}
-    rule = build(SelectionRule, {**rest, "limits": bounds}, here)
+    rule = _rule(read_section(value, place.at("select")), here)
     known = regime_factors(protocols, sweep)
     for name in rule.regimes:
         if name not in known:
             others = f"; what does: {', '.join(known)}" if known else ", and nothing else does"
             words = f'no "{name}" varies between the flights{others}'
-            raise place.within("select").at("regimes").error(words)
+            raise here.at("regimes").error(words)
     return rule
+
+
+def _rule(section: Section, place: Place) -> SelectionRule:
+    """The rule of flat keys, of which some are limits."""
+    limits = [item.name for item in fields(Limits)]
+    names = [item.name for item in fields(SelectionRule) if item.name != "limits"]
+    only(section, [*names, *limits], place)
+    bounds = build(Limits, {key: v for key, v in section.items() if key in limits}, place)
+    rest = {key: value for key, value in section.items() if key in names}
+    return build(SelectionRule, {**rest, "limits": bounds}, place)
 
 
 def regime_factors(protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...]) -> list[str]:

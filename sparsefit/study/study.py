@@ -11,22 +11,39 @@ Results lie beside the study file unless said: `studies/mine.toml` has `results/
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import cached_property
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from sparsefit.codec import shown
 from sparsefit.errors import InputError
-from sparsefit.study.definition import Definition, definition_of, read_definition
+from sparsefit.study.again import CaseAgain, read_again
+from sparsefit.study.columns import Outcome
+from sparsefit.study.contenders import ProblemDesign
+from sparsefit.study.counts import counts_of
+from sparsefit.study.definition import Definition, Outputs, definition_of, read_definition
 from sparsefit.study.export import cases_table, read_cases, read_weights
+from sparsefit.study.flight_desk import estimator_of
+from sparsefit.study.flight_experiment import FlightExperiment
+from sparsefit.study.latency import Latency, measure, read_latencies, write_latencies
+from sparsefit.study.merging import Merged, merge
 from sparsefit.study.plan import Experiment, Plan
+from sparsefit.study.pool import outcomes
+from sparsefit.study.problem_experiment import ProblemExperiment
 from sparsefit.study.runner import Progress, Request, RunStatus, RunSummary, run, status
 from sparsefit.study.store import Store
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from sparsefit import Estimator
 
 RESULTS, STUDIES = "results", "studies"
 
@@ -102,11 +119,7 @@ class Study:
     def experiment(self) -> Experiment:
         """The kind of study: what its units and candidates are, and how they are run."""
         if self.kind == "flights":
-            from sparsefit.study.flight_experiment import FlightExperiment
-
             return FlightExperiment(self.definition)
-        from sparsefit.study.problem_experiment import ProblemExperiment
-
         return ProblemExperiment(self.definition)
 
     @cached_property
@@ -163,7 +176,105 @@ class Study:
     def _joined(self, table: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
         """The columns of the plan, and those of the rows that it has not."""
         fresh = [name for name in table.columns if name not in plan.columns]
-        return plan.join(table[fresh])
+        frame = plan.join(table[fresh])
+        design = self.definition.design
+        if isinstance(design, ProblemDesign):
+            clock = design.clock
+            frame.attrs.update(accuracies=design.accuracies, limit=clock.limit, shift=clock.shift)
+        return frame
+
+    @property
+    def missing(self) -> dict[str, str]:
+        """Why each solver that cannot run here is missing; empty of flights."""
+        design = self.definition.design
+        contenders = design.contenders if isinstance(design, ProblemDesign) else ()
+        return {c.solver: c.missing for c in contenders if c.missing}
+
+    def counts(self) -> dict[str, Any]:
+        """How large the study is, JSON-ready; "rows": (label, words) lines for people."""
+        return counts_of(self.experiment, self.planned.size)
+
+    def merge(self, parts: Sequence[str | Path], *, keep_first: bool = False) -> Merged:
+        """Take the rows of other results folders of this study; see `merging.merge`."""
+        self.__dict__.pop("cases", None)
+        return merge(self.planned, self.folder, parts, keep_first=keep_first)
+
+    def again(self, case_id: str) -> CaseAgain | Outcome:
+        """One case run once more: of flights in this process, with all it was read from.
+
+        Raises:
+            InputError: if the study plans none of this id, with the nearest that it does.
+            SparsefitError: if the case fails, as it then did in the run, with its error.
+        """
+        place = self.planned.place_of_case.get(case_id)
+        if place is None:
+            near = (get_close_matches(case_id, self.planned.case_ids, 1) or self.planned.case_ids)[
+                0
+            ]
+            where = "ids stand in its cases.parquet and report.html"
+            raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}, {near} say")
+        unit, cell = self.planned.at(place)
+        if isinstance(self.experiment, FlightExperiment):
+            return read_again(self.definition, unit, cell)
+        wanted = np.zeros(self.planned.shape, dtype=bool)
+        wanted[unit, cell] = True
+        (outcome,) = outcomes(self.experiment, self.experiment.batches(wanted), 1)
+        return outcome
+
+    def cells_of(self, candidate: str) -> list[int]:
+        """The cells of a candidate: one for every condition."""
+        candidates = self.experiment.cells()["candidate"]
+        cells = [cell for cell, name in enumerate(candidates) if name == candidate]
+        if not cells:
+            raise InputError(f"{self.name} plans no candidate {shown(candidate)}: see study.plan()")
+        return cells
+
+    def estimator(self, candidate: str) -> Estimator:
+        """The estimator that the cases of a candidate use."""
+        cell = self.definition.flights.cells[self.cells_of(candidate)[0]]
+        return estimator_of(self.definition, cell)
+
+    def variant(self, candidates: Sequence[str], count: int, name: str = "fresh") -> Study:
+        """These candidates on flights of fresh seeds, in a folder within the study's own."""
+        design = self.definition.flights
+        chosen = sorted(cell for one in candidates for cell in self.cells_of(one))
+        cells = tuple(replace(design.cells[cell], index=i) for i, cell in enumerate(chosen))
+        told = f"{self.hash} {name} {count} {' '.join(cell.key for cell in cells)}"
+        definition = replace(
+            self.definition,
+            name=name,
+            seed=int(sha256(f"{name} {self.seed}".encode()).hexdigest()[:8], 16),
+            hash=sha256(told.encode()).hexdigest(),
+            outputs=Outputs(),
+            design=replace(design, count=count, cells=cells, validate_count=None),
+        )
+        return Study(definition, self.folder / name)
+
+    @property
+    def latencies(self) -> dict[str, Latency]:
+        """The times by candidate that were measured before, by this version."""
+        return read_latencies(self.hash, self.folder)
+
+    def latency(
+        self,
+        candidates: Sequence[str],
+        flights: int,
+        *,
+        again: bool = False,
+        progress: Progress | None = None,
+    ) -> dict[str, Latency]:
+        """Seconds and memory of one estimate of each candidate; known ones are not timed anew."""
+        known = {} if again else self.latencies
+        trials = {name: self.cells_of(name) for name in candidates if name not in known}
+        measured = measure(self.definition, trials, flights, progress)
+        if measured:
+            write_latencies(self.hash, self.folder, {**known, **measured})
+        every = {**known, **measured}
+        return {name: every[name] for name in candidates}
+
+    def select(self, **rule: Any) -> Any:
+        """The candidate to deploy, and why; options take the place of those in [select]."""
+        return import_module("sparsefit.study.select").select(self, **rule)
 
     @property
     def weights(self) -> pd.DataFrame:

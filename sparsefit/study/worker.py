@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
@@ -246,6 +246,30 @@ class Worker:
     def _lost(self, status: str, reason: str, *, by_signal: bool = False) -> Lost:
         self.close()
         return Lost(status, reason, self.ready, by_signal)
+
+    def ask(self, ask: Ask) -> Record | Lost:
+        """The answer, waited for; a process that has not started yet is waited for too."""
+        if not self.ready:
+            started = self._awaited()
+            if isinstance(started, Lost):
+                return started
+        self.send(ask)
+        return self._awaited()
+
+    def _awaited(self) -> Record | Lost:
+        while (message := self.receive()) is None:
+            heard: list[Any] = [self.answers, self.child.process.sentinel]
+            wait(heard, timeout=max(self.deadline - time.monotonic(), 0.0))
+        return message
+
+    def peak_memory(self) -> float:
+        """The most memory [MB] that the process ever had; NaN where the system does not say."""
+        with suppress(OSError, ValueError):
+            path = Path(f"/proc/{self.child.process.pid}/status")
+            for line in path.read_text(encoding="ascii").splitlines():
+                if line.startswith("VmHWM"):
+                    return float(line.split()[1]) / 1e3
+        return math.nan
 
     def excuse(self, seconds: float) -> None:
         """Do not charge seconds [s] in which the parent was stopped or suspended."""

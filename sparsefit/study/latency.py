@@ -1,0 +1,174 @@
+"""How long one estimate takes and how much memory, measured as it would be deployed.
+
+One candidate at a time in a process of its own, on one core with one thread, one flight after the
+other, from the record of the flight to the answer, by the parent's clock. The first flights warm it
+up and do not count. A flight during which the wall ran ahead of the CPU is timed again; where it
+does so again another program has the core, and the CPU's own time stands in.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sparsefit.codec import finite_or_none
+from sparsefit.study.definition import Definition
+from sparsefit.study.draw import SIMULATION, stream
+from sparsefit.study.flight_desk import draw_of, estimator_of
+from sparsefit.study.manifest import processor, read_record, sparsefit_version
+from sparsefit.study.worker import Ask, Lost, Worker, memory_limit
+from sparsefit.whole_file import write_whole
+
+LATENCY = "latency.json"
+WARM_UP = 2  # flights
+AHEAD = 1.1  # wall over CPU seconds: more, and something else had the core
+TICK = 2e-4  # seconds by which the two clocks may differ anyway
+BUDGET = 15.0  # seconds for a candidate; a slow one is timed on fewer flights, and says so
+FEWEST = 10  # flights, whatever they take
+DISTURBED = 0.1  # share of flights beyond which a time is told to be disturbed
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Seconds [s] of one estimate, over `flights` of them, and the peak memory [MB] of its process.
+
+    busy: the share of flights that another program disturbed, of which CPU time is told. Infinite
+    where the process died or was ended.
+    """
+
+    median: float
+    p99: float
+    memory: float
+    flights: int
+    busy: float = 0.0
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether other programs had the core for more than a tenth of the flights."""
+        return self.busy > DISTURBED
+
+
+class LatencyDesk:
+    """Estimates one flight after the other, for the cells of one candidate in turn."""
+
+    def __init__(self, definition: Definition, cells: tuple[int, ...]) -> None:
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        self._definition = definition
+        self._cells = [definition.flights.cells[index] for index in cells]
+        self._ready: tuple[Any, Any] = (None, None)
+
+    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+        """`ready`: fly the flight of a place; `estimate` it."""
+        if verb == "ready":
+            self._ready = self._flight(told["place"])
+            return {}
+        estimator, fleet = self._ready
+        with suppress(Exception):  # a refusal takes its time too
+            estimator.estimate(fleet)
+        return {}
+
+    def _flight(self, place: int) -> tuple[Any, Any]:
+        """The flights at a place of those to be timed: worlds in turn, then the next flight."""
+        design = self._definition.flights
+        kept = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
+        cell = self._cells[place % len(self._cells)]
+        unit = kept[place // len(self._cells) % len(kept)]
+        fleet = draw_of(self._definition, unit, cell).fleet(
+            stream(self._definition.seed, unit, SIMULATION)
+        )
+        return estimator_of(self._definition, cell), [replace(f, flow=None) for f in fleet]
+
+
+def measure(
+    definition: Definition,
+    trials: Mapping[str, Sequence[int]],
+    flights: int,
+    progress: Callable[[int, int, float | None], None] | None = None,
+) -> dict[str, Latency]:
+    """Time `flights` estimates of every candidate, the conditions of the study in turn.
+
+    trials: the cells of each candidate. The flights are those that a candidate is chosen on.
+    progress: called with (candidates done, candidates, seconds left or None).
+    """
+    measured, begun = {}, time.monotonic()
+    for done, (name, cells) in enumerate(trials.items()):
+        if progress:
+            each = (time.monotonic() - begun) / done if done else None
+            progress(done, len(trials), None if each is None else each * (len(trials) - done))
+        measured[name] = _measured(definition, tuple(cells), flights)
+    return measured
+
+
+def _measured(definition: Definition, cells: tuple[int, ...], flights: int) -> Latency:
+    memory = memory_limit(definition.run.max_memory, 1)
+    worker = Worker.start(LatencyDesk, (definition, cells), memory=memory)
+    limit, times, busy = definition.run.case_timeout, [], 0
+    begun = time.monotonic()
+    try:
+        for place in range(-WARM_UP, flights):
+            seconds = disturbed = None
+            for _ in range(2):
+                ready = worker.ask(Ask("ready", {"place": max(place, 0)}, limit))
+                answer = worker.ask(Ask("estimate", {}, limit, timed=True))
+                if isinstance(ready, Lost) or isinstance(answer, Lost):
+                    return Latency(math.inf, math.inf, math.inf, 0)
+                wall, cpu = float(answer["wall"]), float(answer["cpu"])
+                used = cpu if seconds is None else min(seconds, cpu)
+                disturbed = wall > AHEAD * cpu + TICK
+                seconds = used if disturbed else wall
+                if not disturbed:
+                    break
+            if place >= 0 and seconds is not None:
+                times.append(seconds)
+                busy += bool(disturbed)
+            if len(times) >= FEWEST and time.monotonic() - begun > BUDGET:
+                break
+        middle, late = np.quantile(times, [0.5, 0.99])
+        peak = worker.peak_memory()
+    finally:
+        worker.close()
+    return Latency(float(middle), float(late), peak, len(times), busy / len(times))
+
+
+def machine() -> dict[str, object]:
+    """On what the times are taken: the processor, the system, the version and the load."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+    known = {"processor": processor(), "system": platform.platform()}
+    return {**known, "sparsefit": sparsefit_version(), "load": load}
+
+
+def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:
+    """Write the times into the results folder, in a file of their own: no other machine's agree."""
+    candidates = {name: asdict(latency) for name, latency in measured.items()}
+    content = {"study_hash": study_hash, "machine": machine(), "candidates": candidates}
+    write_whole(folder / LATENCY, json.dumps(finite_or_none(content), indent=2) + "\n")
+
+
+def read_latencies(study_hash: str, folder: Path) -> dict[str, Latency]:
+    """The times of this study's candidates, by this version; none where there are no such."""
+    content = read_record(folder / LATENCY) or {}
+    try:
+        if (content["study_hash"], content["machine"]["sparsefit"]) != (
+            study_hash,
+            sparsefit_version(),
+        ):
+            return {}
+        return {name: _latency(entry) for name, entry in content["candidates"].items()}
+    except (AttributeError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _latency(entry: Mapping[str, float | None]) -> Latency:
+    numbers = {name: math.inf if v is None else float(v) for name, v in entry.items()}
+    return Latency(**{**numbers, "flights": int(numbers["flights"])})  # type: ignore[arg-type]
