@@ -20,7 +20,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.model.fitting import FlowRows, ShapeFit, descended, fitted
+from sparsefit.model.fitting import FlowRows, ShapeFit, descended, fitted, joined
 from sparsefit.model.grid import Bounds, extent_of
 from sparsefit.model.scan import WaveScan, axis_gains, peaks
 from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
@@ -32,9 +32,10 @@ FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 MOST_WAVES = 4  # waves of several
 INSTEAD = 4  # places that are tried for either wave of a pair
 AROUND = 4  # rounds of the search around the best shape
+NEAR = 0.3  # of |Phi|^2: cells that leave less are looked around before the plane is scanned
 FAR = 0.75  # of |Phi|^2: what leaves more has no shape around it that is the flow
 SETTLED = 0.05  # of |Phi|^2: what is less is turbulence, or a vehicle that is another
-CLOSE, MOST = 10.0, 6  # of BIC to the best, and shapes: what is proposed beside it
+CLOSE, MOST = 10.0, 10  # of BIC to the best of a shape: a rival; proposals at most
 EXACT = 1e-6  # of |Phi|^2: less is what smoothing takes, and tells no shape
 STRONGEST = 6.0  # of the rms of a component of Phi: a wave that strong is one of two that cancel
 LOUD, SPREAD = 2.0, 6.0  # of the mean power, and of its standard deviation: more is a flow
@@ -102,6 +103,18 @@ class Lookout:
             return np.zeros((0, 2))
         return self.scan.waves(self.scan.gains(rest)[0], most)
 
+    def possible(self, fit: ShapeFit) -> bool:
+        """Whether all waves are within the bounds, none are one, and none nearly cancel."""
+        k, rms = fit.phases[:, :2], math.sqrt(float(np.mean(self.rows.rest**2)))
+        step, sizes = 0.5 * math.pi / self.extent, np.hypot(*k.T)
+        if sizes.min() < self.radii[0] - step or sizes.max() > self.radii[1] + step:
+            return False
+        first, second = np.triu_indices(len(k), 1)
+        apart = [np.hypot(*(k[first] + sign * k[second]).T) for sign in (-1.0, 1.0)]
+        return bool(
+            np.min(apart, initial=math.inf) > step and fit.strengths.max() < STRONGEST * rms
+        )
+
     @cached_property
     def power(self) -> Array:
         """The power (f,) of what is to be explained, by frequency."""
@@ -153,21 +166,20 @@ class Ladder:
         share = max(fit.residual / self.rows.square, EXACT)
         return n * math.log(share) + fit.shape.size * math.log(n)
 
-    def goal(self, shape: Shape) -> float:
-        """The RSS above which a shape is no answer: another is better, and not close."""
-        if not self.tried:
-            return math.inf
-        n = self.lookout.worth
-        share = (self.bic(self.best) + CLOSE - shape.size * math.log(n)) / n
-        return math.exp(share) * self.rows.square
+    def descend(self, shape: Shape, q: Array) -> ShapeFit | None:
+        """A shape moved from q (p,) while it could be the best of its kind; None where it is no flow.
 
-    def descend(self, shape: Shape, q: Array) -> ShapeFit:
-        """A shape moved from q (p,) while it could be the answer."""
-        fit = descended(self.rows, shape, q, goal=self.goal(shape))
+        That is where a wave is beyond the bounds, or two are one or nearly cancel.
+        """
+        alike = [fit.residual for fit in self.tried if fit.shape == shape]
+        goal = min(alike, default=math.inf) * math.exp(CLOSE / self.lookout.worth)
+        fit = descended(self.rows, shape, q, goal=goal)
+        if fit.residual > goal or not self.lookout.possible(fit):
+            return None
         self.tried.append(fit)
         return fit
 
-    def from_waves(self, shape: Shape, phases: Array) -> ShapeFit:
+    def from_waves(self, shape: Shape, phases: Array) -> ShapeFit | None:
         """A shape of two waves, from the nearest to waves (2, 3)."""
         return self.descend(shape, shape.nearest(phases))
 
@@ -179,10 +191,12 @@ class Ladder:
             starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
         for k in dict.fromkeys(starts):
             self.descend(AXIS, np.array([k]))
+        if not self.tried:  # nothing in reach: the deepest lobe as it is
+            self.tried.append(fitted(self.rows, AXIS, lobes[:1]))
 
     def climb(self, proposed: Array) -> None:
         """All shapes, from what is there, from proposed waves (p, 2), and from the plane."""
-        if self.done or self.best.residual <= FAR * self.rows.square:
+        if self.done or self.best.residual <= NEAR * self.rows.square:
             self.around()
         if len(proposed) and not self.done:
             self.join(proposed)
@@ -212,12 +226,12 @@ class Ladder:
             if here.shape.drifting:
                 self.from_waves(here.shape.steady, here.phases)
             best = self.best
-            free = self.from_waves(PAIR.moving, best.phases)
-            gained = self.lookout.worth * math.log(
-                max(best.residual, EXACT * self.rows.square)
-                / max(free.residual, EXACT * self.rows.square)
-            )
-            if gained > price:
+            free, least = self.from_waves(PAIR.moving, best.phases), EXACT * self.rows.square
+            gained = 0.0
+            if free is not None:
+                ratio = max(best.residual, least) / max(free.residual, least)
+                gained = self.lookout.worth * math.log(ratio)
+            if free is not None and gained > price:
                 for shape in (RECTANGLE, SQUARE, AXIS):
                     self.from_waves(shape.moving, free.phases)
                     self.from_waves(shape, free.phases)
@@ -245,11 +259,18 @@ class Ladder:
         self.stand([strong[pair] for pair in pairs[:RANKED]], RECTANGLE)
 
     def stand(self, pairs: list[Array], shape: Shape) -> None:
-        """A shape from pairs of waves (2, 2), those of most promise as they are."""
+        """A shape that stands, from pairs of waves (2, 2)."""
+        assert self.lookout.scan is not None
         starts = [shape.nearest(np.pad(pair, ((0, 0), (0, 1)))) for pair in pairs]
-        starts.sort(key=lambda q: fitted(self.rows, shape, q).residual)
-        for q in starts[:DESCENDED]:
-            self.descend(shape, q)
+        self.follow(shape, starts, self.lookout.scan.pieces)
+
+    def follow(self, shape: Shape, starts: list[Array], pieces: int) -> None:
+        """A shape from starts (p,) of most promise, from pieces of the track to the whole."""
+        fits = [fitted(self.rows, shape, q, pieces) for q in starts]
+        for fit in sorted(fits, key=lambda fit: fit.residual)[:DESCENDED]:
+            self.descend(shape, joined(self.rows, shape, fit.q, pieces))
+            if self.done:
+                break
 
     def moving(self) -> None:
         """Square cells that drift, followed from pieces of the track to the whole."""
@@ -264,21 +285,14 @@ class Ladder:
             k = scan.axis[[i, j]]
             later = omega[j, len(omega) - 1 - i]  # of the wave turned clockwise, (k_y, -k_x)
             starts.append(shape.nearest(np.array([[*k, omega[i, j]], [k[1], -k[0], later]])))
-        fits = [fitted(self.rows, shape, q, scan.pieces) for q in starts]
-        for fit in sorted(fits, key=lambda fit: fit.residual)[:DESCENDED]:
-            q, pieces, goal = fit.q, scan.pieces, self.goal(shape)
-            while pieces > 1:
-                there = descended(self.rows, shape, q, pieces=pieces, goal=goal)
-                if there.residual > goal:
-                    break
-                q, pieces = there.q, (pieces + 1) // 2
-            else:
-                self.descend(shape, q)
+        self.follow(shape, starts, scan.pieces)
 
     def pairs(self) -> None:
         """Any two waves that stand: the strongest, and the strongest beside it."""
+        scan, wave = self.lookout.scan, free_waves(1)
         for first in self.lookout.strong(self.rows.rest, 1):
-            alone = descended(self.rows, free_waves(1), first)
+            pieces = scan.pieces if scan else 1
+            alone = descended(self.rows, wave, joined(self.rows, wave, first, pieces))
             for second in self.lookout.strong(alone.rest, 2):
                 self.descend(PAIR, np.concatenate([alone.q, second]))
 
@@ -299,11 +313,7 @@ class Ladder:
         drift = here.q[-2:] if here.shape.drifting else np.zeros(0)
         shape = free_waves(len(waves), drifting=here.shape.drifting)
         fit = descended(self.rows, shape, np.concatenate([waves.ravel(), drift]))
-        k, rms = fit.phases[:, :2], math.sqrt(float(np.mean(self.rows.rest**2)))
-        first, second = np.triu_indices(len(k), 1)
-        apart = [np.hypot(*(k[first] + sign * k[second]).T) for sign in (-1.0, 1.0)]
-        one = np.min(apart, initial=math.inf) < 0.5 * math.pi / self.lookout.extent
-        if one or fit.strengths.max() > STRONGEST * rms or self.bic(fit) >= self.bic(here):
+        if self.bic(fit) >= self.bic(here) or not self.lookout.possible(fit):
             return None
         self.tried.append(fit)
         return fit
@@ -369,7 +379,7 @@ class Ladder:
         self.tried.append(here)
 
     def ranked(self) -> list[tuple[ShapeFit, float]]:
-        """The best fits with their BIC, best first, of alike ones of a shape the best.
+        """The best fit of every shape, and rivals close to the best of all, with BIC, in order.
 
         Where more than noise is left rows count for less: as many as white errors of the highest
         power in the residual's spectrum would be.
@@ -387,11 +397,13 @@ class Ladder:
         )
         distinct: list[tuple[ShapeFit, float]] = []
         for fit, bic in pairs:
-            if bic - pairs[0][1] > CLOSE or len(distinct) == MOST:
-                break
+            kinds = {other.shape for other, _ in distinct}
+            rival = bic - pairs[0][1] <= CLOSE
+            if (not rival and fit.shape in kinds) or (distinct and len(fit.phases) < 2):
+                continue
             if not any(self.alike(fit, other) for other, _ in distinct):
                 distinct.append((fit, bic))
-        return distinct
+        return distinct[:MOST]
 
     def alike(self, fit: ShapeFit, other: ShapeFit) -> bool:
         """Whether two fits are of one shape and in one lobe."""
