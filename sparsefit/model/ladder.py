@@ -26,7 +26,7 @@ from sparsefit.model.scan import WaveScan, axis_gains, peaks
 from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
 
 LINES = 5  # lobes along the axes that are descended into
-RANKED, DESCENDED = 10, 4  # peaks of the plane that are ranked by their fit, and descended into
+RANKED, DESCENDED = 20, 4  # peaks of the plane that are ranked by their fit, and descended into
 STRONG, ALIKE = 24, 0.15  # single waves that rectangles are made of; the difference of their |k|
 FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 MOST_WAVES = 4  # waves of several
@@ -167,7 +167,7 @@ class Ladder:
         return n * math.log(share) + fit.shape.size * math.log(n)
 
     def descend(self, shape: Shape, q: Array) -> ShapeFit | None:
-        """A shape moved from q (p,) while it could be the best of its kind; None where it is no flow.
+        """A shape moved from q (p,) while it could be the best of its kind; None if it is no flow.
 
         That is where a wave is beyond the bounds, or two are one or nearly cancel.
         """
