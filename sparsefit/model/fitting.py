@@ -210,7 +210,7 @@ def descended(
 
 
 def joined(rows: FlowRows, shape: Shape, q: Array, pieces: int) -> Array:
-    """Parameters (p,) that were caught in pieces of a track, as sharp as the whole can take them."""
+    """Parameters (p,) caught in pieces of a track, as sharp as the whole can take them."""
     while pieces > 1:
         q = descended(rows, shape, q, pieces=pieces).q
         pieces = (pieces + 1) // 2
