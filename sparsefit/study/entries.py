@@ -1,0 +1,182 @@
+"""The entries of [outputs]: a name, a mapping of options, or a function of the study's script."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from sparsefit.arrays import IntArray
+from sparsefit.codec import Place, build
+from sparsefit.errors import InputError, one_of, suggestion, unknown
+from sparsefit.study.measures import Measure, factors, measure
+from sparsefit.study.table import Value, plain
+
+Options: TypeAlias = Mapping[str, object]
+MEASURED = ("", "settings", "protocols", "contrasts", "profiles", "lines", "ecdf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One table or figure that a study asks for.
+
+    name: of its file; title, notes: over and under it; measure: names of measures, each alone or
+    behind a summary; compare: its layout; rows: the columns of the frame that tell rows, or panels,
+    apart; along: a swept factor, the columns of a table or the axis of a picture.
+    columns, lines: what tells the columns of panels and the lines of a picture apart.
+    limits: values that a measure is held against; contrasts: pairs of protocols, titles,
+    back-ends or levels; interval: whether summaries have a 95 % interval over flights beside them.
+    """
+
+    name: str = ""
+    title: str = ""
+    notes: tuple[str, ...] = ()
+    measure: tuple[str, ...] = ()
+    compare: str = ""
+    rows: tuple[str, ...] = ()
+    along: str = ""
+    columns: str = ""
+    lines: str = "title"
+    limits: tuple[float, ...] = ()
+    contrasts: tuple[tuple[str, str], ...] = ()
+    interval: bool = False
+
+    @property
+    def measures(self) -> list[Measure]:
+        """The measures by name.
+
+        Raises:
+            InputError: for a name or a summary that is unknown, with the nearest.
+        """
+        return [measure(words) for words in self.measure]
+
+    @property
+    def file_name(self) -> str:
+        """The name, or one made of what is measured."""
+        words = self.name or "-".join([*self.measure, *([self.along] if self.along else [])])
+        return words.replace(" ", "-").replace("/", "-")[:100]
+
+
+def read_entry(
+    entry: str | Options,
+    named: Mapping[str, Options],
+    layouts: Mapping[str, Any],
+    kind: str,
+    script: Script,
+) -> Entry:
+    """Return an entry of [outputs] as a record; one whose name is shipped starts from that.
+
+    Raises:
+        InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
+    """
+    options: Options = {"name": entry} if isinstance(entry, str) else entry
+    name = str(options.get("name", ""))
+    if isinstance(entry, str) and name not in named:
+        raise unknown(kind, name, [*named, *script.functions])
+    if "/" in name or "\\" in name or name.startswith("."):
+        raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
+    read = build(Entry, {**named.get(name, {}), **options}, Place(f"the {kind}"))
+    one_of(f"compare of the {kind}", read.compare or "settings", layouts)
+    if not read.measures and read.compare in MEASURED:
+        raise InputError(f"the {kind} {name!r} needs measure = …: add it")
+    return read
+
+
+def grouped(
+    cases: pd.DataFrame, names: Sequence[str]
+) -> Iterator[tuple[tuple[Value, ...], IntArray]]:
+    """Give the values of each group of cases and the places of its rows, as they first appear."""
+    if not len(cases):
+        return
+    group = np.zeros(len(cases), dtype=np.int64)
+    for name in names:
+        codes, levels = pd.factorize(cases[name], use_na_sentinel=False)
+        group = pd.factorize(group * len(levels) + codes)[0]
+    order = np.argsort(group, kind="stable")
+    firsts = np.flatnonzero(np.diff(group[order], prepend=-1))
+    columns = [cases[name].to_numpy(dtype=object) for name in names]
+    for places in np.split(order, firsts[1:]):
+        yield tuple(plain(column[places[0]]) for column in columns), places
+
+
+def level_text(level: Value) -> str:
+    """Return a level in words: `[0.5,0.1]`, a pair of a sweep, as `0.5 / 0.1`, and 60.0 as `60`."""
+    if isinstance(level, float):
+        return f"{level:g}"
+    try:
+        pair = json.loads(str(level))
+    except json.JSONDecodeError:
+        return str(level)
+    numeric = isinstance(pair, list) and all(isinstance(part, int | float) for part in pair)
+    return " / ".join(f"{part:g}" for part in pair) if numeric else str(level)
+
+
+def sort_levels(cases: pd.DataFrame, factor: str) -> list[str]:
+    """Return the levels of a column as text: numbers ascending, others as they first appear."""
+    if factor not in cases:
+        raise InputError(f'no factor "{factor}" is swept{suggestion(factor, factors(cases))}')
+    levels = list(dict.fromkeys(map(plain, cases[factor])))
+    if pd.api.types.is_numeric_dtype(cases[factor]):
+        levels.sort(key=lambda level: math.inf if level is None else float(level))
+    return [level_text(level) for level in levels]
+
+
+def factor_words(factor: str) -> str:
+    """Return a factor in words, `measurement noise`."""
+    return factor.rpartition(".")[2].replace("_", " ")
+
+
+class Script:
+    """The functions of the Python file that a study names: of the frame of cases, by name."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.functions: dict[str, Callable[..., object]] = {}
+        if path is not None:
+            try:
+                module = _imported(path)
+            except Exception as error:
+                raise InputError(f"script {path}: {type(error).__name__}: {error}") from None
+            self.functions = {
+                name: value
+                for name, value in vars(module).items()
+                if callable(value) and getattr(value, "__module__", "") == module.__name__
+                and not name.startswith("_")
+            }  # fmt: skip
+
+    @classmethod
+    def of(cls, study: Any) -> Script:
+        """Return the script that a study names, beside its file."""
+        name = study.definition.outputs.script
+        return cls(Path(study.path).parent / name if name else None)
+
+    def call(self, name: str, study: Any, cases: pd.DataFrame) -> object:
+        """Return what a function gives of the cases, and of the study if it takes two arguments.
+
+        Raises:
+            InputError: with what it raised.
+        """
+        function = self.functions[name]
+        count = function.__code__.co_argcount if hasattr(function, "__code__") else 1
+        try:
+            return function(cases, study) if count > 1 else function(cases)
+        except Exception as error:
+            told = f"{type(error).__name__}: {error}"
+            raise InputError(f"{self.path}: {name}(cases) raised {told}") from None
+
+
+def _imported(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"study_script_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise FileNotFoundError(f"no Python file {path}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,407 @@
+"""Measures: derived columns of the frame of cases, with their units, and how they are summarised.
+
+A measure gives one number per case, NaN where the case has none. One rule of failure: a case in a
+flow without the number of a measure that counts failures ranks behind every number in a quantile
+and counts as `miss` in a mean, so that nobody gains by giving no answer. Of other measures it is
+left out, and the tables count it beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from sparsefit.arrays import Array, BoolArray
+from sparsefit.backends import finds_its_own
+from sparsefit.errors import one_of, unknown
+from sparsefit.study.statistics import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
+
+Read: TypeAlias = Callable[[pd.DataFrame], Array]
+PARAMETERS = ("mean_velocity", "length_scale", "timescale")
+SYMBOLS = {"mean_velocity": "U0", "length_scale": "L_w", "timescale": "τ_w"}
+UNITS = {"mean_velocity": "m/s", "length_scale": "m", "timescale": "s"}
+STATUSES = (
+    *("ok", "misfit", "inaccurate", "unidentifiable"),
+    *("error", "timeout", "crashed", "skipped"),
+)
+ANSWERED = ("ok", "inaccurate")
+OFF = 5.0  # percent: an estimate that misses a parameter by more should have been doubted
+NO_FLOW = ("still-air", "no-flow")  # doubts that say that there is no cellular flow at all
+LISTED = "docs/study-file.md"  # where a reader finds all names
+WORDS = {"share": "share of", "number": "number of"}
+
+
+def numbers(cases: pd.DataFrame, name: str) -> Array:
+    """Return a numeric column (rows,); NaN where a value, or the column, is absent."""
+    if name not in cases:
+        return np.full(len(cases), np.nan)
+    return np.asarray(cases[name].to_numpy(dtype=np.float64, na_value=np.nan))
+
+
+def parameters(cases: pd.DataFrame, prefix: str) -> Array:
+    """Return the columns `prefix`_* of U0 [m/s], L_w [m] and tau_w [s], (rows, 3)."""
+    return np.column_stack([numbers(cases, f"{prefix}_{name}") for name in PARAMETERS])
+
+
+def texts(cases: pd.DataFrame, name: str) -> pd.Series:
+    """Return a column as text; empty text where a value, or the column, is absent."""
+    if name not in cases:
+        return pd.Series("", index=cases.index)
+    return cases[name].astype(object).where(cases[name].notna(), "").astype(str)
+
+
+def ended(cases: pd.DataFrame, *statuses: str) -> BoolArray:
+    """Return whether each case ended in one of these statuses, (rows,)."""
+    return cases["status"].isin(statuses).to_numpy(dtype=bool)
+
+
+def answered(cases: pd.DataFrame) -> BoolArray:
+    """Return whether each case has an answer: status `ok` or `inaccurate`, finite estimates."""
+    usable = ended(cases, *ANSWERED)
+    if "est_mean_velocity" not in cases:
+        return usable
+    return usable & np.isfinite(parameters(cases, "est")).all(axis=1)
+
+
+def in_flow(cases: pd.DataFrame) -> BoolArray:
+    """Return whether there was a flow to be found, and it is known which, (rows,)."""
+    return ~texts(cases, "flow").isin(["none", "unknown"]).to_numpy(dtype=bool)
+
+
+def in_still_air(cases: pd.DataFrame) -> BoolArray:
+    """Return whether there was no flow to be found, (rows,); of a logged flight nobody knows."""
+    return (texts(cases, "flow") == "none").to_numpy(dtype=bool)
+
+
+def off(cases: pd.DataFrame) -> BoolArray:
+    """Return whether the numbers, doubted or not, are missing or miss the truth by > 5 %."""
+    true, estimate = parameters(cases, "true"), parameters(cases, "est")
+    near = 100.0 * np.abs(estimate - true) <= OFF * np.abs(true)
+    return np.asarray(~near.all(axis=1), dtype=bool)
+
+
+def only(mask: BoolArray, values: Array | BoolArray) -> Array:
+    """Return values (rows,) or (rows, 3) where the mask holds, NaN elsewhere."""
+    return np.where(mask if values.ndim == 1 else mask[:, None], values, np.nan)
+
+
+def factors(cases: pd.DataFrame) -> list[str]:
+    """Return the swept factors: columns with a dotted name and at least two levels."""
+    dotted = [name for name in cases.columns if "." in name]
+    return [name for name in dotted if cases[name].nunique(dropna=False) > 1]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One number of a case.
+
+    name: by which a study asks for it; words: the quantity in a sentence, `|error| of τ_w`.
+    read: the number (rows,) of each case in `unit`; NaN where it has none.
+    summary: in `QUANTILES` or `SUMMARIES`, by which a group of cases is told.
+    miss: what a failure counts as in a mean; failures are left out where it is None.
+    heading: over a column of a table; format: of the summary, three significant digits by default.
+    more: whether more is better; least: a smaller size is rounding; varies: with the machine.
+    """
+
+    name: str
+    words: str
+    unit: str
+    read: Read
+    summary: str = "median"
+    miss: float | None = None
+    heading: str = ""
+    format: str = ""
+    more: bool = False
+    least: float = 0.0
+    varies: bool = False
+
+    @property
+    def phrase(self) -> str:
+        """The summary in words, `median |error| of τ_w`."""
+        return f"{WORDS.get(self.summary, self.summary)} {self.words}"
+
+    @property
+    def convention(self) -> str:
+        """How a failure counts, in words."""
+        if self.miss is None:
+            return "over the cases that have one"
+        if self.summary in QUANTILES:
+            return "a case without an answer counting as worse than any"
+        return f"a case without an answer counting as {self.miss:g} {self.unit}".rstrip()
+
+    def values(self, cases: pd.DataFrame) -> Array:
+        """Return the number of each case (rows,); infinite for a failure that counts."""
+        values = self.read(cases)
+        if self.miss is None:
+            return values
+        return np.where(np.isnan(values) & in_flow(cases), np.inf, values)
+
+    def reduce(self, values: Array) -> Array:
+        """Return the summary (...,) of (..., n) values of cases that are not NaN."""
+        if self.summary in QUANTILES:
+            return quantile(values, QUANTILES[self.summary], observed=self.miss is not None)
+        if self.miss is not None:
+            values = np.where(np.isposinf(values), self.miss, values)
+        return SUMMARIES[self.summary](values)
+
+    def summarise(self, cases: pd.DataFrame) -> float:
+        """Return the summary of a group of cases; NaN where none has the number."""
+        values = self.values(cases)
+        if self.summary == "number" or not np.isnan(values).all():
+            return float(self.reduce(values))
+        return math.nan
+
+
+def measure(words: str) -> Measure:
+    """Return the measure of a name, alone or behind a summary: `95th percentile seconds`.
+
+    Raises:
+        InputError: with the nearest name, if there is no such measure or summary.
+    """
+    summary, _, name = words.strip().rpartition(" ")
+    if name not in MEASURES:
+        raise unknown("measure", name, MEASURES, LISTED)
+    if not summary:
+        return MEASURES[name]
+    one_of("summary", summary, SUMMARY_NAMES)
+    return replace(MEASURES[name], summary=summary, format="")
+
+
+def three(kind: str) -> tuple[str, ...]:
+    """Return the names of the measures `kind` of U0, L_w and tau_w, `mean-velocity-error` first."""
+    return tuple(f"{name.replace('_', '-')}-{kind}" for name in PARAMETERS)
+
+
+def _signed(cases: pd.DataFrame) -> Array:
+    return only(answered(cases), parameters(cases, "est") - parameters(cases, "true"))
+
+
+def _percent(cases: pd.DataFrame) -> Array:
+    percent: Array = 100.0 * _signed(cases) / parameters(cases, "true")
+    return percent
+
+
+def _sizes(cases: pd.DataFrame) -> Array:
+    return np.abs(_percent(cases))
+
+
+def bounded(cases: pd.DataFrame) -> BoolArray:
+    """Return whether a case has status ok, and its flight a finite Cramér-Rao bound, (rows,)."""
+    bounds = parameters(cases, "bound")
+    usable: BoolArray = (np.isfinite(bounds) & (bounds > 0)).all(axis=1) & ended(cases, "ok")
+    return usable
+
+
+def _efficiencies(cases: pd.DataFrame) -> Array:
+    return only(bounded(cases), _signed(cases) / parameters(cases, "bound"))
+
+
+def _bounds(cases: pd.DataFrame) -> Array:
+    relative = 100.0 * parameters(cases, "bound") / parameters(cases, "true")
+    return only(bounded(cases), relative)
+
+
+def _has_interval(cases: pd.DataFrame) -> BoolArray:
+    columns = [parameters(cases, name) for name in ("true", "est", "low", "high")]
+    both: BoolArray = ~np.isnan(columns).any(axis=0) & ended(cases, "ok")[:, None]
+    return both
+
+
+def _covered(cases: pd.DataFrame) -> Array:
+    true, low, high = (parameters(cases, name) for name in ("true", "low", "high"))
+    return np.where(_has_interval(cases), (low <= true) & (true <= high), np.nan)
+
+
+def _half_widths(cases: pd.DataFrame) -> Array:
+    estimate, low, high = (parameters(cases, name) for name in ("est", "low", "high"))
+    return np.where(_has_interval(cases), 50.0 * (high - low) / np.abs(estimate), np.nan)
+
+
+def _families() -> Iterator[Measure]:
+    """Give one measure of each parameter for every kind of number that is read of all three."""
+    kinds: tuple[tuple[Measure, Read], ...] = tuple(
+        (Measure(name, words, unit, np.zeros_like, **more), read)  # type: ignore[arg-type]
+        for name, words, unit, read, more in (
+            ("error", "|error| of {}", "%", _sizes,
+             {"miss": 100.0, "heading": "|error| {}", "least": TINY}),
+            ("size", "|error| of {}", "%", _sizes, {"heading": "|error| {}", "least": TINY}),
+            ("signed-error", "signed % error of {}", "%", _percent,
+             {"summary": "mean", "format": "+.2f", "heading": "signed % error {}"}),
+            ("deviation", "signed error of {}", "", _signed,
+             {"summary": "mean", "format": "+.2f", "heading": "signed error {}"}),
+            ("efficiency", "error of {} over the Cramér-Rao bound", "", _efficiencies,
+             {"summary": "rms", "heading": "error/bound {}"}),
+            ("bounded-error", "error of {} where a bound is known", "%",
+             lambda cases: only(bounded(cases), _percent(cases)),
+             {"summary": "rms", "heading": "error {}", "least": TINY}),
+            ("bound", "Cramér-Rao bound of {}", "%", _bounds,
+             {"summary": "rms", "heading": "bound {}"}),
+            ("coverage", "95 % intervals of {}, of flights called ok, that hold the truth", "%",
+             _covered, {"summary": "share", "format": ".1f", "more": True,
+                        "heading": "coverage {}"}),
+            ("half-width", "half-width of the 95 % interval of {}", "%", _half_widths,
+             {"heading": "half-width {}", "least": TINY}),
+        )
+    )  # fmt: skip
+    for place, parameter in enumerate(PARAMETERS):
+        symbol = SYMBOLS[parameter]
+        for kind, read in kinds:
+            yield replace(
+                kind,
+                name=f"{parameter.replace('_', '-')}-{kind.name}",
+                words=kind.words.format(symbol),
+                heading=kind.heading.format(symbol),
+                unit=UNITS[parameter] if kind.name == "deviation" else kind.unit,
+                read=lambda cases, read=read, place=place: read(cases)[:, place],
+            )
+
+
+def _column(name: str, factor: float = 1.0) -> Read:
+    return lambda cases: factor * numbers(cases, name)
+
+
+def _hits(cases: pd.DataFrame) -> Array:
+    """Return whether the grid scale nearest the truth was chosen, of what has a grid, (rows,)."""
+    backends = texts(cases, "backend")
+    gridless = backends.isin([name for name in backends.unique() if finds_its_own(name)])
+    chosen = texts(cases, "hit").isin(["True"]).to_numpy() & answered(cases)
+    return only(in_flow(cases) & ~gridless.to_numpy(dtype=bool), chosen)
+
+
+def _regimes(cases: pd.DataFrame) -> Array:
+    """Return the largest scale [m], the least ratio of neighbouring scales and of U0, (rows, 3)."""
+    found = np.full((len(cases), 3), np.nan)
+    for place, text in enumerate(texts(cases, "true_scales")):
+        pairs = np.array(json.loads(text or "[]"), dtype=float).reshape(-1, 2)
+        if len(pairs):
+            scales, speeds = np.sort(pairs[:, 0]), pairs[:, 1]
+            apart = float(np.min(scales[1:] / scales[:-1])) if len(scales) > 1 else math.inf
+            found[place] = scales[-1], apart, float(speeds.min() / speeds.max())
+    return found
+
+
+def _unseen(cases: pd.DataFrame) -> Array:
+    missed = ~(numbers(cases, "scales_within_1_percent") > 0)
+    return (missed & ended(cases, "ok")).astype(float)
+
+
+def _heading_errors(cases: pd.DataFrame) -> Array:
+    """Return |error| of the heading [degrees], up to the quarter turn that cells repeat after."""
+    quarter = math.pi / 2.0
+    turn = numbers(cases, "est_heading") - numbers(cases, "true_heading")
+    nearest = np.abs((turn + quarter / 2.0) % quarter - quarter / 2.0)
+    return only(answered(cases), np.degrees(nearest))
+
+
+def _side_errors(cases: pd.DataFrame) -> Array:
+    """Return the larger |error| of the two sides of the cells [%], the shorter side first."""
+    true, found = (
+        np.sort(np.column_stack([numbers(cases, f"{kind}_length_scale_{axis}") for axis in "xy"]))
+        for kind in ("true", "est")
+    )
+    return only(answered(cases), np.max(100.0 * np.abs(found / true - 1.0), axis=1))
+
+
+def _drift_errors(cases: pd.DataFrame) -> Array:
+    """Return the error of the drift [% of U0]; cells that were found steady drift by 0."""
+    true, found = (
+        np.column_stack([numbers(cases, f"{kind}_drift_{axis}") for axis in "xy"])
+        for kind in ("true", "est")
+    )
+    steady = np.isnan(found).all(axis=1) & (texts(cases, "est_shape") != "").to_numpy()
+    found[steady] = 0.0
+    missed = np.linalg.norm(found - true, axis=1) / numbers(cases, "true_mean_velocity")
+    return only(answered(cases), 100.0 * missed)
+
+
+def _share(name: str, words: str, heading: str, read: Read, *, more: bool = False,
+           format: str = ".1f") -> Measure:  # fmt: skip
+    """Return a measure that is 1 or 0, told as a share."""
+    return Measure(name, words, "%", read, "share", heading=heading, more=more, format=format)
+
+
+_REFUSED = ("misfit", "unidentifiable")
+_EVERY: Sequence[Measure] = (
+    *_families(),
+    Measure("largest-error", "largest |error| of U0, L_w and τ_w", "%",
+            lambda cases: _sizes(cases).max(axis=1), miss=100.0, heading="largest |error|",
+            least=TINY),
+    _share("hits", "flights whose nearest grid scale was chosen", "hits", _hits, more=True,
+           format=".0f"),
+    Measure("seconds", "time of a case", "s", _column("seconds"), heading="time", varies=True),
+    Measure("certificate", "certificate", "",
+            lambda cases: only(answered(cases), numbers(cases, "certificate")), "largest",
+            heading="certificate", format=".1e", varies=True),
+    _share("answered", "cases with an answer", "answered",
+           lambda cases: answered(cases).astype(float), more=True),
+    _share("off", f"flights called ok that are off by more than {OFF:g} %", "off, of ok",
+           lambda cases: only(in_flow(cases) & ended(cases, "ok"), off(cases)), format=".2f"),
+    _share("silent-misses", f"flights called ok and off by more than {OFF:g} %", "silent misses",
+           lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), format=".2f"),
+    _share("misfits", "flights called a misfit", "misfit",
+           lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
+    *(_share(f"called-{status}", f"cases that ended as {status}", status,
+             lambda cases, status=status: ended(cases, status).astype(float), more=status == "ok")
+      for status in ("ok", *_REFUSED)),
+    _share("deserved", "flights called unidentifiable whose numbers are off", "deserved",
+           lambda cases: only(in_flow(cases) & ended(cases, "unidentifiable"), off(cases)),
+           more=True),
+    _share("called-so", "flights without a flow that are called so", "called so",
+           lambda cases: only(in_still_air(cases), ended(cases, "unidentifiable")
+                              & texts(cases, "doubt").isin(NO_FLOW).to_numpy()), more=True),
+    _share("false-alarms", "flights without a flow that have an estimate", "false alarms",
+           lambda cases: only(in_still_air(cases), ended(cases, *ANSWERED))),
+    Measure("r-squared", "R² of the fit", "", _column("r_squared"), heading="R²", format=".4f",
+            more=True),
+    Measure("heading-error", "|error| of the heading", "°", _heading_errors, heading="heading",
+            least=TINY),
+    Measure("sides-error", "largest |error| of the cells' sides", "%", _side_errors,
+            heading="sides", least=TINY),
+    Measure("drift-error", "error of the drift, of U0", "%", _drift_errors, heading="drift",
+            least=TINY),
+    Measure("prediction-error", "error of the flow along other flights", "%",
+            _column("prediction_error", 100.0), "geometric mean", 100.0, "prediction", least=TINY),
+    Measure("offered-prediction-error", "error of the flow along other flights, where offered",
+            "%", lambda cases: only(answered(cases), 100.0 * numbers(cases, "prediction_error")),
+            "geometric mean", 100.0, "prediction, where offered", least=TINY),
+    Measure("bounded", "cases with a bound", "", lambda cases: bounded(cases).astype(float),
+            "number", heading="with bound"),
+    Measure("unseen", "cases called ok without all scales", "", _unseen, "number",
+            heading="unseen"),
+    _share("scales-found", "flights with every length scale within 1 %", "all found",
+           lambda cases: only(in_flow(cases),
+                              np.nan_to_num(numbers(cases, "scales_within_1_percent"))),
+           more=True, format=".0f"),
+    Measure("scales-missed", "scales missed", "", _column("scales_missed"), "mean",
+            heading="missed", format=".2f"),
+    Measure("scales-spurious", "scales spurious", "", _column("scales_spurious"), "mean",
+            heading="spurious", format=".2f"),
+    Measure("scales-length-scale-error", "largest error of L_w", "%",
+            _column("scales_max_length_scale_error"), heading="error L_w", least=TINY),
+    Measure("scales-mean-velocity-error", "largest error of U0", "%",
+            _column("scales_max_mean_velocity_error"), heading="error U0", least=TINY),
+    Measure("cells", "cells flown", "",
+            lambda cases: numbers(cases, "extent") / _regimes(cases)[:, 0], heading="cells"),
+    Measure("scale-ratio", "scale ratio", "", lambda cases: _regimes(cases)[:, 1],
+            heading="scale ratio"),
+    Measure("velocity-ratio", "velocity ratio", "", lambda cases: _regimes(cases)[:, 2],
+            heading="velocity ratio"),
+    Measure("holdout-error", "held-out error, of the target's variance", "%",
+            _column("holdout_error", 100.0), miss=100.0, heading="held-out error", least=TINY),
+    Measure("support", "columns in use", "", _column("support"), heading="columns"),
+    *(Measure(name, f"{name} of the support", "", _column(name), heading=name, more=True)
+      for name in ("precision", "recall", "f1")),
+    Measure("stability", "overlap of the supports of two halves", "", _column("stability"),
+            heading="stability", more=True),
+    Measure("excess", "certified excess of the objective", "", _column("excess"), "largest",
+            heading="excess", format=".1e"),
+    Measure("wall", "time of a solve", "s", _column("wall"), heading="time", varies=True),
+    Measure("cpu", "CPU time of a solve", "s", _column("cpu"), heading="CPU time", varies=True),
+)  # fmt: skip
+MEASURES: dict[str, Measure] = {each.name: each for each in _EVERY}

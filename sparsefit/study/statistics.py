@@ -1,0 +1,247 @@
+"""Statistics over flights and problems: the unit is drawn whole, with every case made of it.
+
+Numbers stand as a grid (..., units, cases of each), NaN where a case has none. Candidates are
+tried on the same units, so the same units are drawn for all of them (paired). Intervals are
+percentiles of a bootstrap over units (Efron, 1979), shares have Wilson's interval (Wilson, 1927),
+tests exchange two candidates within units, and the p-values of one table are adjusted by Holm's
+rule (Holm, 1979).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from sparsefit.arrays import Array, IntArray
+
+Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
+RESAMPLES, EXCHANGES, SEED = 2000, 4999, 0
+CHUNK = 4_000_000  # numbers drawn at once, by the memory that they take
+FEWEST = 5  # problems below which the interval of a ratio says nothing
+ROUNDING = 1e-9  # of the larger of two numbers: no difference
+TINY = 1e-6  # percent: a smaller error is quadrature and rounding
+NORMAL_95 = 1.959963984540054
+QUANTILES = {
+    "median": 0.5,
+    "first quartile": 0.25,
+    "third quartile": 0.75,
+    "9 of 10": 0.9,
+    "95th percentile": 0.95,
+}
+
+
+def mean(values: Array) -> Array:
+    """Return the mean (...,) of (..., n) numbers that are not NaN; NaN of none."""
+    known = ~np.isnan(values)
+    count = known.sum(axis=-1)
+    total: Array = np.where(known, values, 0.0).sum(axis=-1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+SUMMARIES: dict[str, Statistic] = {
+    "mean": mean,
+    "geometric mean": lambda values: np.exp(mean(np.log(np.maximum(values, TINY)))),
+    "rms": lambda values: np.sqrt(mean(values**2)),
+    "share": lambda values: 100.0 * mean(values),
+    "largest": lambda values: -np.sort(-values, axis=-1)[..., 0],
+    "number": lambda values: np.nansum(values, axis=-1),
+}
+SUMMARY_NAMES = (*QUANTILES, *SUMMARIES)
+
+
+def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
+    """Return the quantile (...,) of (..., n) numbers that are not NaN; infinity is the largest.
+
+    Linear between observations (Hyndman and Fan's definition 7), or `observed`, the least value
+    that so large a share does not exceed (definition 1): nothing lies halfway to a failure.
+    """
+    ordered = np.sort(values, axis=-1)  # NaN comes last
+    count = (~np.isnan(ordered)).sum(axis=-1)
+    last = np.maximum(count - 1, 0)
+    place = np.ceil(np.maximum(share * count - 1.0, 0.0)) if observed else share * last
+    low = np.floor(place).astype(np.intp)
+    high = np.minimum(low + 1, last)
+    first, second = (
+        np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (low, high)
+    )
+    exact = (first == second) | (place == low)  # two infinities have nothing between them
+    start, end = np.where(exact, 0.0, first), np.where(exact, 0.0, second)
+    between: Array = start + (place - low) * (end - start)
+    return np.where(count > 0, np.where(exact, first, between), np.nan)
+
+
+def by_unit(values: Array, units: pd.Series, order: pd.Index | None = None) -> Array:
+    """Return the numbers (rows,) of cases as a grid (units, cases of each).
+
+    Args:
+        units: (rows,) the unit of each case.
+        order: the units of the grid's rows, where several grids are to be paired.
+    """
+    known = pd.Index(units.unique()) if order is None else order
+    within = units.groupby(units, sort=False).cumcount().to_numpy()
+    grid = np.full((len(known), int(within.max(initial=-1)) + 1), np.nan)
+    grid[known.get_indexer(pd.Index(units)), within] = values
+    return grid
+
+
+def pooled(reduce: Statistic) -> Statistic:
+    """Return the summary of a grid (..., units, cases), all cases of the units together."""
+    return lambda grid: reduce(grid.reshape(*grid.shape[:-2], -1))
+
+
+def resampled(statistic: Callable[[IntArray], Array], units: int, width: int = 1, seed: int = SEED,
+              resamples: int = RESAMPLES) -> Array:  # fmt: skip
+    """Return a statistic (resamples,) of units drawn with replacement, as many as there are.
+
+    Args:
+        statistic: of the places (n, units) of drawn units, (n,); one seed draws one set of places.
+        width: the numbers of a unit, by which the work is cut to what memory holds.
+    """
+    rng = np.random.default_rng(seed)
+    each = max(1, CHUNK // max(1, units * width))
+    sizes = [min(each, resamples - start) for start in range(0, resamples, each)]
+    return np.concatenate([statistic(rng.integers(units, size=(n, units))) for n in sizes])
+
+
+def ends(distribution: Array) -> tuple[float, float]:
+    """Return the 95 % percentile interval of resampled values; NaN of none."""
+    low, high = (float(quantile(distribution, share)) for share in (0.025, 0.975))
+    return low, high
+
+
+def interval(statistic: Statistic, grid: Array) -> tuple[float, float]:
+    """Return the 95 % interval of a statistic of a grid (units, cases); NaN of a single unit."""
+    if len(grid) < 2:
+        return math.nan, math.nan
+    return ends(resampled(lambda at: statistic(grid[at]), len(grid), grid[0].size))
+
+
+def wilson(part: float, whole: int) -> tuple[float, float]:
+    """Return the Wilson score interval [%] of a share of `whole` units; NaN of none."""
+    if not whole:
+        return math.nan, math.nan
+    p, z2 = part / whole, NORMAL_95**2
+    middle = (p + z2 / (2 * whole)) / (1 + z2 / whole)
+    half = NORMAL_95 / (1 + z2 / whole) * math.sqrt(p * (1 - p) / whole + z2 / (4 * whole**2))
+    return 100.0 * max(middle - half, 0.0), 100.0 * min(middle + half, 1.0)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference with its 95 % interval.
+
+    units: from which it was read; identical: whether the two agree to rounding in every case.
+    """
+
+    effect: float
+    low: float
+    high: float
+    units: int
+    identical: bool = False
+
+    @property
+    def tie(self) -> bool:
+        """Whether the interval holds 0."""
+        return not (self.low > 0.0 or self.high < 0.0)
+
+    @property
+    def more_units(self) -> float:
+        """The number of further units that would end a tie, if the effect is what it seems.
+
+        The interval narrows with the root of the number; infinite where there is no effect.
+        """
+        if not self.tie:
+            return 0.0
+        if self.identical or not self.effect:
+            return math.inf
+        half = (self.high - self.low) / 2.0
+        return max(1.0, math.ceil(self.units * ((half / self.effect) ** 2 - 1.0)))
+
+
+def difference(statistic: Statistic, first: Array, second: Array) -> Difference:
+    """Return statistic(first) - statistic(second) of two grids (units, ...) of one order of units.
+
+    Their last axes may differ in length.
+    """
+    first, second = _alike(first, second)
+    effect = float(statistic(first) - statistic(second))
+    identical = bool(np.allclose(first, second, rtol=ROUNDING, atol=0.0, equal_nan=True))
+    if len(first) < 2:
+        return Difference(effect, math.nan, math.nan, len(first), identical)
+    drawn = resampled(
+        lambda at: statistic(first[at]) - statistic(second[at]), len(first), first[0].size
+    )
+    return Difference(effect, *ends(drawn), len(first), identical)
+
+
+def exchange_p(statistic: Statistic, first: Array, second: Array) -> float:
+    """Return the p-value of |difference| under exchanges of two grids (units, n) within units."""
+    first, second = _alike(first, second)
+    seen = abs(float(statistic(first) - statistic(second))) if first.size else math.nan
+    if math.isnan(seen):
+        return math.nan
+    rng, reached = np.random.default_rng(SEED), 0
+    each = max(1, CHUNK // first.size)
+    for start in range(0, EXCHANGES, each):
+        swap = rng.random((min(each, EXCHANGES - start), len(first), 1)) < 0.5
+        apart = statistic(np.where(swap, second, first)) - statistic(np.where(swap, first, second))
+        reached += int((np.abs(apart) >= seen * (1.0 - ROUNDING)).sum())
+    return (reached + 1) / (EXCHANGES + 1)
+
+
+def _alike(*grids: Array) -> list[Array]:
+    """Return grids of the width of the widest: a unit without a case has NaN there."""
+    width = max(grid.shape[-1] for grid in grids)
+    pads = [[(0, 0)] * (grid.ndim - 1) + [(0, width - grid.shape[-1])] for grid in grids]
+    return [
+        np.pad(grid, pad, constant_values=np.nan) for grid, pad in zip(grids, pads, strict=True)
+    ]
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted for as many tests by Holm's step-down rule; NaN is no test."""
+    tested = sorted((p, place) for place, p in enumerate(p_values) if not math.isnan(p))
+    adjusted, worst = [math.nan] * len(p_values), 0.0
+    for rank, (p, place) in enumerate(tested):
+        worst = max(worst, min(1.0, (len(tested) - rank) * p))
+        adjusted[place] = worst
+    return adjusted
+
+
+def best_probabilities(losses: Array) -> Array:
+    """Return how often each candidate has the least of losses (candidates, resamples), (c,).
+
+    Ties are shared.
+    """
+    judged = losses[:, ~np.isnan(losses).all(axis=0)]
+    least = np.nanmin(judged, axis=0)
+    is_least = judged <= least + ROUNDING * np.abs(least)
+    return np.asarray((is_least / is_least.sum(axis=0)).mean(axis=1))
+
+
+def shifted_mean(seconds: Array, shift: float, limit: float) -> Array:
+    """Return the shifted geometric mean over problems of seconds (problems, solvers), (solvers,).
+
+    exp(mean(log(t + shift))) - shift, where an unsolved problem (infinite) counts as the limit.
+    """
+    charged = np.minimum(seconds, limit)
+    found: Array = np.exp(np.log(charged + shift).mean(axis=0)) - shift
+    return found
+
+
+def ratio(numerator: Array, denominator: Array) -> tuple[float, float, float]:
+    """Return the geometric mean of paired ratios (n,) and its 95 % interval over the pairs.
+
+    Pairs with a value that is not finite are left out; the interval of fewer than `FEWEST` is NaN.
+    """
+    logs = np.log(numerator) - np.log(denominator)
+    logs = logs[np.isfinite(logs)]
+    if not len(logs):
+        return math.nan, math.nan, math.nan
+    low, high = interval(pooled(mean), logs[:, None]) if len(logs) >= FEWEST else (math.nan,) * 2
+    return math.exp(logs.mean()), math.exp(low), math.exp(high)
