@@ -21,7 +21,10 @@ from sparsefit.study.measures import Measure, factors, measure
 from sparsefit.study.table import Value, plain
 
 Options: TypeAlias = Mapping[str, object]
-MEASURED = ("", "settings", "protocols", "contrasts", "profiles", "lines", "ecdf")
+MEASURED = {  # layouts that draw or summarise named measures
+    "table": ("", "settings", "protocols", "contrasts", "profiles"),
+    "figure": ("", "settings", "protocols", "lines", "ecdf"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +88,7 @@ def read_entry(
         raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
     read = build(Entry, {**named.get(name, {}), **options}, Place(f"the {kind}"))
     one_of(f"compare of the {kind}", read.compare or "settings", layouts)
-    if not read.measures and read.compare in MEASURED:
+    if not read.measures and read.compare in MEASURED[kind]:
         raise InputError(f"the {kind} {name!r} needs measure = …: add it")
     return read
 

@@ -1,0 +1,160 @@
+"""The style of all pictures, and how a picture becomes the same bytes each time it is drawn."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import textwrap
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from sparsefit.arrays import Array
+
+WIDTH = 7.0  # inches: a page between its margins
+DPI = 150
+# Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "D", "v", "P", "X", "*")
+STYLES = ("-", "--", ":", "-.")
+GREY = "#666666"
+TICKS = 5  # at most, of a logarithmic axis: more would touch each other
+LEGEND = 110  # letters of one line of a legend as wide as the page
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 7.0,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "axes.grid": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "text.parse_math": False,  # names come from files: a "$" in one is a letter
+    "svg.fonttype": "path",
+    "path.simplify": False,
+}
+
+
+def styled(draw: Callable[[], Figure]) -> Figure:
+    """Return a figure drawn in this style, whatever the user's own settings are."""
+    with mpl.rc_context(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)
+        figure = draw()
+        if layout := figure.get_layout_engine():  # laid out once: saving twice moves nothing
+            layout.execute(figure)
+        figure.set_layout_engine(None)
+        return figure
+
+
+def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure of page width [inches] with a grid of axes that do not overlap."""
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    return figure, [list(row) for row in grid]
+
+
+def logarithmic(axis: Axis, low: float, high: float) -> None:
+    """Number a logarithmic axis from `low` to `high` in plain digits, `0.01  0.1  1`."""
+    decades = math.log10(high / low) if 0.0 < low < high else 1.0
+    axis.set_major_locator(
+        LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0), numticks=TICKS)
+    )
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def level_axis(axes: Axes, levels: Array) -> None:
+    """Number the x axis at swept levels (n,), on a log scale where they span a decade."""
+    known = np.unique(levels)
+    positive = known[known > 0]
+    if positive.size > 1 and positive[-1] / positive[0] >= 10 and known[0] >= 0:
+        if known[0] == 0:
+            axes.set_xscale("symlog", linthresh=float(positive[0]))
+        else:
+            axes.set_xscale("log")
+    if known.size <= 12:
+        axes.set_xticks(known, [f"{level:g}" for level in known])
+        axes.xaxis.set_minor_locator(NullLocator())
+    scale = axes.xaxis.get_transform()
+    low, high = scale.transform(known[[0, -1]].astype(float))
+    room = 0.05 * (high - low) or 0.5
+    axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
+
+
+def legend(figure: Figure, every: Iterable[Axes], more: Sequence[Artist] = ()) -> None:
+    """Put one legend above all panels, of what they draw and label, and `more`."""
+    handles = {
+        str(label): handle
+        for axes in every
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    shown = [*handles.values(), *more]
+    if not shown:
+        return
+    longest = max(len(str(handle.get_label())) for handle in shown)
+    columns = max(1, min(len(shown), LEGEND // (longest + 7)))
+    figure.legend(handles=shown, loc="outside upper center", ncols=columns)
+
+
+def with_unit(words: str, unit: str) -> str:
+    """Return the words of an axis with their unit in brackets, where they have one."""
+    return f"{words} [{unit}]" if unit else words
+
+
+def labels(names: Sequence[str], length: int) -> dict[str, str]:
+    """Return names of at most `length` letters that keep the words in which they differ.
+
+    Words that all names share are left out first, then letters in the middle of a name.
+    """
+    words = [re.split(r"(?<=[\s,:;])", name) for name in names]
+    shared = set(words[0]).intersection(*map(set, words[1:])) if len(words) > 1 else set()
+    short: dict[str, str] = {}
+    for name, parts in zip(names, words, strict=True):
+        text = name
+        if len(name) > length:
+            text = "".join(part for part in parts if part not in shared).strip(" ,:;") or name
+        half = (length - 1) // 2
+        short[name] = text if len(text) <= length else f"{text[: length - 1 - half]}…{text[-half:]}"
+    return short if len(set(short.values())) == len(set(names)) else {name: name for name in names}
+
+
+def wrapped(text: str, width: int) -> str:
+    """Return text on lines of at most `width` letters."""
+    return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
+
+
+def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:
+    """Return a figure as the bytes of a file: `.svg`, `.png` or `.pdf`.
+
+    Args:
+        name: by which the parts of an SVG are named apart from those of others on one page.
+    """
+    stream = io.BytesIO()
+    metadata = {".svg": {"Date": None, "Creator": None}, ".pdf": {"CreationDate": None}}
+    with mpl.rc_context(STYLE | {"svg.hashsalt": name}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        figure.savefig(
+            stream, format=suffix.lstrip("."), dpi=DPI, metadata=metadata.get(suffix, {}),
+            facecolor="white",
+        )  # fmt: skip
+    return stream.getvalue()
