@@ -309,7 +309,7 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
     pairs = entry.contrasts or _against_first(cases)
     rows, tests = [], []
     for first, second in pairs:
-        sides = _sides(cases, first, second)
+        sides = sides_of(cases, first, second)
         shared = pd.Index(sides[0]["flight"].unique()).intersection(sides[1]["flight"].unique())
         for each in entry.measures:
             grids = [
@@ -345,7 +345,7 @@ def _against_first(cases: pd.DataFrame) -> list[tuple[str, str]]:
     return [(title, titles[0]) for title in titles[1:]]
 
 
-def _sides(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
+def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
     """Return the cases of two values of one column.
 
     Raises:
@@ -470,20 +470,23 @@ def _named_table(
     return read.file_name, result
 
 
+def printed_value(reference: Any, each: Measure) -> float | None:
+    """Return what a reference prints of a measure, None where it prints nothing."""
+    kinds = {"deviation": reference.deviation, "signed-error": reference.signed_error}
+    for place, name in enumerate(PARAMETERS):
+        for kind, values in kinds.items():
+            if values and each.name == f"{name.replace('_', '-')}-{kind}":
+                return float(values[place])
+    return None
+
+
 def _with_reference(made: Table, entry: Entry, reference: Any) -> Table:
     """Return a table with the printed numbers of a reference as its first row, if it has them."""
-    printed = {
-        f"{name.replace('_', '-')}-{kind}": values[place]
-        for kind, values in (("deviation", reference.deviation),
-                             ("signed-error", reference.signed_error))
-        if values for place, name in enumerate(PARAMETERS)
-    }  # fmt: skip
-    known = [printed.get(words.rpartition(" ")[2]) for words in entry.measure]
-    if entry.compare or entry.interval or not any(value is not None for value in known):
+    known = [printed_value(reference, each) for each in entry.measures]
+    if entry.compare or entry.interval or all(value is None for value in known):
         return made
-    blank = [None] * (made.names - 1)
-    return replace(made, rows=[(reference.name, *blank, reference.flights, None, None, *known),
-                               *made.rows])  # fmt: skip
+    first = (reference.name, *[None] * (made.names - 1), reference.flights, None, None, *known)
+    return replace(made, rows=[first, *made.rows])
 
 
 def tables(study: Any, cases: pd.DataFrame, names: Sequence[str] = ()) -> dict[str, Table]:
