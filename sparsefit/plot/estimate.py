@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -119,11 +119,13 @@ def _draw_left(
     A residual as flat as the sensors' noise has no structure left; the line marks the frequency at
     which the vehicle meets cells, speed over 2 L.
     """
-    samples = estimator.derivative(flights[0])
+    derivative: Any = estimator.derivative  # a setting that the estimator has resolved
+    samples = derivative(flights[0])
     air = samples.flow_velocity(_vehicle(flights[0].vehicle, estimate))
     left, flow = air, estimate.flow
     if flow is not None:
-        left = air - flow.velocity(*samples.position.T, samples.time)
+        x, y = samples.position.T
+        left = air - flow.velocity(x, y, samples.time)
     several = " of the first flight" if len(flights) > 1 else ""
     words = "residual" if flow is not None else "velocity of the air"
     axes.set_title(f"{words}{several}, {'less the flow' if flow is not None else 'no flow found'}")

@@ -52,6 +52,7 @@ from sparsefit.study.measures import (
     bounded,
     factors,
     in_flow,
+    in_still_air,
     measure,
     numbers,
     three,
@@ -229,11 +230,11 @@ def _draw(axes: Axes, curves: Sequence[Curve], looks: Looks, each: Measure, case
         look = looks.of(curve.name)
         x = curve.x + (0.5 * ((order + 0.5) / len(curves) - 0.5) if named else 0.0)
         if named:
-            look |= {"ls": ""}
+            look |= {"ls": "", "marker": look["marker"] or "."}
+        gid = f"line-{looks.names.index(curve.name)}"
         if curve.low is not None and curve.high is not None and (named or len(curves) <= 4):
-            axes.vlines(x, curve.low, curve.high, color=look["color"], lw=0.8, alpha=0.7)
-        axes.plot(x, curve.y, ms=3.5, mew=0, gid=f"line-{looks.names.index(curve.name)}",
-                  label=looks.label(curve.name), **look)  # fmt: skip
+            axes.vlines(x, curve.low, curve.high, color=look["color"], lw=0.8, alpha=0.7, gid=gid)
+        axes.plot(x, curve.y, ms=3.5, mew=0, gid=gid, label=looks.label(curve.name), **look)
     if not any(np.isfinite(curve.y).any() for curve in curves):
         axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
     for limit in limits:
@@ -285,7 +286,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     every: list[list[Curve]] = []
     for each in entry.measures:
         values, told = np.abs(each.read(cases)), []
-        planned = in_flow(cases)
+        planned = ~in_still_air(cases)
         for (name,), places in grouped(cases, [entry.lines]):
             here = places[planned[places]]
             known = np.sort(values[here][np.isfinite(values[here])])
@@ -570,11 +571,11 @@ def _picture(
         return entry, Picture(drawn, str(getattr(drawn, "caption", "")))
     read = read_entry(entry, NAMED, LAYOUTS, "figure", script)
     name = read.file_name
-    drawn = styled_or_none(lambda: LAYOUTS[read.compare or "settings"](read, cases))
-    if drawn is None:
+    marked = styled_or_none(lambda: LAYOUTS[read.compare or "settings"](read, cases))
+    if marked is None:
         words = ", ".join(each.words for each in read.measures) or "an answer"
         return name, Picture(None, f"{name}: nothing to draw, no case has {words}.")
-    return name, Picture(drawn, _caption(read, cases))
+    return name, Picture(marked, _caption(read, cases))
 
 
 def _made(_: list[object], value: object) -> Figure:

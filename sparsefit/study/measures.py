@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -226,7 +227,7 @@ def _half_widths(cases: pd.DataFrame) -> Array:
 def _families() -> Iterator[Measure]:
     """Give one measure of each parameter for every kind of number that is read of all three."""
     kinds: tuple[tuple[Measure, Read], ...] = tuple(
-        (Measure(name, words, unit, np.zeros_like, **more), read)  # type: ignore[arg-type]
+        (Measure(name, words, unit, np.zeros_like, **more), read)
         for name, words, unit, read, more in (
             ("error", "|error| of {}", "%", _sizes,
              {"miss": 100.0, "heading": "|error| {}", "least": TINY}),
@@ -258,8 +259,16 @@ def _families() -> Iterator[Measure]:
                 words=kind.words.format(symbol),
                 heading=kind.heading.format(symbol),
                 unit=UNITS[parameter] if kind.name == "deviation" else kind.unit,
-                read=lambda cases, read=read, place=place: read(cases)[:, place],
+                read=partial(_one_of_three, read, place),
             )
+
+
+def _one_of_three(read: Read, place: int, cases: pd.DataFrame) -> Array:
+    return read(cases)[:, place]
+
+
+def _ended(status: str, cases: pd.DataFrame) -> Array:
+    return ended(cases, status).astype(float)
 
 
 def _column(name: str, factor: float = 1.0) -> Read:
@@ -347,7 +356,7 @@ _EVERY: Sequence[Measure] = (
     _share("misfits", "flights called a misfit", "misfit",
            lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
     *(_share(f"called-{status}", f"cases that ended as {status}", status,
-             lambda cases, status=status: ended(cases, status).astype(float), more=status == "ok")
+             partial(_ended, status), more=status == "ok")
       for status in ("ok", *_REFUSED)),
     _share("deserved", "flights called unidentifiable whose numbers are off", "deserved",
            lambda cases: only(in_flow(cases) & ended(cases, "unidentifiable"), off(cases)),

@@ -24,13 +24,24 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sparsefit.plot.style import COLOURS, GREY, encoded, labels, legend, logarithmic, panels, styled
+from sparsefit.plot.style import (
+    COLOURS,
+    GREY,
+    MARKERS,
+    encoded,
+    labels,
+    legend,
+    logarithmic,
+    panels,
+    styled,
+    wrapped,
+)
 from sparsefit.study import figures, select, solver_times, tables
 from sparsefit.study.entries import Script, grouped, read_entry
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import STATUSES, measure, numbers
 from sparsefit.study.select import Check, Selection
-from sparsefit.study.table import MARKDOWN, Column, Table, significant
+from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, significant
 from sparsefit.whole_file import write_files
 
 PAGE, README, EVIDENCE = "report.html", "README.md", "evidence.md"
@@ -175,7 +186,7 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
 
 
 def _value(each: Any, value: float) -> str:
-    return f"{'∞' if math.isinf(value) else significant(value)} {each.unit}".rstrip()
+    return f"{cell_text(value, tables.column_of(each))} {each.unit}".rstrip()
 
 
 def _sharers(told: Mapping[str, float], name: str) -> str:
@@ -323,8 +334,10 @@ def pareto(selection: Selection) -> Picture:
                 axes.plot([x], [y], "o", ms=13, mfc="none", mec="black", mew=1.0, zorder=2)
             axes.plot([x, 1e3 * seen["p99"]], [y, y], color=ink, lw=0.7, alpha=0.6)
             axes.plot([x, x], each.between, color=ink, lw=0.7, alpha=0.6)
-            axes.plot([x], [y], "osDvPX*"[readings.index(reading) % 7], ms=5, color=ink, ls="none",
-                      mfc="white" if each.breaches else ink, label=short[each.title], zorder=4)  # fmt: skip
+            axes.plot(
+                [x], [y], MARKERS[readings.index(reading) % len(MARKERS)], ms=5, color=ink,
+                mfc="white" if each.breaches else ink, label=short[each.title], zorder=4,
+            )  # fmt: skip
         front: list[tuple[float, float]] = []
         sign = -1.0 if selection.criterion.measure.more else 1.0
         for seen_, loss in sorted(
@@ -344,7 +357,7 @@ def pareto(selection: Selection) -> Picture:
             logarithmic(axes.yaxis, *axes.get_ylim())
         axes.set_xlabel("latency of one estimate [ms]")
         unit = selection.criterion.measure.unit
-        axes.set_ylabel(figures.wrapped(f"{selection.criterion.words} [{unit}]", 50))
+        axes.set_ylabel(wrapped(f"{selection.criterion.words} [{unit}]", 50))
         legend(figure, [axes])
         return figure
 

@@ -13,7 +13,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,7 @@ from sparsefit.study.statistics import (
     quantile,
     resampled,
 )
-from sparsefit.study.table import Column, Table, significant
+from sparsefit.study.table import Column, Table, Value, significant
 
 AVERAGE, WORST = "average", "worst"
 SPLITS = ("validate", "evaluate")
@@ -246,7 +245,7 @@ class Selection:
         """Every candidate, the chosen first: verdict, scores and intervals."""
         unit = self.criterion.measure.unit
         least = self.criterion.measure.least
-        rows = []
+        rows: list[tuple[Value, ...]] = []
         for rank, each in enumerate(self._ordered, 1):
             apart = each.apart
             more = apart.more_units if apart is not None and apart.tie else None
@@ -274,7 +273,7 @@ class Selection:
     def regimes(self) -> Table:
         """The criterion on the evaluate units, a row per candidate, a column per regime."""
         unit, least = self.criterion.measure.unit, self.criterion.measure.least
-        rows = [
+        rows: list[tuple[Value, ...]] = [
             (each.title, self.verdict(each), *map(float, each.by_regime), each.evaluate)
             for each in self._ordered
         ]
@@ -286,7 +285,7 @@ class Selection:
     @property
     def latency(self) -> Table | None:
         """Time and memory of an estimate of each candidate; None where none was measured."""
-        rows = []
+        rows: list[tuple[Value, ...]] = []
         for each in self.ranked:
             seen = self.latencies.get(each.candidate)
             if seen is not None:
@@ -395,36 +394,36 @@ def select(
     study: Any,
     rule: Any = None,
     *,
-    latencies: pd.DataFrame | None = None,
+    latencies: Mapping[str, Any] | None = None,
     refusals: Mapping[str, str] | None = None,
-    cases: pd.DataFrame | None = None,
+    **options: Any,
 ) -> Selection:
     """Choose a candidate by a rule, that of the study unless another is given.
 
     Args:
-        latencies: `candidate, median [s], p99 [s], memory [MB], busy`; a candidate without a row
-            keeps no limit of either.
+        latencies: `median` [s], `p99` [s], `memory` [MB] and `busy` (share) by candidate, as the
+            study has stored them unless given; a candidate without keeps no limit of either.
         refusals: why a candidate cannot be on board, where that is asked for.
+        options: of [select], in place of those of the rule.
 
     Raises:
         InputError: if the rule names what does not exist, the study has no split or is
             unfinished, or its candidates were not tried alike.
     """
     rule = rule or study.definition.selection
-    cases = study.cases if cases is None else cases
-    placed = _with_regimes(study, cases, rule)
+    rule = rule.changed(**options) if options else rule
+    placed = _with_regimes(study, study.cases, rule)
     regimes = tuple(dict.fromkeys(placed["regime"]))
     one_of("over =", rule.over, (AVERAGE, WORST, *regimes))
     summary, name = rule.measure
     criterion = Criterion(measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
-    if not np.isfinite(criterion.measure.read(cases)).any():
+    if not np.isfinite(criterion.measure.read(placed)).any():
         raise InputError(
             f"{study.name} has no case with a number for {criterion.measure.words}: choose by "
             "another criterion (for predictions, set [run] prediction_flights)"
         )
-    timed = {} if latencies is None else {
-        str(row["candidate"]): row for row in latencies.to_dict("records")
-    }  # fmt: skip
+    latencies = study.latencies if latencies is None else latencies
+    timed = {name: asdict(seen) for name, seen in latencies.items()}
     if rule.simplest == "fastest" and not timed:
         raise InputError('simplest = "fastest" needs measured latencies: allow them to be measured')
     return _decided(study, rule, criterion, placed, timed, refusals or {})
@@ -469,8 +468,7 @@ def _decided(
     first, last = ([criterion.loss(part) for part in grid] for grid in grids)
     drawn = [
         np.array([
-            resampled(lambda at, part=part: criterion.loss(part[at]), len(part), part[0].size,
-                      rule.seed + place)
+            _drawn(criterion, part, rule.seed + place)
             for part in grid
         ])
         for place, grid in enumerate(grids)
@@ -532,6 +530,11 @@ def _decided(
         units={name: each.shape[1] for name, each in zip(splits, trials, strict=True)},
         parts=_parts(cases), latencies=timed, cases=cases,
     )  # fmt: skip
+
+
+def _drawn(criterion: Criterion, grid: Array, seed: int) -> Array:
+    """Return the loss (resamples,) over drawn units; one seed draws the same for all."""
+    return resampled(lambda at: criterion.loss(grid[at]), len(grid), grid[0].size, seed)
 
 
 def _signed(pair: tuple[float, float], sign: float) -> tuple[float, float]:
@@ -616,8 +619,7 @@ def check(selection: Selection, cases: pd.DataFrame) -> Check:
     losses = [float(criterion.loss(grid)) for grid in grids]
     best = min(range(len(candidates)), key=lambda at: (losses[at], at != own))
     mine, other = (
-        resampled(lambda at, grid=grids[place]: criterion.loss(grid[at]), len(grids[place]),
-                  grids[place][0].size, rule.seed)
+        _drawn(criterion, grids[place], rule.seed)
         for place in (own, best)
     )  # fmt: skip
     sign = -1.0 if criterion.measure.more else 1.0
@@ -732,12 +734,3 @@ def provenance(study: Any, selection: Selection) -> dict[str, Any]:
         "latency": selection.latencies.get(chosen.candidate),
     })  # fmt: skip
     return record
-
-
-def stored_latencies(folder: Path) -> pd.DataFrame | None:
-    """Return the latency frame that is stored in a results folder, None where there is none."""
-    file = folder / "latency.json"
-    if not file.is_file():
-        return None
-    frame = pd.DataFrame(json.loads(file.read_text(encoding="utf-8")))
-    return frame if "candidate" in frame else None

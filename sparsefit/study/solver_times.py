@@ -51,12 +51,13 @@ class Times:
     def order(self) -> list[int]:
         """The places of the solvers by the geometric mean of their times, the fastest first."""
         logs = np.log(np.minimum(self.seconds, 1e6)).mean(axis=0)
-        return np.argsort(logs, kind="stable").tolist()
+        order: list[int] = np.argsort(logs, kind="stable").tolist()
+        return order
 
 
 def clock_of(cases: pd.DataFrame, name: str) -> float:
     """Return the limit or the shift [s] of the clock, as the frame carries it."""
-    return float(cases.attrs.get(name, CLOCK[name]))  # type: ignore[arg-type]
+    return float(cases.attrs.get(name, CLOCK[name]))
 
 
 def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
@@ -153,7 +154,8 @@ def winners(cases: pd.DataFrame) -> Table:
     for objective in objectives(cases):
         times = times_to(cases, objective, strict)
         for problem, seconds in zip(times.problems, times.seconds, strict=True):
-            shape = f"{shapes.at[problem, 'samples']} × {shapes.at[problem, 'columns']}"
+            samples, columns = (int(shapes[name][problem]) for name in ("samples", "columns"))
+            shape = f"{samples} × {columns}"
             first, *others = np.argsort(seconds, kind="stable").tolist() or [None]
             if first is None or math.isinf(seconds[first]):
                 rows.append((objective, problem, shape, "nobody", None, None, None))
@@ -166,12 +168,12 @@ def winners(cases: pd.DataFrame) -> Table:
                 ahead = behind if np.isfinite(seconds[second]) else f"≥ {behind}"
             rows.append((objective, problem, shape, times.solvers[first], 1e3 * seconds[first],
                          None if second is None else times.solvers[second], ahead))  # fmt: skip
-    columns = (
+    heads = (
         *map(Column, ("objective", "problem", "samples × columns", "fastest")),
         Column("time", "ms", varies=True), Column("next", varies=True),
         Column("next / fastest", varies=True),
     )  # fmt: skip
-    return Table(f"The fastest by shape, to {level_text(strict)}", columns, rows, (), 90, 4)
+    return Table(f"The fastest by shape, to {level_text(strict)}", heads, rows, (), 90, 4)
 
 
 def failures(cases: pd.DataFrame) -> Table:
@@ -183,7 +185,8 @@ def failures(cases: pd.DataFrame) -> Table:
     for (objective, solver, status, _), here in bad.groupby(keys, sort=False):
         names = list(dict.fromkeys(map(str, here["problem"])))
         words = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        rows.append((objective, solver, status, len(here), words, str(here["reason"].iloc[0])))
+        told = (str(objective), str(solver), str(status))
+        rows.append((*told, len(here), words, str(here["reason"].iloc[0])))
     rows.sort(key=lambda row: -int(row[3] or 0))
     heads = ("objective", "solver", "status", "cases", "problems", "reason of the first")
     return Table("Who failed where", tuple(map(Column, heads)), rows, (), 40, 3)
@@ -198,7 +201,7 @@ def clock(cases: pd.DataFrame) -> Table:
             float(here["repeats"].median()), f"{int(here['known'].sum())}/{len(here)}",
             int(here["disturbed"].sum()), float((here["cpu"] / here["wall"]).median()),
         )
-        for solver, here in timed.groupby("solver", sort=False)
+        for (solver,), here in timed.groupby(["solver"], sort=False)
     ]  # fmt: skip
     columns = (
         Column("solver"), Column("first call", "s", varies=True),

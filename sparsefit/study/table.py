@@ -175,16 +175,16 @@ class Table:
         frame = self.frame
         for place, column in enumerate(self.columns):
             cells = [_csv_cell(row[place], column.least) for row in self.rows]
-            frame.isetitem(place, pd.Series(cells, dtype=object))
+            frame.isetitem(place, np.array(cells, dtype=object))
         return frame.to_csv(index=False, lineterminator="\n")
 
     def to_latex(self, label: str = "") -> str:
         """Return a float of booktabs rules, the cells escaped and the quotes typeset."""
-        heads = pd.MultiIndex.from_tuples(
+        heads: pd.Index = pd.MultiIndex.from_tuples(
             [(_tex(column.group), _tex(column.heading)) for column in self.columns]
         )
         if not any(column.group for column in self.columns):
-            heads = heads.droplevel(0)
+            heads = heads.get_level_values(1)
         cells = [[_tex(text) for text in row] for row in self.texts]
         style = pd.DataFrame(cells, columns=heads).style.hide(axis="index")
         wide = len(self.columns) > WIDE

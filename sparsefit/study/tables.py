@@ -50,6 +50,7 @@ from sparsefit.study.measures import (
 from sparsefit.study.statistics import (
     EXCHANGES,
     RESAMPLES,
+    Difference,
     by_unit,
     difference,
     exchange_p,
@@ -192,7 +193,7 @@ def status(entry: Entry, cases: pd.DataFrame) -> Table:
         for name in STATUSES for fact in (f"≤ {OFF:g} %", "off", "no flow", "")
         if ((ends == name) & (truth == fact)).any()
     ]  # fmt: skip
-    rows = [
+    rows: list[tuple[Value, ...]] = [
         (*map(level_text, key), len(places), *(
             int(((ends[places] == name) & (truth[places] == fact)).sum()) for name, fact in order
         ))
@@ -219,7 +220,7 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     shares = [measure(name) for name in three("coverage")]
     halves = [measure(name) for name in three("half-width")]
     held, wide = ([each.values(cases) for each in kind] for kind in (shares, halves))
-    ok, rows = ended(cases, "ok"), []
+    ok, rows = ended(cases, "ok"), list[tuple[Value, ...]]()
     for key, places in grouped(cases, names):
         for place, symbol in enumerate(SYMBOLS.values()):
             told = held[place][places]
@@ -274,7 +275,7 @@ def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
     names, each = name_columns(cases, entry.rows or ROWS), entry.measures[0]
     values = np.abs(each.read(cases))
     within = {limit: only_in_flow(values <= limit, cases) for limit in entry.limits or STEPS}
-    rows = [
+    rows: list[tuple[Value, ...]] = [
         (*map(level_text, key), len(places), *(
             cell for held in within.values() for cell in _share_cells(held[places])
         ))
@@ -307,7 +308,8 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
     any contrast each title stands against the first.
     """
     pairs = entry.contrasts or _against_first(cases)
-    rows, tests = [], []
+    made: list[tuple[str, str, str, str, int, list[float], Difference]] = []
+    tests: list[float] = []
     for first, second in pairs:
         sides = sides_of(cases, first, second)
         shared = pd.Index(sides[0]["flight"].unique()).intersection(sides[1]["flight"].unique())
@@ -318,26 +320,28 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
             ]
             statistic = pooled(each.reduce)
             apart = difference(statistic, *grids)
-            told = [float(statistic(grid)) for grid in grids]
             tests.append(exchange_p(statistic, *grids))
             better = first if (apart.effect > 0) == each.more else second
-            rows.append((each.phrase, first, second, len(shared), *told, apart, better))
+            pair = [float(statistic(grid)) for grid in grids]
+            made.append((each.phrase, first, second, better, len(shared), pair, apart))
     columns = (
         *map(Column, ("measure", "first", "second", "verdict")), Column("flights", format="d"),
         *(Column(name, group="summary") for name in ("first", "second")), Column("effect"),
         Column("from", group="95 %"), Column("to", group="95 %"), Column("p", format=".4f"),
         Column("p (Holm)", format=".4f"),
     )  # fmt: skip
-    filled = [
-        (*row[:3], "tie" if row[6].tie or not adjusted <= 0.05 else f"{row[7]} is better", row[3],
-         *row[4:6], row[6].effect, row[6].low, row[6].high, p, adjusted)
-        for row, p, adjusted in zip(rows, tests, holm(tests), strict=True)
+    rows: list[tuple[Value, ...]] = [
+        (phrase, first, second,
+         "tie" if apart.tie or not adjusted <= 0.05 else f"{better} is better",
+         count, *pair, apart.effect, apart.low, apart.high, p, adjusted)
+        for (phrase, first, second, better, count, pair, apart), p, adjusted
+        in zip(made, tests, holm(tests), strict=True)
     ]  # fmt: skip
     note = (
         f"Paired by flight, first minus second. 95 %: bootstrap over flights ({RESAMPLES}); "
         f"p by {EXCHANGES} exchanges within flights, adjusted for this table by Holm's rule."
     )
-    return Table(entry.title or "Contrasts", columns, filled, (*entry.notes, note), 60, 3)
+    return Table(entry.title or "Contrasts", columns, rows, (*entry.notes, note), 60, 3)
 
 
 def _against_first(cases: pd.DataFrame) -> list[tuple[str, str]]:
