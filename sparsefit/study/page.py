@@ -36,11 +36,11 @@ from sparsefit.plot.style import (
     styled,
     wrapped,
 )
-from sparsefit.study import figures, select, solver_times, tables
+from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.entries import Script, grouped, read_entry
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import STATUSES, measure, numbers
-from sparsefit.study.select import Check, Selection
+from sparsefit.study.selection import Check, Selection, lines
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, significant
 from sparsefit.whole_file import write_files
 
@@ -368,7 +368,7 @@ def write_selection(
     study: Any, selection: Selection, folder: Path | None = None, check: Check | None = None
 ) -> list[Path]:
     """Write the tables and pictures of a selection, evidence.html and evidence.md, the last."""
-    said = select.lines(selection, check)
+    said = lines(selection, check)
     made = {"selection": selection.table, "regimes": selection.regimes}
     timed = selection.latency
     files = table_files(study.name, made | ({"latency": timed} if timed else {}))

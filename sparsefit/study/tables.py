@@ -44,6 +44,7 @@ from sparsefit.study.measures import (
     measure,
     numbers,
     off,
+    only,
     parameters,
     three,
 )
@@ -274,7 +275,7 @@ def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of planned cases within each limit; a failure is within none."""
     names, each = name_columns(cases, entry.rows or ROWS), entry.measures[0]
     values = np.abs(each.read(cases))
-    within = {limit: only_in_flow(values <= limit, cases) for limit in entry.limits or STEPS}
+    within = {limit: only(in_flow(cases), values <= limit) for limit in entry.limits or STEPS}
     rows: list[tuple[Value, ...]] = [
         (*map(level_text, key), len(places), *(
             cell for held in within.values() for cell in _share_cells(held[places])
@@ -288,11 +289,6 @@ def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
     title = entry.title or f"Share of cases within so much: {each.words}"
     return Table(title, tuple(columns), rows, (*entry.notes, "Failures are within no limit; 95 %: "
                  "Wilson's interval."), 60, len(names))  # fmt: skip
-
-
-def only_in_flow(mask: Any, cases: pd.DataFrame) -> Array:
-    """Return a mask as numbers (rows,), NaN where there was no flow."""
-    return np.where(in_flow(cases), np.asarray(mask, dtype=float), np.nan)
 
 
 def _share_cells(held: Array) -> tuple[Value, Value]:
