@@ -21,6 +21,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, suggestion
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
 
@@ -185,7 +186,7 @@ class Model:
     growth: Quantity = 0.0
     fixed: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by name: those of the pattern first."""
         flow = zip(self.pattern.names, self.pattern.values, strict=True)
@@ -194,12 +195,12 @@ class Model:
             record |= {item.name: _parameter(getattr(part, item.name)) for item in fields(part)}
         return record | {"growth": _parameter(self.growth)}
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The names of the free parameters."""
         return tuple(name for name, parameter in self.parameters.items() if parameter.free)
 
-    @property
+    @cached_property
     def elements(self) -> Array:
         """The values of all elements (22 + 5 j,)."""
         parameters = self.parameters

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 
 SHAPES = ("axis", "square", "rectangle", "pair", "several")
@@ -109,7 +110,7 @@ class StreamPattern:
         )
         return cls(shape, (speed, *lengths, *phases, *moving), drift is not None)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The names of the values; those of a wave j are kx_j, ky_j, cosine_j, sine_j."""
         count = (len(self.values) - 2 * self.drifting) // 4
@@ -124,12 +125,12 @@ class StreamPattern:
     @property
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""
-        return self._expanded()[0]
+        return self._expanded[0]
 
     @property
     def jacobian(self) -> Array:
         """The derivatives (5 j, p) of the elementary quantities by the values."""
-        return self._expanded()[1]
+        return self._expanded[1]
 
     @property
     def mean_velocity(self) -> float:
@@ -167,6 +168,7 @@ class StreamPattern:
             bare[:, 2], bare[:, 3] = a * cos + b * sin, b * cos - a * sin
         return replace(self, values=tuple(values.tolist()), origin=origin)
 
+    @cached_property
     def _expanded(self) -> tuple[Array, Array]:
         """Elementary quantities (j, 5) and their derivatives (5 j, p) by the values."""
         values = np.array(self.values)
@@ -196,29 +198,25 @@ def _cells(values: dict[str, float]) -> tuple[Array, dict[str, Array]]:
     side = values.get("length_scale", 0.0)
     lengths = values.get("length_scale_x", side), values.get("length_scale_y", side)
     heading, speed = values.get("heading", 0.0), values["mean_velocity"]
-    along = np.array([math.cos(heading), math.sin(heading)])
-    across = np.array([-along[1], along[0]])
     p, q = math.pi / lengths[0], math.pi / lengths[1]
-    phases = np.array([values["phase_1"], values["phase_2"]])
-    unit = np.column_stack([np.cos(phases), -np.sin(phases)])  # of (a, b)
+    along = p * math.cos(heading), p * math.sin(heading)
+    across = -q * math.sin(heading), q * math.cos(heading)
     size = math.sqrt(2.0 * (p * p + q * q))
-    signs = np.array([[1.0], [-1.0]])
-
-    def rows(vectors: Array, amplitudes: Array) -> Array:
-        return np.hstack([vectors, amplitudes, np.zeros((2, 1))])
-
-    still, amplitude = np.zeros((2, 2)), speed / size * unit
-    slopes = {
-        "mean_velocity": rows(still, unit / size),
-        "length_scale_x": rows(-p / lengths[0] * signs * along,
-                               amplitude * 2.0 * p * p / lengths[0] / size**2),
-        "length_scale_y": rows(-q / lengths[1] * np.ones((2, 1)) * across,
-                               amplitude * 2.0 * q * q / lengths[1] / size**2),
-        "heading": rows(p * signs * across - q * along, still),
-    }  # fmt: skip
-    slopes["length_scale"] = slopes["length_scale_x"] + slopes["length_scale_y"]
-    for j, name in enumerate(("phase_1", "phase_2")):
-        turned = np.zeros((2, 5))
-        turned[j, 2:4] = speed / size * np.array([unit[j, 1], -unit[j, 0]])
-        slopes[name] = turned
-    return rows(q * across + p * signs * along, amplitude), slopes
+    waves = np.zeros((2, 5))
+    slopes = {name: np.zeros((2, 5)) for name in dict.fromkeys(sum(CELLS.values(), ()))}
+    for j, sign in enumerate((1.0, -1.0)):
+        phase = values[f"phase_{j + 1}"]
+        c, s = math.cos(phase) / size, -math.sin(phase) / size
+        waves[j] = across[0] + sign * along[0], across[1] + sign * along[1], speed * c, speed * s, 0
+        slopes["mean_velocity"][j, 2:4] = c, s
+        slopes["heading"][j, :2] = -sign * along[1] - across[1], sign * along[0] + across[0]
+        slopes[f"phase_{j + 1}"][j, 2:4] = speed * s, -speed * c
+        for name, length, part, toward in (
+            ("length_scale_x", lengths[0], p, (-sign * along[0], -sign * along[1])),
+            ("length_scale_y", lengths[1], q, (-across[0], -across[1])),
+        ):
+            shrink = 2.0 * part * part / size**2 * speed
+            column = np.array([*toward, shrink * c, shrink * s, 0.0]) / length
+            slopes[name][j] = column
+            slopes["length_scale"][j] += column
+    return waves, slopes

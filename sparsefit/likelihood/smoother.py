@@ -36,6 +36,7 @@ class Smoothing:
         anneal: the process noise that the search starts from, in |w|/tau per sqrt(|k| |w|).
         passes: the most passes on few rows, and on all.
         gain: the log-likelihood that a last pass may still gain.
+        lifts: how often the search may start again with ten times the process noise.
         negligible: the degrees of freedom that a level may take and count as zero.
         gate: the deviations beyond which a reading is left out; infinite: none is.
         outliers: the largest share of readings that may be left out.
@@ -43,11 +44,12 @@ class Smoothing:
         dependent: the least eigenvalue of the scaled information that an observable model has.
     """
 
-    coarse: int = 300
+    coarse: int = 200
     phase: float = 0.4
     anneal: float = 1.0
     passes: int = 30
-    gain: float = 0.003
+    gain: float = 0.005
+    lifts: int = 2
     negligible: float = 0.01
     gate: float = 4.5
     outliers: float = 0.2
@@ -86,7 +88,7 @@ def measure(
     logs: FlightLog | Sequence[FlightLog],
     model: Model | Sequence[Model],
     levels: Sequence[str] = LEVELS,
-    start: Descent | None = None,
+    start: Posterior | None = None,
     settings: Smoothing | None = None,
 ) -> Posterior:
     """Find the maximum of the likelihood of logs that share the free parameters.
@@ -96,7 +98,8 @@ def measure(
         model: one for all, or one per log, with the same pattern and the same free parameters;
             the values are where the search starts.
         levels: the names of the levels to estimate; others are at their values.
-        start: of an earlier posterior of the same logs; the noise is then not annealed.
+        start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
+            its trajectories are where the search starts, and the noise is not annealed.
         settings: of the smoother.
 
     Raises:
@@ -104,7 +107,9 @@ def measure(
     """
     records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
-    return Search(records, models, tuple(levels), settings or Smoothing()).posterior(start)
+    return Search(records, models, tuple(levels), settings or Smoothing()).posterior(
+        start and start.state
+    )
 
 
 class Search:
@@ -297,7 +302,7 @@ class Search:
         """
         settings = self.settings
         scouts = [_Levels(self.wanted, settings, hold) for _ in self.logs]
-        current, reason, halvings, fresh = start, "", 0, True
+        current, reason, halvings, lifts, fresh = start, "", 0, 0, True
         best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
         count = 0
         while count < settings.passes:
@@ -307,7 +312,12 @@ class Search:
             if not math.isfinite(reached) or (
                 best is not None and not fresh and reached < best[0].value + best[0].gain - 1.0
             ):
-                if best is None or halvings == 6:
+                if halvings == 4 and best is not None and lifts < settings.lifts:
+                    lifts, halvings, fresh = lifts + 1, 0, True
+                    current, best = self.lifted(best[0].start), None
+                    scouts = [_Levels(self.wanted, settings, hold) for _ in self.logs]
+                    continue
+                if best is None or halvings == 4:
                     reason = "the likelihood cannot be raised from where the search started"
                     break
                 halvings += 1
@@ -327,7 +337,8 @@ class Search:
                 changes.append(change)
                 gains += gain
             best = (step, smoothed, changes)
-            if step.gain < settings.gain and gains < settings.gain and not fresh:
+            enough = settings.gain * (30.0 if current.stride > 1 else 1.0)
+            if step.gain < enough and gains < enough and not fresh:
                 break
             current = self.moved(step, smoothed, 1.0, changes)
         else:
@@ -341,6 +352,15 @@ class Search:
             )  # fmt: skip
         return best[0], best[1], count, reason
 
+    def lifted(self, descent: Descent) -> Descent:
+        """The search with ten times the process noise, which lets it pass over small hills."""
+        models = []
+        for model in descent.models:
+            level = 10.0 * max(model.disturbance.acceleration, 1e-3)
+            noise = model.disturbance.at({"acceleration": level})
+            models.append(replace(model, disturbance=noise))
+        return replace(descent, models=tuple(models), last=None)
+
     def gated(self, descent: Descent, smoothed: tuple[Smoothed, ...]) -> bool:
         """Leave readings out that all others contradict; take in those that they bear out.
 
@@ -352,6 +372,8 @@ class Search:
         changed = False
         for nodes, each, model in zip(descent.nodes, smoothed, descent.models, strict=True):
             far = np.abs(each.scores[:, 4:8])
+            if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: no model yet
+                continue
             most = max(self.settings.gate, 0.3 * float(far.max()))
             noise = np.sqrt(StateSpace.of(model).noise.sum(axis=0))
             out = nodes.seen & (nodes.weights == 0.0)
@@ -375,6 +397,15 @@ class Search:
                 hold = 0
                 still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
                 start = self.renoded(self.moved(step, smoothed, 1.0, still), 1)
+        else:
+            tracks = []
+            for model, track in zip(self.models, start.tracks, strict=True):
+                wide = np.zeros((len(track), 4 + len(StateSpace.of(model).walkers)))
+                shared = min(wide.shape[1], track.shape[1])
+                wide[:, :shared] = track[:, :shared]
+                tracks.append(wide)
+            moved = replace(start, models=self.models, tracks=tuple(tracks), last=None)
+            start = self.renoded(moved, 1)
         step, smoothed, whole, reason = self.descended(start, hold)
         still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
         end = self.moved(step, smoothed, 1.0, still)
@@ -393,9 +424,9 @@ class _Levels:
 
     def __init__(self, wanted: list[int], settings: Smoothing, hold: int) -> None:
         self.wanted, self.settings, self.hold = wanted, settings, hold
-        self.count, self.size = 0, math.inf
+        self.count, self.gain = 0, math.inf
         self.place: Array | None = None
-        self.slope: Array | None = None
+        self.ratio: Array | None = None
 
     def change(
         self, levels: list[float], squares: Array, information: Array, least: float
@@ -412,34 +443,52 @@ class _Levels:
         (a, n), step = squares.T, np.zeros(len(levels))
         place = 2.0 * np.log(np.maximum(levels, 1e-150))
         active = [j for j in self.wanted if max(a[j], n[j]) > self.settings.negligible]
-        if 0 not in self.wanted and levels[0] > least:
-            step[0] = max(2.0 * math.log(max(least, 1e-9) / levels[0]), -math.log(100.0))
-            active = [j for j in active if j > 2]
-        near = self.size < 0.3 and len(information) and self.count > self.hold
-        ratio = np.log(np.maximum(a, 1e-300) / np.maximum(n, 1e-300))
-        slope = np.where(np.arange(len(a)) % len(a) < 1, 0.4, 1.0)
+        least = max(least, 1e-9)
+        annealing = 0 not in self.wanted and levels[0] > 1.001 * least
+        if annealing:
+            step[0] = 2.0 * math.log(least / levels[0])
+            if n[0] > self.settings.negligible:
+                step[0] = max(step[0], -math.log(100.0))
+        if self.count <= self.hold or annealing:
+            active = [j for j in active if j not in (1, 2)]
+        near = self.gain < 3.0 and len(information) > 0
         if near and active:
-            block = information[np.ix_(active, active)]
-            step[active] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)),
-                                           (a - n)[active])  # fmt: skip
-            limit = 1.0 if self.size > 0.1 else 2.3
-            step[active] = np.clip(step[active], -limit, limit)
+            share = _bounded(information[np.ix_(active, active)], (a - n)[active])
+            step[active] = np.log1p(share)
+            self.gain = float((a - n)[active] @ share)
         elif active:
-            if self.place is not None and self.slope is not None:
-                moved = place - self.place
+            slope = np.where(np.isin(np.arange(len(a)), (1, 2)), 1.0, 0.4)
+            few = np.where(
+                slope < 1.0, 1e-300, 5.0
+            )  # sums of few readings say little of their noise
+            ratio = np.log((a + few) / (n + few))
+            if self.place is not None and self.ratio is not None:
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    secant = np.where(np.abs(moved) > 0.05, (self.slope - ratio) / moved, slope)
-                slope = np.clip(secant, 0.2, 1.0)
+                    secant = (self.ratio - ratio) / (place - self.place)
+                moved = np.abs(place - self.place) > 0.05
+                slope = np.where(moved, np.clip(secant, 0.2, 1.0), slope)
             tried = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))
             step[active] = tried[active]
-            if self.count <= self.hold:
-                step[1:] = 0.0
-        self.place, self.slope = place, ratio
-        self.size = float(np.abs(step).max())
-        gain = float(np.abs((a - n) * step)[active].sum()) if active else 0.0
-        if step[0] and 0 not in self.wanted:
-            gain = math.inf
-        return step, gain if near or not active else math.inf
+            self.place, self.ratio = place, ratio
+            self.gain = float(np.abs((a - n) * np.clip(step, -1.0, 1.0))[active].sum())
+        else:
+            self.gain = 0.0
+        return step, math.inf if annealing or (active and not near) else self.gain
+
+
+def _bounded(information: Array, score: Array) -> Array:
+    """The step of a quadratic (l,), as shares of variances: none falls by more than 99 %."""
+    share, free = np.zeros(len(score)), np.ones(len(score), dtype=bool)
+    for _ in score:
+        block = information[np.ix_(free, free)]
+        rest = score[free] - information[np.ix_(free, ~free)] @ share[~free]
+        share[free] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), rest)
+        beyond = free & ((share < -0.99) | (share > 2.0))
+        if not beyond.any():
+            break
+        share[beyond] = np.clip(share[beyond], -0.99, 2.0)
+        free &= ~beyond
+    return share
 
 
 def _between(old: Array, track: Array, new: Array) -> Array:
