@@ -107,9 +107,8 @@ def measure(
     """
     records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
-    return Search(records, models, tuple(levels), settings or Smoothing()).posterior(
-        start and start.state
-    )
+    state = None if start is None else start.state
+    return Search(records, models, tuple(levels), settings or Smoothing()).posterior(state)
 
 
 class Search:
@@ -398,13 +397,13 @@ class Search:
                 still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
                 start = self.renoded(self.moved(step, smoothed, 1.0, still), 1)
         else:
-            tracks = []
+            wider = []
             for model, track in zip(self.models, start.tracks, strict=True):
                 wide = np.zeros((len(track), 4 + len(StateSpace.of(model).walkers)))
                 shared = min(wide.shape[1], track.shape[1])
                 wide[:, :shared] = track[:, :shared]
-                tracks.append(wide)
-            moved = replace(start, models=self.models, tracks=tuple(tracks), last=None)
+                wider.append(wide)
+            moved = replace(start, models=self.models, tracks=tuple(wider), last=None)
             start = self.renoded(moved, 1)
         step, smoothed, whole, reason = self.descended(start, hold)
         still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
@@ -451,17 +450,21 @@ class _Levels:
                 step[0] = max(step[0], -math.log(100.0))
         if self.count <= self.hold or annealing:
             active = [j for j in active if j not in (1, 2)]
-        near = self.gain < 3.0 and len(information) > 0
-        if near and active:
-            share = _bounded(information[np.ix_(active, active)], (a - n)[active])
-            step[active] = np.log1p(share)
-            self.gain = float((a - n)[active] @ share)
-        elif active:
-            slope = np.where(np.isin(np.arange(len(a)), (1, 2)), 1.0, 0.4)
-            few = np.where(
-                slope < 1.0, 1e-300, 5.0
-            )  # sums of few readings say little of their noise
-            ratio = np.log((a + few) / (n + few))
+        share, gain = np.zeros(len(levels)), math.inf
+        if self.gain < 10.0 and len(information) and active:
+            least_share = np.where(np.isin(active, (1, 2)), -0.7, -0.99)
+            share[active] = _bounded(
+                information[np.ix_(active, active)], (a - n)[active], least_share
+            )
+            gain = float((a - n) @ share)
+        few = np.where(np.isin(np.arange(len(a)), (1, 2)), 5.0, 1e-300)
+        ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
+        near = not active or gain < 10.0
+        if near:
+            step[active] = np.log1p(share[active])
+            self.gain = gain if active else 0.0
+        else:
+            slope = np.where(few > 1.0, 1.0, 0.4)
             if self.place is not None and self.ratio is not None:
                 with np.errstate(divide="ignore", invalid="ignore"):
                     secant = (self.ratio - ratio) / (place - self.place)
@@ -469,24 +472,22 @@ class _Levels:
                 slope = np.where(moved, np.clip(secant, 0.2, 1.0), slope)
             tried = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))
             step[active] = tried[active]
-            self.place, self.ratio = place, ratio
-            self.gain = float(np.abs((a - n) * np.clip(step, -1.0, 1.0))[active].sum())
-        else:
-            self.gain = 0.0
-        return step, math.inf if annealing or (active and not near) else self.gain
+            self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[self.wanted].sum())
+        self.place, self.ratio = place, ratio
+        return step, self.gain if near and not annealing else math.inf
 
 
-def _bounded(information: Array, score: Array) -> Array:
-    """The step of a quadratic (l,), as shares of variances: none falls by more than 99 %."""
+def _bounded(information: Array, score: Array, least: Array) -> Array:
+    """The step of a quadratic (l,), as shares of variances: none falls by more than `least`."""
     share, free = np.zeros(len(score)), np.ones(len(score), dtype=bool)
     for _ in score:
         block = information[np.ix_(free, free)]
         rest = score[free] - information[np.ix_(free, ~free)] @ share[~free]
         share[free] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), rest)
-        beyond = free & ((share < -0.99) | (share > 2.0))
+        beyond = free & ((share < least) | (share > 2.0))
         if not beyond.any():
             break
-        share[beyond] = np.clip(share[beyond], -0.99, 2.0)
+        share[beyond] = np.clip(share, least, 2.0)[beyond]
         free &= ~beyond
     return share
 
