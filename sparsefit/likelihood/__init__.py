@@ -1,6 +1,6 @@
 """One likelihood of the raw log: the model, its smoother, and what a log says of it."""
 
-from sparsefit.likelihood.information import Gain, bound, gains
+from sparsefit.likelihood.limit import bound
 from sparsefit.likelihood.model import (
     ELEMENTS,
     Disturbance,
@@ -19,7 +19,6 @@ __all__ = [
     "ELEMENTS",
     "Disturbance",
     "FlightLog",
-    "Gain",
     "Model",
     "Motion",
     "Parameter",
@@ -30,6 +29,5 @@ __all__ = [
     "StreamPattern",
     "Track",
     "bound",
-    "gains",
     "measure",
 ]

@@ -2,7 +2,7 @@
 # cython: cdivision=True
 """The passes of `reference.py`, compiled: equations, notation and layouts stand there."""
 
-from libc.math cimport M_PI, cos, exp, log, sin, sqrt
+from libc.math cimport INFINITY, M_PI, cos, exp, log, sin, sqrt
 from libc.string cimport memcpy, memset
 
 import numpy as np
@@ -358,6 +358,9 @@ def forward(
                         response[j] += part * v[k, j]
                 for k in range(n):
                     size += by_state[c, k] * gain[k]
+                if not size > 0.0:  # the covariance has lost its sign
+                    with gil:
+                        return -INFINITY
                 part = innovation / size
                 total -= 0.5 * (innovation * part + log(2.0 * M_PI * size))
                 for k in range(n):

@@ -238,7 +238,7 @@ def forward(
         stored: what the backward pass reads (m, ...), written in place; None: not wanted.
 
     Returns:
-        The log-likelihood of the block at dtheta = 0.
+        The log-likelihood of the block at dtheta = 0, -inf where rounding has won.
     """
     p, n = len(columns), 4 + len(walkers)
     levels = len(kicks) if len(adjoint) else 0
@@ -268,6 +268,8 @@ def forward(
                 inputs[channel, p:] = noise[:, channel] * scores[i, channel] / weights[i, channel]
             gain = covariance @ h
             size = gain @ h + variance
+            if not size > 0.0:  # the covariance has lost its sign
+                return -math.inf
             innovation = measured[i, channel] - reading[channel] - h @ delta
             response = inputs[channel] + sensitivity @ h
             if stored is not None:

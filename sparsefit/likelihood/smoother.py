@@ -2,11 +2,7 @@
 
 A pass linearises the motion along the last track, filters forward and smooths backward, which is
 one Gauss-Newton step on trajectory and parameters together (Bell 1994, SIAM J. Optim. 4, 626).
-Levels move in the same pass. With the derivative of log L by the logarithm of a variance written
-as a - n, a = sum r^2/2 of what was smoothed and n its expectation, far from the optimum the
-variance moves by a secant on log(a/n), near it by scoring with the average information (Gilmour,
-Thompson and Cullis 1995, Biometrics 51, 1440): the response of the readings to the smoothed
-disturbance itself is one more column per level. The process noise comes down from a level at which
+Levels move in the same passes (`levels`). The process noise comes down from a level at which
 every start converges; the first passes see few rows.
 """
 
@@ -20,6 +16,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
+from sparsefit.likelihood.levels import LevelSteps
 from sparsefit.likelihood.model import LEVELS, Model, StateSpace
 from sparsefit.likelihood.nodes import FlightLog, Nodes
 from sparsefit.likelihood.posterior import Descent, Posterior, Track
@@ -300,8 +297,9 @@ class Search:
             reason why the search did not converge.
         """
         settings = self.settings
-        scouts = [_Levels(self.wanted, settings, hold) for _ in self.logs]
+        scouts = [LevelSteps(self.wanted, settings.negligible, hold) for _ in self.logs]
         current, reason, halvings, lifts, fresh = start, "", 0, 0, True
+        history: list[float] = []
         best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
         count = 0
         while count < settings.passes:
@@ -314,7 +312,7 @@ class Search:
                 if halvings == 4 and best is not None and lifts < settings.lifts:
                     lifts, halvings, fresh = lifts + 1, 0, True
                     current, best = self.lifted(best[0].start), None
-                    scouts = [_Levels(self.wanted, settings, hold) for _ in self.logs]
+                    scouts = [LevelSteps(self.wanted, settings.negligible, hold) for _ in self.logs]
                     continue
                 if best is None or halvings == 4:
                     reason = "the likelihood cannot be raised from where the search started"
@@ -328,6 +326,7 @@ class Search:
                 for each, chain, place in zip(step.passes, step.chains, self.places, strict=True)
             )
             fresh = self.gated(current, smoothed)
+            history.append(reached)
             changes, gains = [], 0.0
             for i, scout in enumerate(scouts):
                 logs = list(current.models[i].disturbance.levels.values())
@@ -337,7 +336,8 @@ class Search:
                 gains += gain
             best = (step, smoothed, changes)
             enough = settings.gain * (30.0 if current.stride > 1 else 1.0)
-            if step.gain < enough and gains < enough and not fresh:
+            level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
+            if not fresh and step.gain < enough and (gains < enough or level):
                 break
             current = self.moved(step, smoothed, 1.0, changes)
         else:
@@ -418,80 +418,6 @@ class Search:
         )  # fmt: skip
 
 
-class _Levels:
-    """The steps of the logarithms of the variances of one log, pass after pass."""
-
-    def __init__(self, wanted: list[int], settings: Smoothing, hold: int) -> None:
-        self.wanted, self.settings, self.hold = wanted, settings, hold
-        self.count, self.gain = 0, math.inf
-        self.place: Array | None = None
-        self.ratio: Array | None = None
-
-    def change(
-        self, levels: list[float], squares: Array, information: Array, least: float
-    ) -> tuple[Array, float]:
-        """Return the step (l,) of the logarithms, and what it may gain.
-
-        Args:
-            levels: standard deviations (l,).
-            squares: a and n (l, 2).
-            information: of the logarithms (l, l), or of no rows.
-            least: the process noise, where it is not estimated.
-        """
-        self.count += 1
-        (a, n), step = squares.T, np.zeros(len(levels))
-        place = 2.0 * np.log(np.maximum(levels, 1e-150))
-        active = [j for j in self.wanted if max(a[j], n[j]) > self.settings.negligible]
-        least = max(least, 1e-9)
-        annealing = 0 not in self.wanted and levels[0] > 1.001 * least
-        if annealing:
-            step[0] = 2.0 * math.log(least / levels[0])
-            if n[0] > self.settings.negligible:
-                step[0] = max(step[0], -math.log(100.0))
-        if self.count <= self.hold or annealing:
-            active = [j for j in active if j not in (1, 2)]
-        share, gain = np.zeros(len(levels)), math.inf
-        if self.gain < 10.0 and len(information) and active:
-            least_share = np.where(np.isin(active, (1, 2)), -0.7, -0.99)
-            share[active] = _bounded(
-                information[np.ix_(active, active)], (a - n)[active], least_share
-            )
-            gain = float((a - n) @ share)
-        few = np.where(np.isin(np.arange(len(a)), (1, 2)), 5.0, 1e-300)
-        ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
-        near = not active or gain < 10.0
-        if near:
-            step[active] = np.log1p(share[active])
-            self.gain = gain if active else 0.0
-        else:
-            slope = np.where(few > 1.0, 1.0, 0.4)
-            if self.place is not None and self.ratio is not None:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    secant = (self.ratio - ratio) / (place - self.place)
-                moved = np.abs(place - self.place) > 0.05
-                slope = np.where(moved, np.clip(secant, 0.2, 1.0), slope)
-            tried = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))
-            step[active] = tried[active]
-            self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[self.wanted].sum())
-        self.place, self.ratio = place, ratio
-        return step, self.gain if near and not annealing else math.inf
-
-
-def _bounded(information: Array, score: Array, least: Array) -> Array:
-    """The step of a quadratic (l,), as shares of variances: none falls by more than `least`."""
-    share, free = np.zeros(len(score)), np.ones(len(score), dtype=bool)
-    for _ in score:
-        block = information[np.ix_(free, free)]
-        rest = score[free] - information[np.ix_(free, ~free)] @ share[~free]
-        share[free] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), rest)
-        beyond = free & ((share < least) | (share > 2.0))
-        if not beyond.any():
-            break
-        share[beyond] = np.clip(share, least, 2.0)[beyond]
-        free &= ~beyond
-    return share
-
-
 def _between(old: Array, track: Array, new: Array) -> Array:
     """A track (m, n) at other times."""
     from scipy.interpolate import CubicSpline
@@ -515,7 +441,7 @@ def inverted(information: Array, least: float) -> tuple[Array, IntArray]:
     """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
     if not len(information) or not np.isfinite(information).all():
         return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)
-    size = np.sqrt(np.diag(information))
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(information / scale / scale[:, None])
     blind = values < least

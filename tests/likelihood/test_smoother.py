@@ -13,7 +13,6 @@ from sparsefit.likelihood import (
     Process,
     StreamPattern,
     bound,
-    gains,
     measure,
 )
 from sparsefit.likelihood.model import LEVELS, StateSpace
@@ -232,29 +231,6 @@ def test_logs_with_faults_are_measured(case):
     assert (posterior.tracks[0].outliers > 5) == (case == "outliers")
 
 
-def test_a_score_test_predicts_what_freeing_gains():
-    log, _ = flown(7, count=500)
-    wrong = Model(nearby(), Motion(TAU * 1.002), disturbance=Disturbance())
-    posterior = measure(log, wrong, levels=())
-    tests = gains(
-        posterior,
-        {
-            "vehicle": ("response_time",),
-            "wind": ("wind_x", "wind_y"),
-            "square": posterior.model.pattern.reshaped("square"),
-            "drift": posterior.model.pattern.reshaped("axis", drifting=True),
-            "pair": posterior.model.pattern.reshaped("pair"),
-        },
-    )
-    assert [each.freedom for each in tests.values()] == [1, 2, 1, 2, 4]
-    freed = measure(log, wrong.free("response_time"), levels=())
-    gained = 2.0 * (freed.log_likelihood - posterior.log_likelihood)
-    vehicle = tests["vehicle"]
-    assert vehicle.gain == pytest.approx(gained, rel=0.02)
-    assert TAU * 1.002 + vehicle.step[0] == pytest.approx(TAU, abs=4.0 * vehicle.error[0])
-    assert vehicle.error[0] == pytest.approx(freed.error("response_time"), rel=0.05)
-
-
 def test_the_bound_is_the_covariance_at_the_truth():
     log, states = flown(8)
     true = Model(TRUE, Motion(TAU), disturbance=Disturbance(0.0, 0.05, 0.2))
@@ -280,8 +256,6 @@ def test_flights_share_the_flow_and_have_vehicles_of_their_own():
     for place, name in enumerate(("mean_velocity", "length_scale")):
         assert both.error(name) < min(each.error(name) for each in alone)
         assert abs(both.value(name) - TRUE.values[place]) < 4.0 * both.error(name)
-    tests = gains(both, {"wind": ("wind_x",), "growth": ("growth",)})
-    assert (tests["wind"].freedom, tests["growth"].freedom) == (2, 1)
 
 
 @pytest.mark.parametrize(
