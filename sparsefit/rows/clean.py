@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
@@ -142,7 +143,8 @@ class Pieces:
     def resampled(self) -> Pieces:
         """The pieces on even steps, the mean one; each begins with its own first sample.
 
-        Position by the cubic Hermite polynomial of two neighbours, velocity by a straight line.
+        By the cubic Hermite polynomial of two neighbours; the slopes of the velocity are those of
+        the parabola through three.
         """
         grids, step = [], self.step
         for piece in self.slices:
@@ -152,7 +154,10 @@ class Pieces:
         time = np.concatenate(grids)
         position = hermite(self.time, self.position, self.velocity, time)
         starts = np.cumsum([len(grid) for grid in grids[:-1]], dtype=np.intp)
-        arrays = time, position, interpolated(self.time, self.velocity, time)
+        slopes = np.vstack(
+            [np.gradient(self.velocity[p], self.time[p], axis=0) for p in self.slices]
+        )
+        arrays = time, position, hermite(self.time, self.velocity, slopes, time)
         return Pieces(*arrays, starts, self.velocity_measured)
 
 
@@ -224,7 +229,12 @@ def clean_velocity(velocity: Array) -> Array:
     weight = np.full((len(velocity), 1), hat[half, half])
     weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
     least = FELT[0] * math.sqrt(float(np.mean(velocity**2)))
-    cleaned, outliers = velocity, np.zeros(len(velocity), dtype=bool)
+    # The first look is by medians, which neighbours that are off too do not move.
+    padded = np.pad(velocity, ((2, 2), (0, 0)), mode="edge")
+    predicted = np.median(sliding_window_view(padded, 5, axis=0), axis=-1)
+    size = _length(velocity - predicted)
+    outliers = _isolated(size, np.ones_like(size), least)
+    cleaned = np.where(outliers[:, None], predicted, velocity)
     for _ in range(ROUNDS):
         inner = [np.correlate(column, hat[half], "valid") for column in cleaned.T]
         ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
