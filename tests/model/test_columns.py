@@ -1,0 +1,193 @@
+"""Columns of cells and of waves: against formulas, differences, and sums over the rows."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import j0
+
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.waves import WaveFlow
+from sparsefit.model.cells import (
+    MEAN_SQUARE,
+    CandidateFlow,
+    candidate_columns,
+    candidate_jet,
+    peak_mean_velocity,
+    rms_mean_velocity,
+    sines_and_cosines,
+)
+from sparsefit.model.continuum import EQUATION_1, CellContinuum, PlaneHeights, WaveContinuum
+from sparsefit.model.waves import polar_jet, strengths, wave_columns, wave_peaks, wave_theta
+
+POSITION = np.random.default_rng(1).uniform(-9, 9, (40, 2))
+K = np.array([0.4, 1.1, 2.9])
+STEP = 1e-5
+
+
+def test_sines_and_cosines_are_those_of_numpy():
+    phase = np.concatenate([np.linspace(-50.0, 50.0, 2001), np.pi * np.arange(-9, 10)])
+    sine, cosine = sines_and_cosines(phase)
+    np.testing.assert_allclose(sine, np.sin(phase), atol=7e-16 * 50)
+    np.testing.assert_allclose(cosine, np.cos(phase), atol=7e-16 * 50)
+
+
+def test_the_jet_of_cells_is_that_of_differences():
+    value, slope, bend = candidate_jet(POSITION, K)
+    theta = candidate_columns(POSITION, math.pi / K)
+    np.testing.assert_allclose(value.transpose(2, 0, 1).reshape(40, -1), theta, atol=1e-14)
+    above, below = (candidate_jet(POSITION, K + step) for step in (STEP, -STEP))
+    np.testing.assert_allclose(slope, (above[0] - below[0]) / (2 * STEP), atol=1e-7)
+    np.testing.assert_allclose(bend, (above[1] - below[1]) / (2 * STEP), atol=1e-6)
+
+
+def test_mean_squares_are_those_over_a_cell():
+    axis = np.arange(64) * (2 * math.pi / 64)
+    cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    values = candidate_columns(cell, np.array([math.pi]))
+    np.testing.assert_allclose(np.mean(values**2, axis=0), MEAN_SQUARE, atol=1e-14)
+
+
+def test_candidates_are_a_flow_anywhere():
+    flow = CellularFlow(15.43, 4.21)
+    k = np.array([flow.wavenumber])
+    own = CandidateFlow(k, 15.43 * EQUATION_1[None], np.array([4.21, 8.42]) * 2, (0.5, 0.0))
+    x, y = POSITION.T.reshape(2, 8, 5)
+    np.testing.assert_allclose(own.velocity(x, y), flow.velocity(x, y) + [0.5, 0.0], atol=1e-12)
+    assert rms_mean_velocity(15.43 * EQUATION_1) == pytest.approx(15.43)
+
+
+@pytest.mark.parametrize("readout", [rms_mean_velocity, peak_mean_velocity])
+@pytest.mark.parametrize("speed", [1e-9, 0.3, 1e9])
+def test_exact_weights_give_the_mean_velocity(readout, speed):
+    assert readout(speed * EQUATION_1) == pytest.approx(speed, rel=1e-9)
+    assert readout(np.zeros((8, 2))) == 0.0
+
+
+def test_rms_and_peak_worked_by_hand_and_over_the_cell():
+    singles = np.zeros((8, 2))
+    singles[0, 0], singles[3, 1] = 3.0, 4.0  # w = (3 sin x, 4 cos y): <|w|^2> = 25/2, peak 5
+    assert rms_mean_velocity(singles) == pytest.approx(5.0)
+    assert peak_mean_velocity(singles) == pytest.approx(5.0)
+    weights = np.random.default_rng(4).normal(size=(8, 2))
+    axis = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    speed = np.linalg.norm(candidate_columns(cell, np.array([np.pi])) @ weights, axis=1)
+    assert rms_mean_velocity(weights) == pytest.approx(np.sqrt(2 * np.mean(speed**2)), rel=1e-12)
+    assert speed.max() <= peak_mean_velocity(weights) <= speed.max() * (1 + 1e-4)
+
+
+def test_waves_are_those_of_a_flow():
+    phases = np.array([[0.7, -0.4, 0.3], [0.2, 1.1, -0.5]])
+    place = np.column_stack([POSITION, np.linspace(-3, 3, 40)])
+    a, b = np.array([[1.0, -0.5], [0.3, 0.8]])
+    flow = WaveFlow(phases[:, :2], a, b, phases[:, 2]).velocity(*place.T)
+    columns = wave_columns(place, phases)
+    weights = np.column_stack([a, b]).ravel()
+    np.testing.assert_allclose(np.tensordot(weights, columns, axes=1), flow, atol=1e-13)
+    steady = phases * (1, 1, 0)
+    theta = wave_theta(POSITION, phases[:, :2])
+    own = wave_columns(place, steady).transpose(1, 2, 0).reshape(80, 4)
+    np.testing.assert_allclose(theta, own, atol=1e-14)
+
+
+def test_the_jet_of_waves_is_that_of_differences():
+    places = np.array([[0.7, 0.3], [1.9, 2.8]])
+    value, slope, bend = polar_jet(POSITION, places)
+    k = places[:, :1] * np.column_stack([np.cos(places[:, 1]), np.sin(places[:, 1])])
+    theta = wave_theta(POSITION, k).T.reshape(2, 2, -1)
+    np.testing.assert_allclose(value, theta, atol=1e-13)
+    for axis, shift in enumerate(np.eye(2) * STEP):
+        above, below = (polar_jet(POSITION, places + sign * shift) for sign in (1, -1))
+        np.testing.assert_allclose(slope[:, axis], (above[0] - below[0]) / (2 * STEP), atol=1e-6)
+        np.testing.assert_allclose(bend[:, axis], (above[1] - below[1]) / (2 * STEP), atol=1e-4)
+
+
+def scanned(continuum, bounds):
+    scan = continuum.scan(bounds)
+    return scan, continuum.columns
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
+    rng = np.random.default_rng(3)
+    weight = rng.uniform(0.5, 2.0, 40) if weighted else None
+    own = np.ones(40) if weight is None else weight
+    continuum = CellContinuum(POSITION + [30.0, -7.0], (0.4, 2.0), EQUATION_1, weight)
+    scan = continuum.scan(continuum.interval(None, None))
+    assert len(scan.wavenumbers) == continuum.scan_points(continuum.bounds)
+    residual = rng.standard_normal((40, 2))
+    value = continuum.columns(scan.wavenumbers[:, None])[0]
+    rms = np.sqrt(np.mean(value**2, axis=2) / np.mean(own**2))
+    products = np.einsum("scm,mn->scn", value, residual) / rms[..., None] / 40
+    np.testing.assert_allclose(scan.heights(residual), np.linalg.norm(products, axis=(1, 2)),
+                               rtol=1e-6)  # fmt: skip
+    flow = np.einsum("scm,cn->smn", value, EQUATION_1)
+    product, square = scan.matched(EQUATION_1, residual)
+    np.testing.assert_allclose(product, np.sum(flow * residual, axis=(1, 2)), atol=1e-6)
+    np.testing.assert_allclose(square, np.sum(flow**2, axis=(1, 2)), rtol=1e-6)
+    tops, reach = scan.tops(residual, 1.0)
+    heights = scan.heights(residual)
+    highest = heights[np.searchsorted(scan.wavenumbers, tops[:, 0] - 1e-9)]
+    assert highest[0] == heights.max()
+    assert (np.diff(highest) <= 0).all()
+    assert (reach == scan.step).all()
+
+
+def test_a_scan_of_the_plane_is_the_sums_over_its_rows_and_misses_no_peak():
+    rng = np.random.default_rng(5)
+    continuum = WaveContinuum(POSITION + [12.0, 3.0], (0.4, 1.2))
+    bounds = continuum.interval(None, None)
+    scan = continuum.scan(bounds)
+    assert isinstance(scan, PlaneHeights)
+    residual = rng.standard_normal((80, 1))
+
+    def height(places):
+        value = continuum.columns(places)[0]
+        unit = value / np.sqrt(np.mean(value**2, axis=2))[..., None]
+        return np.linalg.norm(unit @ residual, axis=(1, 2)) / 80
+
+    heights = scan.heights(residual)
+    for i, j in ((40, 47), (30, 25), (3, 50)):
+        k = scan.axis[[i, j]]
+        place = np.array([[np.hypot(*k), math.atan2(k[1], k[0])]])
+        assert heights[i, j] == pytest.approx(height(place)[0], rel=1e-5)
+    anywhere = np.column_stack([rng.uniform(*bounds, 4000), rng.uniform(0, math.pi, 4000)])
+    tops, _ = scan.tops(residual, scan.slack)
+    assert ((tops[:, 0] >= bounds[0]) & (tops[:, 0] <= bounds[1])).all()
+    assert height(anywhere).max() <= height(tops).max() * (1 + scan.slack)
+
+
+def test_waves_and_cells_between_those_of_a_grid():
+    cells = CellContinuum(POSITION, (0.4, 2.0))
+    theta, k, scales, names = cells.design(np.array([[0.9]]))
+    assert theta.shape == (40, 8)
+    assert names[5] == f"sin x cos y (L = {scales[0]:.6g} m)"
+    np.testing.assert_array_equal(cells.places(k), [[0.9]])
+    waves = WaveContinuum(POSITION, (0.4, 2.0))
+    theta, k, scales, names = waves.design(np.array([[1.0, 0.5]]))
+    assert (theta.shape, len(names)) == ((80, 2), 2)
+    np.testing.assert_allclose(waves.places(k), [[1.0, 0.5]])
+    assert scales == pytest.approx(math.sqrt(2.0) * math.pi)
+    rows = np.arange(20, 40)
+    np.testing.assert_array_equal(waves.at(rows).position, POSITION[10:20])
+    assert waves.at(np.arange(1, 21)) is None
+    images, signs = waves.images(np.array([[1.0, 0.5]]))
+    for image, sign in zip(images, signs, strict=True):
+        value = waves.columns(image)[0][0] * sign[:, None]
+        np.testing.assert_allclose(value, waves.columns(images[0])[0][0], atol=1e-12)
+
+
+def test_a_wave_between_those_of_a_grid_is_one_peak_at_its_place():
+    """The weights of neighbours fall as the sums over a disc of positions do."""
+    step = math.pi / 20.0
+    axis = step * np.arange(-8, 9)
+    k = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    k = k[(k[:, 1] > 0) & (np.hypot(*k.T) > 0.3)]
+    true = np.array([0.9, 0.45])
+    share = j0(10.0 * np.linalg.norm(k - true, axis=1)) ** 2
+    weights = np.column_stack([share, np.zeros(len(k))]) / np.hypot(*k.T)[:, None]
+    tops, peaks = wave_peaks(k, weights, 20.0, 5)
+    assert np.linalg.norm(peaks[0] - true) < 0.3 * step
+    assert strengths(k, weights)[tops[0]] == strengths(k, weights).max()
+    assert len(wave_peaks(k, 0 * weights, 20.0, 5)[0]) == 0

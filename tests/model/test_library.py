@@ -1,0 +1,363 @@
+"""Candidates (Eqs. 17-19), grids, and the regression problems that libraries make."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sparsefit.errors import InputError
+from sparsefit.flight import simulate_flight
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.model import library as room
+from sparsefit.model.cells import CANDIDATES
+from sparsefit.model.cells import candidate_columns as columns_of
+from sparsefit.model.grid import LengthScaleGrid, WaveGrid
+from sparsefit.model.library import Library
+from sparsefit.rows import Derivative
+from tests.problems import SMALL_GRID, VEHICLE, flight
+
+GRID = LengthScaleGrid(3.0, 8.0)
+WAVES = Library(GRID, family="waves", every=10)
+POSITION = np.random.default_rng(5).uniform(-20.0, 20.0, (40, 2))
+
+FORMULAS = (
+    lambda x, y: np.sin(x),
+    lambda x, y: np.sin(y),
+    lambda x, y: np.cos(x),
+    lambda x, y: np.cos(y),
+    lambda x, y: np.sin(x) * np.sin(y),
+    lambda x, y: np.sin(x) * np.cos(y),
+    lambda x, y: np.cos(x) * np.sin(y),
+    lambda x, y: np.cos(x) * np.cos(y),
+)
+
+
+def test_columns_are_the_formulas_of_eq_19_group_by_group():
+    rng = np.random.default_rng(1)
+    position, scales = rng.uniform(-40, 40, (150, 2)), np.array([1.0, 4.2, 12.0])
+    theta = columns_of(position, scales)
+    assert theta.shape == (150, 24)
+    for j, scale in enumerate(scales):
+        x, y = np.pi * position[:, 0] / scale, np.pi * position[:, 1] / scale
+        for c, formula in enumerate(FORMULAS):
+            assert theta[:, 8 * j + c] == pytest.approx(formula(x, y), abs=1e-13)
+
+
+def test_columns_at_a_point_worked_by_hand():
+    # x = L/6, y = L/3: sin x = 1/2, cos x = r/2, sin y = r/2, cos y = 1/2 with r = sqrt(3).
+    r = np.sqrt(3.0)
+    row = columns_of(np.array([[1.0, 2.0]]), np.array([6.0]))[0]
+    assert row == pytest.approx([0.5, r / 2, r / 2, 0.5, r / 4, 0.25, 0.75, r / 4])
+
+
+def test_the_true_flow_is_two_columns_of_its_group():
+    flown = flight()
+    theta = columns_of(flown.position, np.array([4.2]))
+    weights = np.zeros((8, 2))
+    weights[CANDIDATES.index("sin x cos y"), 0] = 15.0
+    weights[CANDIDATES.index("cos x sin y"), 1] = -15.0
+    expected = flown.flow.velocity(*flown.position.T)
+    assert theta @ weights == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_library_too_large_is_refused_before_it_is_made():
+    with pytest.raises(InputError, match="GiB"):
+        columns_of(np.zeros((10_000_000, 2)), np.ones(1000))
+
+
+def test_the_default_grid_is_the_papers():
+    scales = LengthScaleGrid().scales
+    assert len(scales) == LengthScaleGrid().size == 56
+    assert (scales[0], scales[16], scales[-1]) == (1.0, 4.2, 12.0)  # 4.2 exactly
+    assert scales.tolist() == [round(1 + 0.2 * i, 12) for i in range(56)]
+
+
+@given(st.floats(0.1, 5.0), st.floats(0.0, 20.0), st.floats(0.05, 3.0))
+def test_a_grid_by_step_stays_within_its_bounds(lower, width, step):
+    grid = LengthScaleGrid(lower, lower + width, step=step)
+    scales = grid.scales
+    assert len(scales) == grid.size
+    assert scales[0] == pytest.approx(lower, abs=1e-12)
+    assert lower + width - step - 1e-9 <= scales[-1] <= lower + width + 1e-8
+    assert np.all(np.diff(scales) > 0)
+
+
+@given(st.floats(0.1, 5.0), st.floats(0.1, 20.0), st.integers(2, 300))
+def test_a_grid_uniform_in_wavenumber_ascends_between_its_bounds(lower, width, count):
+    scales = LengthScaleGrid(lower, lower + width, count=count, spacing="wavenumber").scales
+    assert len(scales) == count
+    assert scales[[0, -1]] == pytest.approx([lower, lower + width])
+    steps = np.diff(np.pi / scales[::-1])
+    np.testing.assert_allclose(steps, steps.mean(), rtol=1e-6)
+    assert np.all(np.diff(scales) > 0)
+
+
+def test_a_grid_by_count_is_linear():
+    assert LengthScaleGrid(2.0, 4.0, count=5).scales == pytest.approx([2.0, 2.5, 3.0, 3.5, 4.0])
+    assert LengthScaleGrid(3.0, 3.0).scales.tolist() == [3.0]
+    assert LengthScaleGrid(3.0, 9.0, count=1).size == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"lower": 0.0}, "lower"),
+        ({"lower": -1.0}, "lower"),
+        ({"lower": float("nan")}, "lower"),
+        ({"lower": "1"}, "lower"),
+        ({"upper": float("inf")}, "upper"),
+        ({"lower": 5.0, "upper": 4.0}, "swap"),
+        ({"step": 0.0}, "step"),
+        ({"step": float("nan")}, "step"),
+        ({"step": 0.1, "count": 5}, "not both"),
+        ({"count": 0}, "count"),
+        ({"count": 2.5}, "integer"),
+        ({"count": True}, "count"),
+        ({"spacing": "wavenumber"}, "needs count"),
+        ({"spacing": "wave-number"}, 'did you mean "wavenumber"'),
+        ({"step": 1e-9}, "larger step"),
+    ],
+)
+def test_bad_grids_are_refused(settings, words):
+    with pytest.raises(InputError, match=words):
+        LengthScaleGrid(**settings)
+
+
+@pytest.mark.parametrize("target", ["flow-velocity", "acceleration", "state-derivative"])
+def test_a_library_builds_theta_target_groups_and_names(target):
+    samples = Derivative()(flight())
+    problem = Library(SMALL_GRID, target).build(samples, VEHICLE)
+    scales = SMALL_GRID.scales
+    columns = columns_of(samples.position, scales)
+    np.testing.assert_allclose(problem.theta, columns, rtol=1e-6, atol=1e-14)
+    expected = {
+        "flow-velocity": 0.5 * (samples.acceleration - [5.0, 3.0]) + samples.velocity,
+        "acceleration": samples.acceleration,
+        "state-derivative": np.hstack([samples.position_rate, samples.acceleration]),
+    }[target]
+    np.testing.assert_allclose(problem.target, expected, rtol=1e-6, atol=1e-12)
+    assert len(problem.target_names) == problem.targets
+    assert problem.groups.tolist() == np.repeat(range(len(scales)), 8).tolist()
+    assert problem.group_scales.tolist() == scales.tolist()
+    assert problem.names[8] == "sin x (L = 2.5 m)"
+    assert (problem.samples, problem.columns) == problem.theta.shape
+
+
+def test_an_unknown_target_is_refused():
+    with pytest.raises(InputError, match='did you mean "flow-velocity"'):
+        Library(target="flow-velocty")
+
+
+def test_a_large_flight_is_compressed_to_the_same_inner_products(monkeypatch):
+    for settings in ({}, {"unknown": ("response_time", "wind")}, {"family": "stream"}):
+        for method in ("auto", "weak"):
+            samples, library = Derivative(method)(flight()), Library(SMALL_GRID, **settings)
+            whole = library.build(samples, VEHICLE)
+            monkeypatch.setattr(room, "STREAM_BYTES", 0)
+            folded = library.build(samples, VEHICLE)
+            monkeypatch.undo()
+            assert folded.samples == whole.samples
+            assert len(folded.theta) <= whole.columns + whole.targets
+            for name in ("theta", "target"):
+                inner = (getattr(p, name).T @ p.theta for p in (folded, whole))
+                np.testing.assert_allclose(*inner, atol=1e-7)
+
+
+def test_rows_of_several_flights_have_their_weights():
+    samples = Derivative()(flight())
+    library = Library(SMALL_GRID)
+    alone = library.build(samples, VEHICLE)
+    both = library.build_flights([samples] * 2, [VEHICLE] * 2, [1.0, 0.5])
+    np.testing.assert_allclose(both.theta.T @ both.theta, 1.25 * alone.theta.T @ alone.theta)
+    np.testing.assert_allclose(both.theta.T @ both.target, 1.25 * alone.theta.T @ alone.target)
+
+
+def test_weak_rows_average_the_columns():
+    samples = Derivative("weak", window=31)(flight())
+    problem = Library(SMALL_GRID).build(samples, VEHICLE)
+    expected = samples.weak.operator @ columns_of(samples.weak.position, SMALL_GRID.scales)
+    np.testing.assert_allclose(problem.theta, expected, atol=1e-13)
+    np.testing.assert_array_equal(problem.target, samples.weak.flow_velocity(VEHICLE))
+
+
+def test_a_flight_on_an_axis_is_refused():
+    line = np.column_stack([np.linspace(0, 9, 200), np.zeros(200)])
+    samples = Derivative()(flight())
+    with pytest.raises(InputError, match="stays on the line y = 0"):
+        Library(SMALL_GRID).build(type(samples)(line[:, 0], line, line, line, line), VEHICLE)
+
+
+def test_a_grid_of_the_flight_is_resolved_when_the_library_is_built():
+    vehicle, flow = PointMassVehicle(0.5, (5.0, 3.0)), CellularFlow(10.0, 4.0)
+    flown = simulate_flight(flow, vehicle, duration=3.0, sample_rate=50.0, seed=7)
+    samples = Derivative("central")(flown)
+    grid = LengthScaleGrid(2.0, 8.0, spacing="flight", fraction=0.5)
+    problem = Library(grid).build(samples, vehicle)
+    extent = np.ptp(samples.position, axis=0).max()
+    # Lobes are 2 pi / extent wide in k: half of one at most from scale to scale.
+    count = int(np.ceil((1 / 2 - 1 / 8) * extent)) + 1
+    assert len(problem.group_scales) == count
+    np.testing.assert_allclose(np.diff(1 / problem.group_scales), -0.375 / (count - 1))
+    assert grid.resolving(extent) == LengthScaleGrid(2.0, 8.0, count=count, spacing="wavenumber")
+    plain = LengthScaleGrid(2.0, 8.0)
+    assert plain.resolving(extent) is plain
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"step": 0.2}, "not step"), ({"count": 3}, "not step or count"), ({"fraction": 0.0}, "lobe")],
+)
+def test_a_grid_of_the_flight_takes_a_fraction_of_the_lobe_only(changes, words):
+    with pytest.raises(InputError, match=words):
+        LengthScaleGrid(2.0, 8.0, spacing="flight", **changes)
+
+
+def test_a_grid_of_the_flight_has_no_scales_without_one():
+    with pytest.raises(InputError, match="every flight"):
+        _ = LengthScaleGrid(2.0, 8.0, spacing="flight").scales
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return Derivative()(flight(velocity_noise=0.1))
+
+
+@pytest.fixture(scope="module")
+def problem(samples):
+    return WAVES.build(samples, VEHICLE)
+
+
+@pytest.mark.parametrize("step", [0.4, 1.0])
+def test_rings_leave_no_wave_of_the_annulus_farther_than_the_step_allows(step):
+    rings = WaveGrid(step=step).rings(3.0, 8.0, 20.0)
+    apart = step * math.pi / 20.0
+    rng = np.random.default_rng(1)
+    size = math.sqrt(2.0) * math.pi / rng.uniform(3.0, 8.0, 300)
+    angle = rng.uniform(0.0, math.pi, 300)
+    anywhere = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    both = np.concatenate([rings.wavevectors, -rings.wavevectors])  # k and -k are one wave
+    nearest = np.linalg.norm(anywhere[:, None] - both, axis=2).min(axis=1)
+    assert nearest.max() <= apart / math.sqrt(2.0) * 1.001
+    assert nearest.max() >= 0.5 * apart  # and it is no finer than asked
+
+
+def test_rings_are_length_scales_of_square_cells_over_half_the_plane():
+    rings = WaveGrid().rings(3.0, 8.0, 20.0)
+    sizes = np.linalg.norm(rings.wavevectors, axis=1)
+    assert math.sqrt(2.0) * math.pi / sizes == pytest.approx(rings.scales[rings.ring])
+    assert rings.scales[[0, -1]] == pytest.approx([3.0, 8.0])
+    assert (np.diff(rings.scales) > 0).all()
+    angles = np.arctan2(*rings.wavevectors.T[::-1])
+    assert ((angles >= 0) & (angles < math.pi)).all()
+
+
+def test_one_length_scale_is_one_ring():
+    rings = WaveGrid().rings(5.0, 5.0, 20.0)
+    assert rings.scales == pytest.approx([5.0])
+
+
+def test_the_columns_are_those_of_their_stream_functions():
+    """u = d psi/dy and v = -d psi/dx, by central differences of psi."""
+    grid = Library(LengthScaleGrid(4.0, 8.0), family="waves")
+    columns = grid.columns(10.0 * np.eye(2))
+    theta = columns.at(POSITION).reshape(len(POSITION), 2, -1, 2)
+    step = 1e-5
+
+    def psi(x, y):
+        phase = np.stack([x, y], axis=1) @ columns.parameters.T
+        return np.stack([np.cos(phase), np.sin(phase)], axis=2)
+
+    x, y = POSITION.T
+    u = (psi(x, y + step) - psi(x, y - step)) / (2 * step)
+    v = -(psi(x + step, y) - psi(x - step, y)) / (2 * step)
+    np.testing.assert_allclose(theta[:, 0], u, atol=1e-9)
+    np.testing.assert_allclose(theta[:, 1], v, atol=1e-9)
+
+
+def test_a_cellular_flow_is_two_waves_and_one_scale_of_stream_functions():
+    flow = CellularFlow(7.0, 4.2)
+    target = flow.velocity(*POSITION.T).reshape(-1, 1)
+    stream = Library(LengthScaleGrid(4.2, 4.2), family="stream").columns(POSITION).at(POSITION)
+    left = target - stream @ np.linalg.lstsq(stream, target, rcond=None)[0]
+    assert np.abs(left).max() < 1e-12
+    # psi = (U0 L/pi) sin(pi x/L) sin(pi y/L) = (U0 L/2 pi) (cos k(x - y) - cos k(x + y))
+    weights = 7.0 * 4.2 / (2 * math.pi) * np.array([[-1.0], [0.0], [1.0], [0.0]])
+    np.testing.assert_allclose(stream @ weights, target, atol=1e-12)
+
+
+def test_rows_are_x_and_y_of_one_sample_after_the_other(samples, problem):
+    thin = slice(None, None, 10)
+    phi = samples.flow_velocity(VEHICLE)[thin]
+    np.testing.assert_array_equal(problem.target[:, 0], phi.ravel())
+    assert problem.theta.shape == (2 * len(phi), 2 * len(problem.group_scales))
+    assert problem.target_names == ("w_x w_y",)
+
+
+@pytest.mark.parametrize("groups", ["wave", "ring", "nested"])
+def test_groups_are_waves_rings_or_both(samples, problem, groups):
+    built = Library(GRID, family="waves", every=10, groups=groups).build(samples, VEHICLE)
+    waves = np.arange(problem.columns) // 2
+    sizes = math.sqrt(2.0) * math.pi / built.group_scales
+    k = WAVES.columns(samples.position).parameters
+    assert sizes[built.groups] == pytest.approx(np.linalg.norm(k, axis=1)[waves])
+    if groups == "wave":
+        np.testing.assert_array_equal(built.groups, waves)
+    else:
+        assert built.groups.max() + 1 == len(np.unique(built.group_scales))
+    assert (built.subgroups is None) == (groups != "nested")
+    if built.subgroups is not None:
+        np.testing.assert_array_equal(built.subgroups, waves)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"family": "wave"}, 'unknown family of the library "wave": did you mean "waves"'),
+        ({"family": "waves", "groups": "rings"}, 'did you mean "ring"'),
+        ({"groups": "ring"}, "'groups' is a setting of family 'waves', not of 'cells'"),
+        ({"waves": WaveGrid(0.5)}, "'waves' is a setting of family 'waves'"),
+        ({"family": "stream", "target": "acceleration"}, "needs family 'cells'"),
+        ({"every": 0}, "every must be an integer, at least 1"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, words):
+    with pytest.raises(InputError, match=words):
+        Library(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"step": 0.0}, "waves: step, a share of pi/extent, must be a finite number above 0"),
+        ({"most": 1}, "waves: most must be an integer, at least 2"),
+        ({"most": 5000}, "most must be 4096 or less"),
+    ],
+)
+def test_a_wave_grid_says_what_it_cannot_be(settings, words):
+    with pytest.raises(InputError, match=words):
+        WaveGrid(**settings)
+
+
+def test_a_grid_too_large_says_how_many_waves_and_what_to_narrow():
+    with pytest.raises(InputError, match=r"resolves 2.* waves down to 1 m, more than the 2048 of"):
+        WaveGrid().rings(1.0, 12.0, 30.0)
+    with pytest.raises(InputError, match="raise the grid's lower bound to about"):
+        WaveGrid().rings(1e-9, 12.0, 1e9)
+    with pytest.raises(InputError, match="does not move"):
+        WaveGrid().rings(1.0, 12.0, 0.0)
+
+
+def test_the_bound_that_is_proposed_can_be_held():
+    with pytest.raises(InputError) as refused:
+        WaveGrid().rings(1.0, 12.0, 60.0)
+    lower = float(str(refused.value).split("about ")[1].split(" m")[0])
+    assert len(WaveGrid().rings(1.05 * lower, 12.0, 60.0).ring) <= 2048
+
+
+def test_the_weak_form_is_not_thinned():
+    library = Library(GRID, family="waves", every=2)
+    with pytest.raises(InputError, match="'every' thins samples, but the weak form"):
+        library.build(Derivative("weak")(flight()), VEHICLE)

@@ -1,0 +1,161 @@
+"""Length scale and mean velocity from weights on the grid, against values worked by hand."""
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.flight.waves import WaveFlow
+from sparsefit.model import LengthScaleGrid, Library, Readout, Search, read_grid
+from sparsefit.model.cells import CANDIDATES, candidate_columns
+from sparsefit.model.readout import paper_mean_velocity, windows
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.rows import Derivative
+from tests.problems import VEHICLE, flight
+
+GRID = LengthScaleGrid(2.0, 7.0, step=0.2)
+
+
+def exact_weights(speed):
+    weights = np.zeros((8, 2))
+    weights[CANDIDATES.index("sin x cos y"), 0] = speed
+    weights[CANDIDATES.index("cos x sin y"), 1] = -speed
+    return weights
+
+
+def problem_of_groups(groups):
+    theta = np.random.default_rng(0).normal(size=(9, len(groups)))
+    return RegressionProblem.from_arrays(theta, np.ones((9, 2)), groups)
+
+
+def reading(method="auto", readout=Readout(), backend="group-lasso", vehicle=VEHICLE, **library):
+    samples, library = Derivative(method)(flight()), Library(GRID, **library)
+    fit = sf.fit(library.build(samples, vehicle), backends.get(backend))
+    return fit, samples, library, read_grid(fit, [samples], [vehicle], library, readout)
+
+
+WEIGHTS = np.array([[3.0, -4.0], [0.0, 0.0], [5.0, -12.0], [1.0, 1.0]])
+GROUPS = [0, 0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("readout", "expected"),
+    [
+        ("signed-sum", [-1.0, -7.0, 2.0]),
+        ("absolute-sum", [7.0, 17.0, 2.0]),
+        ("group-norm", [5.0, 13.0, np.sqrt(2.0)]),
+    ],
+)
+def test_scale_weights_worked_by_hand(readout, expected):
+    found = Readout(length_scale=readout).scale_weights(problem_of_groups(GROUPS), WEIGHTS)
+    assert found == pytest.approx(expected)
+
+
+def test_scale_weights_do_not_need_groups_in_order():
+    found = Readout().scale_weights(problem_of_groups([1, 2, 0, 1]), WEIGHTS)
+    assert found == pytest.approx([13.0, np.sqrt(27.0), 0.0])
+
+
+def test_signed_sum_can_cancel_where_the_group_norm_cannot():
+    # The cellular flow of Eq. 1 has weights U0 and -U0: Eq. 21 to the letter sums them to zero.
+    problem = RegressionProblem.from_arrays(
+        np.random.default_rng(0).normal(size=(9, 8)), np.ones((9, 2)), np.zeros(8)
+    )
+    weights = exact_weights(15.0)
+    assert Readout("signed-sum").scale_weights(problem, weights) == pytest.approx([0.0])
+    assert Readout("group-norm").scale_weights(problem, weights) == pytest.approx([15 * 2**0.5])
+
+
+@pytest.mark.parametrize("eq24", ["mean-ratio", "pseudo-inverse"])
+def test_the_papers_readout_is_sqrt_2_too_large_once_the_range_is_covered(eq24):
+    # field = Phi, in [-U0, U0]: Eq. 22 gives the range sqrt(2): Phi / normal = sqrt(2) U0.
+    field = 6.0 * np.array([[-1.0, 0.5], [1.0, -1.0], [0.25, 1.0]])
+    assert paper_mean_velocity(field, field, eq24) == pytest.approx(6.0 * np.sqrt(2.0))
+
+
+def test_the_papers_readout_worked_by_hand_where_the_range_is_not_centred():
+    # Component x: field 0, 2 -> normal -+ sqrt(2)/2; Phi 1, 3. Component y: the same, Phi 2, 2.
+    field = np.array([[0.0, 0.0], [2.0, 2.0]])
+    phi = np.array([[1.0, 2.0], [3.0, 2.0]])
+    half = np.sqrt(2.0) / 2
+    assert paper_mean_velocity(field, phi, "pseudo-inverse") == pytest.approx(half * 2 / 2)
+    assert paper_mean_velocity(field, phi, "mean-ratio") == pytest.approx((-1 + 3) / half / 4)
+
+
+def test_the_papers_readout_has_no_answer_for_a_constant_field():
+    for eq24 in ("mean-ratio", "pseudo-inverse"):
+        assert np.isnan(paper_mean_velocity(np.ones((4, 2)), np.ones((4, 2)), eq24))
+
+
+@pytest.mark.parametrize("method", ["auto", "weak"])
+@pytest.mark.parametrize("readout", ["rms", "peak", "paper"])
+def test_a_noise_free_flight_is_read_on_the_grid(method, readout):
+    _, _, _, read = reading(method, Readout(mean_velocity=readout, refine="none"))
+    (scale,) = read.scales
+    assert scale.length_scale == 4.2
+    if readout == "paper":  # Eq. 22's amplitude
+        assert 1.2 * 15.0 < scale.mean_velocity <= np.sqrt(2) * 15.0 * 1.001
+    else:
+        assert scale.mean_velocity == pytest.approx(15.0, rel=1e-4)
+
+
+def test_the_velocity_is_a_refit_on_the_columns_of_the_scale():
+    _, samples, _, read = reading()
+    phi = samples.flow_velocity(VEHICLE)
+    theta = candidate_columns(samples.position, np.array([4.2]))
+    weights = np.linalg.lstsq(theta, phi, rcond=None)[0]
+    assert read.scales[0].mean_velocity == Readout().velocity(weights)
+
+
+@pytest.mark.parametrize("readout", ["rms", "paper"])
+def test_unknown_vehicles_are_read_with_the_flow(readout):
+    wrong = sf.PointMassVehicle(2.0, (-1.0, 7.0))
+    unknown = ("response_time", "thrust_acceleration")
+    readouts = Readout(mean_velocity=readout, refine="none")
+    _, _, _, read = reading(readout=readouts, vehicle=wrong, unknown=unknown)
+    ((vehicle, wind),) = read.vehicles
+    assert vehicle.response_time == pytest.approx(0.5, rel=1e-3)
+    assert vehicle.thrust_acceleration == pytest.approx((5.0, 3.0), rel=1e-2)
+    assert wind == (0.0, 0.0)
+    bias = 0.5 if readout == "paper" else 1e-3
+    assert read.scales[0].mean_velocity == pytest.approx(15.0, rel=bias)
+
+
+def test_several_scales_are_the_peaks_of_the_weights_fitted_together():
+    fit, _, _, read = reading(readout=Readout(scales="several", refine="none"))
+    assert read.scales[0].length_scale == 4.2
+    assert read.scales[0].mean_velocity == pytest.approx(15.0, rel=1e-3)
+    peaks = windows(fit, 0.2, (0.5, 1.5))
+    assert np.pi / peaks[0][0] == pytest.approx(4.2)
+    assert all(low <= k <= high for k, low, high in peaks)
+
+
+def test_waves_are_read_with_their_flow():
+    library = {"family": "waves", "every": 10}
+    fit, samples, own, read = reading(backend="group-lasso", **library)
+    assert isinstance(read.flow, WaveFlow)
+    (scale,) = read.scales
+    assert scale.length_scale == pytest.approx(4.2, rel=0.1)
+    assert scale.heading == pytest.approx(0.0, abs=0.2)
+    start = Readout().start(Search.of([samples], [VEHICLE], own), fit, own)
+    assert len(start.waves) >= 2
+    by_scale = Readout().by_scale(fit, own)
+    assert max(by_scale, key=by_scale.get) == pytest.approx(4.2, rel=0.1)
+
+
+def test_a_start_is_that_of_the_nearest_lobe():
+    fit, samples, library, _ = reading()
+    search = Search.of([samples], [VEHICLE], library)
+    start = Readout().start(search, fit, library)
+    assert start.lobe == search.lookout.lobes[0]
+    assert start == Readout().start(search, fit, library)
+    assert np.pi / start.lobe == pytest.approx(4.2, rel=1e-3)
+    several = Readout(scales="several").start(search, fit, library)
+    assert several.windows
+
+
+@pytest.mark.parametrize("key", ["length_scale", "mean_velocity", "eq24"])
+def test_unknown_readouts_are_refused(key):
+    with pytest.raises(InputError, match=f"readout {key}"):
+        Readout(**{key: "pseudo"})
