@@ -53,7 +53,9 @@ def test_candidates_are_a_flow_anywhere():
     k = np.array([flow.wavenumber])
     own = CandidateFlow(k, 15.43 * EQUATION_1[None], np.array([4.21, 8.42]) * 2, (0.5, 0.0))
     x, y = POSITION.T.reshape(2, 8, 5)
-    np.testing.assert_allclose(own.velocity(x, y), flow.velocity(x, y) + [0.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        own.velocity(x, y), flow.velocity(x, y) + np.array([0.5, 0.0]), atol=1e-12
+    )
     assert rms_mean_velocity(15.43 * EQUATION_1) == pytest.approx(15.43)
 
 
@@ -103,17 +105,12 @@ def test_the_jet_of_waves_is_that_of_differences():
         np.testing.assert_allclose(bend[:, axis], (above[1] - below[1]) / (2 * STEP), atol=1e-4)
 
 
-def scanned(continuum, bounds):
-    scan = continuum.scan(bounds)
-    return scan, continuum.columns
-
-
 @pytest.mark.parametrize("weighted", [False, True])
 def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
     rng = np.random.default_rng(3)
     weight = rng.uniform(0.5, 2.0, 40) if weighted else None
     own = np.ones(40) if weight is None else weight
-    continuum = CellContinuum(POSITION + [30.0, -7.0], (0.4, 2.0), EQUATION_1, weight)
+    continuum = CellContinuum(POSITION + np.array([30.0, -7.0]), (0.4, 2.0), EQUATION_1, weight)
     scan = continuum.scan(continuum.interval(None, None))
     assert len(scan.wavenumbers) == continuum.scan_points(continuum.bounds)
     residual = rng.standard_normal((40, 2))
@@ -136,7 +133,7 @@ def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
 
 def test_a_scan_of_the_plane_is_the_sums_over_its_rows_and_misses_no_peak():
     rng = np.random.default_rng(5)
-    continuum = WaveContinuum(POSITION + [12.0, 3.0], (0.4, 1.2))
+    continuum = WaveContinuum(POSITION + np.array([12.0, 3.0]), (0.4, 1.2))
     bounds = continuum.interval(None, None)
     scan = continuum.scan(bounds)
     assert isinstance(scan, PlaneHeights)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sparsefit.model.fitting import FlowRows, descended, fitted, joined, orthonormal
+from sparsefit.model.fitting import END, FlowRows, descended, fitted, joined, orthonormal
 from sparsefit.model.scan import FourierSums, WaveScan, axis_gains, peaks
 from sparsefit.model.shapes import AXIS, PAIR, SQUARE, free_waves, read_cells
 from sparsefit.model.waves import wave_columns
@@ -69,7 +69,8 @@ def test_pieces_catch_from_farther_away():
     start = np.array([0.9, 0.4]) + 1.6 * math.pi / np.ptp(PLACE[:, 0])
     alone = descended(rows, free_waves(1), start)
     followed = descended(rows, free_waves(1), joined(rows, free_waves(1), start, 4))
-    np.testing.assert_allclose(followed.q, [0.9, 0.4], atol=1e-4)
+    reach = END * math.pi / np.ptp(PLACE[:, 0])  # where a descent ends
+    np.testing.assert_allclose(followed.q, [0.9, 0.4], atol=2 * reach)
     assert alone.residual > 0.3 * rows.square
 
 
@@ -80,7 +81,6 @@ def test_columns_that_are_combinations_are_dropped_by_one_rule():
     assert basis.shape == (4, 3)
     np.testing.assert_allclose((both @ basis).T @ (both @ basis), np.eye(3), atol=1e-10)
     assert orthonormal(np.zeros((0, 0))).shape == (0, 0)
-    assert not (orthonormal(np.diag([1.0, 0.0])) @ [1.0]).any() or True
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3])
@@ -119,7 +119,7 @@ def test_gains_are_those_of_least_squares():
         inside = 0.3 <= np.hypot(*k) <= 2.0
         assert gains[i, j] == pytest.approx(explained(k, rest) if inside else 0.0, rel=2e-3)
     k, line = axis_gains(PLACE[:, :2], rest, (0.4, 1.5))
-    for place in (3, 40, 77):
+    for place in (3, 30, 44):
         pair = [explained((k[place], sign * k[place]), rest) for sign in (1, -1)]
         assert line[place] == pytest.approx(sum(pair), rel=2e-2)
 
@@ -129,9 +129,8 @@ def test_squares_are_seen_where_they_are():
     scan = WaveScan.of(PLACE, (0.3, 3.0))
     seen = scan.axis[scan.squares(scan.gains(rows.rest)[0], 1)[0]]
     waves = SQUARE.phases(np.array([1.1, 0.3]))[0][:, :2]
-    assert (
-        min(np.abs(s * wave - seen).max() for wave in waves for s in (1, -1)) < 0.75 * scan.steps[0]
-    )
+    apart = min(np.abs(s * wave - seen).max() for wave in waves for s in (1, -1))
+    assert apart < 0.75 * scan.steps[0]
 
 
 def test_a_wave_that_drifts_is_seen_in_pieces():

@@ -15,6 +15,7 @@ from sparsefit.rows import Derivative
 from tests.problems import VEHICLE, flight
 
 GRID = LengthScaleGrid(2.0, 7.0, step=0.2)
+PLAIN = Readout()
 
 
 def exact_weights(speed):
@@ -29,7 +30,7 @@ def problem_of_groups(groups):
     return RegressionProblem.from_arrays(theta, np.ones((9, 2)), groups)
 
 
-def reading(method="auto", readout=Readout(), backend="group-lasso", vehicle=VEHICLE, **library):
+def reading(method="auto", readout=PLAIN, backend="group-lasso", vehicle=VEHICLE, **library):
     samples, library = Derivative(method)(flight()), Library(GRID, **library)
     fit = sf.fit(library.build(samples, vehicle), backends.get(backend))
     return fit, samples, library, read_grid(fit, [samples], [vehicle], library, readout)
