@@ -77,7 +77,8 @@ class LevelSteps:
                 slope = np.where(moved, np.clip(secant, 0.2, 1.0), slope)
             tried = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))
             step[active] = tried[active]
-            self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[self.wanted].sum())
+            moving = self.wanted if self.count >= self.hold else active
+            self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[moving].sum())
         self.place, self.ratio = place, ratio
         return step, self.gain if near and not annealing else math.inf
 

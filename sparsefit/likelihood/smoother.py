@@ -392,7 +392,7 @@ class Search:
             stride = max(min(len(log.time) for log in self.logs) // self.settings.coarse, 1)
             start, hold = self.starting(stride), 2
             if stride > 1:
-                step, smoothed, few, _ = self.descended(start, hold)
+                step, smoothed, few, _ = self.descended(start, self.settings.passes)
                 hold = 0
                 still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
                 start = self.renoded(self.moved(step, smoothed, 1.0, still), 1)
