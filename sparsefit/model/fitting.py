@@ -187,8 +187,8 @@ def descended(
     """
     here, reach = fitted(rows, shape, q, pieces), rows.reach(pieces)
     falls = [math.inf] * SEEN
-    for left in range(ITERATIONS, 0, -1):
-        if here.residual - left * max(falls[-SEEN:]) > goal:
+    for remaining in range(ITERATIONS, 0, -1):
+        if here.residual - remaining * max(falls[-SEEN:]) > goal:
             return here
         moved = np.tensordot(here.move, shape.phases(here.q)[1], axes=1)
         longest = float(np.abs(moved / reach).max(initial=0.0))

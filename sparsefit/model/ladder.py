@@ -267,7 +267,8 @@ class Ladder:
     def follow(self, shape: Shape, starts: list[Array], pieces: int) -> None:
         """A shape from starts (p,) of most promise, from pieces of the track to the whole."""
         fits = [fitted(self.rows, shape, q, pieces) for q in starts]
-        for fit in sorted(fits, key=lambda fit: fit.residual)[:DESCENDED]:
+        most = DESCENDED if pieces == 1 else 2
+        for fit in sorted(fits, key=lambda fit: fit.residual)[:most]:
             self.descend(shape, joined(self.rows, shape, fit.q, pieces))
             if self.done:
                 break

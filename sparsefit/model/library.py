@@ -211,21 +211,34 @@ class Library:
                     for theta, own in self._blocks(source, vehicle, target, columns, large):
                         yield (theta, own) if weight == 1.0 else (weight * theta, weight * own)
 
+        count: int | None = rows
+        continuum: CellContinuum | WaveContinuum | None = None
         if large:
             triangle, _, _ = compressed(blocks())
             theta, target = triangle[:, :size].copy(), triangle[:, size:].copy()
-            return self._problem(theta, target, columns, rows, None)
-        parts = list(blocks())
-        theta, target = (
-            part[0] if len(part) == 1 else np.concatenate(part) for part in zip(*parts, strict=True)
+        else:
+            theta, target = (
+                part[0] if len(part) == 1 else np.concatenate(part)
+                for part in zip(*blocks(), strict=True)
+            )
+            places = [source.position for source in sources if isinstance(source, Samples)]
+            count = len(target) if self.family == "cells" and not self.unknown and places else None
+            if not self.unknown and places:
+                weight = np.repeat(weights, list(map(len, places))) if len(places) > 1 else None
+                continuum = self._continuum(np.concatenate(places), columns, weight)
+        names = TARGET_NAMES[self.target]
+        return RegressionProblem(
+            theta,
+            target,
+            columns.group,
+            columns.names,
+            names if columns.components == 1 else (" ".join(names),),
+            columns.scales,
+            count,
+            continuum,
+            columns.subgroups,
+            columns.parameters,
         )
-        places = [source.position for source in sources if isinstance(source, Samples)]
-        if self.unknown or not places:
-            return self._problem(theta, target, columns, None, None)
-        weight = np.repeat(weights, list(map(len, places))) if len(places) > 1 else None
-        continuum = self._continuum(np.concatenate(places), columns, weight)
-        own = len(target) if self.family == "cells" else None
-        return self._problem(theta, target, columns, own, continuum)
 
     def _rows(self, samples: Samples) -> Samples | WeakRows:
         """The rows of the regression: averages, or every so many-th sample."""
@@ -267,10 +280,10 @@ class Library:
             (np.hstack([basis[rows], block]), target[rows])
             for rows, block in columns.blocks(source)
         )
-        left = triangle[skip:, skip:].copy()
+        rest = triangle[skip:, skip:].copy()
         before = np.linalg.norm(triangle[:, skip : skip + size], axis=0)
-        refuse_spanned(np.linalg.norm(left[:, :size], axis=0), before)
-        yield left[:, :size].copy(), left[:, size:].copy()
+        refuse_spanned(np.linalg.norm(rest[:, :size], axis=0), before)
+        yield rest[:, :size].copy(), rest[:, size:].copy()
 
     def _continuum(
         self, position: Array, columns: GridColumns, weight: Array | None
@@ -283,28 +296,6 @@ class Library:
         if self.family == "waves" and self.groups == "wave" and weight is None:
             return WaveContinuum(position, (low, high))
         return None
-
-    def _problem(
-        self,
-        theta: Array,
-        target: Array,
-        columns: GridColumns,
-        count: int | None,
-        continuum: CellContinuum | WaveContinuum | None,
-    ) -> RegressionProblem:
-        names = TARGET_NAMES[self.target]
-        return RegressionProblem(
-            theta,
-            target,
-            columns.group,
-            columns.names,
-            names if columns.components == 1 else (" ".join(names),),
-            columns.scales,
-            count,
-            continuum,
-            columns.subgroups,
-            columns.parameters,
-        )
 
 
 def _refuse_axes(position: Array) -> None:

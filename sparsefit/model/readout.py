@@ -219,8 +219,8 @@ def read_grid(
         speeds = np.array([readout.velocity(own) for own in rows.cells(k)[0]])
         k = k[speeds >= SLOWEST * speeds.max()]
     own, coefficients = rows.cells(k)
-    found = rows.read(coefficients)
-    possible = all(vehicle is not None for vehicle, _ in found)
+    pairs = rows.read(coefficients)
+    possible = all(vehicle is not None for vehicle, _ in pairs)
     ratio = rows.ratio(coefficients)
     if readout.scales == "several":
         speeds = np.array([readout.velocity(mode / ratio) for mode in own])
@@ -228,14 +228,14 @@ def read_grid(
         scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in order)
     else:
         scales = (
-            GridScale(_velocity(rows, readout, k, own / ratio, found), math.pi / float(k[0])),
+            GridScale(_velocity(rows, readout, k, own / ratio, pairs), math.pi / float(k[0])),
         )
     flow: CandidateFlow | WaveFlow | None = None
     if readout.scales == "several" and possible:
-        flow = CandidateFlow(k, own / ratio, rows.origin, found[0][1] if found else (0.0, 0.0))
+        flow = CandidateFlow(k, own / ratio, rows.origin, pairs[0][1] if pairs else (0.0, 0.0))
     elif library.target == "flow-velocity" and not library.unknown:
         flow = _weighed(fit, library)
-    return GridReading(scales, flow, found)
+    return GridReading(scales, flow, pairs)
 
 
 def _weighed(fit: Fit, library: Library) -> CandidateFlow | WaveFlow | None:
@@ -258,33 +258,33 @@ def _read_waves(fit: Fit, rows: _GridRows, extent: float) -> GridReading:
     k, own = fit.problem.parameters, fit.weights.reshape(-1, 2)
     tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
     amplitudes, coefficients = rows.waves(k[tops])
-    ratio, found = rows.ratio(coefficients), rows.read(coefficients)
+    ratio, pairs = rows.ratio(coefficients), rows.read(coefficients)
     used = own.any(axis=1)
     cells = read_cells(k[tops], amplitudes / ratio)
     flow = WaveFlow(k[used], *(own[used] / ratio).T)
     reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
-    return GridReading((reading,), flow, found)
+    return GridReading((reading,), flow, pairs)
 
 
 def _velocity(
-    rows: _GridRows, readout: Readout, k: Array, weights: Array, found: Vehicles
+    rows: _GridRows, readout: Readout, k: Array, weights: Array, refitted: Vehicles
 ) -> float:
     """U0 of the one mode of cells at k (1,), by the vehicles that fit best where these are unknown.
 
     weights (1, 8, 2): fitted to the rows of the regression. Known vehicles on plain samples, and
     the paper's readout, take a refit on all samples.
     """
-    plain = not found and not any(samples.weak for samples in rows.flights)
+    plain = not refitted and not any(samples.weak for samples in rows.flights)
     if not plain and readout.mean_velocity != "paper":
-        possible = all(vehicle is not None for vehicle, _ in found)
+        possible = all(vehicle is not None for vehicle, _ in refitted)
         return readout.velocity(weights[0]) if possible else math.nan
     pairs = list(zip(rows.flights, rows.vehicles, strict=True))
     phi = target = np.concatenate([own.flow_velocity(vehicle) for own, vehicle in pairs])
-    if plain or not found:
+    if plain or not refitted:
         target = np.concatenate([rows.library.response(own, vehicle) for own, vehicle in pairs])
     else:
         parts = []
-        for samples, (vehicle, wind) in zip(rows.flights, found, strict=True):
+        for samples, (vehicle, wind) in zip(rows.flights, refitted, strict=True):
             if vehicle is None:
                 return math.nan
             parts.append(samples.flow_velocity(vehicle) - np.array(wind))

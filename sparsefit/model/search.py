@@ -29,7 +29,7 @@ from sparsefit.rows import Samples
 CORRELATION = 5.0  # samples: errors of smoothed derivatives and of positions are not white
 MOST_STEPS = 150_000  # of a scan along the axes: more lobes are looked into by nobody
 MOST_ROWS = 1_500  # of the search, as long as they are a quarter of the least length scale apart
-LONGEST_ROWS = 20_000  # rows of any track
+LONGEST_ROWS = 6_000  # rows of any track
 ROUNDS, LEAST_LEVEL = 2, 1e-3  # of weighing flights; of the largest level of noise
 
 

@@ -123,8 +123,8 @@ class UnknownColumns:
             constant = np.ones((len(columns), int(columns.shape[2] > moving.shape[2])))
             series = moving.swapaxes(1, 2).reshape(len(columns), -1)
             columns = np.hstack([series, constant])
-        left, roots, _ = np.linalg.svd(columns, full_matrices=False)
-        basis: Array = left[:, roots > RANK * roots[0]]
+        vectors, roots, _ = np.linalg.svd(columns, full_matrices=False)
+        basis: Array = vectors[:, roots > RANK * roots[0]]
         return basis
 
     def ratio(self, coefficients: Array) -> float:
@@ -157,14 +157,14 @@ class UnknownColumns:
 
 def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
     """(I - Q Q') theta and target, Q (m, r); InputError where a candidate is a combination of Q."""
-    left = theta - basis @ (basis.T @ theta)
-    refuse_spanned(np.linalg.norm(left, axis=0), np.linalg.norm(theta, axis=0))
-    return left, target - basis @ (basis.T @ target)
+    rest = theta - basis @ (basis.T @ theta)
+    refuse_spanned(np.linalg.norm(rest, axis=0), np.linalg.norm(theta, axis=0))
+    return rest, target - basis @ (basis.T @ target)
 
 
-def refuse_spanned(left: Array, norms: Array) -> None:
+def refuse_spanned(rest: Array, norms: Array) -> None:
     """InputError if nothing is left of a candidate, norms (k,) before and after."""
-    if (left <= SPANNED * norms).any():
+    if (rest <= SPANNED * norms).any():
         raise InputError(
             "a candidate is a combination of the velocity and a constant: the flight is too "
             "straight to tell what is unknown; turn, or give the vehicle"

@@ -98,17 +98,17 @@ def wave_peaks(
     by squared strength. k and -k are the same wave; extent: of the flight [m].
     """
     strength, near = strengths(wavevectors, weights), APART * math.pi / extent
-    left = strength > 0
+    free = strength > 0
     tops: list[int] = []
     peaks: list[Array] = []
-    while left.any() and len(tops) < most:
-        top = int(np.argmax(np.where(left, strength, -1.0)))
+    while free.any() and len(tops) < most:
+        top = int(np.argmax(np.where(free, strength, -1.0)))
         if strength[top] < PROPOSED * strength.max():
             break
         sides = np.where(wavevectors @ wavevectors[top] < 0, -1.0, 1.0)[:, None] * wavevectors
-        around = left & (np.linalg.norm(sides - wavevectors[top], axis=1) <= near)
+        around = free & (np.linalg.norm(sides - wavevectors[top], axis=1) <= near)
         shares = strength[around] ** 2
         tops.append(top)
         peaks.append(shares @ sides[around] / shares.sum())
-        left &= ~around
+        free &= ~around
     return np.array(tops, dtype=np.intp), np.array(peaks).reshape(-1, 2)

@@ -261,14 +261,14 @@ def clean_position(position: Array, velocity: Array, step: float) -> Array:
         return position
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     mean[1:-1] = (13.0 * (velocity[1:-2] + velocity[2:-1]) - velocity[:-3] - velocity[3:]) / 24.0
-    left = np.diff(position, axis=0) - step * mean
+    apart = np.diff(position, axis=0) - step * mean
     least = FELT[1] * step * math.sqrt(float(np.mean(velocity**2)))
-    size = _length(left)
+    size = _length(apart)
     jumps = np.flatnonzero(_isolated(size, np.ones_like(size), least)).tolist()
     if not 0 < len(jumps) <= MOST[1] * len(position):
         return position
-    beside = np.vstack([[0.0, 0.0], np.cumsum(left, axis=0)])
-    shift, ends = np.zeros_like(position), [-1, *jumps, len(left)]
+    beside = np.vstack([[0.0, 0.0], np.cumsum(apart, axis=0)])
+    shift, ends = np.zeros_like(position), [-1, *jumps, len(apart)]
     for before, jump, after in zip(ends[:-2], jumps, ends[2:], strict=True):
         here = beside[max(before, jump - JUMP_SIDE) + 1 : jump + 1]
         there = beside[jump + 1 : min(after, jump + JUMP_SIDE) + 1]
@@ -302,9 +302,9 @@ def hermite(time: Array, position: Array, velocity: Array, at: Array) -> Array:
     width = (time[low + 1] - time[low])[:, None]
     s = (at - time[low])[:, None] / width
     rest = 1.0 - s
-    left = (1.0 + 2.0 * s) * position[low] + s * width * velocity[low]
-    right = (1.0 + 2.0 * rest) * position[low + 1] - rest * width * velocity[low + 1]
-    between: Array = rest**2 * left + s**2 * right
+    before = (1.0 + 2.0 * s) * position[low] + s * width * velocity[low]
+    after = (1.0 + 2.0 * rest) * position[low + 1] - rest * width * velocity[low + 1]
+    between: Array = rest**2 * before + s**2 * after
     return between
 
 
