@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ from sparsefit.study.table import plain
 
 NAMED_CURVES = 10  # curves that a legend names; the rest are grey
 PANELS = 6  # rows of panels, with more nobody reads a picture
+MOST_POINTS = 300  # of one curve
 LETTERS = 44  # of a name in a legend
 LOG_RANGE = 8.0  # largest over smallest, from which an axis is logarithmic
 UNIT_OF = {
@@ -86,8 +87,14 @@ class Looks:
         count = sum(other == name for other in self.alike.values())
         return f"{self.short[name]}{f' and {count} alike' if count else ''}"
 
-    def merge(self, panels_: Sequence[Sequence[Curve]]) -> list[list[Curve]]:
-        """Return the curves of all panels without those that coincide with an earlier one."""
+    def merge(
+        self, panels_: Sequence[Sequence[Curve]], ranks: Mapping[str, float]
+    ) -> list[list[Curve]]:
+        """Return the curves of all panels without a point, or that coincide with an earlier one.
+
+        Args:
+            ranks: by which the curves that a legend names are chosen where they are too many.
+        """
         by_name: dict[str, dict[int, Curve]] = {}
         for place, curves in enumerate(panels_):
             for curve in curves:
@@ -95,7 +102,7 @@ class Looks:
         kept: list[str] = []
         for name in self.names:
             mine = by_name.get(name)
-            if mine is None:
+            if mine is None or not any(np.isfinite(curve.y).any() for curve in mine.values()):
                 continue
             twin = next((
                 other for other in kept
@@ -106,6 +113,8 @@ class Looks:
                 kept.append(name)
             else:
                 self.alike[name] = twin
+        if len(kept) > NAMED_CURVES:
+            kept.sort(key=lambda name: ranks.get(name, np.inf))
         self.names = kept
         return [[curve for curve in curves if curve.name in kept] for curves in panels_]
 
@@ -117,9 +126,12 @@ def lines(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     level; `rows`: one with a row per level. What is neither is pooled.
     """
     axes_of = [entry.along] if entry.along else numeric_factors(cases)
+    line = entry.lines
+    if entry.along == "condition" and cases["condition"].nunique() < 2:
+        axes_of, line = [line], "condition"
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
-    for name in (*axes_of, entry.lines, *entry.rows, *([entry.columns] if entry.columns else [])):
+    for name in (*axes_of, line, *entry.rows, *([entry.columns] if entry.columns else [])):
         if name not in cases:
             raise InputError(f'no "{name}" in the cases{suggestion(name, map(str, cases.columns))}')
     down = [
@@ -135,25 +147,37 @@ def lines(entry: Entry, cases: pd.DataFrame) -> Figure | None:
         part = cases if places is None else cases.iloc[places]
         for level in across:
             here = part if texts is None else part[texts.loc[part.index] == level]
-            every.append(list(_along(here, along, each, entry.lines, sort_levels(cases, along))))
-    looks = Looks([str(name) for name in cases[entry.lines].unique()])
+            every.append(list(_along(here, along, each, line, sort_levels(cases, along))))
+    looks = Looks([str(name) for name in cases[line].unique()])
     if not any(np.isfinite(curve.y).any() for curves in every for curve in curves):
         return None
-    drawn = iter(looks.merge(every))
+    ranks = {
+        curve.name: float(np.nanmean(np.where(np.isfinite(curve.y), curve.y, np.nan)))
+        for curve in every[0] if np.isfinite(curve.y).any()
+    }  # fmt: skip
+    drawn = iter(looks.merge(every, ranks))
     figure, grid = panels(len(down), len(across), height=1.0 + 2.1 * len(down))
     for place, ((along, each, key, _), row) in enumerate(zip(down, grid, strict=True)):
         for level, axes in zip(across, row, strict=True):
             _draw(axes, next(drawn), looks, each, cases, along, entry.limits)
+            if place + 1 < len(down) and down[place + 1][0] == along:
+                axes.tick_params(labelbottom=False)
             if level and not place:
                 axes.set_title(f"{factor_words(entry.columns)} {level}")
         _alike(row, each)
-        words = [with_unit(each.phrase, each.unit), *map(level_text, key)]
-        row[0].set_ylabel("\n".join(wrapped(text, 30) for text in words))
+        words = [heading(each), *map(level_text, key)]
+        row[0].set_ylabel("\n".join(wrapped(text, 24) for text in words))
         for axes in row if place == len(down) - 1 or down[place + 1][0] != along else ():
             unit = UNIT_OF.get(along.rpartition(".")[2], "")
             axes.set_xlabel(with_unit(factor_words(along), unit))
     legend(figure, [axes for row in grid for axes in row])
     return figure
+
+
+def heading(each: Measure) -> str:
+    """Return a measure as an axis names it, `median |error| τ_w [%]`."""
+    summary = "" if each.summary in ("share", "number") else f"{each.summary} "
+    return with_unit(f"{summary}{each.heading or each.words}", each.unit)
 
 
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
@@ -188,13 +212,14 @@ def _draw(axes: Axes, curves: Sequence[Curve], looks: Looks, each: Measure, case
           along: str, limits: Sequence[float]) -> None:  # fmt: skip
     """Draw the curves of one panel, wider where later ones may lie upon them."""
     named = not pd.api.types.is_numeric_dtype(cases[along])
+    nominal = "." not in along  # its levels have no order, and no line joins them
     for order, curve in enumerate(curves):
         look = looks.of(curve.name)
-        x = curve.x + (0.5 * ((order + 0.5) / len(curves) - 0.5) if named else 0.0)
-        if named:
+        x = curve.x + (0.5 * ((order + 0.5) / len(curves) - 0.5) if nominal else 0.0)
+        if nominal:
             look |= {"ls": "", "marker": look["marker"] or "."}
         gid = f"line-{looks.names.index(curve.name)}"
-        if curve.low is not None and curve.high is not None and (named or len(curves) <= 4):
+        if curve.low is not None and curve.high is not None and (nominal or len(curves) <= 4):
             axes.vlines(x, curve.low, curve.high, color=look["color"], lw=0.8, alpha=0.7, gid=gid)
         axes.plot(x, curve.y, ms=3.5, mew=0, gid=gid, label=looks.label(curve.name), **look)
     if not any(np.isfinite(curve.y).any() for curve in curves):
@@ -254,12 +279,19 @@ def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
             known = np.sort(values[here][np.isfinite(values[here])])
             if known.size:
                 share = 100.0 * np.arange(1, known.size + 1) / len(here)
+                if known.size > MOST_POINTS:  # an eye sees no more steps
+                    kept = np.linspace(0, known.size - 1, MOST_POINTS).astype(int)
+                    known, share = known[kept], share[kept]
                 told.append(Curve(str(name), np.maximum(known, each.least or 1e-300), share))
         every.append(told)
     if not any(every):
         return None
     looks = Looks([str(name) for name in cases[entry.lines].unique()])
-    drawn = looks.merge(every)
+    ranks = {
+        curve.name: float(curve.x[np.searchsorted(curve.y, 50.0)])
+        for curve in every[0] if curve.y[-1] >= 50.0
+    }  # fmt: skip
+    drawn = looks.merge(every, ranks)
     figure, (row,) = panels(1, len(every), height=3.6)
     for axes, each, curves in zip(row, entry.measures, drawn, strict=True):
         axes.set_xscale("log")

@@ -88,12 +88,15 @@ def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
 
 
 def column_of(each: Measure) -> Column:
-    """Return the column of a measure in a table, its summary before its heading."""
-    head = each.heading or each.words
+    """Return the column of a measure in a table, the summary before its heading or above it."""
+    head, symbol = each.heading or each.words, ""
+    for sign in SYMBOLS.values():
+        if head.endswith(f" {sign}"):
+            head, symbol = head.removesuffix(f" {sign}"), sign
     words = head if each.summary in ("share", "number") else f"{each.summary} {head}"
-    format = "d" if each.summary == "number" else each.format
-    unit = "" if each.summary == "number" else each.unit
-    return Column(words, unit, format, least=each.least, varies=each.varies)
+    format, unit = ("d", "") if each.summary == "number" else (each.format, each.unit)
+    name, group = (symbol, words) if symbol else (words, "")
+    return Column(name, unit, format, group, each.least, each.varies)
 
 
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -106,7 +109,7 @@ def settings(entry: Entry, cases: pd.DataFrame) -> Table:
         column = column_of(each)
         columns.append(column)
         if entry.interval:
-            columns.append(Column("95 %", column.unit, group=column.name))
+            columns.append(Column("95 %", column.unit, group=column.group or column.name))
     ok, failed, rows = ended(cases, "ok"), ~answered(cases), []
     for key, places in grouped(cases, names):
         cells: list[Value] = []
