@@ -57,6 +57,7 @@ def styled(draw: Callable[[], Figure]) -> Figure:
     """Return a figure drawn in this style, whatever the user's own settings are."""
     with mpl.rc_context(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
+        warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
         mpl.rcdefaults()
         mpl.rcParams.update(STYLE)
         figure = draw()

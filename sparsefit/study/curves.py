@@ -116,7 +116,10 @@ class Looks:
         if len(kept) > NAMED_CURVES:
             kept.sort(key=lambda name: ranks.get(name, np.inf))
         self.names = kept
-        return [[curve for curve in curves if curve.name in kept] for curves in panels_]
+        return [
+            sorted((each for each in curves if each.name in kept), key=lambda c: kept.index(c.name))
+            for curves in panels_
+        ]
 
 
 def lines(entry: Entry, cases: pd.DataFrame) -> Figure | None:

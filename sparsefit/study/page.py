@@ -156,8 +156,8 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     outputs = study.definition.outputs
     if "objective" in cases and not outputs.headline:
         return " ".join(solver_times.headline(cases))
-    predicted = "objective" in cases or not np.isfinite(numbers(cases, "est_timescale")).any()
-    each = measure(outputs.headline or ("seconds" if predicted else "timescale-error"))
+    truth = np.isfinite(numbers(cases, "true_timescale")).any()
+    each = measure(outputs.headline or ("timescale-error" if truth else "called-ok"))
     values = each.values(cases)
     told = {
         str(title): float(each.reduce(values[places]))

@@ -1,0 +1,124 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study.measures import MEASURES, measure
+from tests.study.frames import case, frame
+
+DEGREE = math.pi / 180
+
+
+def told(words, *rows):
+    return measure(words).summarise(frame(*rows))
+
+
+def test_signed_errors_sizes_and_their_units_by_hand():
+    rows = [case(0, (10.0, -4.0)), case(1, (-20.0, 2.0))]
+    assert told("mean-velocity-deviation", *rows) == pytest.approx(-0.5)
+    assert told("mean-velocity-signed-error", *rows) == pytest.approx(-5.0)
+    assert told("mean length-scale-size", *rows) == pytest.approx(3.0)
+    tau = 100 * abs(0.96 / 1.1 - 1), 100 * abs(1.02 / 0.8 - 1)
+    assert told("timescale-size", *rows) == pytest.approx(np.mean(tau))
+    assert told("largest largest-error", *rows) == pytest.approx(27.5)
+    assert MEASURES["mean-velocity-deviation"].unit == "m/s"
+
+
+def test_one_rule_of_failure():
+    """Behind every number in a quantile, 100 % in a mean, left out where nothing counts it."""
+    failed = case(2, None, status="unidentifiable")
+    rows = [case(0, (0.0, 4.0)), case(1, (0.0, 8.0)), failed]
+    assert told("length-scale-error", *rows) == pytest.approx(8.0)
+    assert math.isinf(told("length-scale-error", rows[0], failed, failed))
+    assert told("mean length-scale-error", *rows) == pytest.approx(112 / 3)
+    assert told("length-scale-size", *rows) == pytest.approx(6.0)
+    still = case(3, None, status="unidentifiable", flow="none")
+    assert told("mean length-scale-error", *rows, still) == pytest.approx(112 / 3)
+    assert math.isnan(told("mean length-scale-error", still))
+
+
+def test_an_estimate_is_ok_or_inaccurate_with_three_finite_numbers():
+    rows = [case(status="inaccurate"), case(status="misfit"), case(est_timescale=math.nan)]
+    assert told("answered", *rows) == pytest.approx(100 / 3)
+
+
+def test_what_ok_and_unidentifiable_are_worth():
+    rows = [
+        case(0), case(1, (9.0, 0.0)), case(2, (9.0, 0.0), status="unidentifiable"),
+        case(3, status="unidentifiable"), case(4, status="misfit"),
+        case(5, None, "unidentifiable", flow="none", doubt="no-flow"),
+        case(6, flow="none"), case(7, flow="none", status="unidentifiable", doubt="imprecise"),
+    ]  # fmt: skip
+    shares = {"off": 50, "silent-misses": 20, "misfits": 20, "deserved": 50,
+              "false-alarms": 100 / 3,
+              "called-so": 100 / 3, "called-ok": 100 * 3 / 8}  # fmt: skip
+    assert {name: told(name, *rows) for name in shares} == pytest.approx(shares)
+
+
+def test_coverage_and_half_widths_are_of_flights_called_ok():
+    ends = {"low_length_scale": 4.9, "high_length_scale": 5.1}
+    rows = [case(0, (0.0, 1.0), **ends), case(1, (0.0, 4.0), low_length_scale=5.1,
+                                              high_length_scale=5.3),
+            case(2, status="misfit", **ends)]  # fmt: skip
+    assert told("length-scale-coverage", *rows) == pytest.approx(50.0)
+    assert told("length-scale-half-width", rows[0]) == pytest.approx(100 * 0.1 / 5.05)
+    assert math.isnan(told("mean-velocity-coverage", *rows))
+
+
+def test_efficiency_is_the_rms_of_error_over_bound():
+    # U0: 2 and 4 % at bounds of 1 and 4 %: sqrt((2^2 + 1^2) / 2).
+    def bounded(flight, percent, bound, **more):
+        true = {"mean_velocity": 10.0, "length_scale": 5.0, "timescale": 0.5}
+        bounds = {f"bound_{name}": bound * value / 100 for name, value in true.items()}
+        return case(flight, percent, **bounds, **more)
+
+    rows = [bounded(0, (2.0, 0.0), 1.0), bounded(1, (4.0, -8.0), 4.0)]
+    assert told("mean-velocity-efficiency", *rows) == pytest.approx(math.sqrt(2.5))
+    assert told("length-scale-bounded-error", *rows) == pytest.approx(math.sqrt(32.0))
+    assert told("length-scale-bound", *rows) == pytest.approx(math.sqrt(8.5))
+    others = [bounded(2, (50.0, 50.0), 1.0, status="inaccurate"), bounded(3, (9.0, 9.0), math.inf),
+              bounded(4, (9.0, 9.0), math.nan)]  # fmt: skip
+    assert told("mean-velocity-efficiency", *rows, *others) == pytest.approx(math.sqrt(2.5))
+    assert told("bounded", *rows, *others) == 2
+
+
+def test_shape_errors_by_hand():
+    heading = case(true_heading=1.0 * DEGREE, est_heading=88.0 * DEGREE)
+    assert told("heading-error", heading) == pytest.approx(3.0)  # cells repeat after a quarter
+    sides = {"true_length_scale_x": 4.0, "true_length_scale_y": 6.0, "est_length_scale_x": 6.6,
+             "est_length_scale_y": 4.0}  # fmt: skip
+    assert told("sides-error", case(**sides)) == pytest.approx(10.0)
+    drift = {"true_drift_x": 0.3, "true_drift_y": 0.4, "est_drift_x": math.nan,
+             "est_drift_y": math.nan, "est_shape": "square"}  # fmt: skip
+    assert told("drift-error", case(**drift)) == pytest.approx(5.0)  # found steady: all of 0.5 m/s
+
+
+def test_predictions_count_a_flight_that_is_not_offered_as_missed():
+    rows = [case(0, prediction_error=0.04), case(1, status="misfit", prediction_error=0.01)]
+    assert told("prediction-error", *rows) == pytest.approx(2.0)
+    assert told("mean offered-prediction-error", *rows) == pytest.approx(52.0)
+
+
+def test_several_scales():
+    listed = json.dumps([[3.0, 10.0], [6.0, 2.0]])
+    rows = [case(0, true_scales=listed, extent=60.0, scales_within_1_percent=1.0),
+            case(1, true_scales=listed, extent=60.0, scales_within_1_percent=0.0),
+            case(2, None, status="timeout", true_scales=listed)]  # fmt: skip
+    assert told("scales-found", *rows) == pytest.approx(100 / 3)
+    assert told("unseen", *rows) == 1
+    values = [told(name, rows[0]) for name in ("cells", "scale-ratio", "velocity-ratio")]
+    assert values == pytest.approx([10.0, 2.0, 0.2])
+
+
+@pytest.mark.parametrize("words", ["timescale-eror", "men timescale-error", "mean", ""])
+def test_an_unknown_measure_or_summary_is_refused_with_the_nearest(words):
+    with pytest.raises(InputError, match="unknown"):
+        measure(words)
+
+
+def test_every_measure_reads_a_case_without_any_column_of_its_own():
+    cases = frame(case(), case(1, None, status="error"))
+    for each in MEASURES.values():
+        assert each.values(cases).shape == (2,)

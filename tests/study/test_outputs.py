@@ -1,0 +1,343 @@
+"""Tables and figures of frames made by hand."""
+
+import io
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from sparsefit.errors import InputError
+from sparsefit.plot.style import encoded, labels
+from sparsefit.study import curves, figures, page, solver_times, tables
+from sparsefit.study.definition import Reference
+from sparsefit.study.table import Column, Table, cell_text, significant
+from tests.study.frames import case, frame, solve, study
+
+RNG = np.random.default_rng(2)
+
+
+def spread(titles=("lasso", "stlsq"), flights=12, **more):
+    """Flights with other errors for each title."""
+    return frame(*(
+        case(flight, (RNG.normal(0, 1 + place), RNG.normal(0, 1)), label=title, **more)
+        for place, title in enumerate(titles) for flight in range(flights)
+    ))  # fmt: skip
+
+
+def made(entry, cases, **outputs):
+    return tables.table(study(cases, **outputs), entry)
+
+
+def column(table, name):
+    return table.frame[name].tolist()
+
+
+class TestTables:
+    def test_rows_are_groups_and_columns_measures(self):
+        cases = frame(case(0, (10.0, 0.0)), case(1, (20.0, 0.0)), case(2, None, status="timeout"),
+                      case(0, (-4.0, 0.0), label="stlsq"))  # fmt: skip
+        table = made({"name": "x", "measure": ["mean mean-velocity-size", "hits"]}, cases)
+        assert column(table, "title") == ["lasso", "stlsq"]
+        assert [column(table, name) for name in ("n", "ok", "failures")] == [[3, 1], [2, 1], [1, 0]]
+        assert column(table, "mean |error| U0 [%]") == pytest.approx([15.0, 4.0])
+
+    def test_intervals_hold_the_summary_and_shares_have_wilsons(self):
+        entry = {"name": "x", "measure": ["mean timescale-error", "hits"], "interval": True}
+        row = made(entry, spread()).rows[0]
+        low, high = map(float, row[5].split(" to "))
+        assert low < row[4] < high
+        assert row[7] == "76 to 100"
+
+    def test_a_pivot_has_a_column_per_level_numbers_ascending(self):
+        cases = pd.concat([
+            spread(**{"flights.duration": seconds}) for seconds in (20.0, 5.0)
+        ])  # fmt: skip
+        table = made({"name": "x", "measure": ["timescale-error"], "compare": "protocols",
+                      "along": "flights.duration", "rows": ["title"]}, cases)  # fmt: skip
+        assert [each.name for each in table.columns] == ["title", "5", "20", "failures"]
+        with pytest.raises(InputError, match="did you mean"):
+            made({"name": "x", "measure": ["timescale-error"], "compare": "protocols",
+                  "along": "flights.duratio"}, cases)  # fmt: skip
+
+    def test_status_against_truth(self):
+        cases = frame(case(0), case(1, (9.0, 0.0)), case(2, status="misfit"),
+                      case(3, flow="none"), case(4, None, status="error"))  # fmt: skip
+        table = made("status", cases)
+        told = dict(zip((each.full for each in table.columns), table.rows[0], strict=True))
+        assert told == {"title": "lasso", "n": 5, "ok ≤ 5 %": 1, "ok off": 1, "ok no flow": 1,
+                        "misfit ≤ 5 %": 1, "error all": 1}  # fmt: skip
+
+    def test_profiles_and_coverage(self):
+        cases = frame(*(case(n, (0.0, size)) for n, size in enumerate((0.5, 1.0, 2.0))),
+                      case(3, None, status="error"))  # fmt: skip
+        entry = {"name": "profiles", "measure": ["length-scale-size"], "limits": [0.7, 99.0]}
+        (row,) = made(entry, cases).rows
+        assert row[2:] == (25.0, "4.6 to 69.9", 75.0, "30.1 to 95.4")
+        ends = {"low_length_scale": 4.9, "high_length_scale": 5.1}
+        (row,) = made("coverage", frame(case(0, **ends), case(1, **ends))).rows
+        assert row[1:6] == ("L_w", 2, 2, 2, 100.0)
+
+    def test_contrasts_are_adjusted_together_and_a_tie_is_called_one(self):
+        cases = spread(("lasso", "stlsq", "same"), 30)
+        lasso = cases["label"] == "lasso"
+        cases.loc[cases["label"] == "stlsq", "est_timescale"] += 0.05
+        cases.loc[cases["label"] == "same", "est_timescale"] = cases[lasso]["est_timescale"].values
+        entry = {"name": "contrasts", "contrasts": [["lasso", "stlsq"], ["lasso", "same"]]}
+        first, second = made(entry, cases).frame.to_dict("records")
+        assert (first["verdict"], second["verdict"]) == ("lasso is better", "tie")
+        assert first["p (Holm)"] == pytest.approx(min(1.0, 2 * first["p"]))
+        assert second["p"] == 1.0
+        with pytest.raises(InputError, match='"laso" is unknown: did you mean "lasso"'):
+            made(entry | {"contrasts": [["laso", "stlsq"]]}, cases)
+        with pytest.raises(InputError, match="of no one kind"):
+            made(entry | {"contrasts": [["lasso", "paper"]]}, cases)
+
+    def test_a_reference_stands_first(self):
+        reference = Reference("paper, Table 2", 95, signed_error=(-18.8, -5.91, 33.3))
+        table = made("errors", spread(), reference=reference)
+        assert table.rows[0][:2] == ("paper, Table 2", 95)
+        assert column(table, "mean signed % error τ_w [%]")[0] == 33.3
+        assert "paper, Table 2: +33.30 %" in page.headline(
+            study(spread(), reference=reference, headline="timescale-signed-error"), spread()
+        )
+
+    def test_without_outputs_what_fits_is_made(self):
+        assert list(tables.tables(study(spread()), spread())) == [
+            "summary", "status", "errors-absolute", "errors", "times",
+        ]  # fmt: skip
+        assert list(tables.tables(study(frame(case())), frame(case()))) == ["parameters", "times"]
+
+    @pytest.mark.parametrize(
+        ("entry", "words"),
+        [("errrors", 'did you mean "errors"'), ({"name": "x"}, "needs measure"),
+         ({"name": "x", "mesure": ["hits"]}, 'did you mean "measure"'),
+         ({"name": "x", "measure": ["hit"]}, 'did you mean "hits"'),
+         ({"name": "x", "measure": ["hits"], "rows": ["titel"]}, 'did you mean "title"'),
+         ({"name": "../x", "measure": ["hits"]}, "leave out /"),
+         ({"name": "x", "measure": ["hits"], "compare": "levels"}, "unknown compare")],
+    )  # fmt: skip
+    def test_what_is_not_known_is_refused_with_the_nearest(self, entry, words):
+        with pytest.raises(InputError, match=words):
+            made(entry, spread())
+
+
+class TestScript:
+    TEXT = """
+import pandas as pd
+from matplotlib.figure import Figure
+
+def sizes(cases):
+    frame = cases.groupby("title").size().to_frame("cases")
+    frame.attrs["title"] = "How many"
+    return frame
+
+def drawn(cases, study):
+    figure = Figure()
+    figure.subplots().plot(range(len(cases)), label=study.name)
+    return figure
+
+def broken(cases):
+    return cases["nothing"]
+
+def _helper(cases):
+    return 1
+"""
+
+    def of(self, tmp_path, **outputs):
+        (tmp_path / "mine.py").write_text(self.TEXT)
+        return study(spread(), tmp=tmp_path, script="mine.py", **outputs)
+
+    def test_its_functions_are_tables_and_figures(self, tmp_path):
+        mine = self.of(tmp_path, tables=("sizes",), figures=("drawn",))
+        page.check_outputs(mine)
+        made = tables.tables(mine, mine.cases)["sizes"]
+        assert made.title == "How many"
+        assert made.rows == [("lasso", 12), ("stlsq", 12)]
+        assert isinstance(figures.figures(mine, mine.cases)["drawn"].figure, Figure)
+
+    @pytest.mark.parametrize(("name", "words"), [("broken", "KeyError"), ("drawn", "no DataFrame"),
+                                                 ("_helper", "unknown table")])  # fmt: skip
+    def test_what_fails_names_the_function(self, tmp_path, name, words):
+        with pytest.raises(InputError, match=words):
+            tables.table(self.of(tmp_path), name)
+
+
+class TestText:
+    table = Table(
+        'Errors of "mine"',
+        (Column("name"), Column("U0", "%", group="mean |error|"), Column("τ_w", "s", "+.2f")),
+        [("=cmd('x')", 1.23456789, -0.001), ("[a] \\^~_$", math.inf, None), ("<b>é", 3e-9, 2.0)],
+        ("A note.",),
+    )
+
+    @pytest.mark.parametrize(
+        ("value", "text"),
+        [(99.97, "100"), (0.00012345, "0.000123"), (1e-5, "1.00e-05"), (123456.0, "123000"),
+         (0.0, "0"), (7, "7")],
+    )  # fmt: skip
+    def test_three_significant_digits(self, value, text):
+        assert significant(value) == text
+
+    def test_cells(self):
+        assert cell_text(-0.001, Column("x", format="+.2f")) == "0.00"
+        assert cell_text(1e-9, Column("x", least=1e-6)) == "< 1e-6"
+        assert cell_text("a\x1b[31m\nb", Column("x")) == "a�[31m b"
+        texts = [cell_text(value, Column("x")) for value in (None, math.nan, True)]
+        assert texts == ["–", "–", "yes"]
+
+    def test_csv_has_all_rows_and_runs_nothing(self):
+        read = pd.read_csv(io.StringIO(self.table.to_csv()))
+        assert list(read.columns) == ["name", "mean |error| U0 [%]", "τ_w [s]"]
+        assert read["name"][0] == "'=cmd('x')"
+        assert read["mean |error| U0 [%]"].tolist() == [1.23457, math.inf, 3e-9]
+        assert math.isnan(read["τ_w [s]"][1])
+
+    def test_latex_is_escaped_and_quotes_open_and_close(self):
+        text = self.table.to_latex("tab:x")
+        assert r"\caption{Errors of ``mine''}" in text
+        assert r"{}[a] \textbackslash{}\textasciicircum{}\textasciitilde{}\_\$ & $\infty$ & --" in (
+            text
+        )
+        assert r"$\tau$\_w" in text
+        assert r"\textless{}b\textgreater{}é" in text
+
+    def test_markdown_text_and_json(self):
+        assert "\\[a\\]" in self.table.to_markdown()
+        assert "&lt;b&gt;" in self.table.to_markdown()
+        narrow = self.table.to_text(30).splitlines()
+        assert max(map(len, narrow)) <= 30
+        assert self.table.record()["rows"][1] == ["[a] \\^~_$", None, None]
+        assert "<table" in self.table._repr_html_()
+
+
+def drawn(entry, cases, **outputs):
+    return figures.figure(study(cases, **outputs), entry)
+
+
+def legend_of(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+class TestFigures:
+    def test_a_line_per_title_along_a_factor(self):
+        cases = pd.concat([spread(**{"flights.duration": time}) for time in (5.0, 20.0, 80.0)])
+        figure = drawn({"name": "x", "compare": "lines", "measure": ["timescale-error"]}, cases)
+        (axes,) = figure.axes
+        assert legend_of(figure) == ["lasso", "stlsq"]
+        assert [list(line.get_xdata()) for line in axes.lines] == [[5.0, 20.0, 80.0]] * 2
+        part = cases[(cases["title"] == "lasso") & (cases["flights.duration"] == 20.0)]
+        expected = tables.measure("timescale-error").summarise(part)
+        assert axes.lines[0].get_ydata()[1] == pytest.approx(expected)
+
+    def test_a_legend_names_what_is_drawn_and_twins_are_drawn_once(self):
+        cases = spread(("lasso",))
+        twin = cases.assign(title="twin")
+        mute = cases.assign(title="mute", status="error", est_timescale=math.nan)
+        figure = drawn("errors", pd.concat([cases, twin, mute]))
+        assert legend_of(figure) == ["lasso and 1 alike"]
+
+    def test_many_curves_name_the_best(self):
+        cases = pd.concat([
+            frame(*(case(n, (0.0, size + n / 50), label=f"of {size}") for n in range(9)))
+            for size in range(15, 0, -1)
+        ])  # fmt: skip
+        figure = drawn({"name": "x", "compare": "ecdf", "measure": ["length-scale-size"]}, cases)
+        names = legend_of(figure)
+        assert names[:3] == ["of 1", "of 2", "of 3"]
+        assert names[-1] == f"{15 - curves.NAMED_CURVES} others"
+
+    def test_profiles_end_at_the_share_that_answered(self):
+        cases = frame(*(case(n, (0.0, size)) for n, size in enumerate((0.5, 1.0, 2.0))),
+                      case(3, None, status="error"))  # fmt: skip
+        figure = drawn({"name": "x", "compare": "ecdf", "measure": ["length-scale-size"]}, cases)
+        line = figure.axes[0].lines[0]
+        assert max(line.get_ydata()) == 75.0
+
+    def test_a_picture_without_a_mark_is_a_sentence(self):
+        cases = frame(case(0, None, status="error"), case(1, None, status="error"))
+        told = figures.figures(study(cases, figures=("errors", "scatter")), cases)
+        assert [each.figure for each in told.values()] == [None, None]
+        assert "nothing to draw" in told["errors"].caption
+        with pytest.raises(InputError, match="nothing to draw"):
+            drawn("errors", cases)
+
+    def test_estimated_against_true_shows_the_best_of_each_reading_and_names_it(self):
+        good = spread(("lasso", "stlsq"), reading="refined")
+        poor = spread(("lasso", "stlsq"), reading="on the grid").assign(
+            title=lambda cases: "grid " + cases["label"]
+        )
+        cases = pd.concat([good, poor])
+        cases.loc[cases.index[3], ["est_mean_velocity", "est_timescale"]] = 500.0, 0.01
+        told = figures.figures(study(cases, figures=("scatter",)), cases)["scatter"]
+        assert len(told.figure.axes) == 6
+        assert "the best of 4 by reading: lasso; grid " in told.caption
+        assert any("▲ 1 above" in axes.get_title(loc="right") for axes in told.figure.axes)
+
+    def test_shares_along_conditions_have_their_wilson_intervals(self):
+        cases = pd.concat([
+            spread(("lasso",), condition=name, low_length_scale=4.9, high_length_scale=5.1)
+            for name in ("calm", "storm")
+        ])  # fmt: skip
+        figure = drawn("coverage", cases)
+        assert [text.get_text() for text in figure.axes[-1].get_xticklabels()] == ["calm", "storm"]
+        assert figure.axes[0].collections
+
+    def test_labels_keep_the_words_in_which_names_differ(self):
+        names = ["frozen, noise of 0.2 m/s and 0.05 m", "frozen, noise of 0.5 m/s and 0.05 m"]
+        assert labels(names, 12) == dict(zip(names, ("0.2", "0.5"), strict=True))
+        assert labels(["a", "b"], 12) == {"a": "a", "b": "b"}
+
+    def test_a_figure_is_the_same_bytes_and_runs_nothing(self):
+        cases = spread(('<script>alert("$x")</script>', "b"))
+        pictures = [encoded(drawn("errors", cases), ".svg", "errors") for _ in range(2)]
+        assert pictures[0] == pictures[1]
+        assert b"<script" not in pictures[0]
+
+
+class TestSolvers:
+    cases = frame(
+        *(solve(f"p{n}", "fast", 0.01 * (n + 1), tolerance=1e-8) for n in range(6)),
+        *(solve(f"p{n}", "slow", 0.04 * (n + 1), 1e-9, tolerance=1e-8) for n in range(6)),
+        *(solve(f"p{n}", "slow", 0.02 * (n + 1), 1e-5, tolerance=1e-4) for n in range(6)),
+        *(solve(f"p{n}", "lost", 9.0, 1.0, "inaccurate", reason=f"gap {n}.5 above 1e-8",
+                tolerance=1e-8) for n in range(6)),
+        solve("p0", "gone", math.nan, math.nan, "skipped"),
+    )  # fmt: skip
+    cases.attrs["limit"] = 9.0
+
+    def test_times_are_the_least_that_reach_an_accuracy(self):
+        strict, loose = (solver_times.times_to(self.cases, "lasso", at) for at in (1e-8, 1e-4))
+        assert strict.solvers == ("fast", "slow", "lost")
+        assert strict.seconds[2].tolist() == pytest.approx([0.03, 0.12, math.inf])
+        assert loose.seconds[2].tolist() == pytest.approx([0.03, 0.06, math.inf])
+        assert strict.ratios[:, 1] == pytest.approx(4.0)
+
+    def test_the_summary_names_success_mean_and_ratio_with_its_interval(self):
+        rows = {row[1]: row for row in made("solvers", self.cases).rows}
+        assert [rows[name][2] for name in rows] == ["fastest", "slower", "solved none", "missing"]
+        assert rows["slow"][3:6] == ("6/6", "6/6", "6/6")
+        assert rows["slow"][9:] == ("4.00", "4.00 … 4.00")
+        assert rows["lost"][9].startswith("≥ ")
+
+    def test_no_accuracy_is_asked_of_a_solver_that_was_never_asked_for_it(self):
+        loose = self.cases[~((self.cases["solver"] == "slow") & (self.cases["tolerance"] < 1e-5))]
+        assert solver_times.accuracies(self.cases) == (1e-4, 1e-6, 1e-8)
+        assert solver_times.accuracies(loose) == (1e-4,)
+
+    def test_winners_failures_and_the_headline(self):
+        winner = made("winners", self.cases).rows[0]
+        assert winner == ("lasso", "p0", "100 × 10", "fast", pytest.approx(10.0), "slow", "4.00")
+        (failed,) = made("failed", self.cases).rows  # the numbers of a reason may differ
+        assert failed[1:5] == ("lost", "inaccurate", 6, "p0, p1, p2 and 3 more")
+        said = page.headline(study(self.cases), self.cases)
+        assert said.startswith("lasso: fast is fastest to a certified 1e-8 and solves 6 of 6")
+        assert "slow takes 4.00 times as long (4.00 to 4.00)." in said
+
+    def test_pictures(self):
+        told = figures.figures(study(self.cases), self.cases)
+        assert list(told) == ["profiles", "shapes", "accuracy"]
+        line = {each.get_label(): each for each in told["profiles"].figure.axes[2].lines}["slow"]
+        assert max(line.get_ydata()) == 1.0
+        assert line.get_xdata()[1] == pytest.approx(4.0)

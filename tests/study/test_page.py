@@ -1,0 +1,142 @@
+"""Pages, and two runs held against each other."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study import page
+from sparsefit.study.compare import compare, write_comparison
+from tests.study.frames import case, frame, solve, study
+
+RNG = np.random.default_rng(5)
+
+
+def run(flights=10, **more):
+    rng = np.random.default_rng(1)
+    return frame(*(
+        case(flight, (rng.normal(), rng.normal()), label=label, **more)
+        for label in ("lasso", "stlsq") for flight in range(flights)
+    ))  # fmt: skip
+
+
+class TestPage:
+    def written(self, tmp_path, cases, **outputs):
+        made = study(cases, tmp=tmp_path, **outputs)
+        return {path.name: path for path in page.write(made)}
+
+    def test_every_output_is_a_file_and_the_readme_is_the_last(self, tmp_path):
+        files = self.written(tmp_path, run(), tables=("errors",), figures=("errors", "scatter"))
+        assert set(files) == {"errors.csv", "errors.tex", "errors.svg", "errors.png", "scatter.svg",
+                              "scatter.png", "report.html", "README.md"}  # fmt: skip
+        assert list(files)[-1] == "README.md"
+        text = files["README.md"].read_text()
+        assert "![scatter](scatter.svg)" in text
+        assert "20 of 20 planned cases: 20 ok" in text
+
+    def test_a_readme_is_short_whatever_the_study(self, tmp_path):
+        many = frame(*(case(flight, label=f"setting {n}") for n in range(300) for flight in (0, 1)))
+        text = self.written(tmp_path, many, figures=("errors",))["README.md"].read_text()
+        assert len(text.split()) <= 800
+        assert "more rows" in text
+
+    def test_the_page_is_one_file_that_fetches_and_runs_nothing_of_others(self, tmp_path):
+        hostile = "</script><script>alert(1)</script>\"'&"
+        cases = run(title=hostile)
+        cases["candidate"] = cases["title"]
+        made = study(cases, tmp=tmp_path, tables=("errors", "status"), figures=("errors",))
+        made.question = hostile
+        page.write(made)
+        text = (tmp_path / "report.html").read_text()
+        assert text.count("<script>") == 1
+        assert "alert(1)</script>" not in text.replace("&lt;/script&gt;", "")
+        assert not re.search(r"(src|href)=\"https?:", text)
+        assert "default-src 'none'; script-src 'sha256-" in text
+
+    def test_lines_hide_axes_turn_and_parts_share_no_name(self, tmp_path):
+        files = self.written(tmp_path, run(), figures=("errors",))
+        text = files["report.html"].read_text()
+        assert 'data-line="line-0" aria-pressed="true">lasso<' in text
+        assert "linear axes" in text
+        clips = re.findall(r'<clipPath id="(\w+)"', text)
+        assert len(set(clips)) == len(clips)
+
+    def test_the_verdict_stands_in_front(self, tmp_path):
+        cases = frame(*(solve(f"p{n}", name, 0.1) for n in range(5) for name in ("a", "b")))
+        text = self.written(tmp_path, cases)["report.html"].read_text()
+        heads = re.findall(r'<button type="button">([^<]*)</button></th>', text)
+        assert heads[:3] == ["objective", "solver", "verdict"]
+        assert text.index("Solvers: success and time") < text.index("<figure")
+
+    def test_a_headline_without_any_word_of_the_study(self):
+        cases = run()
+        said = page.headline(study(cases), cases)
+        assert re.match(r"Median \|error\| of τ_w, over 10 flights: [\d.]+ % \(\w+\) to", said)
+        failed = frame(case(0, None, status="error"))
+        assert "∞ %" in page.headline(study(failed), failed)
+
+    def test_unknown_outputs_are_refused_before_anything_is_run(self):
+        declared = {"name": "contrasts", "contrasts": [["laso", "stlsq"]]}
+        for outputs in (
+            {"tables": ("eror",)}, {"figures": ("skatter",)}, {"headline": "eror"},
+            {"tables": (declared,)},
+        ):  # fmt: skip
+            with pytest.raises(InputError):
+                page.check_outputs(study(run(), **outputs))
+
+
+class TestComparison:
+    def test_the_same_run_did_not_change(self):
+        made = compare(run(), run(), ("a", "b"))
+        assert not made.differs
+        assert not made.worse
+        assert made.sentence.startswith("0 of 20 cases changed, 0 of them in status")
+        assert [row[2] for row in made.tables["effects"].rows] == ["tie", "tie"]
+
+    def test_what_changed_and_whether_for_the_worse(self, tmp_path):
+        first, second = run(), run()
+        lasso = second["label"] == "lasso"
+        second.loc[lasso, "est_timescale"] *= 1.2
+        second.loc[second.index[-1], "status"] = "misfit"
+        made = compare(first, second, ("a", "b"))
+        assert made.worse
+        assert made.sentence.startswith("11 of 20 cases changed, 1 of them in status")
+        verdicts = {row[0]: row[2] for row in made.tables["effects"].rows}
+        assert verdicts["paper, lasso"] == "worse"
+        assert len(made.tables["changes"].rows) == 11
+        assert write_comparison(made, tmp_path)[-1].name == "comparison.md"
+        assert made.record()["changed"] == 11
+
+    def test_a_number_that_is_lost_is_an_infinite_change(self):
+        second = run()
+        names = ["est_mean_velocity", "est_length_scale", "est_timescale"]
+        second.loc[second.index[0], names] = math.nan
+        made = compare(run(), second, ("a", "b"))
+        assert math.isinf(made.change[0])
+        assert made.worse
+
+    def test_cases_of_one_run_alone_are_counted(self):
+        made = compare(run(), run().iloc[:-3], ("a", "b"))
+        assert made.only == (3, 0)
+        assert made.differs
+
+    def test_solvers_are_compared_by_the_ratio_of_their_times(self):
+        def timed(factor):
+            return frame(*(solve(f"p{n}", "ours", factor * 0.1 * (n + 1)) for n in range(6)))
+
+        made = compare(timed(1.0), timed(1.5), ("a", "b"))
+        assert made.tables["effects"].rows[0][2] == "slower"
+        assert made.tables["effects"].rows[0][5] == pytest.approx(1.5)
+        assert made.worse
+        assert not made.differs  # no time is like another
+        with pytest.raises(InputError, match="differ in points"):
+            compare(timed(1.0).assign(points=10), timed(1.0).assign(points=5), ("a", "b"))
+
+    def test_runs_that_have_nothing_in_common_are_refused(self):
+        other = run().assign(case_id=[f"x{n}" for n in range(20)])
+        with pytest.raises(InputError, match="no case in common"):
+            compare(run(), other, ("a", "b"))
+        with pytest.raises(InputError, match="one holds flights"):
+            compare(run(), frame(solve("p0", "a", 1.0)), ("a", "b"))

@@ -1,0 +1,239 @@
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study.latency import Latency
+from sparsefit.study.measures import measure
+from sparsefit.study.page import write_selection
+from sparsefit.study.select import check, select
+from sparsefit.study.selection import lines, provenance
+from tests.study.frames import case, frame, select_rule, study
+
+FLIGHTS = 12
+
+
+def cases(sizes, *, flights=FLIGHTS, conditions=("",), failed=(), **more):
+    """`sizes`: back-end -> (|% error| of tau_w on validate, on evaluate); errors alternate."""
+    rows = []
+    for flight in range(flights):
+        for condition in conditions:
+            for backend, pair in sizes.items():
+                split = "validate" if flight % 2 else "evaluate"
+                size = pair[split == "evaluate"] * (-1) ** (flight // 2)
+                missing = (backend, flight) in failed
+                tau = 0.5 * (1 + size / 100)
+                rows.append(case(
+                    flight, None if missing else (0.0, 0.0), "timeout" if missing else "ok",
+                    split=split, backend=backend, label=backend, condition=condition,
+                    est_timescale=math.nan if missing else tau, **more,
+                ))  # fmt: skip
+    return frame(*rows)
+
+
+def chosen(made, *, latencies=None, refusals=None, **rule):
+    return select(study(made), select_rule(**rule), latencies=latencies or {}, refusals=refusals)
+
+
+def by_name(selection):
+    return {each.title: each for each in selection.ranked}
+
+
+def test_the_best_of_validate_is_chosen_and_scored_on_evaluate():
+    selection = chosen(cases({"lasso": (2.0, 9.0), "stlsq": (3.0, 1.0), "slow": (30.0, 30.0)}))
+    assert list(by_name(selection)) == ["lasso", "stlsq", "slow"]
+    best, other = selection.chosen, by_name(selection)["stlsq"]
+    assert best.title == "lasso"
+    assert (best.validate, best.evaluate) == pytest.approx((2.0, 9.0))
+    # The errors have one size, so every resample has the same difference.
+    apart, confirmed = other.apart, other.confirmed
+    assert (apart.effect, apart.low, apart.high) == pytest.approx((1.0, 1.0, 1.0))
+    assert (confirmed.effect, confirmed.high) == pytest.approx((-8.0, -8.0))
+    assert selection.regret.effect == pytest.approx(8.0)
+    assert selection.hindsight is other
+    assert "With hindsight stlsq is best: regret 8.00 %" in " ".join(lines(selection))
+
+
+def test_the_simplest_within_the_margin_is_the_one_listed_first():
+    made = cases({"plain": (2.1, 2.1), "fancy": (2.0, 2.0), "bad": (4.0, 4.0)})
+    assert chosen(made, margin=0.04).chosen.title == "fancy"
+    selection = chosen(made, margin=0.06)
+    verdicts = {row[1]: row[2] for row in selection.table.rows}
+    assert verdicts == {"plain": "chosen", "bad": "worse by 1.90",
+                        "fancy": "better by 0.100, within the margin, less simple"}  # fmt: skip
+
+
+def test_the_simplest_may_be_the_fastest():
+    made = cases({"slow": (2.0, 2.0), "fast": (2.0, 2.0)})
+    times = {"slow": Latency(0.2, 0.4, 90.0, 50), "fast": Latency(0.1, 0.9, 80.0, 50, 0.8)}
+    assert chosen(made, latencies=times).chosen.title == "slow"
+    fastest = chosen(made, latencies=times, simplest="fastest")
+    assert fastest.chosen.title == "fast"
+    assert "80 % of the timed flights disturbed" in " ".join(lines(fastest))
+    with pytest.raises(InputError, match="needs measured latencies"):
+        chosen(made, simplest="fastest")
+
+
+def test_equals_tie_and_the_first_sentence_can_be_read_aloud():
+    made = cases({"lasso": (2.0, 2.0), "stlsq": (2.0, 2.0), "bad": (5.0, 5.0)}, reading="ladder")
+    selection = chosen(made)
+    assert [each.title for each in selection.tied] == ["stlsq"]
+    assert [each.best for each in selection.ranked] == [0.5, 0.5, 0.0]
+    assert math.isinf(selection.tied[0].apart.more_units)
+    assert selection.headline.startswith(
+        "Use ladder; lasso or stlsq will do, lasso is the simplest. Mean |error| of τ_w: 2.00 % "
+    )
+    every = chosen(made[made["label"] != "bad"])
+    assert every.headline.startswith("Use ladder; any of 2 back-ends will do, lasso")
+
+
+def test_a_noisy_difference_is_a_tie_that_more_flights_would_end():
+    made = cases({"lasso": (2.0, 2.0), "stlsq": (2.0, 2.0)}, flights=60)
+    rng = np.random.default_rng(4)
+    noise = np.where(made["backend"] == "stlsq", rng.normal(0.02, 1.0, len(made)), 0.0)
+    made["est_timescale"] *= 1 + noise / 100
+    other = by_name(chosen(made))["stlsq"].apart
+    assert other.tie
+    half = (other.high - other.low) / 2
+    assert other.more_units == max(1, math.ceil(30 * ((half / other.effect) ** 2 - 1)))
+
+
+def test_a_failure_counts_as_a_hundred_percent():
+    made = cases({"lasso": (2.0, 2.0), "stlsq": (10.0, 2.0)}, failed={("lasso", 1)})
+    selection = chosen(made)
+    assert selection.chosen.title == "stlsq"
+    assert by_name(selection)["lasso"].validate == pytest.approx((5 * 2.0 + 100.0) / 6)
+    median = chosen(made, criterion="median timescale-error").chosen
+    assert (median.title, median.validate) == ("lasso", pytest.approx(2.0))
+
+
+@pytest.mark.parametrize("words", ["mean timescale-error", "95th percentile timescale-error",
+                                   "rms timescale-size", "share silent-misses",
+                                   "geometric mean timescale-error"])  # fmt: skip
+def test_a_criterion_is_the_summary_of_its_measure(words):
+    made = cases({"lasso": (4.0, 4.0)}, failed={("lasso", 3)})
+    made["est_timescale"] *= np.random.default_rng(1).uniform(0.9, 1.1, len(made))
+    scored = chosen(made, criterion=words).chosen
+    for split, value in (("validate", scored.validate), ("evaluate", scored.evaluate)):
+        assert value == pytest.approx(measure(words).summarise(made[made["split"] == split]))
+
+
+TIMES = {"lasso": Latency(0.01, 4.0, 300.0, 50), "stlsq": Latency(0.01, 0.5, 90.0, 50)}
+
+
+class TestConstraints:
+    made = cases({"lasso": (2.0, 2.0), "stlsq": (3.0, 3.0)}, failed={("stlsq", 1)})
+
+    @pytest.mark.parametrize(
+        ("limit", "winner"),
+        [({"max_failure": 0.1}, "lasso"), ({"max_latency_p99": 1.0}, "stlsq"),
+         ({"max_memory": 100.0}, "stlsq"), ({"max_error": 2.5}, "lasso"),
+         ({"max_silent_misses": 0.0}, "lasso")],
+    )  # fmt: skip
+    def test_each(self, limit, winner):
+        assert chosen(self.made, latencies=TIMES, **limit).chosen.title == winner
+
+    def test_where_none_keeps_them_the_closest_is_named(self, tmp_path):
+        limits = {"max_failure": 0.1, "max_latency_p99": 1.0}
+        selection = chosen(self.made, latencies=TIMES, **limits)
+        assert (selection.chosen, selection.regret) == (None, None)
+        said = " ".join(lines(selection))
+        assert "max_failure refuses 1 of 2 and alone binds for 1; the closest is stlsq" in said
+        assert "latency 4000 ms, 1000 ms is the most" in said
+        assert selection.headline == "No candidate of 2 keeps every constraint."
+        page = write_selection(study(self.made), selection, tmp_path)[-1]
+        assert "No candidate of 2" in page.read_text()
+        assert provenance(study(self.made), selection) == {}
+
+    def test_nobody_keeps_a_limit_of_the_error_by_never_answering(self):
+        mute = {("mute", flight) for flight in range(FLIGHTS)}
+        made = cases({"mute": (1.0, 1.0), "lasso": (9.0, 9.0)}, failed=mute)
+        assert chosen(made, max_error=5.0).chosen is None
+
+    def test_what_was_not_timed_keeps_no_limit_of_time(self):
+        assert chosen(self.made, max_memory=100.0).chosen is None
+
+    def test_what_cannot_be_on_board_is_not_chosen(self):
+        selection = chosen(self.made, refusals={"lasso": "its search needs the whole flight"})
+        assert selection.chosen.title == "stlsq"
+        breach = by_name(selection)["lasso"].breaches[0]
+        assert breach.words == "not on board: its search needs the whole flight"
+
+
+class TestRegimes:
+    """Back-end `calm` is good in the first condition only, `steady` the same in both."""
+
+    made = cases({"calm": (1.0, 1.0), "steady": (4.0, 4.0)}, conditions=("air", "storm"))
+    made.loc[(made["condition"] == "storm") & (made["backend"] == "calm"), "est_timescale"] = 0.53
+
+    def test_over(self):
+        average, worst, one = (chosen(self.made, over=over).chosen
+                               for over in ("average", "worst", "air"))  # fmt: skip
+        assert (average.title, average.validate) == ("calm", pytest.approx(3.5))
+        assert average.by_regime == pytest.approx([1.0, 6.0])
+        assert (worst.title, worst.validate) == ("steady", pytest.approx(4.0))
+        assert (one.title, one.validate) == ("calm", pytest.approx(1.0))
+        with pytest.raises(InputError, match="did you mean"):
+            chosen(self.made, over="strom")
+
+    def test_a_constraint_holds_in_every_regime(self):
+        selection = chosen(self.made, max_silent_misses=0.4)
+        assert selection.chosen.title == "steady"
+        (breach,) = by_name(selection)["calm"].breaches
+        assert breach.words == "silent misses 100 % in storm, 40.0 % is the most"
+
+    def test_flights_without_a_flow_have_no_error_but_may_be_missed(self):
+        made = self.made.assign(flow=np.where(self.made["condition"] == "storm", "none", "cells"))
+        selection = chosen(made, max_failure=0.0, max_silent_misses=0.5)
+        assert selection.chosen is None
+        assert {each.constraint for each in selection.ranked[0].breaches} == {"max_silent_misses"}
+
+
+class TestRefusals:
+    made = cases({"lasso": (2.0, 2.0), "stlsq": (3.0, 3.0)})
+
+    def test_no_split(self):
+        with pytest.raises(InputError, match=r"no flights to evaluate or to validate: .*\[split\]"):
+            chosen(self.made.assign(split="all"))
+
+    def test_unfinished(self):
+        of = study(self.made)
+        of.plan = lambda: pd.concat([self.made] * 2)
+        with pytest.raises(InputError, match="unfinished, 24 of 48 planned cases"):
+            select(of, select_rule(), latencies={})
+
+    def test_rows_of_one_candidate_missing(self):
+        with pytest.raises(InputError, match="stlsq was not tried on the same flights"):
+            chosen(self.made.iloc[:-1])
+
+    def test_a_criterion_of_which_no_case_has_a_number(self):
+        with pytest.raises(InputError, match=r"no case with a number for .* prediction_flights"):
+            chosen(self.made, criterion="mean prediction-error")
+
+
+def test_the_order_of_the_rows_does_not_matter():
+    made = cases({"lasso": (2.0, 9.0), "stlsq": (3.0, 1.0)})
+    made["est_timescale"] *= np.random.default_rng(1).uniform(0.9, 1.1, len(made))
+    shuffled = made.sample(frac=1.0, random_state=2).sort_values("backend", kind="stable")
+    first, second = (chosen(each) for each in (made, shuffled))
+    assert [each.validate for each in first.ranked] == pytest.approx(
+        [each.validate for each in second.ranked]
+    )
+
+
+def test_fresh_flights_check_the_choice(tmp_path):
+    made = cases({"lasso": (2.0, 9.0), "stlsq": (3.0, 1.0)})
+    times = {"lasso": Latency(0.01, 0.02, 90.0, 50), "stlsq": Latency(0.1, 0.12, 90.0, 50)}
+    selection = chosen(made, latencies=times, margin=0.6)
+    assert selection.contenders == ["lasso", "stlsq"]
+    told = check(selection, cases({"lasso": (4.0, 4.0), "stlsq": (1.0, 1.0)}, flights=20))
+    assert (told.units, told.score) == (20, pytest.approx(4.0))
+    assert (told.hindsight, told.regret.effect) == ("stlsq", pytest.approx(3.0))
+    files = {path.name: path for path in write_selection(study(made), selection, tmp_path, told)}
+    assert list(files)[-1] == "evidence.md"
+    assert "On 20 fresh flights: 4.00 %" in files["evidence.md"].read_text()
+    assert files["pareto.svg"].read_bytes().startswith(b"<?xml")
+    assert selection.record(told)["check"]["hindsight"] == "stlsq"
+    assert provenance(study(made), selection)["criterion"]["validate"] == pytest.approx(2.0)

@@ -1,0 +1,142 @@
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from sparsefit.study import statistics
+from sparsefit.study.statistics import (
+    QUANTILES,
+    SUMMARIES,
+    TINY,
+    Difference,
+    best_probabilities,
+    by_unit,
+    difference,
+    ends,
+    exchange_p,
+    holm,
+    interval,
+    mean,
+    pooled,
+    quantile,
+    ratio,
+    resampled,
+    shifted_mean,
+    wilson,
+)
+
+RNG = np.random.default_rng(3)
+VALUES = RNG.exponential(2.0, (4, 9))
+FIRST, SECOND = RNG.exponential(2.0, 30), RNG.exponential(2.0, 30) + 1.5
+PLAIN = {
+    "mean": np.mean,
+    "geometric mean": lambda row: stats.gmean(np.maximum(row, TINY)),
+    "rms": lambda row: math.sqrt(np.mean(row**2)),
+    "share": lambda row: 100.0 * np.mean(row),
+    "largest": np.max,
+    "number": np.sum,
+}
+MEAN = pooled(mean)
+
+
+@pytest.mark.parametrize("name", SUMMARIES)
+def test_summaries_by_their_definitions(name):
+    values = np.floor(VALUES)
+    assert SUMMARIES[name](values) == pytest.approx([PLAIN[name](row) for row in values])
+
+
+@pytest.mark.parametrize("share", QUANTILES.values())
+def test_quantiles_are_those_of_numpy(share):
+    holes = VALUES.copy()
+    holes[0, 3] = holes[2, :4] = np.nan
+    assert quantile(holes, share) == pytest.approx(np.nanquantile(holes, share, axis=1))
+    failed = np.concatenate([VALUES, np.full((4, 3), np.inf)], axis=1)
+    expected = np.quantile(failed, share, axis=1, method="inverted_cdf")
+    assert quantile(failed, share, observed=True) == pytest.approx(expected)
+
+
+def test_of_nothing_nothing_is_known():
+    nothing = np.full((2, 3), np.nan)
+    assert np.isnan(mean(nothing)).all()
+    assert np.isnan(quantile(nothing, 0.5)).all()
+    assert all(map(math.isnan, (*wilson(0, 0), *ratio(np.array([]), np.array([])))))
+    assert all(map(math.isnan, interval(MEAN, VALUES[:1])))
+
+
+def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
+    units = RNG.normal(1.0, 2.0, 60)
+    ours = ends(resampled(lambda at: units[at].mean(axis=1), 60, resamples=4000))
+    theirs = stats.bootstrap((units,), np.mean, n_resamples=4000, method="percentile")
+    assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.06)
+    once = interval(MEAN, units[:, None])
+    assert interval(MEAN, np.repeat(units[:, None], 4, axis=1)) == pytest.approx(once)
+
+
+def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
+    whole = resampled(lambda at: at.sum(axis=1), 7, resamples=50)
+    monkeypatch.setattr(statistics, "CHUNK", 21)
+    assert np.array_equal(resampled(lambda at: at.sum(axis=1), 7, resamples=50), whole)
+
+
+def test_values_by_unit():
+    grid = by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
+    np.testing.assert_allclose(grid, [[1.0, 3.0], [2.0, np.nan]])
+    assert by_unit(np.array([1.0, 2.0]), pd.Series([4, 7]), pd.Index([7, 4])).tolist() == [[2], [1]]
+
+
+def test_wilson_by_hand():
+    low, high = wilson(0, 4)  # z^2 / (4 + z^2)
+    assert (low, high) == pytest.approx((0.0, 100 * 3.8414588 / 7.8414588))
+    assert wilson(9, 10) == pytest.approx((59.58, 98.21), abs=0.01)
+
+
+def test_a_difference_is_the_mean_of_paired_differences():
+    apart = FIRST - SECOND
+    made = difference(MEAN, FIRST[:, None], SECOND[:, None])
+    half = 1.96 * apart.std() / math.sqrt(30)
+    assert made.effect == pytest.approx(apart.mean())
+    assert (made.low, made.high) == pytest.approx((apart.mean() - half, apart.mean() + half),
+                                                  abs=0.15 * half)  # fmt: skip
+    assert difference(MEAN, FIRST[:, None], FIRST[:, None]).identical
+
+
+def test_exchanges_are_the_permutation_test_of_scipy():
+    first, second = FIRST[:12], FIRST[12:24] + 0.8
+    theirs = stats.permutation_test(
+        (first, second), lambda x, y, axis: x.mean(axis) - y.mean(axis),
+        permutation_type="samples", vectorized=True, n_resamples=np.inf,
+    )  # fmt: skip
+    ours = exchange_p(MEAN, first[:, None], second[:, None])
+    assert ours == pytest.approx(theirs.pvalue, abs=0.02)
+    assert exchange_p(MEAN, first[:, None], first[:, None]) == 1.0
+
+
+def test_units_to_end_a_tie():
+    apart = Difference(1.0, -1.0, 3.0, 25)
+    assert apart.tie
+    assert apart.more_units == 75  # half the interval is twice the effect: four times the units
+    assert Difference(2.0, 1.0, 3.0, 25).more_units == 0
+    assert math.isinf(Difference(0.0, 0.0, 0.0, 25, identical=True).more_units)
+
+
+def test_probability_to_be_the_best_and_holm_by_hand():
+    losses = np.array([[1.0, 2.0, 3.0, 1.0], [2.0, 1.0, 3.0, 2.0], [9.0, 9.0, 3.0, 9.0]])
+    expected = [(2 + 1 / 3) / 4, (1 + 1 / 3) / 4, 1 / 12]
+    assert best_probabilities(losses) == pytest.approx(expected)
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.03, math.nan, 0.01]) == pytest.approx([0.03, math.nan, 0.02], nan_ok=True)
+    assert holm([]) == []
+
+
+def test_shifted_means_and_ratios_by_hand():
+    seconds = np.array([[1.0, 4.0], [4.0, np.inf]])
+    assert shifted_mean(seconds, 0.0, 16.0) == pytest.approx([2.0, 8.0])
+    assert shifted_mean(seconds, 1.0, 16.0)[0] == pytest.approx(math.sqrt(10.0) - 1.0)
+    middle, low, high = ratio(np.array([2.0, 8.0, np.inf]), np.ones(3))
+    assert middle == pytest.approx(4.0)
+    assert math.isnan(low)
+    assert math.isnan(high)
+    middle, low, high = ratio(np.full(6, 3.0), np.ones(6))
+    assert (middle, low, high) == pytest.approx((3.0, 3.0, 3.0))
