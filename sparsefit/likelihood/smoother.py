@@ -37,6 +37,7 @@ class Smoothing:
         negligible: the degrees of freedom that a level may take and count as zero.
         gate: the deviations beyond which a reading is left out; infinite: none is.
         outliers: the largest share of readings that may be left out.
+        sorting: the passes after which no reading is left out or taken in any more.
         diffuse: the first state's deviation, in those of its readings.
         dependent: the least eigenvalue of the scaled information that an observable model has.
     """
@@ -50,6 +51,7 @@ class Smoothing:
     negligible: float = 0.01
     gate: float = 4.5
     outliers: float = 0.2
+    sorting: int = 8
     diffuse: float = 30.0
     dependent: float = 1e-11
 
@@ -187,18 +189,24 @@ class Search:
             )
         return Descent(tuple(models), nodes, tracks, self.spreads, stride=stride)
 
-    def nodes(self, log: FlightLog, model: Model, stride: int = 1) -> Nodes:
-        """The nodes of a log, close enough for the motion in a model's flow."""
-        parameters = model.parameters
-        waves, tau = model.pattern.waves, parameters["response_time"].value
-        speeds = np.hypot(*log.speeds.T) if np.isfinite(log.speeds).any() else np.hypot(
-            *(np.diff(log.places, axis=0) / np.diff(log.time)[:, None]).T
-        )  # fmt: skip
+    def longest(self, log: FlightLog, model: Model) -> float:
+        """The longest step [s] of the motion in a model's flow."""
+        waves, tau = model.pattern.waves, model.parameters["response_time"].value
+        if np.isfinite(log.speeds).any():
+            speeds = np.hypot(*log.speeds.T)
+        else:
+            seen = np.isfinite(log.places).all(axis=1)
+            moved = np.diff(log.places[seen], axis=0)
+            speeds = np.hypot(*moved.T) / np.diff(log.time[seen])
         speed = float(np.nanquantile(speeds, 0.95)) + 1e-9
         size = float(np.hypot(waves[:, 0], waves[:, 1]).max())
-        longest = min(self.settings.phase / (size * speed), 0.5 * tau)
-        latency = parameters["latency"].value
-        return Nodes.of(log, self.origin, longest * (1.0 + (stride > 1)), latency, stride)
+        return min(self.settings.phase / (size * speed), 0.5 * tau)
+
+    def nodes(self, log: FlightLog, model: Model, stride: int = 1) -> Nodes:
+        """The nodes of every `stride`-th row, close enough for the motion in a model's flow."""
+        longest = self.longest(log, model) * (1.0 + (stride > 1))
+        latency = model.parameters["latency"].value
+        return Nodes.of(log, self.origin, longest, latency, stride)
 
     def along(self, tracks: list[tuple[Array, Array]]) -> Descent:
         """The nodes of all rows, with given tracks: times (m,) and states (m, 4 or n) of each."""
@@ -325,7 +333,7 @@ class Search:
                 each.backward(chain @ step.change[place])
                 for each, chain, place in zip(step.passes, step.chains, self.places, strict=True)
             )
-            fresh = self.gated(current, smoothed)
+            fresh = len(history) < settings.sorting and self.gated(current, smoothed)
             history.append(reached)
             changes, gains = [], 0.0
             for i, scout in enumerate(scouts):
@@ -389,7 +397,12 @@ class Search:
         """Anneal on few rows, then on all."""
         few, hold = 0, 0
         if start is None:
-            stride = max(min(len(log.time) for log in self.logs) // self.settings.coarse, 1)
+            strides = [
+                min(len(log.time) // self.settings.coarse,
+                    int(4.0 * self.longest(log, model) / float(np.median(np.diff(log.time)))))
+                for log, model in zip(self.logs, self.models, strict=True)
+            ]  # fmt: skip
+            stride = max(min(strides), 1)
             start, hold = self.starting(stride), 2
             if stride > 1:
                 step, smoothed, few, _ = self.descended(start, self.settings.passes)
@@ -419,13 +432,18 @@ class Search:
 
 
 def _between(old: Array, track: Array, new: Array) -> Array:
-    """A track (m, n) at other times."""
-    from scipy.interpolate import CubicSpline
-
+    """A track (m, n) at other times, by cubics through values and slopes; straight beyond it."""
+    slope = np.gradient(track, old, axis=0)
+    slope[:, :2] = track[:, 2:4]
     inside = np.clip(new, old[0], old[-1])
-    result: Array = CubicSpline(old, track)(inside)
-    result[:, :2] += (new - inside)[:, None] * result[:, 2:4]
-    return result
+    first = np.clip(np.searchsorted(old, inside, side="right") - 1, 0, len(old) - 2)
+    step = (old[first + 1] - old[first])[:, None]
+    u = (inside - old[first])[:, None] / step
+    start, end = track[first], track[first + 1]
+    leaving, coming = step * slope[first] - (end - start), (end - start) - step * slope[first + 1]
+    between: Array = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * leaving + u * coming)
+    between[:, :2] += (new - inside)[:, None] * between[:, 2:4]
+    return between
 
 
 def _track(nodes: Nodes, smoothed: Smoothed) -> Track:
