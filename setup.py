@@ -12,7 +12,7 @@ LOOPS = (
     *("active_set", "homotopy_point", "homotopy_walk"),
     *("variational_step", "variational_point", "variational_search"),
 )  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
-TYPED = ("likelihood/passes",)  # sparsefit/NAME.pyx, beside a plain reference
+TYPED = ("likelihood/passes", "solvers/sweeps")  # sparsefit/NAME.pyx, beside a plain reference
 KERNELS = ("regression._gram",)  # C
 STABLE = {
     "extra_compile_args": [] if os.name == "nt" else ["-g0"],  # no debugging symbols

@@ -1,0 +1,56 @@
+"""Cyclic coordinate descent over columns of a sparse matrix, with the residual kept, compiled.
+
+    v_j <- soft(v_j + z_j'R/m, w_j) / (1 + mu),   R <- R - z_j (change of v_j)
+
+is the optimum of column j alone, z_j'z_j = m, with the limit w_j of its penalty and the ridge mu.
+
+Source: Friedman, Hastie and Tibshirani, J. Stat. Softw. 33 (2010) 1-22.
+"""
+
+from libc.math cimport fabs
+
+
+def descend(
+    const double[::1] data,
+    const int[::1] rows,
+    const int[::1] starts,
+    const Py_ssize_t[::1] columns,
+    const double[::1] scale,
+    const double[::1] limits,
+    double ridge,
+    double samples,
+    double[::1] residual,
+    double[::1] values,
+    double stop,
+    Py_ssize_t most,
+):
+    """Sweep over the columns until no move is above ``stop``; the number of sweeps.
+
+    data, rows and starts: scipy's CSC; z_j is column j times scale_j. values (k,) and residual (m,)
+    are worked on in place.
+    """
+    cdef Py_ssize_t count, place, j, i
+    cdef double pull, size, after, move, largest, factor
+    for count in range(most):
+        largest = 0.0
+        for place in range(columns.shape[0]):
+            j = columns[place]
+            pull = 0.0
+            for i in range(starts[j], starts[j + 1]):
+                pull += data[i] * residual[rows[i]]
+            pull = pull * scale[j] / samples + values[j]
+            size = fabs(pull) - limits[j]
+            after = 0.0
+            if size > 0.0:
+                after = size / (1.0 + ridge) if pull > 0.0 else -size / (1.0 + ridge)
+            move = after - values[j]
+            if move == 0.0:
+                continue
+            values[j] = after
+            factor = move * scale[j]
+            for i in range(starts[j], starts[j + 1]):
+                residual[rows[i]] -= factor * data[i]
+            largest = max(largest, fabs(move))
+        if largest <= stop:
+            return count + 1
+    return most
