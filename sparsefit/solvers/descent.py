@@ -51,14 +51,12 @@ class Sparse:
         return part
 
 
-@dataclass(eq=False)
 class Walk:
     """Where the path stands: V (k,) and the residual (m,); both are worked on in place."""
 
-    columns: Sparse
-    values: Array
-    residual: Array
-    steps: int = 0
+    def __init__(self, columns: Sparse, target: Array) -> None:
+        self.columns, self.residual = columns, np.array(target, dtype=np.float64)
+        self.values, self.steps = np.zeros(columns.design.shape[1]), 0
 
     def settle(self, limits: Array, ridge: float, in_play: BoolArray) -> tuple[Array, bool]:
         """The optimum at limits alpha w (k,) and a ridge: Z'R/m (k,), and whether it is one."""
@@ -140,7 +138,7 @@ def descent_path(
     cross Z'y/m (k,).
     """
     count, k = len(alphas), len(cross)
-    walk = Walk(Sparse.of(design), np.zeros(k), target.astype(np.float64).copy())
+    walk = Walk(Sparse.of(design), target)
     weights, complete = np.zeros((count, k)), np.zeros(count, bool)
     steps, pull, before = np.zeros(count, np.intp), cross, None
     for i, alpha in enumerate(alphas.tolist()):
