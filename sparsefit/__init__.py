@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from sparsefit.score import prediction_error as prediction_error
     from sparsefit.score import score as score
     from sparsefit.score import score_scales as score_scales
+    from sparsefit.study.study import Study as Study
 
 __version__ = "0.3.0"
 
@@ -89,6 +90,7 @@ _HOMES = {
     "prediction_error": "score",
     "score": "score",
     "score_scales": "score",
+    "Study": "study.study",
     "InputError": "errors",
     "SparsefitError": "errors",
 }

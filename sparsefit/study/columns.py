@@ -83,7 +83,7 @@ class Outcome:
 
 def body_of(outcome: Outcome) -> str:
     """The content of a row beside its key, status, reason and version, as JSON."""
-    values = {name: _finite(value) for name, value in outcome.values.items()}
+    values = {n: _finite(v) for n, v in outcome.values.items() if v == v and v != ""}
     weights = [[_finite(value) for value in pair] for pair in outcome.weights]
     return json.dumps([values, outcome.shared_seconds, weights], separators=(",", ":"))
 
@@ -254,5 +254,6 @@ def kinds_of(columns: Sequence[Column]) -> dict[str, Kind]:
 
 
 def values_of(case: Reading) -> dict[str, Value]:
-    """The values that the columns read from a case of flights, by name."""
-    return {c.name: c.kind.of(c.read(case)) for c in FLIGHT_COLUMNS if c.read}
+    """The values that the columns read from a case of flights, by name; those there are."""
+    read = ((column, column.read(case)) for column in FLIGHT_COLUMNS if column.read)
+    return {c.name: c.kind.of(value) for c, value in read if value is not None}

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from sparsefit import Estimator, Fit, backends
+from sparsefit import Estimator, Fit, LengthScaleGrid, Library, PointMassVehicle, backends
 from sparsefit.errors import described, one_line
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
-from sparsefit.flight import Flight
+from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells
 from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.fit import path
@@ -126,6 +126,10 @@ class FlightDesk:
         self._definition = definition
         self._flown: tuple[object, Flown | Failure] | None = None
         self._prepared: tuple[object, Prepared | Failure] | None = None
+        # What is imported at first use is imported now, so that no case is charged for it.
+        vehicle = PointMassVehicle(0.5, (5.0, 3.0))
+        flight = simulate_flight(None, vehicle, duration=1.0, sample_rate=20.0, seed=0)
+        Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0))).estimate(flight)
 
     @property
     def _design(self) -> FlightDesign:
@@ -269,7 +273,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
         "cell": outcome.cell,
         "status": str(outcome.status),
         "reason": outcome.reason,
-        "values": {name: _finite(value) for name, value in outcome.values.items()},
+        "values": {n: _finite(v) for n, v in outcome.values.items() if v == v and v != ""},
         "shared": _finite(outcome.shared_seconds),
         "weights": [[_finite(value) for value in pair] for pair in outcome.weights],
     }

@@ -215,6 +215,8 @@ class FlightExperiment:
     ) -> Generator[Ask | Outcome, Record | Lost | None, str]:
         """Ask for a step that all cells need; where there is none, all of them are rows."""
         answer = yield self._ask(verb, unit, cells, 1)
+        if isinstance(answer, Lost) and answer.status == "crashed":  # killed from outside, maybe
+            answer = yield self._ask(verb, unit, cells, 1)
         if isinstance(answer, Lost):
             yield from (self._lost(unit, cell, words, answer) for cell in cells)
             return "lost"

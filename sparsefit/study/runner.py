@@ -25,7 +25,7 @@ from sparsefit.study.columns import FAILED, Outcome
 from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import outcomes
-from sparsefit.study.store import Store, clear
+from sparsefit.study.store import Store, clear, discard
 
 try:
     import fcntl
@@ -173,10 +173,10 @@ def run(
         with Store.opened(folder, plan) as store:
             summary = _run(store, wanted, request, processes, progress, stopping)
             if summary.finished:
-                store.export()
+                left = store.export()
                 write_manifest(folder, _content(plan, summary))
-        if summary.finished:
-            store.discard()
+        if summary.finished and not left:
+            discard(folder)
     return summary
 
 

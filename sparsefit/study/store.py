@@ -164,24 +164,26 @@ class Store:
             self.base.execute("BEGIN")
         self.pending, self.synced = 0, time.monotonic()
 
-    def rows(self, *, unplanned: bool = False) -> Iterator[Row]:
-        """The whole rows of the plan, in its order, and those of `cases.parquet` alone in theirs.
+    def rows(self) -> Iterator[Row]:
+        """The whole rows of the plan, in its order."""
+        kept = self._every()
+        yield from (kept[key] for key in self.plan.keys if key in kept)
 
-        unplanned: those that the plan does not have instead.
-        """
-        planned = self.plan.place_of
+    def _every(self) -> dict[str, Row]:
+        """Every whole row by its key: those of `cases.parquet`, under those of `cases.sqlite`."""
         kept: dict[str, Row] = {}
-        for row in exported_rows(self.folder, self.plan):
-            kept[row.key] = row
+        there: set[str] = set()
         if self.base is not None:
             kept.update((row.key, row) for row in _rows(self.base) if row)
         elif is_regular(self.folder / STORE):
             with _reading(self.folder / STORE) as base:
                 kept.update((row.key, row) for row in _rows(base) if row)
-        if unplanned:
-            yield from (row for key, row in kept.items() if key not in planned)
-            return
-        yield from (kept[key] for key in self.plan.keys if key in kept)
+        there.update(kept)
+        if self.base is None:  # once the store is open, all rows of the export are in it
+            for row in exported_rows(self.folder, self.plan):
+                if row.key not in there:
+                    kept[row.key] = row
+        return kept
 
     def _note_exported(self) -> None:
         """Note the rows of `cases.parquet`."""
@@ -213,31 +215,34 @@ class Store:
             if row.key not in there:
                 self.put_row(row)
 
-    def export(self) -> None:
+    def export(self) -> bool:
         """Write `cases.parquet` (and `weights.parquet`), all rows in plan order, each file whole.
 
-        Of the store only the rows stay that the study does not plan.
+        Of the store only the rows stay that the study does not plan. Returns whether there are any.
         """
-        left = list(self.rows(unplanned=True))
-        write_rows(self.folder, self.plan, list(self.rows()))
-        if left and self.base is not None:
+        kept = self._every()
+        planned = [kept.pop(key) for key in self.plan.keys if key in kept]
+        write_rows(self.folder, self.plan, planned)
+        if kept and self.base is not None:
             self.base.execute("DELETE FROM cases")
-            for row in left:
+            for row in kept.values():
                 self.put_row(row)
             self.sync()
         self.exported = True
+        return bool(kept)
 
-    def discard(self) -> None:
-        """Remove `cases.sqlite`, once everything in it is exported."""
-        if not any(True for _ in self.rows(unplanned=True)):
-            with refusing(self.folder / STORE):
-                for name in (STORE, f"{STORE}-journal"):
-                    (self.folder / name).unlink(missing_ok=True)
+
+def discard(folder: Path) -> None:
+    """Remove `cases.sqlite`, once everything in it is exported."""
+    for name in (STORE, f"{STORE}-journal"):
+        with refusing(folder / name):
+            (folder / name).unlink(missing_ok=True)
 
 
 def clear(folder: Path) -> None:
     """Remove the rows and the manifest of whatever study was run here."""
-    for name in (STORE, f"{STORE}-journal", CASES, WEIGHTS, MANIFEST):
+    discard(folder)
+    for name in (CASES, WEIGHTS, MANIFEST):
         with refusing(folder / name):
             (folder / name).unlink(missing_ok=True)
 

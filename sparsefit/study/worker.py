@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -104,6 +105,7 @@ def serve(
     A copy of it, made by code that forks, ends where it would answer.
     """
     owner = os.getpid()
+    _leave_tracker()
     if math.isfinite(memory):
         _limit_memory(memory)
     desk = make(*told)
@@ -124,6 +126,14 @@ def serve(
                 os._exit(0)
             while line:
                 line = line[os.write(answers.fileno(), line) :]
+
+
+def _leave_tracker() -> None:
+    """Close the pipe to the parent's tracker of resources, which code of others may write into."""
+    tracker: Any = getattr(resource_tracker, "_resource_tracker", None)
+    with suppress(OSError, AttributeError, TypeError):
+        os.close(tracker._fd)
+        tracker._fd = None
 
 
 def _reply(answers: Connection, record: Record) -> None:

@@ -1,9 +1,12 @@
 """A plug-in of back-ends that behave as they are told; `install` puts it where Python finds it."""
 
 import ctypes
+import json
+import math
 import multiprocessing
 import os
 import shutil
+import stat
 import subprocess
 import time
 import zlib
@@ -16,6 +19,13 @@ import numpy as np
 
 from sparsefit.regression.backend import Solution
 
+NO_ROW = {"status": "ok", "reason": "", "values": {}, "shared": 0.0, "weights": []}
+FORGED = {
+    "forge": {"number": 3, "answer": {"rows": [{"cell": 0, **NO_ROW}]}},
+    "empty": {},
+    "odd": {"number": 3, "answer": [7]},
+    "foreign": {"number": 3, "answer": {"rows": [{"cell": 9, **NO_ROW}]}},
+}
 ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\nlate = hostile:Late\n"
 
 
@@ -83,10 +93,23 @@ def do(deed):
         raise ValueError(os.fsdecode(b"\xff\x1b"))
     if deed == "status":
         return Solution(None, 7, "seven")
+    if deed == "patch":  # what others compute with
+        np.linalg.lstsq = np.linalg.solve = lambda *a, **k: (np.zeros(1), None, 0, None)
+        math.pi = np.pi = 3.0
+    if deed in FORGED:  # a message of its own in the channel, before the true one
+        for descriptor in range(3, 60):
+            with suppress(OSError):
+                if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+                    os.write(descriptor, line_of(FORGED[deed]))
     if deed == "child":
         subprocess.Popen(["sleep", "600"])
         time.sleep(600.0)
     return None
+
+
+def line_of(record):
+    body = json.dumps(record).encode()
+    return b"%08x %s\n" % (zlib.crc32(body), body)
 
 
 def install(folder):

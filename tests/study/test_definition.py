@@ -1,0 +1,313 @@
+"""A study file is read as it was meant, or refused where it is wrong."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study.definition import Definition, read_definition
+
+GOOD = """
+name = "good"
+question = "Which back-end is nearest?"
+seed = 20201120
+
+[flights]
+count = 6
+timescale = { linspace = [0.05, 1.0] }
+length_scale = { uniform = [2.0, 10.0] }
+response_time = 0.5
+thrust_acceleration = [5.0, 3.0]
+duration = 2.0
+sample_rate = 100.0
+
+[library]
+lower = 2.0
+upper = 10.0
+step = 1.0
+
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.01, 0.1]
+
+[[backends]]
+name = "least-squares"
+label = "literal"
+
+[[protocols]]
+name = "better"
+
+[[protocols]]
+name = "paper"
+"derivative.method" = "forward"
+"readout.length_scale" = "signed-sum"
+
+[sweep]
+"flights.velocity_noise" = [0.0, 0.5]
+
+[split]
+validate = 2
+evaluate = 4
+
+[run]
+case_timeout = 30.0
+tolerance = 1e-6
+"""
+
+
+def load(tmp_path: Path, text: str) -> Definition:
+    path = tmp_path / "x.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_definition(path)
+
+
+def refusal(tmp_path: Path, text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(tmp_path / "x.toml"))
+    return message.removeprefix(str(tmp_path / "x.toml"))
+
+
+def changed(old: str, new: str) -> str:
+    assert old in GOOD
+    return GOOD.replace(old, new, 1)
+
+
+def test_reads_what_was_written(tmp_path: Path) -> None:
+    study = load(tmp_path, GOOD)
+    assert (study.name, study.seed, study.flights.count) == ("good", 20201120, 6)
+    assert (study.run.case_timeout, study.run.tolerance) == (30.0, 1e-6)
+    assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
+    assert [choice.label for choice in study.flights.backends] == ["lasso", "literal"]
+
+
+def test_defaults(tmp_path: Path) -> None:
+    study = load(tmp_path, GOOD.split("[[protocols]]")[0])
+    assert [protocol.name for protocol in study.flights.protocols] == ["default"]
+    assert {study.flights.split(i) for i in range(6)} == {"all"}
+    assert (study.run.case_timeout, study.run.tolerance) == (60.0, 1e-8)
+
+
+def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
+    message = refusal(tmp_path, changed("duration = ", "durration = "))
+    assert message == ': [flights] key "durration" unknown: did you mean "duration"?'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("response_time = 0.5", "response_time = 0.5\ndropouts = 0.1", 'mean "lost_samples"?'),
+        ("response_time = 0.5", "response_time = 0.5\nlost_samples = 2", "between 0 and 1"),
+        ("seed = 20201120", 'seed = 1\nkind = "flight"', 'did you mean "flights"?'),
+        ("[run]", "[outputs]\nanswers = [3]\n[run]", "headline ="),
+        ("[run]", '[outputs]\nscript = "no.py"\n[run]', "no such file beside x.toml"),
+        ("[run]", "[run]\nmax_memory = 1", "at least 256 [MB]"),
+        ("seed = 20201120", "sede = 1", 'key "sede" unknown: did you mean "seed"?'),
+        ("seed = 20201120", "seed = -1", '"seed" must be at least 0'),
+        ("seed = 20201120", "seed = 1.5", '"seed" must be a whole number'),
+        ("seed = 20201120", "seed = true", '"seed" must be a whole number'),
+        ("seed = 20201120", "", '"seed" missing'),
+        ('name = "good"', 'name = "../good"', '"name" must be 1 to 64'),
+        ('name = "good"', 'name = "Good"', '"name" must be 1 to 64'),
+        ('name = "good"', 'name = ""', '"name" must be one non-empty line'),
+        ('name = "good"', 'name = 3', '"name" must be text'),
+        ('name = "good"', 'name = "a/b"', '"name" must be 1 to 64'),
+        ("count = 6", "count = 0", '[flights] key "count" must be at least 1'),
+        ("count = 6", "count = true", '[flights] key "count" must be a whole number'),
+        ("count = 6", "", '[flights] key "count" missing'),
+        ("duration = 2.0", "duration = true", '[flights] key "duration" must be a number'),
+        ("duration = 2.0", 'duration = "2"', '"duration" must be a number'),
+        ("duration = 2.0", "duration = -2.0", '"duration" must be above 0'),
+        ("duration = 2.0", "duration = inf", '"duration" must be a finite number'),
+        ("duration = 2.0", "duration = [1, 2]", '"duration" must be a number or a table'),
+        ("duration = 2.0", "", '"duration" missing'),
+        ("sample_rate = 100.0", "sample_rate = nan", '"sample_rate" must be a finite'),
+        ("{ uniform = [2.0, 10.0] }", "{ uniform = [10.0, 2.0] }", "range [10, 2] is empty"),
+        ("{ uniform = [2.0, 10.0] }", "{ uniform = [2.0] }", "uniform takes two numbers"),
+        ("{ uniform = [2.0, 10.0] }", "{ uniform = [] }", "must not be an empty list"),
+        ("{ uniform = [2.0, 10.0] }", "{ uniform = [0.0, 1.0] }", "must be above 0"),
+        ("{ uniform = [2.0, 10.0] }", "{ unifrom = [2, 3] }", 'did you mean "uniform"?'),
+        ("{ uniform = [2.0, 10.0] }", "{ loguniform = [-1, 3] }", "must be above 0"),
+        ("{ uniform = [2.0, 10.0] }", "{ choice = [true] }", "must be a number"),
+        ("{ uniform = [2.0, 10.0] }", "{}", "exactly one of"),
+        ("{ uniform = [2.0, 10.0] }", "1e200", "no flow that can be flown"),
+        ("response_time = 0.5", "response_time = 0.5\nmean_velocity = 3", "exactly two of"),
+        ("timescale = { linspace = [0.05, 1.0] }", "", "needs exactly two of"),
+        ("response_time = 0.5", 'response_time = 0.5\nflow = "non"', 'did you mean "none"?'),
+        ("response_time = 0.5", "response_time = 0.5\nflow = true", "must be text"),
+        ("[5.0, 3.0]", "[5.0]", '"thrust_acceleration" must be a pair'),
+        ("[5.0, 3.0]", "5.0", '"thrust_acceleration" must be a pair'),
+        ("upper = 10.0", "upper = 1.0", "[library]"),
+        ("step = 1.0", "step = -1.0", "[library]"),
+        ("step = 1.0", "step = 1.0\ncount = 4", "[library]"),
+        ("step = 1.0", "stepp = 1.0", '[library] key "stepp" unknown: did you mean "step"?'),
+        ("step = 1.0", 'target = "acceleratoin"', 'did you mean "acceleration"?'),
+        ("step = 1.0", "target = true", '"target" has unknown value True'),
+        ("step = 1.0", "lower = 1.0", ":"),
+        ('"forward"', '"forwards"', "[derivative]"),
+        ('"derivative.method"', '"derivative.methd"', 'did you mean "method"?'),
+        ('"derivative.method"', '"derivatve.method"', 'did you mean "derivative"?'),
+        ('"signed-sum"', "3", "[readout]"),
+        ('name = "paper"', 'name = "better"', 'lists \'better\' twice'),
+        ('name = "paper"\n', "", '[protocols] key "name" missing'),
+        ('"derivative.method" =', '"flights.velocity_noise" = 1.0\n"derivative.method" =',
+         "is in [sweep] too"),
+        ('name = "lasso"', 'name = "laso"', 'did you mean "lasso"?'),
+        ('name = "lasso"\n', "", '[backends] key "name" missing'),
+        ("alpha_fraction = [0.01, 0.1]", "alpha_fraction = []", "must not be an empty list"),
+        ("alpha_fraction = [0.01, 0.1]", "alpha_fraction = 2.0", "[backends] lasso"),
+        ("alpha_fraction = [0.01, 0.1]", "alpha_fraction = true", "[backends] lasso"),
+        ("alpha_fraction = [0.01, 0.1]", "alpha_fraction = [0.1, 0.1]", "twice"),
+        ("alpha_fraction = [0.01, 0.1]", "alpha_fraction = [[0.1]]", "must be a number, text"),
+        ("alpha_fraction = [0.01, 0.1]", "alfa_fraction = 0.1", "alpha_fraction"),
+        ('name = "least-squares"\nlabel = "literal"', 'name = "lasso"\nalpha_fraction = 0.1',
+         "listed twice"),
+        ("[0.0, 0.5]", "[]", '[sweep] key "flights.velocity_noise" must not be an empty list'),
+        ("[0.0, 0.5]", "0.5", "must be a list"),
+        ("[0.0, 0.5]", "[0.5, 0.5]", "twice"),
+        ("[0.0, 0.5]", "[0.0, -0.5]", "with flights.velocity_noise = -0.5: [flights]"),
+        ("flights.velocity_noise", "flights.count", 'has no "count"'),
+        ("flights.velocity_noise", "run.tolerance", '"run"'),
+        ("validate = 2", "validate = 3", "counts sum to 7, not to the 6"),
+        ("validate = 2\nevaluate = 4", "validate = 0.4\nevaluate = 0.4", "fractions sum to 0.8"),
+        ("validate = 2\nevaluate = 4", "validate = 0.01\nevaluate = 0.99", "empty"),
+        ("validate = 2\n", "", '[split] key "validate" missing'),
+        ("validate = 2", "validate = 0", "must be above 0"),
+        ("case_timeout = 30.0", "case_timeout = 0", "case_timeout must be above 0"),
+        ("case_timeout = 30.0", "case_timout = 1", 'did you mean "case_timeout"?'),
+        ("tolerance = 1e-6", "tolerance = 1.0", "tolerance must be above 0 and below 1"),
+        ("[run]", "[outputs]\ntables = [3]\n[run]", "[outputs]"),
+        ("[run]", '[outputs.reference]\nname = "x"\nestimate = [1]\n[run]', "must be 3 values"),
+        ("[run]", "[outputs]\ntables = []\n[run]", "must not be an empty list"),
+        ("[flights]", "flights = 3\n[flight]", ":"),
+    ],
+)  # fmt: skip
+def test_refusals(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert said in refusal(tmp_path, changed(old, new))
+
+
+def test_not_toml_names_the_line(tmp_path: Path) -> None:
+    assert refusal(tmp_path, 'name = "a"\nseed = = 3\n').startswith(":2: not TOML")
+    assert refusal(tmp_path, 'name = "a"\n[flights\n').startswith(":2: not TOML")
+    assert refusal(tmp_path, 'name = "a').startswith(":1: not TOML")
+
+
+def test_not_text_not_there_not_a_file(tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_definition(tmp_path / "x.toml")
+    with pytest.raises(InputError, match="no such file"):
+        read_definition(tmp_path / "y.toml")
+    with pytest.raises(InputError, match=r"cannot read .*: it is a folder"):
+        read_definition(tmp_path)
+
+
+def test_too_many_cases_are_refused_with_their_number(tmp_path: Path) -> None:
+    noises = ", ".join(str(i / 1000) for i in range(1000))
+    text = changed("[0.0, 0.5]", f"[{noises}]").replace("count = 6", "count = 600")
+    text = text.replace("evaluate = 4", "evaluate = 598")
+    assert f"plans {600 * 2 * 1000 * 3} cases" in refusal(tmp_path, text)
+
+
+def test_hash_is_of_the_content(tmp_path: Path) -> None:
+    same = "# a comment\n" + changed("duration = 2.0", "duration   =   2")
+    shown = changed("Which back-end", "Which solver")
+    assert load(tmp_path, GOOD).hash == load(tmp_path, same).hash == load(tmp_path, shown).hash
+    assert load(tmp_path, GOOD).hash != load(tmp_path, changed("20201120", "20201121")).hash
+    assert load(tmp_path, GOOD).hash != load(tmp_path, changed("2.0, 10.0", "2.0, 9.0")).hash
+
+
+def test_dotted_keys_may_be_bare(tmp_path: Path) -> None:
+    bare = GOOD.replace('"derivative.method"', "derivative.method")
+    one, other = load(tmp_path, GOOD), load(tmp_path, bare)
+    assert one.flights.protocols[1].overrides == other.flights.protocols[1].overrides
+
+
+def test_settings_that_only_fit_together(tmp_path: Path) -> None:
+    """A window of 3 is refused with the default order 4, not with the order the protocol sets."""
+    text = changed("[sweep]", '[sweep]\n"derivative.window" = [3, 7]')
+    assert "no window" in refusal(tmp_path, text)
+    text = text.replace("[sweep]", '[derivative]\nmethod = "savgol"\n[sweep]')
+    text = text.replace('"derivative.method" = "forward"', '"derivative.method" = "savgol"')
+    assert "order" in refusal(tmp_path, text)
+    text = text.replace('name = "better"', 'name = "better"\n"derivative.order" = 2')
+    text = text.replace('"derivative.method" = "savgol"', '"derivative.order" = 1')
+    assert len(load(tmp_path, text).flights.cells) == 2 * 4 * 3
+
+
+@pytest.mark.parametrize(
+    ("split", "validate"),
+    [("validate = 2\nevaluate = 4", 2), ("evaluate = 0.5\nvalidate = 0.5", 3)],
+)
+def test_split_counts_and_interleaves(tmp_path: Path, split: str, validate: int) -> None:
+    study = load(tmp_path, changed("validate = 2\nevaluate = 4", split))
+    parts = [study.flights.split(flight) for flight in range(6)]
+    assert parts.count("validate") == validate
+    assert parts.count("evaluate") == 6 - validate
+    assert "evaluate" in parts[:3]
+    assert "validate" in parts[3:]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        'mean_velocity = "paper"',
+        '[[protocols]]\nname = "w"\n"readout.mean_velocity" = "paper"',
+    ],
+)
+def test_what_no_estimator_can_combine_is_refused_before_the_first_case(
+    tmp_path: Path, other: str
+) -> None:
+    path = tmp_path / "s.toml"
+    section = '[readout]\nscales = "several"\n'
+    path.write_text(GOOD.split("[[protocols]]")[0] + section + other, encoding="utf-8")
+    with pytest.raises(InputError, match="cannot part several"):
+        read_definition(path)
+
+
+@pytest.mark.parametrize("bad", ["\\u001b[31m", "\\u0007", "\\r", "\\u2028"])
+def test_control_characters_in_names_are_refused(tmp_path: Path, bad: str) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(GOOD.replace('"literal"', f'"a{bad}b"'), encoding="utf-8")
+    with pytest.raises(InputError, match="control characters"):
+        read_definition(path)
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "f" * 5000])
+def test_integers_without_end_are_refused(tmp_path: Path, number: str) -> None:
+    assert "more than 300 digits" in refusal(
+        tmp_path, changed("seed = 20201120", f"seed = {number}")
+    )
+
+
+def test_flights_too_long_to_simulate_are_refused(tmp_path: Path) -> None:
+    assert "samples: keep it below 5000000" in refusal(
+        tmp_path, changed("sample_rate = 100.0", "sample_rate = 1e9")
+    )
+
+
+@pytest.mark.parametrize(
+    ("bomb", "said"),
+    [
+        (".".join("a" * 5_000) + " = 1", "a key of more than 32 parts"),
+        ("[" + ".".join("a" * 100_000) + "]", "a key of more than 32 parts"),
+        ('x = { "a".' + ".".join("b" * 40_000) + " = 1 }", "a key of more than 32 parts"),
+        ("x = " + "[" * 300 + "]" * 300, "nested too deeply"),
+        ("x = " + "[" * 100_000, "nested too deeply"),
+        ("x = " + "{ a = " * 500 + "1" + " }" * 500, "nested too deeply"),
+        ("# " + "x" * 2_000_000, "more than 1 MB"),
+    ],
+    ids=("key", "header", "inline", "list", "open", "tables", "size"),
+)
+def test_bombs_are_refused_in_bounded_time(tmp_path: Path, bomb: str, said: str) -> None:
+    (tmp_path / "x.toml").write_text(bomb, encoding="utf-8")
+    began = time.process_time()
+    with pytest.raises(InputError, match=said) as caught:
+        read_definition(tmp_path / "x.toml")
+    assert "\n" not in str(caught.value)
+    assert time.process_time() - began < 1.0

@@ -1,0 +1,211 @@
+"""The flights of a study: drawn, with a vehicle that is believed, together, or logged."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.study.draw import Draw, stream
+from sparsefit.study.flight_desk import FlightDesk, Flown
+from sparsefit.study.study import Study
+from sparsefit.uncertainty.bound import cramer_rao
+
+VALUES = {"mean_velocity": 8.0, "length_scale": 4.0, "duration": 2.0, "sample_rate": 50.0}
+PUSH = {"thrust_x": 5.0, "thrust_y": 3.0}
+QUADRATIC = VALUES | PUSH | {"drag": 0.3}
+TURNING = VALUES | PUSH | {"response_time": 0.5, "thrust_turn": 6.0, "thrust_period": 4.0}
+
+
+def believed(values, **told):
+    draw = Draw(values, **told)
+    return draw, draw.fly(stream(1, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("told", "vehicle"),
+    [
+        ({}, PointMassVehicle(math.inf, (5.0, 3.0), 0.3)),
+        ({"believed_drag_ratio": 2.0}, PointMassVehicle(math.inf, (5.0, 3.0), 0.6)),
+        ({"believed_response_time": 0.5}, PointMassVehicle(0.5, (5.0, 3.0))),
+        (
+            {"believed_response_time": 0.5, "believed_drag": 0.1, "believed_thrust_ratio": 2.0},
+            PointMassVehicle(0.5, (10.0, 6.0), 0.1),
+        ),
+    ],
+)
+def test_the_law_of_drag_that_is_told(told, vehicle):
+    draw, flight = believed(QUADRATIC | told)
+    assert draw.vehicle == PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
+    assert flight.vehicle == vehicle
+    np.testing.assert_array_equal(flight.velocity, believed(QUADRATIC)[1].velocity)
+
+
+def test_a_thrust_that_turns_is_measured_or_not():
+    _, flight = believed(TURNING)
+    turn = 2 * np.pi * flight.time / 4.0
+    circle = 6.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    np.testing.assert_allclose(flight.thrust, np.add(circle, (5.0, 3.0)), atol=1e-12)
+    assert flight.vehicle == PointMassVehicle(0.5)
+    scaled = believed(TURNING | {"believed_thrust_ratio": 1.2})[1].vehicle
+    assert scaled == PointMassVehicle(0.5, thrust_scale=1.2)
+    _, blind = believed(TURNING, thrust_logged=False)
+    assert blind.thrust is None
+    assert blind.vehicle == PointMassVehicle(0.5, (5.0, 3.0))
+    np.testing.assert_array_equal(blind.velocity, flight.velocity)
+
+
+def test_flights_need_a_law_of_drag(tmp_path):
+    from tests.study.test_definition import GOOD, load
+
+    bare = GOOD.replace("response_time = 0.5\n", "")
+    with pytest.raises(InputError, match="every flight needs it, or drag"):
+        load(tmp_path, bare)
+    study = load(tmp_path, bare.replace("duration =", "drag = 0.2\nduration ="))
+    assert study.flights.cells[0].setup.flights.draw(0, 6, 1).vehicle.drag == 0.2
+    with pytest.raises(InputError, match="thrust_turn needs it too"):
+        load(tmp_path, GOOD.replace("duration =", "thrust_turn = 2.0\nduration ="))
+
+
+TEXT = """
+name = "together"
+question = "How many?"
+seed = 5
+[flights]
+count = 2
+mean_velocity = 10.0
+length_scale = 4.0
+response_time = 0.5
+duration = 2.0
+sample_rate = 50.0
+process_noise = 1.0
+{more}
+[[backends]]
+name = "best-scale"
+{sweep}
+"""
+
+
+def together(tmp_path, more="", sweep=""):
+    path = tmp_path / "together.toml"
+    path.write_text(TEXT.format(more=more, sweep=sweep))
+    return Study.from_file(path)
+
+
+def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
+    swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
+    both = (Flown.of(swept.definition, 1, cell) for cell in swept.definition.flights.cells)
+    (one, least), (three, less) = ((flown.fleet, flown.yardstick) for flown in both)
+    assert (len(one), len(three)) == (1, 3)
+    np.testing.assert_array_equal(one[0].position, three[0].position)
+    assert len({flight.position[0, 0] for flight in three}) == 3
+    assert all(flight.flow is None for flight in three)
+    draw = swept.definition.flights.cells[1].setup.flights.draw(1, 2, 5)
+    every = np.concatenate([flight.position for flight in three])
+    expected = cramer_rao(every, draw.flow, draw.vehicle, process_noise=1.0, model="semiparametric")
+    assert less.bound == expected
+    assert less.bound.length_scale < least.bound.length_scale
+
+
+def test_a_case_of_one_flight_is_what_it_was_and_others_are_others(tmp_path):
+    plain, two, three = (
+        together(tmp_path, more).plan()["identity"][0]
+        for more in ("", "together = 2", "together = 3")
+    )
+    assert len({plain, two, three}) == 3
+
+
+LOGGED = """
+name = "logged"
+question = "What were these flights through?"
+seed = 0
+
+[flights]
+files = ["*.csv"]
+windows = [4.0, 10.0]
+
+[library]
+lower = 2.0
+upper = 8.0
+step = 1.0
+
+[[backends]]
+name = "group-lasso"
+"""
+VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
+
+
+@pytest.fixture(scope="module")
+def flight():
+    flow = sf.CellularFlow(12.0, 4.0)
+    return sf.simulate_flight(flow, VEHICLE, duration=10.0, sample_rate=50.0, seed=5)
+
+
+@pytest.fixture
+def folder(tmp_path, flight):
+    sf.write_flight(replace(flight, flow=None), tmp_path / "a.csv")
+    positions = sf.Flight.from_positions(flight.time + 3.0, flight.position, VEHICLE)
+    sf.write_flight(positions, tmp_path / "b.csv")
+    return tmp_path
+
+
+def load_logs(folder, text=LOGGED):
+    (folder / "study.toml").write_text(text)
+    return Study.from_file(folder / "study.toml")
+
+
+def test_every_log_is_cut_into_whole_pieces_of_each_length(folder, flight):
+    study = load_logs(folder)
+    rules = study.definition.flights.cells[0].setup.flights
+    draws = [rules.draw(number, 6, 0) for number in range(6)]
+    labels = [draw.piece.label for draw in draws]
+    assert labels == [
+        "a.csv 0-3.99 s", "a.csv 4-7.99 s", "a.csv 0-9.99 s",
+        "b.csv 3-6.99 s", "b.csv 7-10.99 s", "b.csv 3-12.99 s",
+    ]  # fmt: skip
+    ((second,), (last,)) = (draws[number].fleet(np.random.SeedSequence(0)) for number in (1, 5))
+    assert second.time[0] == 0.0
+    assert second.vehicle == VEHICLE
+    np.testing.assert_array_equal(second.position, flight.position[200:400])
+    assert second.velocity_measured
+    assert not last.velocity_measured
+
+
+def test_cases_of_logs_have_an_estimate_and_no_error(folder):
+    study = load_logs(folder)
+    desk = FlightDesk(study.definition)
+    answer = desk.answer("cases", unit=2, cells=[0])
+    (row,) = answer["rows"]
+    assert study.experiment.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
+    assert row["status"] == "ok"
+    assert row["values"]["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
+
+
+def test_a_log_that_changes_is_another_study(folder, flight):
+    first = load_logs(folder)
+    shorter = sf.Flight(flight.time[:-1], flight.position[:-1], flight.velocity[:-1], VEHICLE)
+    sf.write_flight(shorter, folder / "a.csv", overwrite=True)
+    assert load_logs(folder).hash != first.hash
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"*.csv"', '"*.parquet"', r'"\*.parquet" matches no file beside study.toml'),
+        ('"*.csv"', '"a.csv", "*.csv"', "name a file twice"),
+        ('"*.csv"', '"c.csv"', "c.csv"),
+        ("[4.0, 10.0]", "[40.0]", "longer than every log"),
+        ("[4.0, 10.0]", "[0.0]", "must be above 0"),
+        ("windows", "count", "count"),
+        ("windows", "window", "windows"),
+        ("windows = [4.0, 10.0]", "thrust_acceleration = [1.0, 0.0]", "response_time.*missing"),
+        ("windows = [4.0, 10.0]", "duration = 3.0", "duration"),
+    ],
+)
+def test_bad_logs_are_refused_by_key(folder, old, new, message):
+    with pytest.raises(InputError, match=message) as caught:
+        load_logs(folder, LOGGED.replace(old, new))
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,219 @@
+"""Every planned case once, in one frame; draws that do not depend on other cases."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study.draw import SIMULATION, Draw, stream
+from sparsefit.study.flight_experiment import flight_key, sharing
+from sparsefit.study.study import Study
+
+HEAD = """
+name = "d"
+question = "?"
+seed = 5
+[flights]
+count = 5
+timescale = { linspace = [0.1, 0.5] }
+length_scale = { uniform = [2.0, 10.0] }
+response_time = { choice = [0.1, 0.5] }
+process_noise = { loguniform = [0.01, 1.0] }
+duration = 1.0
+sample_rate = 50.0
+"""
+LASSO = """
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.1, 0.01]
+"""
+REST = """
+[[backends]]
+name = "least-squares"
+[[protocols]]
+name = "one"
+[[protocols]]
+name = "two"
+"readout.mean_velocity" = "peak"
+[sweep]
+"flights.velocity_noise" = [0.0, 0.5]
+"library.target" = ["flow-velocity", "acceleration"]
+"""
+
+
+def load(tmp_path: Path, text: str) -> Study:
+    path = tmp_path / "d.toml"
+    path.write_text(text, encoding="utf-8")
+    return Study.from_file(path)
+
+
+def draws(study: Study) -> list[Draw]:
+    rules = study.definition.flights.cells[0].setup.flights
+    return [rules.draw(flight, 5, study.seed) for flight in range(5)]
+
+
+def test_every_combination_once(tmp_path: Path) -> None:
+    plan = load(tmp_path, HEAD + LASSO + REST).plan()
+    assert len(plan) == 5 * 2 * 2 * 2 * 3
+    for name in ("case_id", "identity"):
+        assert plan.groupby("flight")[name].nunique().sum() == len(plan)
+    keys = ["flight", "protocol", "flights.velocity_noise", "library.target", "settings", "backend"]
+    assert not plan.duplicated(keys).any()
+
+
+def test_the_plan_holds_unit_condition_candidate_title_and_factors(tmp_path: Path) -> None:
+    study = load(tmp_path, HEAD + LASSO + REST)
+    plan, factors = study.plan(), study.factors
+    assert factors == {
+        "flights.velocity_noise": "condition",
+        "library.target": "candidate",
+        "readout.mean_velocity": "candidate",
+    }
+    assert plan["condition"].unique().tolist() == ["velocity_noise 0", "velocity_noise 0.5"]
+    assert plan["candidate"].nunique() == plan["title"].nunique() == 12
+    assert not plan.duplicated(["flight", "condition", "candidate"]).any()
+    assert "two: lasso alpha_fraction=0.01 with target acceleration" in set(plan["title"])
+    assert plan["flights.velocity_noise"].dtype == float
+    assert plan["unit"].iloc[0] == "0000 in velocity_noise 0"
+
+
+WORLDS = """
+[[protocols]]
+name = "one flow, on the grid"
+"readout.refine" = "none"
+[[protocols]]
+name = "one flow, refined"
+"readout.refine" = "variable-projection"
+[[protocols]]
+name = "noise, on the grid"
+"readout.refine" = "none"
+"flights.velocity_noise" = 0.2
+[[protocols]]
+name = "noise, refined"
+"readout.refine" = "variable-projection"
+"flights.velocity_noise" = 0.2
+"""
+
+
+def test_protocols_are_worlds_and_readings_by_what_they_set(tmp_path: Path) -> None:
+    plan = load(tmp_path, HEAD + LASSO + WORLDS).plan()
+    assert plan["world"].unique().tolist() == ["one flow", "noise"]
+    assert plan["reading"].unique().tolist() == ["on the grid", "refined"]
+    assert plan["condition"].unique().tolist() == ["one flow", "noise"]
+    assert plan["candidate"].nunique() == 4
+
+
+def test_counts_share_what_can_be_shared(tmp_path: Path) -> None:
+    counts = load(tmp_path, HEAD + LASSO + REST).counts()
+    assert (counts["flights"], counts["cases"]) == (5, 120)
+    assert counts["simulations"] == 5 * 2
+    assert counts["problems"] == 5 * 2 * 2
+    assert counts["fits"] == 5 * 2 * 2 * 3
+
+
+def test_a_new_backend_or_level_changes_no_case_id(tmp_path: Path) -> None:
+    small = set(load(tmp_path, HEAD + LASSO).plan()["case_id"])
+    more = HEAD + LASSO + '[[backends]]\nname = "stlsq"\n[[protocols]]\nname = "default"\n'
+    more += '[[protocols]]\nname = "b"\n"derivative.method" = "forward"\n'
+    assert small < set(load(tmp_path, more).plan()["case_id"])
+
+
+def test_order_in_the_file_does_not_matter_for_a_sweep(tmp_path: Path) -> None:
+    lines = REST.strip().splitlines()
+    turned = "\n".join([*lines[:-2], lines[-1], lines[-2]])
+    one, other = load(tmp_path, HEAD + LASSO + REST), load(tmp_path, HEAD + LASSO + turned)
+    assert one.hash == other.hash
+    assert one.plan()["case_id"].tolist() == other.plan()["case_id"].tolist()
+
+
+def test_draws_follow_their_rules(tmp_path: Path) -> None:
+    found = draws(load(tmp_path, HEAD + LASSO))
+    assert np.allclose([one.flow.timescale for one in found], np.linspace(0.1, 0.5, 5))
+    assert all(2.0 <= one.flow.length_scale <= 10.0 for one in found)
+    assert all(0.01 <= one.values["process_noise"] <= 1.0 for one in found)
+    assert {one.vehicle.response_time for one in found} <= {0.1, 0.5}
+    assert len({one.flow.length_scale for one in found}) == 5
+
+
+@pytest.mark.parametrize(
+    "two", ["mean_velocity = 8.0\nlength_scale = 4.0", "mean_velocity = 8.0\ntimescale = 0.5"]
+)
+def test_the_third_flow_parameter_follows(tmp_path: Path, two: str) -> None:
+    text = "\n".join(
+        line for line in HEAD.splitlines() if not line.startswith(("timescale", "length_scale"))
+    )
+    flow = draws(load(tmp_path, text + "\n" + two + LASSO))[0].flow
+    assert (flow.mean_velocity, flow.length_scale, flow.timescale) == (8.0, 4.0, 0.5)
+
+
+def test_backends_and_levels_share_their_flights(tmp_path: Path) -> None:
+    """Common random numbers: only what is swept differs between levels."""
+    plain = draws(load(tmp_path, HEAD + LASSO))
+    study = load(tmp_path, HEAD + LASSO + REST)
+    quiet, noisy = (
+        group[0].setup.flights for group in sharing(study.definition.flights.cells, flight_key)
+    )
+    for flight, alone in enumerate(plain):
+        low, high = (rules.draw(flight, 5, 5) for rules in (quiet, noisy))
+        assert low.values | {"velocity_noise": 0.0} == alone.values | {"velocity_noise": 0.0}
+        assert low.flow == high.flow
+        assert [draw.values["velocity_noise"] for draw in (low, high)] == [0.0, 0.5]
+    flown = [rules.draw(2, 5, 5).fly(stream(5, 2, SIMULATION)) for rules in (quiet, noisy)]
+    assert np.array_equal(flown[0].position, flown[1].position)
+    noise = flown[1].velocity - flown[0].velocity
+    assert 0.3 < noise.std() < 0.7
+
+
+def test_fixing_one_quantity_moves_no_other(tmp_path: Path) -> None:
+    fixed = HEAD.replace("{ choice = [0.1, 0.5] }", "0.3")
+    one, other = draws(load(tmp_path, HEAD + LASSO)), draws(load(tmp_path, fixed + LASSO))
+    assert [d.flow for d in one] == [d.flow for d in other]
+    assert [d.values["process_noise"] for d in one] == [d.values["process_noise"] for d in other]
+
+
+def test_initial_state_can_be_given(tmp_path: Path) -> None:
+    text = HEAD + "initial_position = [1.0, { uniform = [2.0, 3.0] }]\ninitial_velocity = [1, 2]\n"
+    draw = draws(load(tmp_path, text + LASSO))[0]
+    flight = draw.fly(stream(5, 0, SIMULATION))
+    assert flight.position[0, 0] == 1.0
+    assert 2.0 <= flight.position[0, 1] < 3.0
+    assert np.allclose(flight.velocity[0], (1.0, 2.0))
+
+
+def test_a_wind_and_a_wrong_belief_are_those_of_the_flight(tmp_path: Path) -> None:
+    more = """wind = [1.0, { uniform = [2.0, 3.0] }]
+measurement_noise = [0.2, 0.05]
+thrust_acceleration = [5.0, 3.0]
+believed_response_time_ratio = 1.2
+believed_thrust_ratio = 0.5
+"""
+    plain, draw = (draws(load(tmp_path, HEAD + text + LASSO))[0] for text in ("", more))
+    assert draw.flow == plain.flow
+    assert draw.flown.components == (plain.flow,)
+    assert draw.flown.wind == draw.wind
+    assert draw.wind[0] == 1.0
+    assert 2.0 <= draw.wind[1] < 3.0
+    assert (draw.values["velocity_noise"], draw.values["position_noise"]) == (0.2, 0.05)
+    flight = draw.fly(stream(5, 0, SIMULATION))
+    assert flight.vehicle.response_time == pytest.approx(1.2 * draw.vehicle.response_time)
+    assert flight.vehicle.thrust_acceleration == (2.5, 1.5)
+    assert flight.flow == draw.flown
+    assert plain.flown == plain.flow
+    assert plain.fly(stream(5, 0, SIMULATION)).vehicle == plain.vehicle
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("wind = 1.0", "must be a pair"),
+        ("measurement_noise = [0.1, -0.1]", "must be at least 0"),
+        ("measurement_noise = [0.1, 0.1]\nvelocity_noise = 0.1", "drop those two"),
+        ("believed_response_time_ratio = 0", "must be above 0"),
+    ],
+)
+def test_refuses_a_wind_or_a_belief(tmp_path: Path, line: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        load(tmp_path, HEAD + line + "\n" + LASSO)

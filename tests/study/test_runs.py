@@ -1,0 +1,461 @@
+"""Runs that are killed, that hang, that crash: every planned case still ends as its own row."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.study import manifest
+from sparsefit.study.export import CASES, read_cases
+from sparsefit.study.runner import LOCK, Pace, locked
+from sparsefit.study.store import STORE, Store
+from tests.study import hostile
+from tests.study.small_study import small_study
+
+ROOT = Path(__file__).parents[2]
+LASSO = '[[backends]]\nname = "lasso"\nalpha_fraction = [0.3, 0.1]\n'
+SQUARES = '[[backends]]\nname = "least-squares"\n'
+SWEEP = '[sweep]\n"flights.velocity_noise" = [0.0, 0.2]\n'
+DRIVER = """
+import sys
+import sparsefit as sf
+if __name__ == "__main__":
+    sf.Study.from_file(sys.argv[1]).run(processes=int(sys.argv[2]))
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plugin(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plugin")
+    hostile.install(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(folder)]))
+        backends._plugins.cache_clear()
+        yield folder
+    backends._plugins.cache_clear()
+
+
+def load(folder, body, *, count=3, timeout=30.0, name="r"):
+    text = f"{small_study(name, count=count)}[run]\ncase_timeout = {timeout}\n{body}"
+    (folder / "r.toml").write_text(text)
+    return sf.Study.from_file(folder / "r.toml")
+
+
+def deeds(*names):
+    return f'[[backends]]\nname = "hostile"\ndeed = {json.dumps(names)}\n'
+
+
+def stable(folder):
+    return read_cases(folder).drop(columns=["seconds"])
+
+
+def by_deed(cases):
+    named = {row.backend: row for row in cases.itertuples()}
+    hostile_ones = cases[cases["backend"] == "hostile"].itertuples()
+    return named | {json.loads(row.settings)["deed"]: row for row in hostile_ones}
+
+
+def start(folder, processes=2):
+    (folder / "driver.py").write_text(DRIVER)
+    command = [sys.executable, str(folder / "driver.py"), str(folder / "r.toml"), str(processes)]
+    return subprocess.Popen(
+        command,
+        start_new_session=True,
+        # A shell that runs the tests in the background has its children ignore SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def rows(folder):
+    path = folder / STORE
+    if not path.exists():
+        return 0
+    base = sqlite3.connect(path, timeout=10.0)
+    try:
+        return base.execute("SELECT count(*) FROM cases").fetchone()[0]
+    except sqlite3.OperationalError:
+        return 0
+    finally:
+        base.close()
+
+
+def until(condition, seconds=120.0):
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < limit, "waited too long"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def whole(plugin, tmp_path_factory):
+    """A study of three flights that ran undisturbed."""
+    study = load(tmp_path_factory.mktemp("whole"), LASSO + SQUARES + SWEEP)
+    return study, study.run(processes=1)
+
+
+def test_a_run_leaves_every_case_in_plan_order(whole):
+    study, summary = whole
+    assert summary.finished
+    assert (summary.computed, summary.resumed, summary.planned) == (18, 0, 18)
+    cases = read_cases(study.folder)
+    assert cases["case_id"].tolist() == study.plan()["case_id"].tolist()
+    assert sorted(path.name for path in study.folder.iterdir()) == [CASES, "manifest.json"]
+    assert study.cases["candidate"].tolist() == study.plan()["candidate"].tolist()
+    assert study.status().finished
+    again = study.run(processes=1)
+    assert again.nothing_to_do
+    assert again.finished
+
+
+@pytest.mark.parametrize("victim", ["parent", "group", "worker"])
+def test_killed_and_resumed_is_as_if_never_killed(whole, tmp_path, victim):
+    body = LASSO + SQUARES + '[[backends]]\nname = "hostile"\nseconds = 0.3\n' + SWEEP
+    study = load(tmp_path, body)
+    process = start(tmp_path)
+    until(lambda: rows(study.folder) > 2 or process.poll() is not None)
+    if victim == "worker":
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        for child in children:
+            os.kill(int(child), signal.SIGKILL)
+        assert process.wait(120.0) == 0
+    else:
+        kill = os.killpg if victim == "group" else os.kill
+        kill(process.pid, signal.SIGKILL)
+        process.wait(10.0)
+        assert study.status().done > 0
+        study.run(processes=2)
+    cases = stable(study.folder)
+    expected = stable(whole[0].folder)
+    mine = cases[cases["backend"] != "hostile"].reset_index(drop=True)
+    if victim == "worker":  # what was at work when it died may be its own case's end
+        mine, expected = (f[f["status"] != "crashed"] for f in (mine, expected))
+        assert len(mine) >= len(expected) - 2
+        shared = mine["case_id"]
+        expected = expected[expected["case_id"].isin(shared)].reset_index(drop=True)
+        mine = mine.reset_index(drop=True)
+    pd.testing.assert_frame_equal(mine, expected)
+    assert len(cases) == study.planned.size
+
+
+def test_the_first_interrupt_finishes_what_is_at_hand(tmp_path):
+    study = load(tmp_path, '[[backends]]\nname = "hostile"\nseconds = 0.3\n', count=20)
+    process = start(tmp_path, processes=1)
+    until(lambda: rows(study.folder) > 0 or process.poll() is not None)
+    os.kill(process.pid, signal.SIGINT)
+    assert process.wait(60.0) != 0
+    done = study.status().done
+    assert 0 < done < 20
+    assert len(study.cases) == done
+
+
+def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
+    """A hang, deaths, messages and patches: nobody else's numbers, nobody else's time."""
+    ends = ("hang-native", "die", "exit", "raise", "memory")
+    lies = ("forge", "empty", "odd", "foreign", "patch", "scribble")
+    names = ("work", "fork", "print", "name", "status", *lies, *ends)
+    late = '[[backends]]\nname = "late"\n'
+    text = small_study("r", count=1) + "[run]\ncase_timeout = 6.0\nmax_memory = 1500\n"
+    text += deeds(*names) + late + LASSO + SQUARES + SWEEP
+    (tmp_path / "r.toml").write_text(text)
+    study = sf.Study.from_file(tmp_path / "r.toml")
+    cases = read_cases(study.run(processes=2).folder)
+    assert len(cases) == study.planned.size
+    ours = cases["backend"].isin(["lasso", "least-squares"])
+    expected = read_cases(whole[0].folder)
+    expected = expected[expected["case_id"].isin(cases["case_id"])]
+    numbers = [name for name in cases if name.startswith(("est_", "status", "certificate"))]
+    pd.testing.assert_frame_equal(
+        cases.loc[ours, numbers].reset_index(drop=True),
+        expected[numbers].reset_index(drop=True),
+    )
+    told = by_deed(cases[~ours & (cases["flights.velocity_noise"] == 0.0)])
+    for good in ("work", "fork", "print"):
+        assert told[good].status in ("ok", "unidentifiable"), told[good]
+    for name in ("die", "exit", "scribble", "forge", "empty", "odd", "foreign"):
+        assert told[name].status == "crashed", told[name]
+    assert "SIGKILL" in told["die"].reason
+    assert "exit code 3" in told["exit"].reason
+    assert (told["hang-native"].status, told["memory"].status) == ("timeout", "error")
+    assert "took longer than 6 s" in told["hang-native"].reason
+    assert told["memory"].reason.startswith("memory: ")
+    assert (told["raise"].status, told["raise"].reason) == ("error", "ZeroDivisionError: one two")
+    assert "\\udcff\\x1b" in told["name"].reason
+    assert "status 7" in told["status"].reason
+    assert (told["late"].status, told["late"].reason) == ("error", "RuntimeError: not here")
+    assert cases["true_length_scale"].between(3.0, 6.0).all()
+    assert capfd.readouterr().out == ""
+
+
+def test_a_path_that_hangs_blames_one_of_its_cases(tmp_path):
+    """Cases that share a path are tried one by one when it is lost."""
+    grid = '[[backends]]\nname = "hostile"\ndeed = ["work", "hang"]\nrarely = [1.0]\n'
+    study = load(tmp_path, grid + SQUARES, count=1, timeout=5.0)
+    cases = by_deed(read_cases(study.run(processes=1).folder))
+    assert cases["hang"].status == "timeout"
+    assert cases["work"].status in ("ok", "unidentifiable")
+
+
+def changed(whole, tmp_path, body, **how):
+    """The finished study's folder beside a study file that differs."""
+    study = load(tmp_path, body, **how)
+    study.folder.mkdir(parents=True)
+    for path in whole[0].folder.iterdir():
+        (study.folder / path.name).write_bytes(path.read_bytes())
+    return study
+
+
+def test_a_changed_study_computes_its_new_cases_and_keeps_what_it_drops(whole, tmp_path):
+    study = changed(whole, tmp_path, SQUARES + '[[backends]]\nname = "stlsq"\n' + SWEEP)
+    summary = study.run(processes=1)
+    assert (summary.resumed, summary.computed, summary.dropped) == (6, 6, 12)
+    assert (study.folder / STORE).exists()
+    load(tmp_path, LASSO + SQUARES + SWEEP)
+    back = sf.Study.from_file(tmp_path / "r.toml")
+    assert back.status().done == 18
+    assert back.run(processes=1).computed == 0
+    pd.testing.assert_frame_equal(stable(back.folder), stable(whole[0].folder))
+
+
+def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
+    split = "[split]\nvalidate = 1\nevaluate = 2"
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP + split)
+    with pytest.raises(InputError, match='nothing in study r is called "laso"'):
+        study.run(only=["laso"])
+    monkeypatch.setattr(manifest, "_digest", lambda: "other")
+    later = sf.Study.from_file(tmp_path / "r.toml")
+    assert later.status().stale == 18
+    summary = later.run(processes=1, stale=True, only=["least-squares"])
+    assert (summary.computed, summary.stale) == (6, 12)
+    with Store.opened(later.folder, later.planned) as store:
+        for row in list(store.rows())[:2]:
+            store.put_row(type(row)(row.key, "timeout", "slow", row.version, row.body))
+    assert later.run(processes=1, retry_failed=True).computed == 2
+    assert later.run(processes=1, fresh=True, only=[later.plan()["case_id"][3]]).done == 1
+
+
+def test_rows_of_another_study_are_refused_and_not_dropped(whole, tmp_path):
+    other = changed(whole, tmp_path, SQUARES.replace("least-squares", "stlsq"))
+    with pytest.raises(InputError, match="made by a different study"):
+        other.run()
+    assert other.run(processes=1, fresh=True).finished
+
+
+def test_a_damaged_row_is_computed_again_and_a_damaged_file_is_refused(whole, tmp_path):
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    with Store.opened(study.folder, study.planned):
+        pass
+    (study.folder / CASES).unlink()
+    base = sqlite3.connect(study.folder / STORE)
+    with base:
+        base.execute("UPDATE cases SET body = replace(body, '1', '2') WHERE key LIKE '0:%'")
+    base.close()
+    assert study.status().done == 12
+    assert study.run(processes=1).damaged == 6
+    pd.testing.assert_frame_equal(stable(study.folder), stable(whole[0].folder))
+    content = (study.folder / CASES).read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        spoiled = bytearray(content)
+        spoiled[rng.integers(len(content))] ^= 1 << rng.integers(8)
+        (study.folder / CASES).write_bytes(spoiled[: rng.integers(len(content))])
+        with pytest.raises(InputError, match="not what was written") as caught:
+            study.status()
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_store_with_flipped_bytes_is_refused_or_passed_over(whole, tmp_path, seed):
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    with Store.opened(study.folder, study.planned):
+        pass
+    (study.folder / CASES).unlink()
+    expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
+    path, rng = study.folder / STORE, np.random.default_rng(seed)
+    content = bytearray(path.read_bytes())
+    for place in rng.integers(0, len(content), 1 << seed % 6):
+        content[place] = rng.integers(256)
+    path.write_bytes(content)
+    try:
+        store = Store.read(study.folder, study.planned)
+        kept = list(store.rows())
+    except InputError:
+        return
+    assert all(expected[row.key] == row for row in kept if row.key in expected)
+    assert len(kept) + store.damaged + store.unplanned <= 18
+
+
+@pytest.mark.parametrize("name", [STORE, CASES, LOCK, "manifest.json"])
+def test_a_pipe_or_a_link_in_a_file_s_place_is_not_waited_for(whole, tmp_path, name):
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    (study.folder / name).unlink(missing_ok=True)
+    os.mkfifo(study.folder / name)
+    if name == "manifest.json":
+        assert not study.status().finished
+        return
+    with pytest.raises(InputError, match="no regular file"):
+        study.run(processes=1)
+
+
+def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(whole, tmp_path):
+    import resource
+
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    row = next(Store.read(study.folder, study.planned).rows())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def fill():
+        with Store.opened(study.folder, study.planned) as store:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
+            for number in range(500):
+                store.put_row(type(row)(f"x{number}", "ok", "", "", row.body))
+
+    def lose():
+        with Store.opened(study.folder, study.planned) as store:
+            (study.folder / STORE).unlink()
+            store.sync()
+
+    try:
+        with pytest.raises(InputError, match=r"full|I/O") as caught:
+            fill()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert "\n" not in str(caught.value)
+    assert study.status().done == 18
+    with pytest.raises(InputError, match="removed during the run"):
+        lose()
+
+
+def test_two_runs_at_once_are_refused_and_a_dead_lock_taken_over(whole, tmp_path):
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    with locked(study.folder), pytest.raises(InputError, match="another run is under way"):
+        study.run(processes=1)
+    (study.folder / LOCK).write_text("999999 nowhere\n")
+    with pytest.raises(InputError, match="process 999999 on nowhere"):
+        study.run(processes=1)
+    (study.folder / LOCK).unlink()
+    assert study.run(processes=1).finished
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        ({"processes": 0}, "whole number of at least 1"),
+        ({"executor": "cloud"}, "executor"),
+        ({"scheduler": "tcp://x"}, "add --executor dask"),
+    ],
+)
+def test_wrong_requests_are_refused(whole, request_, said):
+    with pytest.raises(InputError, match=said):
+        whole[0].run(**request_)
+
+
+def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tmp_path):
+    full = whole[0]
+    parts = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        part = changed(whole, tmp_path / name, LASSO + SQUARES + SWEEP)
+        with Store.opened(part.folder, part.planned) as store:
+            drop = "0:%" if name == "a" else "2:%"
+            assert store.base is not None
+            store.base.execute("DELETE FROM cases WHERE key LIKE ?", (drop,))
+        (part.folder / CASES).unlink()
+        parts.append(part)
+    target = load(tmp_path, LASSO + SQUARES + SWEEP)
+    merged = target.merge([part.folder for part in parts])
+    assert merged.finished
+    assert [part.taken for part in merged.parts] == [12, 6]
+    assert merged.parts[1].alike == 6
+    pd.testing.assert_frame_equal(stable(target.folder), stable(full.folder))
+    (full_copy := tmp_path / "c").mkdir()
+    bare = changed(whole, full_copy, LASSO + SQUARES + SWEEP)
+    (bare.folder / "manifest.json").unlink()
+    with pytest.raises(InputError, match="no checksum of it stands"):
+        target.merge([bare.folder])
+    with Store.opened(parts[0].folder, parts[0].planned) as store:
+        row = next(store.rows())
+        store.put_row(type(row)(row.key, "misfit", "", row.version, row.body))
+    with pytest.raises(InputError, match=r"differs between .* add --keep-first"):
+        target.merge([parts[0].folder])
+    kept = target.merge([parts[0].folder], keep_first=True)
+    assert (kept.parts[0].taken, kept.parts[0].other) == (0, 1)
+
+
+def test_the_version_is_that_of_every_file_that_can_change_a_number():
+    """Modules that a worker imports, also for all that it computes, are in the version."""
+    code = (
+        "import sys, sparsefit.study.flight_desk, sparsefit.study.problem_desk, "
+        "sparsefit.study.flight_experiment, sparsefit.study.problem_experiment, "
+        "sparsefit.estimator.assess, sparsefit.backends.lasso, sparsefit.solvers.peers\n"
+        "print('\\n'.join(m.__file__ for n, m in sys.modules.items() "
+        "if n.startswith('sparsefit') and getattr(m, '__file__', None)))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {Path(line) for line in told.stdout.split()}
+    counted = set(manifest.sources())
+    package = Path(sf.__file__).parent
+    uncounted = {path.relative_to(package).as_posix() for path in loaded - counted}
+    compiled = {name for name in uncounted if name.endswith(".so")}
+    uncounted = {n for n in uncounted if not n.startswith(("study/run/", "study/spec/"))}
+    assert uncounted - compiled <= {"study/pool.py", "study/__init__.py"}
+    assert len(counted) > 100
+
+
+def test_words_change_no_version():
+    source = "def area(side):\n    return side * side\n"
+    wordy = '# Why.\n\ndef area(side):  # a\n    """The area."""\n    return side * side  # b\n'
+    bare = source.replace(":\n", ':\n    ""\n', 1)
+    assert manifest.without_words(wordy) == manifest.without_words(bare)
+    assert manifest.without_words(source.replace("*", "+")) != manifest.without_words(source)
+
+
+def test_time_left_weighs_each_cell_by_what_it_took():
+    pace = Pace.start(np.array([2, 4]), 2)
+    assert pace.eta is None
+    pace.note(0, 1.0)
+    pace.note(1, 3.0)
+    assert pace.eta == pytest.approx((1 * 1.0 + 3 * 3.0) / 2)
+    pace.note(1, float("nan"))
+    assert pace.eta == pytest.approx((1 * 1.0 + 2 * 3.0) / 2)
+
+
+def test_latency_and_variants_of_candidates(whole, tmp_path):
+    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    candidate = study.plan()["candidate"].iloc[-1]
+    (latency,) = study.latency([candidate], 10).values()
+    assert 0.0 < latency.median <= latency.p99 < 10.0
+    assert latency.memory > 10.0
+    assert study.latencies == {candidate: latency}
+    assert study.latency([candidate], 10) == {candidate: latency}
+    fresh = study.variant([candidate], 2)
+    assert fresh.plan()["candidate"].unique().tolist() == [candidate]
+    assert fresh.seed != study.seed
+    assert study.estimator(candidate).backend.name == "least-squares"
+    again = study.again(study.plan()["case_id"][0])
+    row = study.cases.iloc[0]
+    assert again.values["est_length_scale"] == row["est_length_scale"]
+    with pytest.raises(InputError, match=r"plans no case .*, 0000-"):
+        study.again("0000-1")
+
+
+def test_rows_from_dask_are_those_of_processes(whole, tmp_path):
+    pytest.importorskip("distributed")
+    study = load(tmp_path, LASSO + SQUARES + SWEEP)
+    assert study.run(executor="dask", processes=2).finished
+    pd.testing.assert_frame_equal(stable(study.folder), stable(whole[0].folder))
+    with pytest.raises(InputError, match="cannot be reached"):
+        study.run(executor="dask", scheduler="tcp://127.0.0.1:1", fresh=True)
