@@ -167,6 +167,9 @@ class FlightExperiment:
     def _variant(self) -> list[int]:
         return self._numbers(flight_key)
 
+    def end(self) -> None:
+        """Workers leave nothing behind."""
+
     def cost(self, unit: int, cell: int) -> int:
         """The number of the fit."""
         return unit * len(self.design.cells) + self._fit[cell]

@@ -105,6 +105,10 @@ class Experiment(Protocol):
         """The class of a desk by its name, and its arguments: what lives in a worker."""
         ...
 
+    def end(self) -> None:
+        """Let go of what a run has left, files and what its processes knew."""
+        ...
+
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
         """The columns that are known of a case before it is run, and stand in every row."""
         ...

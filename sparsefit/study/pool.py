@@ -41,6 +41,7 @@ def outcomes(
         yield from pool.run()
     finally:
         pool.close()
+        experiment.end()
 
 
 @dataclass

@@ -189,6 +189,13 @@ class ProblemExperiment:
             np.savez(folder / PROBLEM, **told)  # type: ignore[arg-type]
         return folder
 
+    def end(self) -> None:
+        """Remove the arrays in files, and forget what processes knew that have ended."""
+        if "_home" in self.__dict__:
+            self._home.cleanup()
+        for name in ("_home", "_crew"):
+            self.__dict__.pop(name, None)
+
     @cached_property
     def _home(self) -> tempfile.TemporaryDirectory[str]:
         return tempfile.TemporaryDirectory(prefix="sparsefit-study-")

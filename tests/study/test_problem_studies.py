@@ -1,0 +1,304 @@
+"""Studies of regression problems: judged by what is predicted, timed from outside, never fooled."""
+
+import math
+import os
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.study.clock import Repeats, Timing, cpu_seconds, median_interval
+from sparsefit.study.data_sets import DATASETS, Generator, read_data, read_public
+from sparsefit.study.export import read_cases
+from sparsefit.study.holdout import cross_validated, recovered
+from sparsefit.study.problem_desk import Rows, signs_of
+from tests.study import solver_deeds
+
+HEAD = """
+name = "p"
+kind = "problems"
+question = "Who?"
+tolerances = [1e-4]
+[path]
+points = 4
+lowest = 0.1
+[clock]
+limit = 5.0
+repeats = 4
+seconds = 0.5
+"""
+SMALL = '[[problems]]\ngenerator = "correlated"\nsamples = 60\ncolumns = 20\n'
+DEEDS = ("plain", "caches", "silent", "lazy", "sleeps", "clock", "judge", "hangs", "memory",
+         "exits", "dies", "writes", "odd", "spoils")  # fmt: skip
+
+
+def load(folder, text):
+    (folder / "p.toml").write_text(text)
+    return sf.Study.from_file(folder / "p.toml")
+
+
+def refusal(folder, text):
+    with pytest.raises(InputError) as caught:
+        load(folder, text)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_deeds_of_solvers_are_their_own_cases(tmp_path):
+    """Time is the wall's, answers are judged elsewhere, and a hang costs its limit once."""
+    shutil.copy(solver_deeds.__file__, tmp_path / "deeds.py")
+    solvers = "".join(f'[[solvers]]\nname = "{name}"\nfile = "deeds.py"\n' for name in DEEDS)
+    names = ", ".join(f'"{name}"' for name in DEEDS)
+    lasso = f'[[backends]]\nname = "lasso"\nsolver = ["homotopy", {names}]\n'
+    text = HEAD.replace('"problems"', '"solvers"') + "[run]\nmax_memory = 3000\n"
+    study = load(tmp_path, text + SMALL + "count = 2\n" + solvers + lasso)
+    began = time.monotonic()
+    study.run()
+    assert time.monotonic() - began < 150.0
+    cases = study.cases
+    first = cases[cases["flight"] == 0].set_index("solver")
+    ends = first["status"].to_dict()
+    for name in ("homotopy", "plain", "lazy", "sleeps", "clock", "writes"):
+        assert ends[name] == "ok", first.loc[name, "reason"]
+        assert first.loc[name, "excess"] <= 1e-4
+    work = first.loc["plain", "wall"]
+    for name in ("lazy", "clock"):
+        assert first.loc[name, "wall"] > 0.3 * work
+    assert first.loc["sleeps", "wall"] > 0.3
+    assert first.loc["sleeps", "cpu"] < first.loc["sleeps", "wall"]
+    assert "answered another problem" in first.loc["caches", "reason"]
+    assert "points answered" in first.loc["silent", "reason"]
+    for name in ("caches", "silent", "memory", "exits", "odd", "spoils"):
+        assert ends[name] == "error", name
+    assert first.loc["memory", "reason"].find("emory") >= 0
+    assert "SystemExit: away" in first.loc["exits", "reason"]
+    assert (ends["judge"], ends["hangs"], ends["dies"]) == ("inaccurate", "timeout", "crashed")
+    assert "its first call took longer than 5 s" in first.loc["hangs", "reason"]
+
+
+OWN = """
+from dataclasses import dataclass
+from typing import ClassVar
+import numpy as np
+
+@dataclass(frozen=True)
+class Ista:
+    name: ClassVar[str] = "ista"
+    iterations: int = 100
+
+    def takes(self, penalty):
+        return "" if penalty.ridge == 0.0 else "no ridge"
+
+    def path(self, design, target, penalty, alphas, tolerance):
+        m, k = design.shape
+        z = design.columns(np.arange(k))
+        step = m / np.linalg.norm(z, 2) ** 2
+        v, answers = np.zeros((k, target.shape[1])), []
+        for alpha in alphas:
+            for _ in range(self.iterations):
+                before = v
+                v = penalty.prox(v + step * design.correlate(target - z @ v), step * alpha)
+                if tolerance and abs(v - before).max() <= tolerance * abs(v).max():
+                    break
+            answers.append(v)
+        return np.array(answers)
+"""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """Three settings of one's own solver beside ours, on three problems."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "ista.py").write_text(OWN)
+    rng = np.random.default_rng(0)
+    theta = rng.standard_normal((60, 8))
+    target = theta[:, 0] + 0.1 * rng.standard_normal(60)
+    np.savez(folder / "a.npz", theta=theta[:40], target=target[:40], truth=np.arange(8) == 0)
+    np.savez(folder / "later.npz", theta=theta[40:], target=target[40:])
+    problems = '[[problems]]\nfile = "a.npz"\ntest = "later.npz"\n[[problems]]\ndataset = "iris"\n'
+    solvers = '[[solvers]]\nname = "ista"\nfile = "ista.py"\niterations = [1, 100, 10000]\n'
+    lasso = '[[backends]]\nname = "lasso"\nsolver = ["homotopy", "ista"]\n'
+    study = load(folder, HEAD + SMALL + problems + solvers + lasso)
+    study.run()
+    return study
+
+
+def test_one_s_own_solver_is_compared_by_its_settings(own):
+    plan = own.plan()
+    assert plan["solver"].unique().tolist() == [
+        "homotopy", "ista iterations=1", "ista iterations=100", "ista iterations=10000"
+    ]  # fmt: skip
+    assert plan["candidate"].nunique() == 4
+    cases = own.cases
+    assert (cases["status"] != "error").all(), cases["reason"].tolist()
+    excess = cases.groupby("solver")["excess"].max()
+    assert excess["ista iterations=10000"] <= 1e-4 < excess["ista iterations=1"]
+    assert (cases.loc[cases["solver"] == "ista iterations=1", "status"] == "inaccurate").all()
+    assert cases.attrs == {"accuracies": (1e-4, 1e-6, 1e-8), "limit": 5.0, "shift": 0.001}
+    assert own.missing == {}
+    assert own.run().nothing_to_do
+
+
+def test_problems_are_judged_by_held_out_rows_and_truth(own):
+    cases = own.cases[own.cases["solver"] == "homotopy"].set_index("problem")
+    row = cases.loc["a"]
+    assert row["holdout_error"] < 0.05
+    assert (row["true_support"], row["recall"]) == (1, 1.0)
+    assert 0.0 < row["f1"] <= 1.0
+    assert row["alpha_fraction"] == pytest.approx(0.1)
+    assert 0.0 < row["stability"] <= 1.0
+    assert math.isnan(cases.loc["iris", "precision"])
+    assert cases.loc["iris", "targets"] == 3
+    assert cases.loc["iris", "support"] > 0
+    # A path of one step is further from the data.
+    lazy = own.cases[own.cases["solver"] == "ista iterations=1"].set_index("problem")
+    assert lazy.loc["correlated", "holdout_error"] > cases.loc["correlated", "holdout_error"]
+
+
+def test_a_changed_solver_file_is_another_case(own):
+    before = own.plan()["identity"]
+    path = Path(own.path).parent / "ista.py"
+    path.write_text(OWN + "\n# changed\n")
+    after = sf.Study.from_file(own.path).plan()["identity"]
+    path.write_text(OWN)
+    ours = (own.plan()["solver"] == "homotopy").to_numpy()
+    assert (before == after).to_numpy().tolist() == ours.tolist()
+
+
+def test_times_are_those_of_whole_comparisons(own):
+    study = sf.Study.from_file(own.path)
+    named = study.planned.named(["ista iterations=1"])
+    whole = study.experiment.whole(named, np.ones(named.shape, bool), [""] * named.size)
+    assert whole.all()
+    assert study.planned.named(["iris"]).sum() == 4
+    assert read_cases(own.folder)["version"].str.contains(" on ").all()
+    with pytest.raises(InputError, match="one at a time"):
+        study.run(processes=2)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[[problems]]\ndataset = "digit"\n', 'did you mean "digits"?'),
+        ('[[problems]]\ngenerator = "wide"\nsupport = 9999\n', "lie within the columns"),
+        ('[[problems]]\ngenerator = "wyde"\n', 'did you mean "wide"?'),
+        ('[[problems]]\nfile = "no.npz"\n', "no such file"),
+        ('[[problems]]\nfile = "x.bin"\n', "must be a file of kind"),
+        ('[[problems]]\ndataset = "iris"\nalter = "ded columns"\n', 'did you mean "dead columns"?'),
+        ("[[problems]]\n", "exactly one of flights, file, dataset, generator"),
+        (SMALL + "[holdout]\nfolds = 1\n", "folds must be 0 or 2 to 100"),
+        (SMALL + SMALL, "twice"),
+    ],
+)
+def test_what_is_no_problem_is_refused_by_key(tmp_path, text, said):
+    assert said in refusal(tmp_path, HEAD + text + '[[backends]]\nname = "lasso"\n')
+
+
+def test_all_bad_problems_are_told_at_once(tmp_path):
+    two = '[[problems]]\ndataset = "x"\n[[problems]]\nfile = "y.npz"\n'
+    words = refusal(tmp_path, HEAD + two + '[[backends]]\nname = "lasso"\n')
+    assert '"dataset"' in words
+    assert "y.npz" in words
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('name = "lasso"\nsolver = "celr"', 'did you mean "celer"?'),
+        ('name = "laso"', 'did you mean "lasso"?'),
+        ('name = "least-squares"\nsolver = "celer"', "has no penalty"),
+        ('name = "lasso"\nalpha_fraction = 0.1', "[path] sets the penalties"),
+        ('name = "lasso"\nsolver = ["homotopy", "homotopy"]', "twice"),
+        ('name = "lasso"\nsolver = "celer"\ncertified = true', "exact path of sparsefit"),
+        ('name = "elastic-net"\nsolver = "ista"', "no ridge"),
+        ('name = "lasso"\nlimit = 0', "above 0"),
+    ],
+)
+def test_what_is_no_contender_is_refused_by_key(tmp_path, text, said):
+    (tmp_path / "ista.py").write_text(OWN)
+    solvers = '[[solvers]]\nname = "ista"\nfile = "ista.py"\n'
+    assert said in refusal(tmp_path, f"{HEAD}{SMALL}{solvers}[[backends]]\n{text}\n")
+
+
+@pytest.mark.parametrize("name", DATASETS)
+def test_every_data_set_is_a_problem(name):
+    pytest.importorskip("sklearn")
+    data = read_public(name)
+    assert len(data.theta) == len(data.target)
+    assert np.abs(data.theta.mean(axis=0)).max() < 1e-9 * np.abs(data.theta).max()
+    sf.RegressionProblem.from_arrays(data.theta, data.target, data.groups)
+
+
+@pytest.mark.parametrize("settings", [{"correlation": 0.8}, {"density": 0.05}, {"group": 5}])
+def test_generators_know_their_truth(settings):
+    rules = Generator(samples=400, columns=50, support=3, snr=9.0, **settings)
+    data = rules.draw(np.random.default_rng(1))
+    again = rules.draw(np.random.default_rng(1))
+    np.testing.assert_array_equal(data.theta, again.theta)
+    assert data.truth.sum() == 3 * settings.get("group", 1)
+    weights = np.linalg.lstsq(data.theta[:, data.truth], data.target, rcond=None)[0]
+    missed = data.target - data.theta[:, data.truth] @ weights
+    assert (missed**2).sum() / (data.target**2).sum() == pytest.approx(0.1, abs=0.03)
+    if "correlation" in settings:
+        assert np.corrcoef(data.theta[:, :2].T)[0, 1] == pytest.approx(0.8, abs=0.1)
+
+
+def test_files_are_bounded_before_they_are_unpacked(tmp_path):
+    zeros = np.zeros((20_000, 5_000), np.uint8)
+    np.savez_compressed(tmp_path / "big.npz", theta=zeros, target=np.zeros(20_000))
+    assert (tmp_path / "big.npz").stat().st_size < 1_000_000
+    with pytest.raises(InputError, match="holds 100020000 numbers"):
+        read_data(tmp_path / "big.npz")
+    (tmp_path / "y.csv").write_text("a,y\n1,2\n3,4\n")
+    with pytest.raises(InputError, match=r'rename that column \("y"\) to target'):
+        read_data(tmp_path / "y.csv")
+
+
+def test_each_repeat_is_the_same_problem_in_other_bytes(tmp_path):
+    rng = np.random.default_rng(0)
+    rows = Rows(rng.standard_normal((30, 4)), rng.standard_normal((30, 2)), None, None)
+    part = rows.part(None, 3)
+    assert not part.theta.flags.writeable
+    assert not np.shares_memory(part.theta, rows.theta)
+    np.testing.assert_array_equal(part.theta.T @ part.theta, rows.theta.T @ rows.theta)
+    np.testing.assert_array_equal(part.theta.T @ part.target, -(rows.theta.T @ rows.target))
+    assert (signs_of(30, 3)[0] == -1.0).any()
+    assert rows.part([1, 2], 0).theta.tolist() == rows.theta[1:3].tolist()
+
+
+def test_held_out_errors_by_hand():
+    errors = np.array([[4.0, 1.0], [2.0, 3.0], [2.0, 1.0]])
+    told = cross_validated(errors, np.array([10.0, 10.0, 10.0]))
+    # The others choose: fold 1 at (4, 4) the first, fold 2 at (6, 2), fold 3 at (6, 4) the second.
+    assert told["holdout_error"] == pytest.approx((4.0 + 3.0 + 1.0) / 30.0)
+    used, truth = np.array([True, True, False]), np.array([True, False, True])
+    assert recovered(used, truth) == {"true_support": 2, "precision": 0.5, "recall": 0.5, "f1": 0.5}
+
+
+def test_a_median_is_known_by_order_statistics():
+    rng = np.random.default_rng(3)
+    hits = 0
+    for _ in range(400):
+        _, low, high = median_interval(rng.exponential(size=15))
+        hits += low <= math.log(2.0) <= high
+    assert 0.93 < hits / 400 <= 1.0
+    assert math.isnan(median_interval([1.0] * 5)[1])
+    repeats = Repeats()
+    repeats.note(Timing(0.1, 0.1), first=True)
+    assert repeats.timings == []
+    for wall in (1.0, 1.0, 1.01, 1.0, 1.0, 1.0):
+        assert not repeats.enough(9, 60.0, 0.05)
+        repeats.note(Timing(wall, 0.5), first=False)
+    assert repeats.enough(9, 60.0, 0.05)
+    assert repeats.disturbed
+
+
+def test_the_clock_of_a_process_is_its_cpu():
+    before, own = cpu_seconds(os.getpid()), time.process_time()
+    while time.process_time() - own < 0.2:
+        pass
+    assert cpu_seconds(os.getpid()) - before == pytest.approx(0.2, abs=0.1)
