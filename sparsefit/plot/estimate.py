@@ -62,8 +62,12 @@ def draw_estimate(
 
 
 def _answer(estimate: Estimate) -> str:
-    known = estimate.uncertainty
-    spreads = (known.mean_velocity, known.length_scale) if known else (math.nan, math.nan)
+    uncertainty = estimate.uncertainty
+    spreads = (
+        (uncertainty.mean_velocity, uncertainty.length_scale)
+        if uncertainty
+        else (math.nan, math.nan)
+    )
     speed = _quantity(estimate.mean_velocity, spreads[0])
     length = _quantity(estimate.length_scale, spreads[1])
     return f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
@@ -122,20 +126,20 @@ def _draw_left(
     derivative: Any = estimator.derivative  # a setting that the estimator has resolved
     samples = derivative(flights[0])
     air = samples.flow_velocity(_vehicle(flights[0].vehicle, estimate))
-    left, flow = air, estimate.flow
+    residual, flow = air, estimate.flow
     if flow is not None:
         x, y = samples.position.T
-        left = air - flow.velocity(x, y, samples.time)
+        residual = air - flow.velocity(x, y, samples.time)
     several = " of the first flight" if len(flights) > 1 else ""
     words = "residual" if flow is not None else "velocity of the air"
     axes.set_title(f"{words}{several}, {'less the flow' if flow is not None else 'no flow found'}")
     scale, unit = axis_unit(float(np.abs(samples.time).max()), "s")
     steps = np.diff(samples.time)
     cuts = np.flatnonzero(steps > GAP * np.median(steps)) + 1
-    time, shown = np.insert(samples.time, cuts, np.nan), np.insert(left, cuts, np.nan, axis=0)
+    time, shown = np.insert(samples.time, cuts, np.nan), np.insert(residual, cuts, np.nan, axis=0)
     for place, name in enumerate("xy"):
         axes.plot(time / scale, shown[:, place], color=COLOURS[place], lw=0.7, label=name)
-    low, high = float(left.min()), float(left.max())
+    low, high = float(residual.min()), float(residual.max())
     if high > low:
         axes.set_ylim(low - 0.05 * (high - low), low + ROOM * (high - low))
     axes.legend(loc="upper right", ncols=2)
@@ -153,7 +157,7 @@ def _draw_left(
     power.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
     lowest = LEAST * float(whole.max())
     if flow is not None:
-        rest = spectrum(left[piece], step)[1]
+        rest = spectrum(residual[piece], step)[1]
         lowest = LEAST * max(float(rest.max()), lowest)
         for place, name in enumerate("xy"):
             power.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,

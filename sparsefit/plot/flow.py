@@ -65,9 +65,9 @@ def draw_map(
         points = min(max(POINTS, int(PER_CELL * cells)), MOST_POINTS)
         edges, turning = vorticity(flow, every, middle, points)
         most = float(np.quantile(np.abs(turning), 0.99)) or 1.0
-        left, right, bottom, top = (edge / scale for edge in edges)
+        west, east_edge, bottom, top = (edge / scale for edge in edges)
         shades = axes.imshow(
-            turning, origin="lower", extent=(left, right, bottom, top), cmap="RdBu", vmin=-most,
+            turning, origin="lower", extent=(west, east_edge, bottom, top), cmap="RdBu", vmin=-most,
             vmax=most, alpha=0.7, interpolation="bilinear", aspect="equal",
         )  # fmt: skip
     for place, track in enumerate(tracks):

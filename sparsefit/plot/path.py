@@ -26,16 +26,16 @@ def draw_path(alphas: Array, weights: Array, names: Sequence[str] = ()) -> Figur
     def draw() -> Figure:
         sizes = weights if weights.ndim == 2 else np.linalg.norm(weights, axis=2)
         figure, ((axes,),) = panels(1, 1, height=4.0)
-        told = list(names) or [f"column {place}" for place in range(sizes.shape[1])]
+        titles = list(names) or [f"column {place}" for place in range(sizes.shape[1])]
         order = np.argsort(-np.abs(sizes).max(axis=0), kind="stable")
-        short = labels([told[at] for at in order[:NAMED]], LETTERS)
+        short = labels([titles[at] for at in order[:NAMED]], LETTERS)
         for rank, at in enumerate(order[np.abs(sizes[:, order]).max(axis=0) > 0].tolist()):
             named = rank < NAMED
             axes.plot(
                 alphas, sizes[:, at], lw=1.2 if named else 0.5,
                 color=COLOURS[rank % len(COLOURS)] if named else GREY,
                 ls=STYLES[rank // len(COLOURS) % len(STYLES)] if named else "-",
-                label=short[told[at]] if named else None, zorder=3 if named else 2,
+                label=short[titles[at]] if named else None, zorder=3 if named else 2,
             )  # fmt: skip
         axes.set_xscale("log")
         axes.set_xlim(float(alphas.max()), float(alphas.min()))

@@ -86,18 +86,18 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
 
 def level_axis(axes: Axes, levels: Array) -> None:
     """Number the x axis at swept levels (n,), on a log scale where they span a decade."""
-    known = np.unique(levels)
-    positive = known[known > 0]
-    if positive.size > 1 and positive[-1] / positive[0] >= 10 and known[0] >= 0:
-        if known[0] == 0:
+    distinct = np.unique(levels)
+    positive = distinct[distinct > 0]
+    if positive.size > 1 and positive[-1] / positive[0] >= 10 and distinct[0] >= 0:
+        if distinct[0] == 0:
             axes.set_xscale("symlog", linthresh=float(positive[0]))
         else:
             axes.set_xscale("log")
-    if known.size <= 12:
-        axes.set_xticks(known, [f"{level:g}" for level in known])
+    if distinct.size <= 12:
+        axes.set_xticks(distinct, [f"{level:g}" for level in distinct])
         axes.xaxis.set_minor_locator(NullLocator())
     scale = axes.xaxis.get_transform()
-    low, high = scale.transform(known[[0, -1]].astype(float))
+    low, high = scale.transform(distinct[[0, -1]].astype(float))
     room = 0.05 * (high - low) or 0.5
     axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
 

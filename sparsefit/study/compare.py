@@ -89,9 +89,9 @@ class Comparison:
         """Whether a case lost its answer, or a setting or solver is worse beyond its interval."""
         lost = (self.first["status"] == "ok") & ~self.second["status"].isin(["ok"])
         if not self.of_problems:
-            known = [np.isfinite(numbers(side, "est_timescale")) for side in
+            answered = [np.isfinite(numbers(side, "est_timescale")) for side in
                      (self.first, self.second)]  # fmt: skip
-            lost = pd.Series(known[0] & ~known[1])
+            lost = pd.Series(answered[0] & ~answered[1])
         verdicts = (row[2] for row in self.tables["effects"].rows)
         return bool(lost.any()) or any(verdict in ("worse", "slower") for verdict in verdicts)
 
@@ -112,11 +112,11 @@ class Comparison:
                 verdict = "worse"
             elif apart.high < -each.least:
                 verdict = "better"
-            told = dict(zip(names, map(level_text, key), strict=True))
-            levels = [told[name] for name in factors(self.first)]
-            title = ", ".join([told["protocol"], told["label"], *levels])
+            labels = dict(zip(names, map(level_text, key), strict=True))
+            levels = [labels[name] for name in factors(self.first)]
+            title = ", ".join([labels["protocol"], labels["label"], *levels])
             rows.append((
-                title, told["settings"], verdict, len(places), int(self.changed[places].sum()),
+                title, labels["settings"], verdict, len(places), int(self.changed[places].sum()),
                 int(self.restated[places].sum()),
                 100.0 * float(change[np.isfinite(change)].max(initial=0.0)),
                 apart.effect, apart.low, apart.high,
@@ -188,25 +188,25 @@ def compare(
     if kinds[0] != kinds[1]:
         raise InputError(f"{names[0]} and {names[1]}: one holds flights, one problems: compare "
                          "two runs of one study")  # fmt: skip
-    one, other, only = _paired(first, second, names)
+    before, after, alone = _paired(first, second, names)
     if kinds[0]:
         for name in ("points", "settings", "tolerance"):
-            if name in one and name in other and not _same(one[name], other[name]):
+            if name in before and name in after and not _same(before[name], after[name]):
                 raise InputError(f"{names[0]} and {names[1]} differ in {name}: their times are not "
                                  "of the same work; compare two runs of one study")  # fmt: skip
         time = solver_times.TIME
-        change = np.abs((other[time] / one[time]).to_numpy(float) - 1.0)
+        change = np.abs((after[time] / before[time]).to_numpy(float) - 1.0)
     else:
-        change = np.zeros(len(one))
+        change = np.zeros(len(before))
         for name in PARAMETERS:
-            pair = np.array([numbers(cases, f"est_{name}") for cases in (one, other)])
+            pair = np.array([numbers(cases, f"est_{name}") for cases in (before, after)])
             size = np.maximum(np.abs(pair).max(axis=0), 1e-300)
             moved = np.abs(pair[0] - pair[1]) / size
             gone = np.isnan(pair)
             moved[gone.any(axis=0)] = np.inf
             moved[gone.all(axis=0)] = 0.0
             change = np.maximum(change, moved)
-    return Comparison(names, one, other, only, change, tolerance)
+    return Comparison(names, before, after, alone, change, tolerance)
 
 
 def _same(first: pd.Series, second: pd.Series) -> bool:
@@ -226,11 +226,11 @@ def _paired(
                 continue
             shared = places[0][places[0].isin(places[1])]
             if len(shared):
-                one, other = (
+                before, after = (
                     cases.iloc[index.get_indexer(shared)].reset_index(drop=True)
                     for cases, index in zip((first, second), places, strict=True)
                 )
-                return one, other, (len(first) - len(shared), len(second) - len(shared))
+                return before, after, (len(first) - len(shared), len(second) - len(shared))
     raise InputError(
         f"{names[0]} and {names[1]} have no case in common: compare two runs of one study"
     )

@@ -195,20 +195,20 @@ def _along(
     values = each.values(cases)
     at = cases[along].map(lambda value: level_text(plain(value))).to_numpy(dtype=object)
     for (name,), places in grouped(cases, [line]):
-        told = np.full((3, len(levels)), np.nan)
+        summaries = np.full((3, len(levels)), np.nan)
         for place, level in enumerate(levels):
             here = values[places[at[places] == level]]
-            known = here[~np.isnan(here)]
-            if not known.size:
+            finite = here[~np.isnan(here)]
+            if not finite.size:
                 continue
-            told[0, place] = float(each.reduce(here))
+            summaries[0, place] = float(each.reduce(here))
             if each.summary == "share":
-                told[1:, place] = wilson(float(known.sum()), len(known))
-        told[~np.isfinite(told)] = np.nan
+                summaries[1:, place] = wilson(float(finite.sum()), len(finite))
+        summaries[~np.isfinite(summaries)] = np.nan
         numeric = pd.api.types.is_numeric_dtype(cases[along])
         x = np.array([float(level) for level in levels] if numeric else range(len(levels)), float)
         share = each.summary == "share"
-        yield Curve(str(name), x, told[0], *(told[1:] if share else (None, None)))
+        yield Curve(str(name), x, summaries[0], *(summaries[1:] if share else (None, None)))
 
 
 def _draw(axes: Axes, curves: Sequence[Curve], looks: Looks, each: Measure, cases: pd.DataFrame,
@@ -275,18 +275,18 @@ def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     """Draw the share of cases with at most so much of each measure, failures in the share."""
     every: list[list[Curve]] = []
     for each in entry.measures:
-        values, told = np.abs(each.read(cases)), []
+        values, drawn_here = np.abs(each.read(cases)), []
         planned = ~in_still_air(cases)
         for (name,), places in grouped(cases, [entry.lines]):
             here = places[planned[places]]
-            known = np.sort(values[here][np.isfinite(values[here])])
-            if known.size:
-                share = 100.0 * np.arange(1, known.size + 1) / len(here)
-                if known.size > MOST_POINTS:  # an eye sees no more steps
-                    kept = np.linspace(0, known.size - 1, MOST_POINTS).astype(int)
-                    known, share = known[kept], share[kept]
-                told.append(Curve(str(name), np.maximum(known, each.least or 1e-300), share))
-        every.append(told)
+            sizes = np.sort(values[here][np.isfinite(values[here])])
+            if sizes.size:
+                share = 100.0 * np.arange(1, sizes.size + 1) / len(here)
+                if sizes.size > MOST_POINTS:  # an eye sees no more steps
+                    places_ = np.linspace(0, sizes.size - 1, MOST_POINTS).astype(int)
+                    sizes, share = sizes[places_], share[places_]
+                drawn_here.append(Curve(str(name), np.maximum(sizes, each.least or 1e-300), share))
+        every.append(drawn_here)
     if not any(every):
         return None
     looks = Looks([str(name) for name in cases[entry.lines].unique()])

@@ -172,8 +172,8 @@ class Script:
         try:
             return function(cases, study) if count > 1 else function(cases)
         except Exception as error:
-            told = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self.path}: {name}(cases) raised {told}") from None
+            words = f"{type(error).__name__}: {error}"
+            raise InputError(f"{self.path}: {name}(cases) raised {words}") from None
 
 
 def _imported(path: Path) -> ModuleType:

@@ -117,12 +117,12 @@ def _scattered(axes: Axes, cases: pd.DataFrame, name: str, looks: Looks) -> None
     axes.set_xlim(low, high)
     axes.set_ylim(low, high)
     axes.set_aspect("equal", adjustable="box")
-    known = answered(cases)
-    above, below = known & (estimate > high), known & (estimate < low)
+    usable = answered(cases)
+    above, below = usable & (estimate > high), usable & (estimate < low)
     parts = (
-        ("o", known & ~above & ~below, None, ""),
+        ("o", usable & ~above & ~below, None, ""),
         ("^", above, 0.975, "▲ {} above"), ("v", below, 0.025, "▼ {} below"),
-        ("x", ~known, 0.09, "× {} failed"),
+        ("x", ~usable, 0.09, "× {} failed"),
     )  # fmt: skip
     for condition in looks.names:
         mine = (cases["condition"] == condition).to_numpy()

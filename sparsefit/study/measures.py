@@ -285,14 +285,14 @@ def _hits(cases: pd.DataFrame) -> Array:
 
 def _regimes(cases: pd.DataFrame) -> Array:
     """Return the largest scale [m], the least ratio of neighbouring scales and of U0, (rows, 3)."""
-    found = np.full((len(cases), 3), np.nan)
+    regimes = np.full((len(cases), 3), np.nan)
     for place, text in enumerate(texts(cases, "true_scales")):
         pairs = np.array(json.loads(text or "[]"), dtype=float).reshape(-1, 2)
         if len(pairs):
             scales, speeds = np.sort(pairs[:, 0]), pairs[:, 1]
             apart = float(np.min(scales[1:] / scales[:-1])) if len(scales) > 1 else math.inf
-            found[place] = scales[-1], apart, float(speeds.min() / speeds.max())
-    return found
+            regimes[place] = scales[-1], apart, float(speeds.min() / speeds.max())
+    return regimes
 
 
 def _unseen(cases: pd.DataFrame) -> Array:
@@ -310,22 +310,22 @@ def _heading_errors(cases: pd.DataFrame) -> Array:
 
 def _side_errors(cases: pd.DataFrame) -> Array:
     """Return the larger |error| of the two sides of the cells [%], the shorter side first."""
-    true, found = (
+    true, estimated = (
         np.sort(np.column_stack([numbers(cases, f"{kind}_length_scale_{axis}") for axis in "xy"]))
         for kind in ("true", "est")
     )
-    return only(answered(cases), np.max(100.0 * np.abs(found / true - 1.0), axis=1))
+    return only(answered(cases), np.max(100.0 * np.abs(estimated / true - 1.0), axis=1))
 
 
 def _drift_errors(cases: pd.DataFrame) -> Array:
     """Return the error of the drift [% of U0]; cells that were found steady drift by 0."""
-    true, found = (
+    true, estimated = (
         np.column_stack([numbers(cases, f"{kind}_drift_{axis}") for axis in "xy"])
         for kind in ("true", "est")
     )
-    steady = np.isnan(found).all(axis=1) & (texts(cases, "est_shape") != "").to_numpy()
-    found[steady] = 0.0
-    missed = np.linalg.norm(found - true, axis=1) / numbers(cases, "true_mean_velocity")
+    steady = np.isnan(estimated).all(axis=1) & (texts(cases, "est_shape") != "").to_numpy()
+    estimated[steady] = 0.0
+    missed = np.linalg.norm(estimated - true, axis=1) / numbers(cases, "true_mean_velocity")
     return only(answered(cases), 100.0 * missed)
 
 

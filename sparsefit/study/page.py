@@ -159,24 +159,24 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     truth = np.isfinite(numbers(cases, "true_timescale")).any()
     each = measure(outputs.headline or ("timescale-error" if truth else "called-ok"))
     values = each.values(cases)
-    told = {
+    scores = {
         str(title): float(each.reduce(values[places]))
         for (title,), places in grouped(cases, ["title"])
         if not np.isnan(values[places]).all()
     }
     words = f"{each.phrase[:1].upper()}{each.phrase[1:]}"
-    if not told:
+    if not scores:
         return f"No case has a number for the {each.phrase}."
-    size = {name: -value if each.more else abs(value) for name, value in told.items()}
+    size = {name: -value if each.more else abs(value) for name, value in scores.items()}
     best, worst = min(size, key=size.__getitem__), max(size, key=size.__getitem__)
     count = cases["flight"].nunique()
     kind = "problem" if "objective" in cases else "flight"
     several = cases["condition"].nunique()
     where = f"over {count} {kind}{'s' * (count > 1)}"
     where += f" in {several} conditions" if several > 1 else ""
-    said = f"{words}, {where}: {_value(each, told[best])} ({_sharers(told, best)})"
-    if _value(each, told[worst]) != _value(each, told[best]):
-        said += f" to {_value(each, told[worst])} ({_sharers(told, worst)})"
+    said = f"{words}, {where}: {_value(each, scores[best])} ({_sharers(scores, best)})"
+    if _value(each, scores[worst]) != _value(each, scores[best]):
+        said += f" to {_value(each, scores[worst])} ({_sharers(scores, worst)})"
     failing = f"; {each.convention}" if each.miss is not None else ""
     reference = outputs.reference
     printed = None if reference is None else tables.printed_value(reference, each)
@@ -189,9 +189,9 @@ def _value(each: Any, value: float) -> str:
     return f"{cell_text(value, tables.column_of(each))} {each.unit}".rstrip()
 
 
-def _sharers(told: Mapping[str, float], name: str) -> str:
+def _sharers(scores: Mapping[str, float], name: str) -> str:
     """Return a candidate, and how many others have the same value."""
-    others = sum(significant(value) == significant(told[name]) for value in told.values()) - 1
+    others = sum(significant(value) == significant(scores[name]) for value in scores.values()) - 1
     return f"{name}{f' and {others} more' if others else ''}"
 
 

@@ -98,15 +98,15 @@ class _Trials:
         if "est_mean_velocity" not in cases:
             silent = np.zeros(len(cases), dtype=bool)
         failed = only(flown, ~answered(cases))
-        found = {
+        shares = {
             "max_failure": mean(pooled_regimes(self.grid(failed))),
             "max_silent_misses": mean(pooled_regimes(self.grid(silent.astype(float)))),
         }
         error = measure("largest-error").read(cases) if "est_mean_velocity" in cases else failed
         largest = quantile(pooled_regimes(self.grid(error)), 0.95)
         there = SUMMARIES["largest"](pooled_regimes(self.grid(flown.astype(float)))) > 0
-        found["max_error"] = np.where(np.isnan(largest) & there, np.inf, largest)
-        return found
+        shares["max_error"] = np.where(np.isnan(largest) & there, np.inf, largest)
+        return shares
 
 
 def select(
@@ -265,13 +265,13 @@ def _parts(cases: pd.DataFrame) -> dict[str, tuple[str, str]]:
     """Return the reading with its factors, and the back-end, of each candidate in words."""
     own = [name for name in factors(cases) if not name.startswith(("flights.", "problems."))]
     once = cases.drop_duplicates("candidate")
-    found = {}
+    parts_ = {}
     for row in once.to_dict("records"):
         reading = str(row.get("reading", row.get("protocol", "")))
         levels = [str(row[name]) for name in own]
         words = ", ".join(part for part in (reading, *levels) if part and part != "default")
-        found[str(row["candidate"])] = (words, str(row.get("label") or row["backend"]))
-    return found
+        parts_[str(row["candidate"])] = (words, str(row.get("label") or row["backend"]))
+    return parts_
 
 
 def _breaches(
@@ -284,21 +284,21 @@ def _breaches(
     """
     if name in refusals:
         yield Breach("on_board", "", math.inf, 0.0, refusals[name])
-    kept = name not in refusals
-    for constraint, found in values.items():
+    timeable = name not in refusals
+    for constraint, levels in values.items():
         limit = getattr(rule.limits, constraint)
-        if limit is None or np.isnan(found[at]).all():
+        if limit is None or np.isnan(levels[at]).all():
             continue
-        worst = int(np.nanargmax(found[at]))
-        if found[at][worst] > limit:
-            kept = False
+        worst = int(np.nanargmax(levels[at]))
+        if levels[at][worst] > limit:
+            timeable = False
             where = regimes[worst] if len(regimes) > 1 else ""
-            yield Breach(constraint, where, float(found[at][worst]), limit)
+            yield Breach(constraint, where, float(levels[at][worst]), limit)
     seen = timed.get(name)
     for constraint, column in zip(LATENCY, ("p99", "memory"), strict=True):
         limit = getattr(rule.limits, constraint)
         value = math.inf if seen is None else float(seen[column])
-        if limit is not None and value > limit and (seen is not None or kept):
+        if limit is not None and value > limit and (seen is not None or timeable):
             yield Breach(constraint, "", value, limit)
 
 

@@ -333,11 +333,11 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
         for field in fields(rule.limits)
         if (limit := getattr(rule.limits, field.name)) is not None
     ]
-    kept = f"; {len(selection.passing)} keep {_listed(limits)} in every regime" if limits else ""
+    keeping = f"; {len(selection.passing)} keep {_listed(limits)} in every regime" if limits else ""
     split = next(iter(selection.units))
     said = [
         f"{len(selection.ranked)} candidates, {len(criterion.regimes)} regime(s), chosen on "
-        f"{selection.units[split]} units{kept}; the simplest within {100 * rule.margin:g} % of the "
+        f"{selection.units[split]} units{keeping}; simplest within {100 * rule.margin:g} % of the "
         "best."
     ]
     if chosen is None:

@@ -66,8 +66,8 @@ def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
     An accuracy below the least tolerance of a solver would tell of the study and not of the solver.
     """
     every = tuple(cases.attrs.get("accuracies", CLOCK["accuracies"]))
-    asked = cases.loc[(cases["status"] != MISSING) & cases["tolerance"].notna()]
-    strictest = asked.groupby(["objective", "solver"])["tolerance"].min().max()
+    tried = cases.loc[(cases["status"] != MISSING) & cases["tolerance"].notna()]
+    strictest = tried.groupby(["objective", "solver"])["tolerance"].min().max()
     fair = tuple(level for level in every if not level < strictest * (1.0 - 1e-9))
     return fair or every[:1]
 
@@ -185,8 +185,8 @@ def failures(cases: pd.DataFrame) -> Table:
     for (objective, solver, status, _), here in bad.groupby(keys, sort=False):
         names = list(dict.fromkeys(map(str, here["problem"])))
         words = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        told = (str(objective), str(solver), str(status))
-        rows.append((*told, len(here), words, str(here["reason"].iloc[0])))
+        labels = (str(objective), str(solver), str(status))
+        rows.append((*labels, len(here), words, str(here["reason"].iloc[0])))
     rows.sort(key=lambda row: -int(row[3] or 0))
     heads = ("objective", "solver", "status", "cases", "problems", "reason of the first")
     return Table("Who failed where", tuple(map(Column, heads)), rows, (), 40, 3)

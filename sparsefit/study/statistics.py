@@ -37,9 +37,9 @@ QUANTILES = {
 
 def mean(values: Array) -> Array:
     """Return the mean (...,) of (..., n) numbers that are not NaN; NaN of none."""
-    known = ~np.isnan(values)
-    count = known.sum(axis=-1)
-    total: Array = np.where(known, values, 0.0).sum(axis=-1)
+    finite = ~np.isnan(values)
+    count = finite.sum(axis=-1)
+    total: Array = np.where(finite, values, 0.0).sum(axis=-1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
@@ -82,10 +82,10 @@ def by_unit(values: Array, units: pd.Series, order: pd.Index | None = None) -> A
         units: (rows,) the unit of each case.
         order: the units of the grid's rows, where several grids are to be paired.
     """
-    known = pd.Index(units.unique()) if order is None else order
+    rows = pd.Index(units.unique()) if order is None else order
     within = units.groupby(units, sort=False).cumcount().to_numpy()
-    grid = np.full((len(known), int(within.max(initial=-1)) + 1), np.nan)
-    grid[known.get_indexer(pd.Index(units)), within] = values
+    grid = np.full((len(rows), int(within.max(initial=-1)) + 1), np.nan)
+    grid[rows.get_indexer(pd.Index(units)), within] = values
     return grid
 
 

@@ -116,8 +116,8 @@ def settings(entry: Entry, cases: pd.DataFrame) -> Table:
         for each, numbers_ in zip(entry.measures, values, strict=True):
             here = numbers_[places]
             empty = np.isnan(here).all()
-            told = math.nan if empty and each.summary != "number" else float(each.reduce(here))
-            cells.append(int(told) if each.summary == "number" else told)
+            summary = math.nan if empty and each.summary != "number" else float(each.reduce(here))
+            cells.append(int(summary) if each.summary == "number" else summary)
             if entry.interval:
                 cells.append(_between(each, here, cases["flight"].iloc[places]))
         counts = (len(places), int(ok[places].sum()), int(failed[places].sum()))
@@ -177,8 +177,8 @@ def _all_rows(cases: pd.DataFrame, along: str) -> list[str]:
     """Return what tells cases apart beside one factor: protocol, back-end, setting and the rest."""
     names = ["protocol", "backend", "label", "settings"] if "protocol" in cases else []
     others = [name for name in factors(cases) if name != along]
-    told = [name for name in [*names, *others] if cases[name].nunique() > 1]
-    return told or ["title"]
+    varied = [name for name in [*names, *others] if cases[name].nunique() > 1]
+    return varied or ["title"]
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -223,17 +223,17 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     names = name_columns(cases, entry.rows or ROWS)
     shares = [measure(name) for name in three("coverage")]
     halves = [measure(name) for name in three("half-width")]
-    held, wide = ([each.values(cases) for each in kind] for kind in (shares, halves))
+    covered, wide = ([each.values(cases) for each in kind] for kind in (shares, halves))
     ok, rows = ended(cases, "ok"), list[tuple[Value, ...]]()
     for key, places in grouped(cases, names):
         for place, symbol in enumerate(SYMBOLS.values()):
-            told = held[place][places]
-            known = int((~np.isnan(told)).sum())
-            if known:
-                part = float(np.nansum(told))
+            here = covered[place][places]
+            count = int((~np.isnan(here)).sum())
+            if count:
+                part = float(np.nansum(here))
                 rows.append((
-                    *map(level_text, key), symbol, len(places), int(ok[places].sum()), known,
-                    100.0 * part / known, *wilson(part, known),
+                    *map(level_text, key), symbol, len(places), int(ok[places].sum()), count,
+                    100.0 * part / count, *wilson(part, count),
                     float(halves[place].reduce(wide[place][places])),
                 ))  # fmt: skip
     columns = (
@@ -257,9 +257,9 @@ def single(entry: Entry, cases: pd.DataFrame) -> Table:
     true, estimate = parameters(cases, "true"), parameters(cases, "est")
     rows: list[tuple[Value, ...]] = []
     for key, places in grouped(cases, names):
-        told = list(map(level_text, key))
+        words = list(map(level_text, key))
         rows += [
-            (*told, *true[at].tolist(), *estimate[at].tolist(), *percent[at].tolist(),
+            (*words, *true[at].tolist(), *estimate[at].tolist(), *percent[at].tolist(),
              str(cases["status"].iloc[at]))
             for at in places
         ]  # fmt: skip
@@ -281,7 +281,7 @@ def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
     within = {limit: only(in_flow(cases), values <= limit) for limit in entry.limits or STEPS}
     rows: list[tuple[Value, ...]] = [
         (*map(level_text, key), len(places), *(
-            cell for held in within.values() for cell in _share_cells(held[places])
+            cell for inside in within.values() for cell in _share_cells(inside[places])
         ))
         for key, places in grouped(cases, names)
     ]  # fmt: skip
@@ -358,10 +358,10 @@ def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
     values: set[str] = set()
     for name in (*columns, *factors(cases)):
         if name in cases:
-            told = cases[name].map(lambda value: level_text(plain(value)))
-            values |= set(told)
-            if set(pair) <= set(told):
-                return [cases[told == value] for value in pair]
+            levels = cases[name].map(lambda value: level_text(plain(value)))
+            values |= set(levels)
+            if set(pair) <= set(levels):
+                return [cases[levels == value] for value in pair]
     missing = next((value for value in pair if value not in values), None)
     if missing is None:
         raise InputError(f'contrasts: "{pair[0]}" and "{pair[1]}" are of no one kind')
@@ -485,10 +485,10 @@ def printed_value(reference: Any, each: Measure) -> float | None:
 
 def _with_reference(made: Table, entry: Entry, reference: Any) -> Table:
     """Return a table with the printed numbers of a reference as its first row, if it has them."""
-    known = [printed_value(reference, each) for each in entry.measures]
-    if entry.compare or entry.interval or all(value is None for value in known):
+    printed = [printed_value(reference, each) for each in entry.measures]
+    if entry.compare or entry.interval or all(value is None for value in printed):
         return made
-    first = (reference.name, *[None] * (made.names - 1), reference.flights, None, None, *known)
+    first = (reference.name, *[None] * (made.names - 1), reference.flights, None, None, *printed)
     return replace(made, rows=[first, *made.rows])
 
 
