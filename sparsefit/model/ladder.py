@@ -25,21 +25,39 @@ from sparsefit.model.grid import Bounds, extent_of
 from sparsefit.model.scan import WaveScan, axis_gains, peaks
 from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
 
-LINES = 5  # lobes along the axes that are descended into
-RANKED, DESCENDED = 20, 4  # peaks of the plane that are ranked by their fit, and descended into
-STRONG, ALIKE = 24, 0.15  # single waves that rectangles are made of; the difference of their |k|
-FASTEST = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
-MOST_WAVES = 4  # waves of several
-INSTEAD = 4  # places that are tried for either wave of a pair
-AROUND = 4  # rounds of the search around the best shape
-NEAR = 0.3  # of |Phi|^2: cells that leave less are looked around before the plane is scanned
-FAR = 0.75  # of |Phi|^2: what leaves more has no shape around it that is the flow
-SETTLED = 0.05  # of |Phi|^2: what is less is turbulence, or a vehicle that is another
-CLOSE, MOST = 10.0, 10  # of BIC to the best of a shape: a rival; proposals at most
-EXACT = 1e-6  # of |Phi|^2: less is what smoothing takes, and tells no shape
-STRONGEST = 6.0  # of the rms of a component of Phi: a wave that strong is one of two that cancel
-LOUD, SPREAD = 2.0, 6.0  # of the mean power, and of its standard deviation: more is a flow
-PART, FALSE_ALARM = 0.05, 1e-3  # of |Phi|^2: errors that are more could hide a flow; of finding it
+
+@dataclass(frozen=True)
+class ClimbEffort:
+    """The number of starts and rounds of one climb."""
+
+    lines: int = 5  # lobes along the axes that are descended into
+    ranked: int = 20  # peaks of the plane that are ranked by their fit
+    descended: int = 4  # of these that are descended into; 2 where the track is in pieces
+    strong: int = 24  # single waves that rectangles are made of
+    waves: int = 4  # waves of several
+    instead: int = 4  # places that are tried for either wave of a pair
+    around: int = 4  # rounds of the search around the best shape
+    proposals: int = 10  # shapes that are proposed
+
+
+@dataclass(frozen=True)
+class ClimbLimits:
+    """The thresholds of one climb, shares of |Phi|^2 unless said."""
+
+    near: float = 0.3  # cells that leave less are looked around before the plane is scanned
+    far: float = 0.75  # what leaves more has no shape around it that is the flow
+    settled: float = 0.05  # what leaves less leaves turbulence, or a vehicle that is another
+    exact: float = 1e-6  # less is what smoothing takes, and tells no shape
+    part: float = 0.05  # errors that are more could hide a flow
+    false_alarm: float = 1e-3  # of a wave in such errors, over all places
+    close: float = 10.0  # of BIC, to the best of all: a rival
+    strongest: float = 6.0  # rms of Phi: a wave that strong is one of two that cancel
+    loud: float = 2.0  # of the mean power: errors that have more where Phi has its own are a flow
+    spread: float = 6.0  # standard deviations of that power, beside it
+    alike: float = 0.15  # of |k|: waves that differ by more make no rectangle
+    fastest: float = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
+
+
 BINS = 16  # of the residuals' spectrum, averaged: its level is then known to 18 %
 WEAKEST = 0.05  # of the fastest of several length scales: systematic errors of a derivative are 2 %
 
@@ -52,11 +70,13 @@ class Lookout:
         rows: thinned samples of one flight, or of several.
         bounds: of the wavenumber k = pi/L [1/m].
         worth: how many rows, of both components, count where errors correlate.
+        limits: the thresholds of a climb.
     """
 
     rows: FlowRows
     bounds: Bounds
     worth: float
+    limits: ClimbLimits = ClimbLimits()
 
     @property
     def extent(self) -> float:
@@ -112,7 +132,8 @@ class Lookout:
         first, second = np.triu_indices(len(k), 1)
         apart = [np.hypot(*(k[first] + sign * k[second]).T) for sign in (-1.0, 1.0)]
         return bool(
-            np.min(apart, initial=math.inf) > step and fit.strengths.max() < STRONGEST * rms
+            np.min(apart, initial=math.inf) > step
+            and fit.strengths.max() < self.limits.strongest * rms
         )
 
     @cached_property
@@ -127,24 +148,27 @@ class Lookout:
         """
         whole = float(np.sum(rest**2))
         share = whole / (float(np.sum(self.rows.rest**2)) or 1.0)
-        if share <= EXACT or not self.power.any():
+        if share <= self.limits.exact or not self.power.any():
             return True
         own, power = self.power / self.power.sum(), _power(rest)
         spread = math.sqrt(0.5 * float(np.sum(own**2)))
-        if float(own @ power) > (LOUD + SPREAD * spread) * float(power.mean()):
+        if float(own @ power) > (self.limits.loud + self.limits.spread * spread) * float(
+            power.mean()
+        ):
             return False
-        if share < PART or self.scan is None:
+        if share < self.limits.part or self.scan is None:
             return True
         gain = float(self.scan.gains(rest)[0].max())
-        most = 2 * math.log(self.scan.count / FALSE_ALARM) + 8
-        return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
+        most = 2 * math.log(self.scan.count / self.limits.false_alarm) + 8
+        return -self.worth * math.log(max(1 - gain / whole, self.limits.exact)) < most
 
 
 class Ladder:
     """One search: the shapes that were fitted so far, and those that were looked around."""
 
-    def __init__(self, lookout: Lookout) -> None:
-        self.lookout, self.rows = lookout, lookout.rows
+    def __init__(self, lookout: Lookout, effort: ClimbEffort = ClimbEffort()) -> None:
+        self.lookout, self.rows, self.limits = lookout, lookout.rows, lookout.limits
+        self.effort = effort
         self.tried: list[ShapeFit] = []
         self.surrounded: list[ShapeFit] = []
 
@@ -157,13 +181,14 @@ class Ladder:
     def done(self) -> bool:
         """Whether no more than noise is left, or what is left is settled to be no waves."""
         return bool(self.tried) and (
-            self.best.residual <= SETTLED * self.rows.square or self.lookout.quiet(self.best.rest)
+            self.best.residual <= self.limits.settled * self.rows.square
+            or self.lookout.quiet(self.best.rest)
         )
 
     def bic(self, fit: ShapeFit, worth: float | None = None) -> float:
         """N ln RSS + p ln n of a fit, RSS over |Phi|^2."""
         n = worth or self.lookout.worth
-        share = max(fit.residual / self.rows.square, EXACT)
+        share = max(fit.residual / self.rows.square, self.limits.exact)
         return n * math.log(share) + fit.shape.size * math.log(n)
 
     def descend(self, shape: Shape, q: Array) -> ShapeFit | None:
@@ -172,7 +197,7 @@ class Ladder:
         That is where a wave is beyond the bounds, or two are one or nearly cancel.
         """
         alike = [fit.residual for fit in self.tried if fit.shape == shape]
-        goal = min(alike, default=math.inf) * math.exp(CLOSE / self.lookout.worth)
+        goal = min(alike, default=math.inf) * math.exp(self.limits.close / self.lookout.worth)
         fit = descended(self.rows, shape, q, goal=goal)
         if fit.residual > goal or not self.lookout.possible(fit):
             return None
@@ -186,7 +211,7 @@ class Ladder:
     def lines(self, candidate: float) -> None:
         """Square cells along the axes, from the deepest lobes, and the one nearest a candidate."""
         lobes = self.lookout.lobes
-        starts = lobes[:LINES].tolist()
+        starts = lobes[: self.effort.lines].tolist()
         if candidate:
             starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
         for k in dict.fromkeys(starts):
@@ -196,7 +221,7 @@ class Ladder:
 
     def climb(self, proposed: Array) -> None:
         """All shapes, from what is there, from proposed waves (p, 2), and from the plane."""
-        if self.done or self.best.residual <= NEAR * self.rows.square:
+        if self.done or self.best.residual <= self.limits.near * self.rows.square:
             self.around()
         if len(proposed) and not self.done:
             self.join(proposed)
@@ -211,9 +236,11 @@ class Ladder:
     def around(self) -> None:
         """Every shape of two waves from the best one, where one could have a lower BIC."""
         price = math.log(self.lookout.worth)
-        for _ in range(AROUND):
+        for _ in range(self.effort.around):
             here = self.best
-            far = here.residual > FAR * self.rows.square and not self.lookout.quiet(here.rest)
+            far = here.residual > self.limits.far * self.rows.square and not self.lookout.quiet(
+                here.rest
+            )
             if len(here.phases) != 2 or far or any(here is fit for fit in self.surrounded):
                 return
             self.surrounded.append(here)
@@ -226,7 +253,10 @@ class Ladder:
             if here.shape.drifting:
                 self.from_waves(here.shape.steady, here.phases)
             best = self.best
-            free, least = self.from_waves(PAIR.moving, best.phases), EXACT * self.rows.square
+            free, least = (
+                self.from_waves(PAIR.moving, best.phases),
+                self.limits.exact * self.rows.square,
+            )
             gained = 0.0
             if free is not None:
                 ratio = max(best.residual, least) / max(free.residual, least)
@@ -243,20 +273,23 @@ class Ladder:
         """Squares that stand, from the peaks of the plane."""
         scan = self.lookout.scan
         if scan is not None:
-            k = scan.axis[scan.squares(self.lookout.gains, RANKED)]
+            k = scan.axis[scan.squares(self.lookout.gains, self.effort.ranked)]
             self.stand([np.array([first, first[[1, 0]] * (1, -1)]) for first in k], SQUARE)
 
     def rectangles(self) -> None:
         """Rectangles that stand, of two strong waves that are equally long."""
         if self.lookout.scan is None:
             return
-        strong = self.lookout.scan.waves(self.lookout.gains, STRONG)  # the strongest first
+        strong = self.lookout.scan.waves(
+            self.lookout.gains, self.effort.strong
+        )  # the strongest first
         pairs = [
             np.array(pair)
             for pair in sorted(combinations(range(len(strong)), 2), key=sum)
-            if np.ptp(lengths := np.hypot(*strong[list(pair)].T)) <= ALIKE * lengths.max()
+            if np.ptp(lengths := np.hypot(*strong[list(pair)].T))
+            <= self.limits.alike * lengths.max()
         ]
-        self.stand([strong[pair] for pair in pairs[:RANKED]], RECTANGLE)
+        self.stand([strong[pair] for pair in pairs[: self.effort.ranked]], RECTANGLE)
 
     def stand(self, pairs: list[Array], shape: Shape) -> None:
         """A shape that stands, from pairs of waves (2, 2)."""
@@ -267,7 +300,7 @@ class Ladder:
     def follow(self, shape: Shape, starts: list[Array], pieces: int) -> None:
         """A shape from starts (p,) of most promise, from pieces of the track to the whole."""
         fits = [fitted(self.rows, shape, q, pieces) for q in starts]
-        most = DESCENDED if pieces == 1 else 2
+        most = self.effort.descended if pieces == 1 else 2
         for fit in sorted(fits, key=lambda fit: fit.residual)[:most]:
             self.descend(shape, joined(self.rows, shape, fit.q, pieces))
             if self.done:
@@ -276,13 +309,13 @@ class Ladder:
     def moving(self) -> None:
         """Square cells that drift, followed from pieces of the track to the whole."""
         rest = self.rows.rest
-        fastest = FASTEST * math.sqrt(2 * float(np.mean(np.sum(rest**2, axis=1))))
+        fastest = self.limits.fastest * math.sqrt(2 * float(np.mean(np.sum(rest**2, axis=1))))
         scan = WaveScan.of(self.rows.place, self.lookout.radii, fastest, self.rows.weight)
         if scan is None:
             return
         gains, omega = scan.gains(rest)
         shape, starts = SQUARE.moving, []
-        for i, j in scan.squares(gains, RANKED):
+        for i, j in scan.squares(gains, self.effort.ranked):
             k = scan.axis[[i, j]]
             later = omega[j, len(omega) - 1 - i]  # of the wave turned clockwise, (k_y, -k_x)
             starts.append(shape.nearest(np.array([[*k, omega[i, j]], [k[1], -k[0], later]])))
@@ -302,7 +335,7 @@ class Ladder:
         standing = [fit for fit in self.tried if not fit.shape.drifting]
         starts = [self.best, min(standing, key=self.bic)]
         for here in starts[: 1 + self.best.shape.drifting]:
-            while len(here.phases) < MOST_WAVES:
+            while len(here.phases) < self.effort.waves:
                 more = self.lookout.strong(here.rest, 1)
                 there = self.with_waves(here, np.vstack([here.phases[:, :2], more]))
                 if there is None or not len(more):
@@ -342,7 +375,7 @@ class Ladder:
             return
         for wave in range(2):
             alone = fitted(self.rows, free_waves(1), here.phases[1 - wave, :2])
-            for place in self.lookout.strong(alone.rest, INSTEAD):
+            for place in self.lookout.strong(alone.rest, self.effort.instead):
                 phases = here.phases.copy()
                 phases[wave, :2] = place
                 self.from_waves(here.shape, phases)
@@ -399,12 +432,12 @@ class Ladder:
         distinct: list[tuple[ShapeFit, float]] = []
         for fit, bic in pairs:
             kinds = {other.shape for other, _ in distinct}
-            rival = bic - pairs[0][1] <= CLOSE
+            rival = bic - pairs[0][1] <= self.limits.close
             if (not rival and fit.shape in kinds) or (distinct and len(fit.phases) < 2):
                 continue
             if not any(self.alike(fit, other) for other, _ in distinct):
                 distinct.append((fit, bic))
-        return distinct[:MOST]
+        return distinct[: self.effort.proposals]
 
     def alike(self, fit: ShapeFit, other: ShapeFit) -> bool:
         """Whether two fits are of one shape and in one lobe."""

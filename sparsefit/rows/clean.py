@@ -22,16 +22,28 @@ from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.logs.checks import GAP, ONE_STEP, clock_rounding
 
-REST = 2.0  # least increments of the log: who moves farther in a step cannot stay where he was
-SURE = 6.5  # robust standard deviations: white noise goes beyond it once in 1e6 flights
-ALONE, AROUND = 3.0, 4  # times the median of so many samples on either side
-FELT = 0.01, 0.1  # of the rms speed, and of the way in a step: less moves no parameter
-ROUNDS = 6  # an outlier spoils the prediction of its neighbours too
-PREDICTION = 11, 5  # samples and degree of the polynomial that predicts a velocity
-MOST = 0.2, 0.02  # outliers and jumps, of the samples: more, and the others are no measure of them
-ROUNDING = 1e-12  # of the largest position: shifts below it are none
-JUMP_SIDE = 30  # samples on either side that the size of a jump is read from
 RAYLEIGH = math.sqrt(2.0 * math.log(2.0))  # median of the length of a pair of unit normals
+
+
+@dataclass(frozen=True)
+class CleaningRules:
+    """The thresholds by which a sample of a log is replaced or dropped."""
+
+    rest: float = 2.0  # least increments of the log: who moves farther cannot stay where he was
+    sure: float = 6.5  # robust standard deviations: white noise goes beyond it once in 1e6 flights
+    alone: float = 3.0  # times the median of the samples around
+    around: int = 4  # samples on either side
+    felt: float = 0.01  # of the rms speed: less moves no parameter
+    felt_step: float = 0.1  # of the way in a step at that speed
+    rounds: int = 6  # an outlier spoils the prediction of its neighbours too
+    window: int = 11  # samples of the polynomial that predicts a velocity
+    degree: int = 5  # of that polynomial
+    most_outliers: float = 0.2  # of the samples: more, and the others are no measure of them
+    most_jumps: float = 0.02  # of the samples
+    jump_side: int = 30  # samples on either side that the size of a jump is read from
+
+
+RULES = CleaningRules()
 
 
 @dataclass(frozen=True)
@@ -189,7 +201,7 @@ def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repa
         position[piece] = clean_position(pieces.position[piece], velocity[piece], pieces.step)
     off = _length(velocity - pieces.velocity)
     moved = _length(np.diff(position - pieces.position, axis=0))
-    jumps = moved > ROUNDING * np.abs(position).max()
+    jumps = moved > 1e-12 * np.abs(position).max()
     jumps[pieces.starts - 1] = False
     if not off.any() and not jumps.any():
         return pieces, repairs
@@ -209,7 +221,7 @@ def _fresh(log: Pieces) -> Pieces:
     if not repeats.any() or not moved.any():
         return log
     way = np.abs(log.velocity[1:]).max(axis=1) * np.diff(log.time)
-    flown = repeats & (way > REST * float(moved[moved > 0].min()))
+    flown = repeats & (way > RULES.rest * float(moved[moved > 0].min()))
     rows = np.concatenate([[True], ~repeats])
     few = 2 * flown.sum() <= repeats.sum() or rows.sum() < MINIMUM_SAMPLES
     return log if few else log.at(rows)
@@ -221,21 +233,21 @@ def clean_velocity(velocity: Array) -> Array:
     The residual of a sample is that of a polynomial through the others: its own weight h in the
     fit taken out, the residual over 1 - h.
     """
-    window, degree = PREDICTION
+    window, degree = RULES.window, RULES.degree
     if len(velocity) < 3 * window:
         return velocity
     powers = np.vander(np.linspace(-1.0, 1.0, window), degree + 1, increasing=True)
     hat, half = powers @ np.linalg.pinv(powers), window // 2
     weight = np.full((len(velocity), 1), hat[half, half])
     weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
-    least = FELT[0] * math.sqrt(float(np.mean(velocity**2)))
+    least = RULES.felt * math.sqrt(float(np.mean(velocity**2)))
     # The first look is by medians, which neighbours that are off too do not move.
     padded = np.pad(velocity, ((2, 2), (0, 0)), mode="edge")
     predicted = np.median(sliding_window_view(padded, 5, axis=0), axis=-1)
     size = _length(velocity - predicted)
     outliers = _isolated(size, np.ones_like(size), least)
     cleaned = np.where(outliers[:, None], predicted, velocity)
-    for _ in range(ROUNDS):
+    for _ in range(RULES.rounds):
         inner = [np.correlate(column, hat[half], "valid") for column in cleaned.T]
         ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
         fitted = np.vstack([ends[0], np.column_stack(inner), ends[1]])
@@ -243,7 +255,7 @@ def clean_velocity(velocity: Array) -> Array:
         scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
         before = outliers
         outliers = _isolated(_length(velocity - predicted), scale, least)
-        if not outliers.any() or outliers.mean() > MOST[0]:
+        if not outliers.any() or outliers.mean() > RULES.most_outliers:
             return velocity
         cleaned = np.where(outliers[:, None], predicted, velocity)
         if np.array_equal(outliers, before):
@@ -257,21 +269,21 @@ def clean_position(position: Array, velocity: Array, step: float) -> Array:
     The size of a jump is the change of the mean, on either side, of what the integral of the
     velocity (m, 2) [m/s] leaves of the position.
     """
-    if len(position) < 3 * PREDICTION[0]:
+    if len(position) < 3 * RULES.window:
         return position
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     mean[1:-1] = (13.0 * (velocity[1:-2] + velocity[2:-1]) - velocity[:-3] - velocity[3:]) / 24.0
     apart = np.diff(position, axis=0) - step * mean
-    least = FELT[1] * step * math.sqrt(float(np.mean(velocity**2)))
+    least = RULES.felt_step * step * math.sqrt(float(np.mean(velocity**2)))
     size = _length(apart)
     jumps = np.flatnonzero(_isolated(size, np.ones_like(size), least)).tolist()
-    if not 0 < len(jumps) <= MOST[1] * len(position):
+    if not 0 < len(jumps) <= RULES.most_jumps * len(position):
         return position
     beside = np.vstack([[0.0, 0.0], np.cumsum(apart, axis=0)])
     shift, ends = np.zeros_like(position), [-1, *jumps, len(apart)]
     for before, jump, after in zip(ends[:-2], jumps, ends[2:], strict=True):
-        here = beside[max(before, jump - JUMP_SIDE) + 1 : jump + 1]
-        there = beside[jump + 1 : min(after, jump + JUMP_SIDE) + 1]
+        here = beside[max(before, jump - RULES.jump_side) + 1 : jump + 1]
+        there = beside[jump + 1 : min(after, jump + RULES.jump_side) + 1]
         shift[jump + 1] = there.mean(axis=0) - here.mean(axis=0)
     return position - np.cumsum(shift, axis=0)
 
@@ -280,11 +292,11 @@ def _isolated(size: Array, scale: Array, least: float) -> BoolArray:
     """Which errors (m,) stand out from all others, and from those around them, beyond ``least``."""
     scaled = scale * size
     spread = max(float(np.median(scaled)) / RAYLEIGH, 1e-300)
-    outstanding: BoolArray = (scaled > SURE * spread) & (size > least)
+    outstanding: BoolArray = (scaled > RULES.sure * spread) & (size > least)
     rows = np.flatnonzero(outstanding)
-    first = np.clip(rows - AROUND, 0, len(size) - 2 * AROUND - 1)
-    around = scaled[first[:, None] + np.arange(2 * AROUND + 1)]
-    outstanding[rows] = scaled[rows] > ALONE * np.median(around, axis=1)
+    first = np.clip(rows - RULES.around, 0, len(size) - 2 * RULES.around - 1)
+    around = scaled[first[:, None] + np.arange(2 * RULES.around + 1)]
+    outstanding[rows] = scaled[rows] > RULES.alone * np.median(around, axis=1)
     return outstanding
 
 
