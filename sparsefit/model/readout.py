@@ -139,6 +139,8 @@ class Readout:
         if self.scales == "several":
             lobe = 2 * math.pi / lookout.extent
             return Start(self.refine, windows=windows(fit, lobe, lookout.bounds))
+        if not len(lookout.lobes):
+            return Start(self.refine)
         by_scale = self.by_scale(fit, library)
         candidate = math.pi / max(by_scale, key=lambda scale: by_scale[scale])
         nearest = lookout.lobes[np.abs(lookout.lobes - candidate).argmin()]

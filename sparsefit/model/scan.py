@@ -90,7 +90,8 @@ def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: flo
     first = 0.5 + 0.5 * twice.real - once.real**2
     last = 0.5 - 0.5 * twice.real - once.imag**2
     mixed = 0.5 * twice.imag - once.real * once.imag
-    determinant = np.maximum(first * last - mixed**2, FLAT * np.maximum(first, last))
+    least = np.maximum(FLAT * np.maximum(first, last), FLAT**3)
+    determinant = np.maximum(first * last - mixed**2, least)
     gains = last * load.real**2 - 2 * mixed * load.real * load.imag + first * load.imag**2
     gains /= determinant * count
     return np.asarray(gains, dtype=np.float64)

@@ -176,6 +176,8 @@ class Search:
         if start.windows:
             ladder.length_scales(start.windows)
         else:
+            if not len(self.lookout.lobes):
+                return ()
             ladder.lines(start.lobe)
             if start.refine == "ladder":
                 ladder.climb(np.array(start.waves).reshape(-1, 2))
@@ -190,13 +192,15 @@ class Search:
         a, b = fit.weights.reshape(-1, 2).T
         cosine = a * np.cos(shift) - b * np.sin(shift)
         sine = a * np.sin(shift) + b * np.cos(shift)
-        vehicles, wind, ratio = [], (0.0, 0.0), 1.0
+        vehicles, winds, ratios = [], [(0.0, 0.0)], [1.0]
         parts = np.array_split(fit.coefficients, len(self.unknowns))
-        for number, (own, coefficients) in enumerate(zip(self.unknowns, parts, strict=True)):
-            vehicle, blowing = own.read(coefficients) if len(coefficients) else (own.believed, wind)
+        for own, coefficients in zip(self.unknowns, parts, strict=True):
+            vehicle, wind = own.read(coefficients) if len(coefficients) else (None, (0.0, 0.0))
             vehicles.append(vehicle or own.believed)
-            if not number and vehicle is not None:
-                ratio, wind = own.ratio(coefficients) if len(parts) == 1 else 1.0, blowing
+            if vehicle is not None:
+                winds.append(wind)
+                ratios.append(own.ratio(coefficients))
+        ratio, wind = float(np.mean(ratios[1:] or ratios)), winds[min(1, len(winds) - 1)]
         drift = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else (0.0, 0.0)
         return Proposal(
             fit.shape.name,

@@ -167,3 +167,26 @@ def test_derivatives_of_phases_are_differences(shape: Shape):
         step = 1e-6 * np.eye(len(q))[number]
         expected = (shape.phases(q + step)[0] - shape.phases(q - step)[0]) / 2e-6
         np.testing.assert_allclose(slope, expected, atol=1e-8)
+
+
+def test_amplitudes_are_those_of_the_vehicles_that_fit_best():
+    flow = flow_of(AXIS, (0.9,))
+    vehicles = [PointMassVehicle(0.5), PointMassVehicle(0.3)]
+    believed = [PointMassVehicle(0.6), PointMassVehicle(0.4)]
+    flights = [
+        Derivative()(simulate_flight(flow, own, duration=15.0, sample_rate=50.0, seed=seed))
+        for seed, own in enumerate(vehicles)
+    ]
+    library = Library(LIBRARY.grid, unknown=("response_time",))
+    best = Search.of(flights, believed, library).propose(Start())[0]
+    assert best.shape == "axis"
+    assert best.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.03)
+    assert [v.response_time for v in best.vehicles] == pytest.approx([0.5, 0.3], rel=0.1)
+
+
+def test_nothing_is_proposed_where_nothing_is_to_be_explained():
+    velocity = np.gradient(TRACK, TIME, axis=0)
+    still = Samples(TIME, TRACK, velocity, velocity, -velocity / 0.5)
+    assert Search.of([still], [VEHICLE], LIBRARY).propose(Start()) == ()
+    few = samples_of(flow_of(AXIS, (0.9,)), 0.0).every(150)
+    assert len(Search.of([few], [VEHICLE], LIBRARY).propose(Start())) <= 10
