@@ -10,7 +10,7 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
-from sparsefit.likelihood.smoother import Search, Smoothing, inverted
+from sparsefit.likelihood.smoother import Ascent, Smoothing, inverted
 
 
 def bound(
@@ -34,17 +34,17 @@ def bound(
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
     if states is None:
         known = tuple(each.known(*each.names) for each in models)
-        search = Search(records, known, (), Smoothing())
+        search = Ascent(records, known, (), Smoothing())
         end = search.posterior(None).state
         tracks = [(nodes.time, track) for nodes, track in zip(end.nodes, end.tracks, strict=True)]
     else:
-        search = Search(records, models, (), Smoothing())
+        search = Ascent(records, models, (), Smoothing())
         tracks = [
             (log.time - search.origin[2],
              np.asarray(each, dtype=np.float64)[:, :4] - [*search.origin[:2], 0.0, 0.0])
             for log, each in zip(records, states, strict=True)
         ]  # fmt: skip
-    search = Search(records, models, (), Smoothing())
+    search = Ascent(records, models, (), Smoothing())
     step = search.step(search.along(tracks))
     covariance, weak = inverted(step.information, search.settings.dependent)
     if len(weak):

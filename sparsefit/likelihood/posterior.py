@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +71,6 @@ class Posterior:
         passes: the number of passes over few rows, and over all.
         origin: (x, y, t), that the phases of the pattern and the tracks are counted from.
         state: what further passes start from.
-        prior: the information of the priors (p, p).
     """
 
     models: tuple[Model, ...]
@@ -86,7 +84,6 @@ class Posterior:
     passes: tuple[int, int]
     origin: tuple[float, float, float]
     state: Descent
-    prior: Array
 
     @property
     def converged(self) -> bool:
@@ -115,17 +112,3 @@ class Posterior:
             return 0.0
         place = self.names.index(name)
         return math.sqrt(max(float(self.covariance[place, place]), 0.0))
-
-    def of_flow(self, function: Callable[[Model], float]) -> tuple[float, float]:
-        """Return a function of the model and its standard error, by the delta method."""
-        values = {name: self.value(name) for name in self.names}
-        slopes = []
-        for name, width in zip(self.names, np.sqrt(np.diag(self.covariance)), strict=True):
-            push = 1e-3 * float(width) or 1e-9
-            ends = [
-                function(self.model.at(values | {name: values[name] + sign * push}))
-                for sign in (1.0, -1.0)
-            ]
-            slopes.append((ends[0] - ends[1]) / (2.0 * push))
-        slope = np.array(slopes)
-        return function(self.model), math.sqrt(max(float(slope @ self.covariance @ slope), 0.0))

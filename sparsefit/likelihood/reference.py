@@ -19,7 +19,6 @@ delta_i given all = delta_i predicted + P_i r_i, and the score of the variance o
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -45,90 +44,44 @@ def acceleration(
         v' (m, 2), its derivatives by x, y, v_x, v_y (m, 2, 4) and by the elements (m, 2, c).
     """
     tau, scale, turn, bx, by, drag, wx, wy, gx, gy, rate, lag, gain, growth = elements[:, :14].T
-    x, y = (state[:, :2] - lag[:, None] * state[:, 2:4]).T
-    t = time - lag
+    speeds = state[:, 2:4].T
+    (x, y), t = state[:, :2].T - lag * speeds, time - lag
     swell, shape = 1.0 + gain, 1.0 + growth * time
-    wave = elements[:, OWN:].reshape(len(x), -1, 5)
-    kx, ky, a, b, omega = np.moveaxis(wave, 2, 0)
-    phase = kx * x[:, None] + ky * y[:, None] - omega * t[:, None]
-    cos, sin = np.cos(phase), np.sin(phase)
+    kx, ky, a, b, omega = elements[:, OWN:].reshape(len(x), -1, 5).transpose(2, 1, 0)
+    phase = kx * x + ky * y - omega * t
+    cos, sin = swell * shape * np.cos(phase), swell * shape * np.sin(phase)
     slope, psi = b * cos - a * sin, a * cos + b * sin
-    flow = np.stack([(ky * slope).sum(1), -(kx * slope).sum(1)], axis=1)
-    size = (swell * shape)[:, None]
-    gradient = np.empty((len(x), 2, 2))
-    gradient[:, 0, 0] = -(kx * ky * psi).sum(1)
-    gradient[:, 0, 1] = -(ky * ky * psi).sum(1)
-    gradient[:, 1, 0] = (kx * kx * psi).sum(1)
-    gradient[:, 1, 1] = -gradient[:, 0, 0]
-    gradient *= size[:, :, None]
-    change = size * np.stack([(omega * ky * psi).sum(1), -(omega * kx * psi).sum(1)], axis=1)
-    air = np.stack([wx + gx * time, wy + gy * time], axis=1)
-    relative = size * flow + air - state[:, 2:4]
-    speed = np.sqrt(np.sum(relative**2, axis=1) + TINY)
+    px, py = -ky * psi, kx * psi
+    air, own = np.zeros((2, 2, elements.shape[1], len(x)))  # of the wind, of the acceleration
+    air[:, OWN + 0 :: 5] = px * x, py * x - slope
+    air[:, OWN + 1 :: 5] = px * y + slope, py * y
+    air[:, OWN + 2 :: 5] = -ky * sin, kx * sin
+    air[:, OWN + 3 :: 5] = ky * cos, -kx * cos
+    air[:, OWN + 4 :: 5] = -px * t, -py * t
+    flow = np.array([(ky * slope).sum(axis=0), -(kx * slope).sum(axis=0)])
+    gradient = np.array([[(kx * p).sum(axis=0), (ky * p).sum(axis=0)] for p in (px, py)])
+    relative = flow + np.array([wx + gx * time, wy + gy * time]) - speeds
+    speed = np.sqrt(np.sum(relative**2, axis=0) + TINY)
     c, d, (push, side) = np.cos(turn), np.sin(turn), thrust.T
-    turned = np.stack([c * push - d * side, d * push + c * side], axis=1)
-    weight = 1.0 / ((1.0 + rate * time) * (1.0 - lag / tau))
-    drawn = (1.0 + drag * speed)[:, None] * relative / tau[:, None]
-    force = drawn + scale[:, None] * turned + np.stack([bx, by], axis=1)
-    result = weight[:, None] * force
-    by_air = np.einsum("m,mi,mj->mij", drag / speed, relative, relative)
-    by_air[:, 0, 0] += 1.0 + drag * speed
-    by_air[:, 1, 1] += 1.0 + drag * speed
-    by_air *= (weight / tau)[:, None, None]
-    by_state = np.empty((len(x), 2, 4))
-    by_state[:, :, :2] = by_air @ gradient
-    by_state[:, :, 2:] = -by_air - lag[:, None, None] * by_state[:, :, :2]
-
-    def derivative(element: int) -> Any:
-        if element >= OWN:
-            j, kind = divmod(element - OWN, 5)
-            px, py = -ky[:, j] * psi[:, j], kx[:, j] * psi[:, j]
-            by_wave = [
-                (px * x, py * x - slope[:, j]),
-                (px * y + slope[:, j], py * y),
-                (-ky[:, j] * sin[:, j], kx[:, j] * sin[:, j]),
-                (ky[:, j] * cos[:, j], -kx[:, j] * cos[:, j]),
-                (-px * t, -py * t),
-            ][kind]
-            return _times(by_air, size * np.stack(by_wave, axis=1))
-        lagged = lag / (tau * (tau - lag))
-        one = np.zeros((len(x), 2))
-        if element in (3, 4, 6, 7, 8, 9):
-            one[:, (element - 3) % 2 if element < 5 else element % 2] = 1.0
-        match element:
-            case 0:
-                return -weight[:, None] * drawn / tau[:, None] - lagged[:, None] * result
-            case 1:
-                return weight[:, None] * turned
-            case 2:
-                return (weight * scale)[:, None] * turned[:, ::-1] * [-1.0, 1.0]
-            case 3 | 4:
-                return weight[:, None] * one
-            case 5:
-                return (weight * speed / tau)[:, None] * relative
-            case 6 | 7:
-                return _times(by_air, one)
-            case 8 | 9:
-                return _times(by_air, one) * time[:, None]
-            case 10:
-                return -result * (time / (1.0 + rate * time))[:, None]
-            case 11:
-                moved = -_times(gradient, state[:, 2:4]) - change
-                return result / (tau - lag)[:, None] + _times(by_air, moved)
-            case 12:
-                return _times(by_air, shape[:, None] * flow)
-            case 13:
-                return _times(by_air, (swell * time)[:, None] * flow)
-        return np.zeros((len(x), 2))
-
-    columns = [derivative(int(element)) for element in ids]
-    by_elements = np.stack(columns, axis=2) if columns else np.zeros((len(x), 2, 0))
-    return result, by_state, by_elements
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    product: Array = np.einsum("mij,mj->mi", matrix, vector)
-    return product
+    turned = np.array([c * push - d * side, d * push + c * side])
+    mass = 1.0 + rate * time
+    weight = 1.0 / (mass * (1.0 - lag / tau))
+    drawn = (1.0 + drag * speed) * relative / tau
+    result = weight * (drawn + scale * turned + np.array([bx, by]))
+    by_air = drag / speed * relative[:, None] * relative
+    by_air = weight / tau * (by_air + (1.0 + drag * speed) * np.eye(2)[:, :, None])
+    by_place = np.einsum("ijm,jkm->ikm", by_air, gradient)
+    by_state = np.concatenate([by_place, -by_air - lag * by_place], axis=1)
+    air[0, 6], air[1, 7], air[0, 8], air[1, 9] = 1.0, 1.0, time, time
+    change = -np.array([(omega * px).sum(axis=0), (omega * py).sum(axis=0)])
+    air[:, 11] = -np.einsum("ijm,jm->im", gradient, speeds) - change
+    air[:, 12], air[:, 13] = flow / swell, flow * time / shape
+    own[:, 0] = -weight * drawn / tau - lag / (tau * (tau - lag)) * result
+    own[:, 1], own[:, 2] = weight * turned, weight * scale * np.array([-turned[1], turned[0]])
+    own[0, 3], own[1, 4], own[:, 5] = weight, weight, weight * speed / tau * relative
+    own[:, 10], own[:, 11] = -result * time / mass, result / (tau - lag)
+    by_elements = own[:, ids] + np.einsum("ijm,jem->iem", by_air, air[:, ids])
+    return result.T, by_state.transpose(2, 0, 1), by_elements.transpose(2, 0, 1)
 
 
 def transitions(

@@ -43,7 +43,7 @@ class Smoothing:
     """
 
     coarse: int = 200
-    phase: float = 0.4
+    phase: float = 0.25
     anneal: float = 1.0
     passes: int = 30
     gain: float = 0.005
@@ -107,10 +107,10 @@ def measure(
     records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
     state = None if start is None else start.state
-    return Search(records, models, tuple(levels), settings or Smoothing()).posterior(state)
+    return Ascent(records, models, tuple(levels), settings or Smoothing()).posterior(state)
 
 
-class Search:
+class Ascent:
     """The passes of one measurement; its attributes do not change after its making."""
 
     def __init__(
@@ -427,7 +427,7 @@ class Search:
         return Posterior(
             end.models, self.names, inverted(step.information, self.settings.dependent)[0],
             step.value + step.gain, tracks, self.levels, information, reason, (few, whole),
-            self.origin, end, np.diag(self.priors**-2.0),
+            self.origin, end,
         )  # fmt: skip
 
 
