@@ -44,6 +44,15 @@ def loops() -> list[Extension]:
         + [
             Extension(f"sparsefit.{name.replace('/', '.')}", [f"sparsefit/{name}.pyx"], **STABLE)
             for name in TYPED
+        ]
+        + [
+            Extension(  # the C that flies, in doubles
+                "sparsefit.onboard.compiled",
+                ["sparsefit/onboard/compiled.pyx", "sparsefit/onboard/templates/sf_flow.c"],
+                include_dirs=["sparsefit/onboard/templates"],
+                depends=["sparsefit/onboard/templates/sf_flow.h"],
+                **STABLE,
+            )
         ],
         build_dir="build",
         compiler_directives={

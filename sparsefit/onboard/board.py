@@ -1,0 +1,669 @@
+"""The recurrence that flies, in NumPy: a search for cells, then Kalman filters that follow them.
+
+    x' = v,  v' = F(w + u - v) + a,  u' = -2 u + noise,    w of two waves, (kx, ky) and (-ky, kx)
+
+The state of a filter is (x, v, u, a, b, a, b, kx, ky), x and phases counted from an anchor near the
+vehicle. Each level of the disturbance u has a filter; they are weighed by their likelihoods.
+``templates/sf_flow.c`` is this recurrence in C, function for function, and is what the package
+compiles; this reference runs where there is no compiler, and a replay holds the two together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, field
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from sparsefit.arrays import Array
+
+try:
+    from sparsefit.onboard.compiled import CompiledFlow
+except ImportError:  # where there is no compiler
+    CompiledFlow = None
+
+Pair: TypeAlias = "tuple[float, float] | Array"
+LEVELS = np.array([0.003, 0.02, 0.08, 0.3])  # of the disturbance, over U0
+RATE, FLOOR = 2.0, 0.1  # of the disturbance [1/s], and its share that is white
+GATE, FADE, HORIZON, SETTLED, ANNEAL = 25.0, 0.998, 100.0, 64.0, 8.0
+WALK = np.array([0.002] * 4 + [0.0005] * 2)  # of amplitudes and wavevectors, over theirs, in 1 s
+LARGEST, GAP = 1e7, 20.0
+ROWS, FEWEST_ROWS, BLOCK_MOST, PEAKS, REFINEMENTS = 192, 24, 64, 5, 14
+EVEN, EXPLAINED, EVIDENCE = 0.03, 0.6, 15.0
+N, M, FLOW = 12, 6, slice(6, 12)
+
+
+class BoardDoubt(IntEnum):
+    """The kind of doubt of an answer, as `sf_doubt` of the C."""
+
+    NO_DOUBT = 0
+    FEW_SAMPLES = 1
+    NO_FLOW = 2
+    RIVAL = 3
+    SETTLING = 4
+    IMPRECISE = 5
+    INNOVATIONS = 6
+    SHAPE = 7
+    TURNED = 8
+    EDGE = 9
+
+
+OK, GAP_TAKEN, BAD_SAMPLE, BAD_TIME = 0, 3, 4, 5  # of `update`, as `sf_status` of the C
+MISFITS = (BoardDoubt.INNOVATIONS, BoardDoubt.SHAPE, BoardDoubt.TURNED)
+
+
+@dataclass(frozen=True)
+class BoardSettings:
+    """The vehicle and the search, as `sf_config` of the C.
+
+    Args:
+        response_time: tau [s], infinite for quadratic drag alone.
+        drag: c [1/m].
+        thrust_x: a0 [m/s^2], along x.
+        thrust_y: a0 [m/s^2], along y.
+        thrust_scale: s, of a measured thrust.
+        lower: the least length scale that is sought [m].
+        upper: the largest length scale [m].
+        precision: half-width of the 95 % intervals over the value, of an answer that is ok.
+        memory: the time in which the weight of a sample falls by e [s]; 0: all count alike.
+        any_heading: 0 where the cells are taken to lie along the axes.
+        candidates: number of candidates that are looked at with a sample of the search.
+    """
+
+    response_time: float
+    drag: float
+    thrust_x: float
+    thrust_y: float
+    thrust_scale: float
+    lower: float
+    upper: float
+    precision: float
+    memory: float = 0.0
+    any_heading: int = 1
+    candidates: int = 8
+
+
+@dataclass(frozen=True, eq=False)
+class BoardAnswer:
+    """The answer of a board, as `sf_answer` of the C.
+
+    Args:
+        doubt: none where the answer is ok.
+        samples: number of samples taken so far.
+        value: U0 [m/s], L [m], L/U0 [s], heading [rad], (4,); NaN where nothing is followed.
+        error: their standard errors (4,).
+        innovation: mean square of the normalised innovations.
+        correlation: their mean product from one sample to the next.
+        disturbance: its level, over U0.
+        unexplained: share of the averaged flow velocity's squares that the flow leaves.
+        rival: L of the rival [m], where that is the doubt.
+        flow: a, b, a, b, kx, ky, and the place that phases count from [m], (8,).
+    """
+
+    doubt: BoardDoubt
+    samples: int
+    value: Array
+    error: Array
+    innovation: float = 0.0
+    correlation: float = 0.0
+    disturbance: float = 0.0
+    unexplained: float = 0.0
+    rival: float = 0.0
+    flow: Array = field(default_factory=lambda: np.zeros(8))
+
+    @property
+    def status(self) -> str:
+        """``ok``, ``misfit`` or ``unidentifiable``."""
+        if self.doubt in MISFITS:
+            return "misfit"
+        return "unidentifiable" if self.doubt else "ok"
+
+
+@dataclass
+class Peak:
+    """A candidate of a sweep: its share of the rows, |k| and direction, and its least squares."""
+
+    score: float
+    size: float
+    angle: float
+    flow: Array | None = None  # (6,)
+    trial: Array | None = None
+    right: Array | None = None
+    information: Array | None = None  # (6, 6)
+    residual: float = math.inf
+    cost: float = math.inf
+    damping: float = 0.01
+
+
+def waves(flow: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return w (2, ...), its gradient by the place (2, 2, ...) and by the flow (2, 6, ...).
+
+    flow: a, b, a, b [m^2/s], kx, ky [rad/m], (6, ...); x, y: from where phases count [m], (...).
+    """
+    w, place = np.zeros((2, *np.shape(x))), np.zeros((2, 2, *np.shape(x)))
+    gradient = np.zeros((2, M, *np.shape(x)))
+    for j, (k, l) in enumerate(((flow[4], flow[5]), (-flow[5], flow[4]))):  # noqa: E741
+        a, b, phase = flow[2 * j], flow[2 * j + 1], k * x + l * y
+        c, s = np.cos(phase), np.sin(phase)
+        slope, height, normal = b * c - a * s, a * c + b * s, np.stack([l + 0 * x, -k + 0 * x])
+        w += slope * normal
+        place -= height * normal[:, None] * np.stack([k + 0 * x, l + 0 * x])
+        gradient[:, 2 * j], gradient[:, 2 * j + 1] = -s * normal, c * normal
+        by_k = np.stack([-height * l * x, height * k * x - slope])
+        by_l = np.stack([slope - height * l * y, height * k * y])
+        gradient[:, 4] += by_l if j else by_k
+        gradient[:, 5] += -by_k if j else by_l
+    return w, place, gradient
+
+
+def length_of(flow: Array) -> float:
+    """L [m] of the cells of a flow (6,)."""
+    return math.sqrt(2.0) * math.pi / math.hypot(flow[4], flow[5])
+
+
+def speed_of(flow: Array) -> float:
+    """U0 [m/s] of the cells of a flow (6,)."""
+    return math.hypot(flow[4], flow[5]) * float(np.linalg.norm(flow[:4]))
+
+
+def heading_of(angle: float) -> float:
+    """An angle [rad] less the nearest multiple of a right one."""
+    return angle - math.pi / 2 * math.floor(angle / (math.pi / 2) + 0.5)
+
+
+def unevenness(flow: Array) -> tuple[float, Array]:
+    """Half the logarithm of the ratio of the waves' squared amplitudes, and its gradient (6,)."""
+    first, second = flow[0] ** 2 + flow[1] ** 2, flow[2] ** 2 + flow[3] ** 2
+    gradient = np.concatenate([-flow[:2] / first, flow[2:4] / second, [0.0, 0.0]])
+    return math.log(second / first) / 2, gradient
+
+
+def heading(flow: Array) -> tuple[float, Array]:
+    """The heading [rad] of the cells, and its gradient (6,)."""
+    k = flow[4] ** 2 + flow[5] ** 2
+    gradient = np.array([0.0, 0.0, 0.0, 0.0, -flow[5] / k, flow[4] / k])
+    return heading_of(math.atan2(flow[5], flow[4]) - math.pi / 4), gradient
+
+
+def parameters(flow: Array, covariance: Array) -> tuple[Array, Array]:
+    """U0, L, L/U0 and the heading of a flow (6,), (4,), and their variances (4,)."""
+    k, speed, length = flow[4] ** 2 + flow[5] ** 2, speed_of(flow), length_of(flow)
+    angle, by_angle = heading(flow)
+    by_speed = np.concatenate([k * flow[:4], speed**2 / k * flow[4:]]) / speed
+    by_length = np.concatenate([np.zeros(4), -length * flow[4:] / k])
+    by_time = length / speed * (by_length / length - by_speed / speed)
+    gradients = np.stack([by_speed, by_length, by_time, by_angle])
+    variances: Array = np.einsum("gi,ij,gj->g", gradients, covariance, gradients)
+    return np.array([speed, length, length / speed, angle]), variances
+
+
+def rebased(flow: Array, place: Array) -> tuple[Array, Array]:
+    """A flow (6,) whose phases count from a place (2,) [m], and the Jacobian (6, 6) of that."""
+    moved, jacobian = flow.copy(), np.eye(M)
+    for j, by in enumerate((place, np.array([place[1], -place[0]]))):
+        turn = float(flow[4:] @ by)
+        c, s, two = math.cos(turn), math.sin(turn), slice(2 * j, 2 * j + 2)
+        turned = np.array([[c, s], [-s, c]])
+        moved[two] = turned @ flow[two]
+        jacobian[two, two] = turned
+        jacobian[two, 4:] = np.outer([moved[2 * j + 1], -moved[2 * j]], by)
+    return moved, jacobian
+
+
+class Board:
+    """The estimator on board, one instance for one vehicle; `update` and `estimate` as in C."""
+
+    def __init__(self, settings: BoardSettings) -> None:
+        self.settings = settings
+        self.samples = self.restarts = self.suspects = 0
+        self.time_ns = self.suspect_ns = 0
+        self.doubt = BoardDoubt.FEW_SAMPLES
+        self.step = self.counted = self.block_time = self.rival = 0.0
+        self.origin, self.thrust, self.noise = np.zeros(2), np.zeros(2), np.zeros(2)
+        self.history: list[Array] = []
+        self.block: list[Array] = []
+        self.rows = np.zeros((ROWS, 4))
+        self.row_count = self.row_place = 0
+        self.sweeping = False
+        self.spacing = self.total = 0.0
+        self.radius = self.turn = self.refining = self.iteration = 0
+        self.peaks: list[Peak] = []
+        self.middle, self.anchor, self.remaining = np.zeros(2), np.zeros(2), np.zeros(2)
+        self.following = False
+        self.age = self.gated = 0.0
+        levels = len(LEVELS)
+        self.state, self.covariance = np.zeros((levels, N)), np.zeros((levels, N, N))
+        self.log_likelihood, self.square = np.zeros(levels), np.ones(levels)
+        self.product, self.last = np.zeros(levels), np.zeros((levels, 4))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory that rows, filters and the search take."""
+        return self.rows.nbytes + self.state.nbytes + self.covariance.nbytes + PEAKS * 8 * 64
+
+    def update(
+        self, time_ns: int, x: float, y: float, vx: float, vy: float, thrust: Pair | None = None
+    ) -> int:
+        """Take a sample at a time [ns]; the status, as `sf_update` of the C."""
+        z = np.array([x, y, vx, vy], dtype=np.float64)
+        given = z if thrust is None else np.concatenate([z, thrust])
+        if not (np.abs(given) <= LARGEST).all():
+            return BAD_SAMPLE
+        if not self.samples:
+            self.time_ns, self.origin = time_ns, z[:2].copy()
+        h, status = max(time_ns - self.time_ns, 0) * 1e-9, OK
+        if self.samples and (not h > 0 or (self.step > 0 and h > GAP * self.step)):
+            if not self.suspects or time_ns <= self.suspect_ns:
+                self.suspects, self.suspect_ns = 1, time_ns
+                return BAD_TIME
+            h = self.step = (time_ns - self.suspect_ns) * 1e-9  # two in a row: a new clock
+            status = GAP_TAKEN
+        elif self.samples:
+            self.step += (h - self.step) / (16.0 if self.step > 0 else 1.0)
+        self.suspects, self.time_ns, self.samples = 0, time_ns, self.samples + 1
+        settings = self.settings
+        push = np.array([settings.thrust_x, settings.thrust_y])
+        z[:2] -= self.origin
+        if thrust is not None:
+            measured = np.array(thrust, dtype=np.float64)
+            before = self.thrust if self.samples > 1 else measured
+            push = push + settings.thrust_scale * (before + measured) / 2
+            self.thrust = measured
+        if h > 1.5 * self.step:
+            self.history = []
+        if status == GAP_TAKEN:
+            self._resume(z)
+        self._measure_noise(z)
+        self.block_time = self.block_time + h if self.block else 0.0
+        self._take_row(z, push)
+        if not self.following:
+            self._search(z)
+        elif status == OK:
+            self._follow(z, h, push)
+        return status
+
+    def _measure_noise(self, z: Array) -> None:
+        """Levels of the noise from third differences, whose variance is 20 times as large."""
+        if len(self.history) == 3:
+            self.counted += self.counted < 500
+            third = (z - 3 * self.history[2] + 3 * self.history[1] - self.history[0]) ** 2 / 40
+            both = third.reshape(2, 2).sum(axis=1)
+            most = 25 * self.noise if self.counted > 20 else np.full(2, math.inf)
+            self.noise = self.noise + (np.minimum(both, most) - self.noise) / self.counted
+            self.noise = np.maximum(self.noise, (1e-4 * self.settings.lower) ** 2)
+        self.history = [*self.history[-2:], z.copy()]
+
+    def _resume(self, z: Array) -> None:
+        """Go on after a gap or from another clock: place and velocity are measured anew."""
+        away = z[:2] - self.anchor
+        self.history, self.block, self.restarts = [], [], self.restarts + 1
+        if self.following:
+            self.state[:, :2], self.state[:, 2:4], self.state[:, 4:6] = away, z[2:], 0.0
+            self.covariance[:, :6, :] = self.covariance[:, :, :6] = 0.0
+            for level, state in enumerate(self.state):
+                gust = (LEVELS[level] * speed_of(state[FLOW])) ** 2
+                diagonal = [*np.repeat(self.noise, 2), gust, gust]
+                self.covariance[level, range(6), range(6)] = diagonal
+            self._rebase(away)
+        self.anchor = z[:2].copy()
+
+    def _rebase(self, away: Array) -> None:
+        """Count places and phases of the filters from another anchor, ``away`` (2,) from it."""
+        for level, state in enumerate(self.state):
+            moved, by_flow = rebased(state[FLOW], away)
+            jacobian = np.eye(N)
+            jacobian[FLOW, FLOW] = by_flow
+            state[FLOW] = moved
+            self.covariance[level] = jacobian @ self.covariance[level] @ jacobian.T
+        self.state[:, :2] -= away
+
+    # ---- the filters
+
+    def _acceleration(self, z: Array, push: Array) -> tuple[Array, Array, Array]:
+        """v' (2, l) of the states z (12, l), its drag's slope (2, 2, l) and gradient (2, 12, l)."""
+        settings = self.settings
+        w, place, by_flow = waves(z[FLOW], z[0], z[1])
+        r = w + z[4:6] - z[2:4]
+        speed = np.hypot(*r)
+        own = 1.0 / settings.response_time + settings.drag * speed
+        bend = settings.drag / np.where(speed > 0, speed, 1.0)
+        slope = own * np.eye(2)[:, :, None] + bend * r[:, None] * r
+        minus = -np.broadcast_to(np.eye(2)[:, :, None], slope.shape)
+        inner = np.concatenate([place, minus, -minus, by_flow], axis=1)
+        return own * r + push[:, None], slope, np.einsum("ijl,jkl->ikl", slope, inner)
+
+    def _predict(self, h: float, push: Array, speed: float) -> None:
+        start = self.state.T.copy()
+
+        def rate(z: Array) -> Array:
+            return np.concatenate([z[2:4], self._acceleration(z, push)[0]])
+
+        def ahead(share: float, slope: Array) -> Array:
+            return np.concatenate([start[:4] + share * slope, start[4:]])
+
+        first = rate(start)
+        second = rate(ahead(h / 2, first))
+        middle = ahead(h / 2, second)
+        third = rate(middle)
+        fourth = rate(ahead(h, third))
+        decay = math.exp(-RATE * h)
+        self.state[:, :4] += (h / 6 * (first + 2 * second + 2 * third + fourth)).T
+        self.state[:, 4:6] *= decay
+        _, slope, by_state = self._acceleration(middle, push)
+        jacobian = np.moveaxis(by_state, -1, 0)  # (l, 2, 12)
+        bent = jacobian[:, :, 2:4] @ jacobian
+        bent[:, :, 2:4] += jacobian[:, :, :2]
+        bent[:, :, 4:6] -= RATE * jacobian[:, :, 4:6]
+        step = np.broadcast_to(np.eye(N), (len(LEVELS), N, N)).copy()
+        step[:, :2] += h**2 / 2 * jacobian
+        step[:, range(2), range(2, 4)] += h
+        step[:, 2:4] += h * jacobian + h**2 / 2 * bent
+        step[:, range(4, 6), range(4, 6)] = decay
+        covariance = step @ self.covariance @ np.swapaxes(step, 1, 2)
+        level = (LEVELS * speed) ** 2
+        white = FLOOR**2 * level * (2 / RATE) * (slope[0, 0] ** 2 + slope[0, 1] ** 2) * h
+        for i in range(2):
+            covariance[:, 4 + i, 4 + i] += level * (1 - decay**2)
+            covariance[:, 2 + i, 2 + i] += white
+            covariance[:, i, i] += white * h**2 / 3
+            covariance[:, i, 2 + i] += white * h / 2
+            covariance[:, 2 + i, i] += white * h / 2
+        self.covariance = covariance
+
+    def _correct(self, place: int, measured: float, variance: float) -> tuple[Array, Array]:
+        """Take a measured number; normalised innovations (l,) and their log-likelihoods (l,)."""
+        spread = self.covariance[:, place, place] + variance
+        innovation = measured - self.state[:, place]
+        unit = innovation / np.sqrt(spread)
+        inside = unit**2 < GATE
+        gain = self.covariance[:, :, place] / spread[:, None] * inside[:, None]
+        self.state += gain * innovation[:, None]
+        self.covariance -= spread[:, None, None] * gain[:, :, None] * gain[:, None, :]
+        unit = np.clip(unit, -math.sqrt(GATE), math.sqrt(GATE))
+        return unit, -np.log(spread) / 2 - unit**2 / 2
+
+    def _follow(self, z: Array, h: float, push: Array) -> None:
+        """Follow the flow with one sample z (4,), h seconds after the last."""
+        settings = self.settings
+        speed = speed_of(self.state[int(np.argmax(self.log_likelihood)), FLOW])
+        rate = 1.0 / settings.response_time + 2.0 * settings.drag * speed
+        parts = 1 + math.floor(min(2 * h * rate, 15.0))
+        for _ in range(parts):
+            self._predict(h / parts, push, speed)
+        anneal = 1 + ANNEAL * math.exp(-self.age / 50)
+        away = z[:2] - self.anchor
+        units, likelihood = np.zeros((len(LEVELS), 4)), np.zeros(len(LEVELS))
+        for i, measured in enumerate((*away, *z[2:])):
+            units[:, i], more = self._correct(i, measured, self.noise[i // 2] * anneal)
+            likelihood += more
+        fade = 1 / (self.age + 2 if self.age < HORIZON else HORIZON + 2)
+        self.log_likelihood = FADE * self.log_likelihood + likelihood
+        self.square = self.square + fade * ((units**2).mean(axis=1) - self.square)
+        self.product = self.product + fade * ((units * self.last).mean(axis=1) - self.product)
+        self.last = units
+        if settings.memory > 0:
+            grow = np.ones(N)
+            grow[FLOW] = math.exp(h / settings.memory / 2)
+            self.covariance *= grow[:, None] * grow
+        power = np.sum(self.state[:, 6:10] ** 2, axis=1, keepdims=True) / 2
+        size = np.sum(self.state[:, 10:] ** 2, axis=1, keepdims=True)
+        walk = h * WALK**2 * np.concatenate([np.repeat(power, 4, 1), np.repeat(size, 2, 1)], 1)
+        self.covariance[:, range(6, N), range(6, N)] += walk
+        if away @ away > (settings.lower / 2) ** 2:
+            self._rebase(away)
+            self.anchor = z[:2].copy()
+        self.age += 1
+        outlier = bool((units**2 >= GATE).any(axis=1).all())
+        self.gated += (outlier - self.gated) / 32
+        astray = self.square.min() > 2 or self.remaining[0] > self.remaining[1] / 2
+        if self.gated > 0.3 or (self.age > 150 and astray):  # lost
+            self.following = self.sweeping = False
+            self.doubt = BoardDoubt.NO_FLOW
+
+    # ---- the search
+
+    def _take_row(self, z: Array, push: Array) -> None:
+        """Add a sample to the block; when it is long enough, its mean and slope become a row."""
+        settings = self.settings
+        self.block.append(np.concatenate([[self.block_time], z, push]))
+        count, mean = len(self.block), np.mean(self.block, axis=0)
+        moved = self.block_time * math.hypot(mean[3], mean[4])
+        if count < 4 or (moved < settings.lower / 4 and count < BLOCK_MOST):
+            return
+        block = np.array(self.block)
+        time = block[:, 0] - mean[0]
+        force = time @ block[:, 3:5] / (time @ time) - mean[5:]
+        rate = 1.0 / settings.response_time
+        reach = rate + math.sqrt(rate**2 + 4 * settings.drag * math.hypot(*force))
+        row = np.concatenate([mean[1:3], mean[3:5] + (2 * force / reach if reach > 0 else 0.0)])
+        self.rows[self.row_place] = row
+        self.block, self.row_place = [], (self.row_place + 1) % ROWS
+        self.row_count = min(self.row_count + 1, ROWS)
+        if self.following:
+            flow = self.state[int(np.argmax(self.log_likelihood)), FLOW]
+            w, _, _ = waves(flow, *(row[:2] - self.anchor))
+            squares = np.array([np.sum((row[2:] - w) ** 2), np.sum(row[2:] ** 2)])
+            self.remaining = self.remaining + (squares - self.remaining) / 32
+
+    def _look(self, rows: Array) -> bool:
+        """Look at the next candidate; False where the sweep is at its end."""
+        settings, around = self.settings, math.sqrt(2.0) * math.pi
+        step = self.spacing if settings.any_heading else self.spacing / 2
+        size = around / settings.upper + step * self.radius
+        if size > around / settings.lower + step:
+            return False
+        turns, angle = 1, math.pi / 4
+        if settings.any_heading:
+            turns = math.ceil(math.pi / 2 * size / step)
+            angle = math.pi / 2 * self.turn / turns
+        self._hold(self._explained(rows, size, angle), size, angle)
+        self.turn += 1
+        if self.turn >= turns:
+            self.turn, self.radius = 0, self.radius + 1
+        return True
+
+    def _explained(self, rows: Array, size: float, angle: float) -> float:
+        """Share of the rows' squares that two waves at a right angle explain, equally strong."""
+        share, weight, amplitude = 0.0, [], []
+        for k, l in (  # noqa: E741
+            (size * math.cos(angle), size * math.sin(angle)),
+            (-size * math.sin(angle), size * math.cos(angle)),
+        ):
+            phase = rows[:, :2] @ (k, l)
+            s, c, across = np.sin(phase), np.cos(phase), rows[:, 2:] @ (l / size, -k / size)
+            ss, sc, cc = 1.01 * (s @ s), s @ c, 1.01 * (c @ c)  # a little ridge
+            determinant = ss * cc - sc * sc
+            of_sine = (cc * (s @ across) - sc * (c @ across)) / determinant
+            of_cosine = (ss * (c @ across) - sc * (s @ across)) / determinant
+            share += of_sine * (s @ across) + of_cosine * (c @ across)
+            weight.append(2 * determinant / (ss + cc))
+            amplitude.append(math.hypot(of_sine, of_cosine))
+        apart = weight[0] * weight[1] / (weight[0] + weight[1])
+        return float(share - apart * (amplitude[0] - amplitude[1]) ** 2) / self.total
+
+    def _hold(self, score: float, size: float, angle: float) -> None:
+        """Hold a candidate that is the best of its lobe, and among the best of all."""
+        place = len(self.peaks)
+        for i, peak in enumerate(self.peaks):
+            turn = heading_of(angle - peak.angle)
+            if (size - peak.size) ** 2 + (turn * size) ** 2 < (2.6 * self.spacing) ** 2:
+                place = i
+                break
+        if place == PEAKS:
+            place = min(range(PEAKS), key=lambda i: self.peaks[i].score)
+        if place == len(self.peaks):
+            self.peaks.append(Peak(score, size, angle))
+        elif score > self.peaks[place].score:
+            self.peaks[place] = Peak(score, size, angle)
+
+    def _refine(self, rows: Array, peak: Peak, *, first: bool) -> bool:
+        """A step of Levenberg and Marquardt for a peak, on all rows; False where there is none."""
+        assert peak.trial is not None
+        w, _, by_flow = waves(peak.trial[:, None], *(rows[:, :2] - self.middle).T)
+        error, columns = (rows[:, 2:].T - w).ravel(), np.moveaxis(by_flow, 1, 2).reshape(-1, M)
+        normal, right = columns.T @ columns, columns.T @ error
+        residual = cost = float(error @ error)
+        weight = self.total / (20 * len(rows)) / EVEN**2
+        ties = () if first else (unevenness,) if self.settings.any_heading else (unevenness, heading)
+        for tie in ties:
+            value, gradient = tie(peak.trial)
+            cost += weight * value**2
+            right = right - weight * value * gradient
+            normal = normal + weight * np.outer(gradient, gradient)
+        if first or cost < peak.cost:
+            peak.flow, peak.information, peak.right = peak.trial, normal, right
+            peak.residual, peak.cost = residual, math.inf if first else cost
+            peak.damping = 0.01 if first else peak.damping / 4
+        else:
+            peak.damping *= 6
+        assert peak.information is not None
+        damped = peak.information + np.diag(peak.damping * np.diag(peak.information) + 1e-9)
+        try:
+            np.linalg.cholesky(damped)
+        except np.linalg.LinAlgError:
+            return False
+        peak.trial = peak.flow + np.linalg.solve(damped, peak.right)
+        return True
+
+    def _search(self, z: Array) -> None:
+        """The work of one sample while nothing is followed."""
+        if self.row_count < FEWEST_ROWS:
+            self.doubt = BoardDoubt.FEW_SAMPLES
+            return
+        rows = self.rows[: self.row_count]
+        if not self.sweeping:
+            extent = max(self.settings.lower, *np.ptp(rows[:, :2], axis=0).tolist())
+            self.spacing, self.sweeping, self.peaks = 2.0 / extent, True, []
+            self.radius = self.turn = self.refining = self.iteration = 0
+        self.total = float(np.sum(rows[:, 2:] ** 2))
+        if not self.refining:
+            for _ in range(self.settings.candidates):
+                if not self._look(rows):
+                    self.refining, self.iteration = 1, 0
+                    break
+            return
+        peak = self.peaks[self.refining - 1]
+        if not self.iteration:
+            direction = np.array([math.cos(peak.angle), math.sin(peak.angle)])
+            peak.trial = np.concatenate([np.zeros(4), peak.size * direction])
+            if self.refining == 1:
+                self.middle = rows[:, :2].mean(axis=0)
+        if not self._refine(rows, peak, first=not self.iteration):
+            peak.residual, self.iteration = math.inf, REFINEMENTS
+        self.iteration += 1
+        if self.iteration >= REFINEMENTS:
+            self.iteration, self.refining = 0, self.refining + 1
+            if self.refining > len(self.peaks):
+                self.sweeping = False
+                self.doubt = self._decide(z)
+
+    def _decide(self, z: Array) -> BoardDoubt:
+        """Start from the best peak, where it explains the rows and has no rival."""
+        best = min(self.peaks, key=lambda peak: peak.residual)
+        assert best.flow is not None
+        rival = math.inf
+        for peak in self.peaks:
+            length = length_of(peak.flow) if peak.flow is not None else math.nan
+            ratio = length / length_of(best.flow)
+            if not 0.97 <= ratio <= 1.03 and peak.residual < rival:
+                rival, self.rival = peak.residual, length
+        if not best.residual < (1 - EXPLAINED) * self.total:
+            return BoardDoubt.NO_FLOW
+        if self.row_count * math.log(rival / best.residual) < EVIDENCE:
+            return BoardDoubt.RIVAL
+        return self._start(best, z)
+
+    def _start(self, peak: Peak, z: Array) -> BoardDoubt:
+        """Start the filters from a peak, at the last sample z (4,)."""
+        assert peak.flow is not None and peak.information is not None
+        variance = peak.residual / (2 * self.row_count - M)
+        ridge = np.diag(1e-4 * np.diag(peak.information) + 1e-12)
+        inverse = variance * np.linalg.inv(peak.information + ridge)
+        uneven, gradient = unevenness(peak.flow)
+        if uneven**2 > 40 * gradient @ inverse @ gradient:
+            return BoardDoubt.SHAPE
+        value, error = parameters(peak.flow, inverse)
+        if not (error[0] < (0.03 * value[0]) ** 2 and error[1] < (0.01 * value[1]) ** 2):
+            return BoardDoubt.IMPRECISE
+        away = z[:2] - self.middle
+        self.state = np.tile(np.concatenate([away, z[2:], [0.0, 0.0], peak.flow]), (len(LEVELS), 1))
+        self.covariance = np.zeros((len(LEVELS), N, N))
+        self.covariance[:, range(4), range(4)] = np.repeat(self.noise, 2)
+        self.covariance[:, range(4, 6), range(4, 6)] = ((LEVELS * value[0]) ** 2)[:, None]
+        self.covariance[:, FLOW, FLOW] = 4 * inverse
+        self._rebase(away)
+        levels = len(LEVELS)
+        self.log_likelihood, self.square = np.zeros(levels), np.ones(levels)
+        self.product, self.last = np.zeros(levels), np.zeros((levels, 4))
+        self.anchor, self.following, self.remaining = z[:2].copy(), True, np.zeros(2)
+        self.age = self.gated = 0.0
+        return BoardDoubt.SETTLING
+
+    # ---- the answer
+
+    def estimate(self) -> BoardAnswer:
+        """Answer from all samples so far: the filters weighed by their likelihoods."""
+        if not self.following:
+            rival = self.rival if self.doubt is BoardDoubt.RIVAL else 0.0
+            nothing = np.full(4, math.nan)
+            return BoardAnswer(self.doubt, self.samples, nothing, np.zeros(4), rival=rival)
+        weight = np.exp(self.log_likelihood - self.log_likelihood.max())
+        weight /= weight.sum()
+        flow: Array = weight @ self.state[:, FLOW]
+        apart = self.state[:, FLOW] - flow
+        spreads = self.covariance[:, FLOW, FLOW] + apart[:, :, None] * apart[:, None]
+        covariance = np.einsum("l,lij->ij", weight, spreads)
+        uneven, gradient = unevenness(flow)  # both waves are as strong: a condition
+        spread = float(gradient @ covariance @ gradient)
+        gain = covariance @ gradient / spread
+        flow = flow - gain * uneven
+        innovation = float(weight @ self.square)
+        covariance = (covariance - spread * np.outer(gain, gain)) * max(innovation, 1.0)
+        value, variance = parameters(flow, covariance)
+        error = np.sqrt(np.maximum(variance, 0.0))
+        remaining = self.remaining
+        unexplained = float(remaining[0] / remaining[1]) if remaining[1] > 0 else 1.0
+        correlation = float(weight @ self.product)
+        settings, doubt = self.settings, BoardDoubt.NO_DOUBT
+        if self.age < SETTLED:
+            doubt = BoardDoubt.SETTLING
+        elif not innovation < 1.6 or correlation > 0.5 or unexplained > 0.3:
+            doubt = BoardDoubt.INNOVATIONS
+        elif not settings.any_heading and abs(value[3]) > 0.02 + 3 * error[3]:
+            doubt = BoardDoubt.TURNED
+        elif uneven**2 > 16 * spread and abs(uneven) > EVEN:
+            doubt = BoardDoubt.SHAPE
+        elif not (error[:3] < settings.precision / 1.96 * value[:3]).all():
+            doubt = BoardDoubt.IMPRECISE
+        elif not settings.lower <= value[1] <= settings.upper:
+            doubt = BoardDoubt.EDGE
+        return BoardAnswer(
+            doubt,
+            self.samples,
+            value,
+            error,
+            innovation,
+            correlation,
+            float(weight @ LEVELS),
+            unexplained,
+            0.0,
+            np.concatenate([flow, self.anchor + self.origin]),
+        )
+
+
+def board_of(settings: BoardSettings, *, compiled: bool = True) -> Any:
+    """Return the compiled board, or `Board` where there is none or it is not wanted."""
+    if CompiledFlow is None or not compiled:
+        return Board(settings)
+    return CompiledFlow(astuple(settings))
+
+
+def answer_of(board: Any) -> BoardAnswer:
+    """Return the answer of a board of either kind."""
+    if isinstance(board, Board):
+        return board.estimate()
+    doubt, samples, values, errors, tests, rival, flow = board.estimate()
+    value, error = np.array(values), np.array(errors)
+    return BoardAnswer(BoardDoubt(doubt), samples, value, error, *tests, rival, np.array(flow))

@@ -1,0 +1,96 @@
+# cython: language_level=3
+"""The C of `templates/sf_flow.c` in doubles, with the methods of `sparsefit.onboard.board.Board`."""
+
+from libc.stdint cimport uint32_t, uint64_t
+from libc.string cimport memcpy
+
+
+cdef extern from "sf_flow.h":
+    ctypedef double sf_real
+    ctypedef int sf_status
+    ctypedef int sf_doubt
+    ctypedef struct sf_config:
+        sf_real response_time, drag, thrust_x, thrust_y, thrust_scale
+        sf_real lower, upper, precision, memory
+        uint32_t any_heading, candidates
+    ctypedef struct sf_answer:
+        sf_status status
+        sf_doubt doubt
+        uint32_t samples
+        sf_real mean_velocity, length_scale, timescale, heading
+        sf_real mean_velocity_error, length_scale_error, timescale_error, heading_error
+        sf_real innovation, correlation, disturbance, unexplained, rival
+        sf_real flow[8]
+    ctypedef struct sf_flow:
+        uint32_t samples, restarts, following
+    sf_status sf_init(sf_flow *flow, const sf_config *config)
+    sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real *position,
+                        const sf_real *velocity, const sf_real *thrust)
+    sf_status sf_estimate(const sf_flow *flow, sf_answer *answer)
+
+
+cdef class CompiledFlow:
+    """The state of one estimator; it is its bytes, and can be pickled."""
+
+    cdef sf_flow flow
+
+    def __init__(self, settings):
+        """Begin with the fields of `BoardSettings`, in their order."""
+        cdef sf_config config
+        (config.response_time, config.drag, config.thrust_x, config.thrust_y, config.thrust_scale,
+         config.lower, config.upper, config.precision, config.memory, config.any_heading,
+         config.candidates) = settings
+        if sf_init(&self.flow, &config):
+            raise ValueError("a setting of the board is out of its range")
+
+    def update(self, uint64_t time_ns, double x, double y, double vx, double vy, thrust):
+        """Take a sample; the status of `sf_update`."""
+        cdef sf_real position[2]
+        cdef sf_real velocity[2]
+        cdef sf_real push[2]
+        position[0], position[1], velocity[0], velocity[1] = x, y, vx, vy
+        if thrust is None:
+            return sf_update(&self.flow, time_ns, position, velocity, NULL)
+        push[0], push[1] = thrust
+        return sf_update(&self.flow, time_ns, position, velocity, push)
+
+    def estimate(self):
+        """Doubt, samples, values (4), errors (4), four tests, rival and flow (8)."""
+        cdef sf_answer a
+        sf_estimate(&self.flow, &a)
+        values = (a.mean_velocity, a.length_scale, a.timescale, a.heading)
+        errors = (a.mean_velocity_error, a.length_scale_error, a.timescale_error, a.heading_error)
+        tests = (a.innovation, a.correlation, a.disturbance, a.unexplained)
+        return a.doubt, a.samples, values, errors, tests, a.rival, [a.flow[i] for i in range(8)]
+
+    @property
+    def restarts(self):
+        """The number of gaps and of clocks that were set."""
+        return self.flow.restarts
+
+    @property
+    def following(self):
+        """Whether the filters follow a flow."""
+        return bool(self.flow.following)
+
+    @property
+    def nbytes(self):
+        """Bytes of the state."""
+        return sizeof(sf_flow)
+
+    def __getstate__(self):
+        return (<char *>&self.flow)[: sizeof(sf_flow)]
+
+    def __setstate__(self, content):
+        if len(content) != sizeof(sf_flow):
+            raise ValueError("a state of another version")
+        memcpy(&self.flow, <char *>content, sizeof(sf_flow))
+
+    def __reduce__(self):
+        return _restored, (self.__getstate__(),)
+
+
+def _restored(content):
+    flow = CompiledFlow.__new__(CompiledFlow)
+    flow.__setstate__(content)
+    return flow

@@ -1,0 +1,233 @@
+"""From an estimator to C99 for the processor on board: `templates/` with its settings, and a test.
+
+The C has no settings of its own: the estimator's are the macro ``SF_SETTINGS`` of the header. The
+test replays a flight, and compares with the same recurrence in Python (`sparsefit.onboard.board`).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal
+
+import numpy as np
+
+from sparsefit import __version__
+from sparsefit.errors import InputError, one_line, one_of
+from sparsefit.estimator import Estimator
+from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight.flow import CellularFlow
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.logs import csv_file
+from sparsefit.logs.table import FlightTable
+from sparsefit.onboard.board import LEVELS, PEAKS, ROWS, answer_of, board_of
+from sparsefit.onboard.online import board_settings, refusal
+from sparsefit.whole_file import write_whole
+
+Real = Literal["double", "float"]
+TOLERANCES: dict[Real, float] = {"double": 1e-5, "float": 1e-2}
+EVERY = 50  # samples between the answers of the reference
+CLOCK = 400e6  # Hz of the processor that the example has in mind
+CYCLES = {"float": (3, 20, 120), "double": (6, 40, 400)}  # of a sum or product, a quotient, a sine
+_NAMES = ("response_time", "drag", "thrust_x", "thrust_y", "thrust_scale")
+
+
+@dataclass(frozen=True)
+class Work:
+    """Operations of one sample, at most: sums and products, quotients and roots, sines and logs."""
+
+    sums: int
+    quotients: int
+    functions: int
+
+    def microseconds(self, real: Real) -> float:
+        """Time [us] at `CLOCK` with the assumed cycles."""
+        counts = (self.sums, self.quotients, self.functions)
+        return sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK * 1e6
+
+
+def ram(real: Real) -> int:
+    """Return the bytes of the state: `sizeof(sf_flow)` rounded up to 64."""
+    filters = len(LEVELS) * (12 + 144 + 3 + 4)
+    reals = 52 + 4 * ROWS + PEAKS * (3 + 3 * 6 + 36 + 3) + filters
+    return math.ceil((reals * (8 if real == "double" else 4) + 96) / 64) * 64
+
+
+def following() -> Work:
+    """Return the work of a sample that is followed by all filters, in one step of the motion."""
+    waves, product, corrections = 5 * 2 * 45, 2 * (4 * 144 + 21 * 12), 4 * (12 + 2 * 78)
+    return Work(len(LEVELS) * (waves + product + corrections + 200), len(LEVELS) * 40, 4 * 30)
+
+
+def searching(candidates: int) -> Work:
+    """Return the work of a sample of the search that looks at so many candidates."""
+    return Work(candidates * ROWS * 2 * 18 + 4 * ROWS, candidates * 12, candidates * ROWS * 4)
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """The flash [bytes] of code and constants, and the stack [bytes] of all frames together."""
+
+    compiler: str
+    flash: int
+    stack: int
+
+
+def footprint(content: dict[str, bytes], compiler: str | None) -> Footprint | None:
+    """Compile the C for size; None where no compiler is named and there is none.
+
+    Raises:
+        InputError: where a named one is missing or refuses the source.
+    """
+    command = (compiler or "cc").split()
+    if not shutil.which(command[0]):
+        if compiler:
+            raise InputError(f"--compiler {compiler}: there is no such program; check its name")
+        return None
+    flags = ("-std=c99", "-Os", "-fstack-usage", "-c", "sf_flow.c", "-o", "sf_flow.o")
+    with TemporaryDirectory() as folder:
+
+        def run(*words: str) -> subprocess.CompletedProcess[str]:
+            return subprocess.run(
+                words, cwd=folder, capture_output=True, text=True, check=False, timeout=120
+            )
+
+        for name in ("sf_flow.h", "sf_flow.c"):
+            write_whole(Path(folder) / name, content[name])
+        result = run(*command, *flags)
+        if result.returncode and compiler:
+            first = one_line(result.stderr.strip().partition("\n")[0])
+            raise InputError(f"--compiler {compiler}: {first or 'it failed'}; is it for C99?")
+        size = re.sub(r"(gcc|clang|cc)$", "size", command[0])
+        size = size if size != command[0] and shutil.which(size) else "size"
+        if result.returncode or not shutil.which(size):
+            return None
+        flash = int(run(size, "sf_flow.o").stdout.splitlines()[1].split()[0])
+        frames = [line for file in Path(folder).glob("*.su") for line in file.read_text().split("\n")]
+        stack = sum(int(line.split("\t")[1]) for line in frames if line)
+        version = one_line(run(*command, "--version").stdout.partition("\n")[0])
+    return Footprint(version or command[0], flash, stack)
+
+
+def costs(real: Real, candidates: int, measured: Footprint | None) -> list[str]:
+    """Return RAM, flash, stack, work and time in lines for people."""
+    lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`"]
+    if measured:
+        lines.append(f"flash  {measured.flash} bytes by {measured.compiler}, -Os, without math.h")
+        lines.append(f"stack  at most {measured.stack} bytes: all frames together")
+    else:
+        lines.append("flash  not measured: no compiler was here")
+    for name, work in (("following", following()), ("searching", searching(candidates))):
+        lines.append(
+            f"work   {name}: {work.sums} sums and products, {work.quotients} quotients and roots, "
+            f"{work.functions} sines,"
+        )
+        lines.append(
+            f"       cosines, logs a sample, at most: {work.microseconds(real):.0f} us at "
+            f"{CLOCK / 1e6:.0f} MHz (cycles assumed, not measured)"
+        )
+    return lines
+
+
+def example_flight(estimator: Estimator, seed: int = 7) -> Flight:
+    """Return a flight of 2001 samples amid the grid, with usual noise, steps of whole ns."""
+    grid = estimator.library.grid
+    flow = CellularFlow(15.0, min(math.sqrt(grid.lower * grid.upper), 4.0 * grid.lower))
+    tau = 1.5 * flow.timescale
+    vehicle = PointMassVehicle(tau, (3.0 / tau, 2.0 / tau))
+    step = max(1, round(1e6 * 0.06 * flow.timescale)) * 1e-6
+    return simulate_flight(
+        flow,
+        vehicle,
+        duration=2000 * step,
+        sample_rate=1 / step,
+        seed=seed,
+        position_noise=0.01 * flow.length_scale,
+        velocity_noise=0.01 * flow.mean_velocity,
+    )
+
+
+def reference(estimator: Estimator, flight: Flight) -> list[str]:
+    """Return the lines of the test's reference: every 50th answer of the recurrence in Python."""
+    board = board_of(board_settings(estimator, flight.vehicle), compiled=False)
+    clock = np.floor((flight.time - flight.time[0]) * 1e9 + 0.5).astype(np.int64).tolist()
+    lines = [
+        "sample,doubt,mean_velocity,length_scale,timescale,heading,mean_velocity_error,"
+        "length_scale_error,innovation,unexplained"
+    ]
+    samples = np.column_stack([flight.position, flight.velocity]).tolist()
+    thrust = [None] * flight.samples if flight.thrust is None else flight.thrust.tolist()
+    for number, (time, sample, push) in enumerate(zip(clock, samples, thrust, strict=True), 1):
+        board.update(time, *sample, push)
+        if number % EVERY == 0:
+            answer = answer_of(board)
+            values = (*answer.value, *answer.error[:2], answer.innovation, answer.unexplained)
+            lines.append(",".join([str(number), str(int(answer.doubt)), *map(repr, map(float, values))]))
+    return lines
+
+
+def package(
+    estimator: Estimator,
+    real: Real = "double",
+    flight: Flight | None = None,
+    *,
+    source: str = "an estimator",
+    compiler: str | None = None,
+) -> dict[str, bytes]:
+    """Return the files of the C by their paths: source, build, README and test.
+
+    Args:
+        estimator: whose settings the search has.
+        real: the C type of all numbers.
+        flight: of the test; by default one that is simulated.
+        source: what the estimator was read from, for the header.
+        compiler: that measures flash and stack; by default ``cc`` where there is one.
+
+    Raises:
+        InputError: where the estimator cannot run on board, or a named compiler fails.
+    """
+    one_of("C type", real, TOLERANCES)
+    if reason := refusal(estimator):
+        raise InputError(reason)
+    flown = example_flight(estimator) if flight is None else flight
+    settings = board_settings(estimator, flown.vehicle)
+    searched = {name: getattr(settings, name) for name in settings.__dataclass_fields__
+                if name not in _NAMES}  # fmt: skip
+    macro = ", ".join(f".{name} = {value!r}" for name, value in searched.items())
+    folder = files("sparsefit.onboard") / "templates"
+    texts = {
+        name: (folder / name).read_text()
+        for name in ("sf_flow.h", "sf_flow.c", "CMakeLists.txt", "README.md", "replay.c")
+    }
+    origin = f"Made by sparsefit {__version__} from {one_line(source, 50).replace('*/', '')}."
+    lines = costs(real, settings.candidates, None)
+
+    def filled(told: list[str]) -> dict[str, bytes]:
+        header = texts["sf_flow.h"].replace("@origin@", origin)
+        header = header.replace(" * @costs@", "\n".join(f" * {line}" for line in told))
+        header = header.replace("#define SF_REAL double", f"#define SF_REAL {real}")
+        given = f"/* The search of the estimator, for an initialiser of sf_config. */\n#define SF_SETTINGS {macro}"
+        header = header.replace("/* @settings@ */", _wrapped(given))
+        readme = texts["README.md"].replace("@origin@", origin)
+        readme = readme.replace("@costs@", "\n".join(f"    {line}" for line in told))
+        both = {"sf_flow.h": header, "sf_flow.c": texts["sf_flow.c"], "README.md": readme}
+        both |= {"CMakeLists.txt": texts["CMakeLists.txt"], "test/replay.c": texts["replay.c"]}
+        tolerance = f"{TOLERANCES[real]:g}"
+        return {name: text.replace("@tolerance@", tolerance).encode() for name, text in both.items()}
+
+    measured = footprint(filled(lines), compiler)
+    content = filled(costs(real, settings.candidates, measured))
+    content["test/flight.csv"] = csv_file.encode(FlightTable.from_flight(flown))
+    content["test/reference.csv"] = ("\n".join(reference(estimator, flown)) + "\n").encode()
+    return content
+
+
+def _wrapped(text: str) -> str:
+    """The macro on lines of at most 100 letters."""
+    return re.sub(r", (\.precision)", r", \\\n    \1", text)
