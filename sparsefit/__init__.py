@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from sparsefit.logs.checks import check_log as check_log
     from sparsefit.logs.checks import quality_of as quality_of
     from sparsefit.modes import Readout as Readout
-    from sparsefit.online import OnlineEstimator as OnlineEstimator
+    from sparsefit.onboard import OnlineEstimator as OnlineEstimator
     from sparsefit.regression import Certificate as Certificate
     from sparsefit.regression import Fit as Fit
     from sparsefit.regression import Path as Path
@@ -84,7 +84,7 @@ _HOMES = {
     "ScaleEstimate": "estimator",
     "CertificateMap": "estimator.certificate_map",
     "certificate_map": "estimator.certificate_map",
-    "OnlineEstimator": "online",
+    "OnlineEstimator": "onboard",
     "ScalesScore": "score",
     "Score": "score",
     "prediction_error": "score",

@@ -16,7 +16,7 @@ from sparsefit import backends
 from sparsefit.derivative import Derivative
 from sparsefit.library import LengthScaleGrid, Library, WaveGrid
 from sparsefit.modes import Readout
-from sparsefit.online.stream import Stream
+from sparsefit.onboard import Stream
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.spec.contenders import RESERVED as CONTENDER_KEYS
 from sparsefit.study.spec.flights import WORDS

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass, field
 from enum import IntEnum
+from importlib import import_module
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from sparsefit.arrays import Array
 
 try:
-    from sparsefit.onboard.compiled import CompiledFlow
+    CompiledFlow: Any = import_module("sparsefit.onboard.compiled").CompiledFlow
 except ImportError:  # where there is no compiler
     CompiledFlow = None
 
@@ -128,10 +129,10 @@ class Peak:
     score: float
     size: float
     angle: float
-    flow: Array | None = None  # (6,)
-    trial: Array | None = None
-    right: Array | None = None
-    information: Array | None = None  # (6, 6)
+    flow: Array = field(default_factory=lambda: np.full(M, np.nan))
+    trial: Array = field(default_factory=lambda: np.zeros(M))
+    right: Array = field(default_factory=lambda: np.zeros(M))
+    information: Array = field(default_factory=lambda: np.zeros((M, M)))
     residual: float = math.inf
     cost: float = math.inf
     damping: float = 0.01
@@ -255,10 +256,12 @@ class Board:
             self.time_ns, self.origin = time_ns, z[:2].copy()
         h, status = max(time_ns - self.time_ns, 0) * 1e-9, OK
         if self.samples and (not h > 0 or (self.step > 0 and h > GAP * self.step)):
-            if not self.suspects or time_ns <= self.suspect_ns:
-                self.suspects, self.suspect_ns = 1, time_ns
+            since = max(time_ns - self.suspect_ns, 0) * 1e-9
+            later = self.suspects > 0 and since > 0
+            if not later or (since > GAP * self.step and self.suspects < 2):
+                self.suspects, self.suspect_ns = self.suspects + 1 if later else 1, time_ns
                 return BAD_TIME
-            h = self.step = (time_ns - self.suspect_ns) * 1e-9  # two in a row: a new clock
+            h = self.step = since  # the last one and this: a new clock
             status = GAP_TAKEN
         elif self.samples:
             self.step += (h - self.step) / (16.0 if self.step > 0 else 1.0)
@@ -500,13 +503,14 @@ class Board:
 
     def _refine(self, rows: Array, peak: Peak, *, first: bool) -> bool:
         """A step of Levenberg and Marquardt for a peak, on all rows; False where there is none."""
-        assert peak.trial is not None
         w, _, by_flow = waves(peak.trial[:, None], *(rows[:, :2] - self.middle).T)
         error, columns = (rows[:, 2:].T - w).ravel(), np.moveaxis(by_flow, 1, 2).reshape(-1, M)
         normal, right = columns.T @ columns, columns.T @ error
         residual = cost = float(error @ error)
         weight = self.total / (20 * len(rows)) / EVEN**2
-        ties = () if first else (unevenness,) if self.settings.any_heading else (unevenness, heading)
+        ties = (
+            () if first else (unevenness,) if self.settings.any_heading else (unevenness, heading)
+        )
         for tie in ties:
             value, gradient = tie(peak.trial)
             cost += weight * value**2
@@ -518,7 +522,6 @@ class Board:
             peak.damping = 0.01 if first else peak.damping / 4
         else:
             peak.damping *= 6
-        assert peak.information is not None
         damped = peak.information + np.diag(peak.damping * np.diag(peak.information) + 1e-9)
         try:
             np.linalg.cholesky(damped)
@@ -562,10 +565,9 @@ class Board:
     def _decide(self, z: Array) -> BoardDoubt:
         """Start from the best peak, where it explains the rows and has no rival."""
         best = min(self.peaks, key=lambda peak: peak.residual)
-        assert best.flow is not None
         rival = math.inf
         for peak in self.peaks:
-            length = length_of(peak.flow) if peak.flow is not None else math.nan
+            length = length_of(peak.flow)
             ratio = length / length_of(best.flow)
             if not 0.97 <= ratio <= 1.03 and peak.residual < rival:
                 rival, self.rival = peak.residual, length
@@ -577,10 +579,9 @@ class Board:
 
     def _start(self, peak: Peak, z: Array) -> BoardDoubt:
         """Start the filters from a peak, at the last sample z (4,)."""
-        assert peak.flow is not None and peak.information is not None
         variance = peak.residual / (2 * self.row_count - M)
         ridge = np.diag(1e-4 * np.diag(peak.information) + 1e-12)
-        inverse = variance * np.linalg.inv(peak.information + ridge)
+        inverse = variance * np.asarray(np.linalg.inv(peak.information + ridge), np.float64)
         uneven, gradient = unevenness(peak.flow)
         if uneven**2 > 40 * gradient @ inverse @ gradient:
             return BoardDoubt.SHAPE
@@ -666,4 +667,16 @@ def answer_of(board: Any) -> BoardAnswer:
         return board.estimate()
     doubt, samples, values, errors, tests, rival, flow = board.estimate()
     value, error = np.array(values), np.array(errors)
-    return BoardAnswer(BoardDoubt(doubt), samples, value, error, *tests, rival, np.array(flow))
+    innovation, correlation, disturbance, unexplained = tests
+    return BoardAnswer(
+        BoardDoubt(doubt),
+        samples,
+        value,
+        error,
+        innovation,
+        correlation,
+        disturbance,
+        unexplained,
+        rival,
+        np.array(flow),
+    )

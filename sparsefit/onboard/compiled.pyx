@@ -43,7 +43,7 @@ cdef class CompiledFlow:
         if sf_init(&self.flow, &config):
             raise ValueError("a setting of the board is out of its range")
 
-    def update(self, uint64_t time_ns, double x, double y, double vx, double vy, thrust):
+    def update(self, uint64_t time_ns, double x, double y, double vx, double vy, thrust=None):
         """Take a sample; the status of `sf_update`."""
         cdef sf_real position[2]
         cdef sf_real velocity[2]

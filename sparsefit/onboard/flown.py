@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 from sparsefit.errors import InputError, positive
 from sparsefit.estimator import Estimate, Estimator
 from sparsefit.flight import Flight
-from sparsefit.onboard.online import OnlineEstimator, estimate_of, refusal
 from sparsefit.onboard.board import BoardAnswer, answer_of
+from sparsefit.onboard.online import OnlineEstimator, estimate_of, refusal
 from sparsefit.regression import Fit
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Stream:
 
     def flown(self, estimator: Estimator) -> FlownEstimator:
         """Return the estimator as it flies."""
-        own = {item.name: getattr(estimator, item.name) for item in fields(estimator)}
+        own = {item.name: getattr(estimator, item.name) for item in fields(Estimator)}
         return FlownEstimator(**own, stream=self)
 
     def followed(self, estimator: Estimator, flight: Flight) -> OnlineEstimator:
@@ -107,10 +107,6 @@ class FlownEstimator(Estimator):
             raise InputError(f"on board one flight is followed, not {len(fleet)} together")
         answer = answer_of(self.stream.followed(self.batch, fleet[0])._board)
         return cast("Prepared", FlownRows(self.batch.prepare(fleet[0]), answer))
-
-    def read(self, prepared: Prepared, fit: Fit) -> Estimate:
-        """Return the board's answer."""
-        return cast(FlownRows, prepared).read(self, fit)
 
     def estimate(self, flights: Flight | Sequence[Flight]) -> Estimate:
         """Estimate from a flight, sample by sample."""

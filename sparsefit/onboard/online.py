@@ -175,16 +175,13 @@ class OnlineEstimator:
             InputError: where a value is not finite or no flight has it, or the time is out of
                 line. The sample is left out, and nothing changes.
         """
-        try:
-            x, y = position  # type: ignore[misc]
-            vx, vy = velocity  # type: ignore[misc]
-            plain = {type(x), type(y), type(vx), type(vy), type(time)} <= _NUMBERS
-        except (TypeError, ValueError):
-            plain = False
-        if not plain:
+        place, speed = _plain(position), _plain(velocity)
+        if place is None or speed is None or type(time) not in _NUMBERS:
             time = finite("time", time, "s")
-            x, y = pair("position", position, "m")
-            vx, vy = pair("velocity", velocity, "m/s")
+            place = pair("position", position, "m")
+            speed = pair("velocity", velocity, "m/s")
+        x, y = place
+        vx, vy = speed
         push = None if thrust is None else pair("thrust", thrust, "m/s^2")
         with self._lock:
             if self._first is None:
@@ -203,8 +200,8 @@ class OnlineEstimator:
             if not self._count:
                 self._first = None
         finite("time", time, "s")
-        pair("position", (x, y), "m")
-        pair("velocity", (vx, vy), "m/s")
+        pair("position", place, "m")
+        pair("velocity", speed, "m/s")
         if status == BAD_SAMPLE:
             raise InputError("a sample beyond 1e7 in SI units: no flight; change the unit")
         raise InputError(
@@ -261,6 +258,15 @@ class OnlineEstimator:
         with self._lock:
             answer = answer_of(self._board)
         return estimate_of(self.estimator, answer)
+
+
+def _plain(vector: Any) -> tuple[float, float] | None:
+    """Two plain numbers, which need no other check than that of the board; None of all else."""
+    if type(vector) in (tuple, list, np.ndarray) and len(vector) == 2:
+        x, y = vector
+        if type(x) in _NUMBERS and type(y) in _NUMBERS:
+            return x, y
+    return None
 
 
 def estimate_of(estimator: Estimator, answer: BoardAnswer, **fields: Any) -> Estimate:

@@ -24,7 +24,7 @@ from sparsefit import Derivative, Estimator, LengthScaleGrid, Library, Readout, 
 from sparsefit.codec import Place, build, made, number, only, shown, text
 from sparsefit.errors import SparsefitError, suggestion, told_with
 from sparsefit.modes.readout import UNNAMED
-from sparsefit.online.stream import Stream
+from sparsefit.onboard import Stream
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, nearest, read_flight_rules
 from sparsefit.study.logged import FILES, Logs, read_logs

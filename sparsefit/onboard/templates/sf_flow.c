@@ -939,12 +939,16 @@ sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real position[2],
     h = time_ns > flow->time_ns ? R((double)(time_ns - flow->time_ns) * 1e-9) : 0;
     if ((flow->samples > 0u) &&
         (!(h > 0) || ((flow->step > 0) && (h > GAP * flow->step)))) { /* out of line */
-        if ((flow->suspects == 0u) || (time_ns <= flow->suspect_ns)) {
-            flow->suspects = 1;
+        const sf_real since = time_ns > flow->suspect_ns
+                                  ? R((double)(time_ns - flow->suspect_ns) * 1e-9)
+                                  : 0;
+        const int later = (flow->suspects > 0u) && (since > 0);
+        if (!later || ((since > GAP * flow->step) && (flow->suspects < 2u))) {
+            flow->suspects = later ? flow->suspects + 1u : 1u;
             flow->suspect_ns = time_ns;
             return SF_BAD_TIME;
         }
-        h = R((double)(time_ns - flow->suspect_ns) * 1e-9); /* two in a row: a new clock */
+        h = since; /* the last one and this: a new clock */
         flow->step = h;
         status = SF_GAP;
     } else if (flow->samples > 0u) {

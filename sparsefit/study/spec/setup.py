@@ -13,7 +13,7 @@ from sparsefit.estimator.estimator import Estimator
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.modes.readout import UNNAMED, Readout
-from sparsefit.online.stream import Stream
+from sparsefit.onboard import Stream
 from sparsefit.study.spec.document import Section
 from sparsefit.study.spec.flights import KEYS as FLIGHT_KEYS
 from sparsefit.study.spec.flights import FlightRules, read_flights

@@ -1,5 +1,0 @@
-"""Estimating on board, from samples as they come."""
-
-from sparsefit.online.estimator import OnlineEstimator
-
-__all__ = ["OnlineEstimator"]

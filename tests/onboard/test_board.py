@@ -1,0 +1,199 @@
+"""The recurrence on board: its algebra by finite differences, and C and NumPy held together."""
+
+import math
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.flight.vehicle import turning
+from sparsefit.onboard import board as module
+from sparsefit.onboard.board import (
+    Board,
+    BoardDoubt,
+    BoardSettings,
+    answer_of,
+    board_of,
+    heading,
+    parameters,
+    rebased,
+    unevenness,
+    waves,
+)
+
+SETTINGS = BoardSettings(0.3, 0.0, 2.0, -1.0, 1.0, 2.0, 8.0, 0.03)
+FLOW = np.array([1.5, -1.0, 0.7, 1.8, 0.6, 0.7])
+compiled = pytest.mark.skipif(module.CompiledFlow is None, reason="there was no compiler")
+
+
+def slopes(function, point, step=1e-6):
+    """Central differences of a function of a vector, the last axis along it."""
+    sides = [
+        (function(point + step * axis) - function(point - step * axis)) / (2 * step)
+        for axis in np.eye(len(point))
+    ]
+    return np.stack(sides, axis=-1)
+
+
+def flown(heading=0.3, seed=5, duration=12.0, rate=50.0, vehicle=None, flow=None, **noise):
+    vehicle = vehicle or sf.PointMassVehicle(0.3, (2.0, -1.0))
+    flow = flow or sf.ShapedCells(9.0, 3.5, heading=heading)
+    noise = {"position_noise": 0.03, "velocity_noise": 0.1} | noise
+    return sf.simulate_flight(
+        flow, vehicle, duration=duration, sample_rate=rate, seed=seed, **noise
+    )
+
+
+def fed(board, flight, rows=slice(None)):
+    clock = np.rint((flight.time - flight.time[0]) * 1e9).astype(np.int64)
+    thrust = [None] * flight.samples if flight.thrust is None else flight.thrust.tolist()
+    samples = np.column_stack([flight.position, flight.velocity]).tolist()
+    for row in range(flight.samples)[rows]:
+        yield board.update(int(clock[row]), *samples[row], thrust[row])
+
+
+def test_waves_are_cells_and_their_gradients_are_right():
+    cells = sf.ShapedCells(9.0, 3.5, heading=0.3)
+    k = cells.waves.wavevectors
+    flow = np.concatenate([np.ravel([cells.waves.cosine, cells.waves.sine], "F"), k[0]])
+    np.testing.assert_allclose(k[1], [-k[0, 1], k[0, 0]], atol=1e-12)
+    w, place, gradient = waves(flow, 1.3, -0.7)
+    np.testing.assert_allclose(w, cells.velocity(1.3, -0.7), atol=1e-12)
+    at = np.array([1.3, -0.7])
+    np.testing.assert_allclose(place, slopes(lambda x: waves(flow, *x)[0], at), atol=1e-7)
+    np.testing.assert_allclose(gradient, slopes(lambda p: waves(p, *at)[0], flow), atol=1e-7)
+    value, _ = parameters(flow, np.eye(6))
+    np.testing.assert_allclose(value, [9.0, 3.5, 3.5 / 9.0, 0.3], atol=1e-12)
+
+
+def test_parameters_and_ties_have_their_gradients():
+    for function in (unevenness, heading):
+        expected = slopes(lambda p, f=function: f(p)[0], FLOW)
+        np.testing.assert_allclose(function(FLOW)[1], expected, atol=1e-8)
+    gradients = slopes(lambda p: parameters(p, np.eye(6))[0], FLOW)
+    _, variances = parameters(FLOW, np.diag(np.arange(1.0, 7.0)))
+    np.testing.assert_allclose(variances, gradients**2 @ np.arange(1.0, 7.0), rtol=1e-6)
+
+
+def test_another_anchor_is_the_same_flow():
+    away = np.array([0.8, -0.5])
+    moved, jacobian = rebased(FLOW, away)
+    np.testing.assert_allclose(waves(moved, 0.2, 0.1)[0], waves(FLOW, 1.0, -0.4)[0], atol=1e-12)
+    np.testing.assert_allclose(jacobian, slopes(lambda p: rebased(p, away)[0], FLOW), atol=1e-8)
+
+
+def test_a_step_is_the_motion_and_its_covariance_the_linear_one():
+    board = Board(replace(SETTINGS, drag=0.05))
+    start = np.array([0.3, -0.4, 2.0, 1.0, 0.1, 0.2, *FLOW])
+
+    def stepped(state):
+        board.state = np.tile(state, (4, 1))
+        board.covariance = np.tile(np.eye(12), (4, 1, 1))
+        board._predict(0.02, np.array([2.0, -1.0]), 0.0)
+        return board.state[0].copy()
+
+    transition = slopes(stepped, start, 1e-5)
+    stepped(start)
+    np.testing.assert_allclose(board.covariance[0], transition @ transition.T, atol=5e-3)
+    np.testing.assert_allclose(board.covariance[0], board.covariance[0].T, atol=1e-14)
+
+
+def test_a_measurement_is_conditioned_on():
+    """Against the formula of a Gaussian, by hand."""
+    board = Board(SETTINGS)
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(12, 12))
+    state, p = rng.normal(size=12), root @ root.T
+    board.state, board.covariance = np.tile(state, (4, 1)), np.tile(p, (4, 1, 1))
+    board._correct(2, state[2] + 1.0, 0.5)
+    gain = p[:, 2] / (p[2, 2] + 0.5)
+    np.testing.assert_allclose(board.state[1], state + gain)
+    np.testing.assert_allclose(board.covariance[1], p - np.outer(gain, p[2]), atol=1e-12)
+
+
+WORLDS = {
+    "turned": (flown, {}),
+    "axes": (lambda: flown(0.0), {"any_heading": 0}),
+    "memory": (lambda: flown(seed=9), {"memory": 4.0}),
+    "thrust": (
+        lambda: sf.simulate_flight(
+            sf.CellularFlow(8.0, 4.0),
+            sf.PointMassVehicle(0.5, (2.0, -1.0), 0.05, 1.1),
+            duration=14.0,
+            sample_rate=50.0,
+            seed=4,
+            position_noise=0.02,
+            velocity_noise=0.1,
+            thrust=turning(14.0, 50.0, constant=(1.0, 0.5), size=4.0, period=4.0, phase=0.3),
+        ),
+        {"response_time": 0.5, "drag": 0.05, "thrust_scale": 1.1},
+    ),
+    "turbulence": (lambda: flown(flow=sf.Turbulence(3.0, 5.0, seed=1)), {}),
+}
+
+
+@compiled
+@pytest.mark.parametrize("name", WORLDS)
+def test_c_and_numpy_are_one_recurrence(name):
+    world, changes = WORLDS[name]
+    settings, flight = replace(SETTINGS, **changes), world()
+    plain, fast = board_of(settings, compiled=False), board_of(settings)
+    assert isinstance(plain, Board)
+    assert not isinstance(fast, Board)
+    followed = 0
+    for row, both in enumerate(zip(fed(plain, flight), fed(fast, flight), strict=True)):
+        assert both[0] == both[1]
+        if row % 10:
+            continue
+        own, other = answer_of(plain), answer_of(fast)
+        assert (own.doubt, own.samples) == (other.doubt, other.samples)
+        followed += plain.following
+        np.testing.assert_allclose(other.value, own.value, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(other.error, own.error, rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose(other.flow, own.flow, rtol=1e-5, atol=1e-6)
+        tests = [[a.innovation, a.correlation, a.unexplained] for a in (own, other)]
+        np.testing.assert_allclose(*tests, rtol=1e-5, atol=1e-7)
+    assert (followed > 5) == (name != "turbulence")
+
+
+@compiled
+def test_settings_out_of_range_are_refused():
+    for change in ({"response_time": 0.0}, {"lower": 9.0}, {"drag": math.nan}, {"candidates": 0}):
+        with pytest.raises(ValueError, match="out of its range"):
+            module.CompiledFlow(astuple(replace(SETTINGS, **change)))
+
+
+@pytest.mark.parametrize("fast", [False, pytest.param(True, marks=compiled)])
+def test_clocks_gaps_and_bad_samples(fast):
+    flight = flown(duration=16.0)
+    board = board_of(SETTINGS, compiled=fast)
+    assert set(fed(board, flight, slice(0, 500))) == {module.OK}
+    before = answer_of(board)
+    assert before.doubt is BoardDoubt.NO_DOUBT
+    last = round((flight.time[499] - flight.time[0]) * 1e9)
+    for bad in (math.nan, math.inf, 1e9):
+        assert board.update(last + 20_000_000, bad, 0.0, 0.0, 0.0) == module.BAD_SAMPLE
+    assert board.update(last, 0.0, 0.0, 0.0, 0.0) == module.BAD_TIME
+    assert board.update(last + 10**15, 0.0, 0.0, 0.0, 0.0) == module.BAD_TIME  # far ahead
+    assert answer_of(board).value.tolist() == before.value.tolist()
+    assert set(fed(board, flight, slice(500, 510))) == {module.OK}  # which deafens nothing
+    # Two seconds are lost: the second sample after them is taken, and the flow is still followed.
+    statuses = list(fed(board, flight, slice(610, 800)))
+    assert statuses[:3] == [module.BAD_TIME, module.GAP_TAKEN, module.OK]
+    after = answer_of(board)
+    assert after.doubt is BoardDoubt.NO_DOUBT
+    assert after.value[1] == pytest.approx(3.5, rel=0.01)
+    assert board.restarts == 1
+
+
+def test_a_board_that_was_pickled_goes_on(tmp_path):
+    import pickle
+
+    flight = flown()
+    whole, cut = board_of(SETTINGS), board_of(SETTINGS)
+    list(fed(whole, flight))
+    list(fed(cut, flight, slice(0, 300)))
+    cut = pickle.loads(pickle.dumps(cut))
+    list(fed(cut, flight, slice(300, None)))
+    np.testing.assert_array_equal(answer_of(cut).value, answer_of(whole).value)

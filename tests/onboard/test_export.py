@@ -1,0 +1,129 @@
+"""The C: it compiles without a word, replays what Python computes, and says what it takes."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.onboard.export import following, footprint, package, ram, searching
+
+GRID = sf.LengthScaleGrid(2.0, 8.0)
+ESTIMATOR = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
+compiler = pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
+STRICT = ("gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-I.")
+SIZES = """#include "sf_flow.h"
+#include <stdio.h>
+#include <string.h>
+#include <math.h>
+static sf_flow flow;
+int main(void)
+{
+    const sf_real zero[2] = {0, 0}, bad[2] = {(sf_real)NAN, 0};
+    sf_config config = {.response_time = 0, .thrust_scale = 1, SF_SETTINGS};
+    sf_answer answer;
+    printf("%d ", (int)sizeof(sf_flow));
+    printf("%d ", (int)sf_update(&flow, 1, zero, zero, 0));
+    printf("%d ", (int)sf_init(&flow, &config));
+    printf("%d ", (int)sf_init(0, &config));
+    config.response_time = (sf_real)0.5;
+    printf("%d ", (int)sf_init(&flow, &config));
+    printf("%d ", (int)sf_update(&flow, 1, bad, zero, 0));
+    printf("%d ", (int)sf_update(&flow, 1, zero, zero, bad));
+    printf("%d ", (int)sf_update(&flow, 1, zero, zero, 0));
+    printf("%d ", (int)sf_update(&flow, 1, zero, zero, 0));
+    printf("%d ", (int)sf_estimate(&flow, &answer));
+    printf("%d\\n", (int)answer.doubt);
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The folder of an export, built with every warning an error."""
+    folders = {}
+    for real in ("double", "float"):
+        folder = folders[real] = tmp_path_factory.mktemp(real)
+        for path, content in package(ESTIMATOR, real, source="*/ x.json").items():
+            (folder / path).parent.mkdir(exist_ok=True)
+            (folder / path).write_bytes(content)
+        command = [*STRICT, "sf_flow.c", "test/replay.c", "-lm", "-o", "replay"]
+        subprocess.run(command, cwd=folder, check=True)
+    return folders
+
+
+def run(folder, *command):
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@compiler
+@pytest.mark.parametrize(("real", "tolerance"), [("double", "1e-8"), ("float", "1e-4")])
+def test_the_replay_is_what_python_computes(built, real, tolerance):
+    replay = run(built[real], "./replay", "test/flight.csv", "test/reference.csv", tolerance)
+    assert replay.returncode == 0, replay.stdout
+    impossible = run(built[real], "./replay", "test/flight.csv", "test/reference.csv", "0")
+    assert impossible.returncode == 1
+    lines = run(built[real], "./replay", "test/flight.csv").stdout.splitlines()
+    assert lines[0].startswith("sample,doubt,mean_velocity,length_scale")
+    numbers = np.array([line.split(",") for line in lines[-5:]], dtype=float)
+    assert (numbers[:, 1] == 0).all()
+    np.testing.assert_allclose(numbers[:, 3], 4.0, rtol=0.01)
+    assert run(built[real], "./replay", "absent.csv").returncode == 2
+
+
+@compiler
+@pytest.mark.parametrize(("real", "most"), [("double", 65536), ("float", 65536)])
+def test_what_it_takes_and_what_it_refuses(built, real, most):
+    (built[real] / "sizes.c").write_text(SIZES)
+    subprocess.run([*STRICT, "sizes.c", "sf_flow.c", "-lm", "-o", "sizes"], cwd=built[real],
+                   check=True)  # fmt: skip
+    size, *statuses = map(int, run(built[real], "./sizes").stdout.split())
+    assert size <= ram(real) <= size + 128
+    assert ram(real) <= most
+    # not ready, bad settings, no state, begun, NaN, NaN, taken, no later, no answer: few samples
+    assert statuses == [7, 6, 6, 0, 4, 4, 0, 5, 1, 1]
+    header, readme = ((built[real] / name).read_text() for name in ("sf_flow.h", "README.md"))
+    for text in (header, readme):
+        assert f"{ram(real)} bytes" in text
+        assert "test of misfit" in text
+        assert "@" not in re.sub(r"\S+@\S+\.", "", text)
+    assert f"#define SF_REAL {real}" in header
+    assert ".any_heading = 1" in header
+    assert header.count("*/ x.json") == 0
+
+
+@compiler
+def test_cpp_takes_the_header(built):
+    source = (
+        '#include "sf_flow.h"\nint main() { static sf_flow f; return sf_init(&f, 0) == SF_OK; }'
+    )
+    (built["double"] / "main.cpp").write_text(source)
+    command = ("g++", "-I.", "-c", "main.cpp")
+    assert not shutil.which("g++") or run(built["double"], *command).returncode == 0
+
+
+def test_a_flight_of_ones_own_with_thrust(tmp_path):
+    time = np.arange(301) * 0.02
+    thrust = sf.ThrustSeries(time, np.stack([np.sin(time), np.cos(time)], axis=1))
+    flight = sf.simulate_flight(
+        sf.CellularFlow(8.0, 4.0), sf.PointMassVehicle(0.5), duration=6.0, sample_rate=50.0, seed=1,
+        thrust=thrust,
+    )  # fmt: skip
+    files = package(ESTIMATOR, flight=flight)
+    assert b"time,x,y,vx,vy,ax,ay" in files["test/flight.csv"]
+    assert len(files["test/reference.csv"].splitlines()) == 7
+
+
+def test_refusals_and_costs():
+    with pytest.raises(sf.InputError, match="several scales"):
+        package(sf.Estimator(readout=sf.Readout(scales="several")))
+    with pytest.raises(sf.InputError, match="there is no such program"):
+        package(ESTIMATOR, compiler="no-such-cc")
+    with pytest.raises(sf.InputError, match="unknown C type"):
+        package(ESTIMATOR, "half")
+    assert footprint({"sf_flow.h": b"", "sf_flow.c": b"int x ="}, None) is None
+    assert following().microseconds("float") < 500
+    assert searching(8).sums > following().sums
