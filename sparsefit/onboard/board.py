@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass, field
-from enum import IntEnum
 from importlib import import_module
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.onboard.cells import M, parameters, rebased, speed_of, unevenness, waves
+from sparsefit.onboard.search import EVEN, PEAKS, BoardDoubt, BoardSettings, Peak, Search
 
 try:
     CompiledFlow: Any = import_module("sparsefit.onboard.compiled").CompiledFlow
@@ -31,59 +32,11 @@ RATE, FLOOR = 2.0, 0.1  # of the disturbance [1/s], and its share that is white
 GATE, FADE, HORIZON, SETTLED, ANNEAL = 25.0, 0.998, 100.0, 64.0, 8.0
 WALK = np.array([0.002] * 4 + [0.0005] * 2)  # of amplitudes and wavevectors, over theirs, in 1 s
 LARGEST, GAP = 1e7, 20.0
-ROWS, FEWEST_ROWS, BLOCK_MOST, PEAKS, REFINEMENTS = 192, 24, 64, 5, 14
-EVEN, EXPLAINED, EVIDENCE = 0.03, 0.6, 15.0
-N, M, FLOW = 12, 6, slice(6, 12)
-
-
-class BoardDoubt(IntEnum):
-    """The kind of doubt of an answer, as `sf_doubt` of the C."""
-
-    NO_DOUBT = 0
-    FEW_SAMPLES = 1
-    NO_FLOW = 2
-    RIVAL = 3
-    SETTLING = 4
-    IMPRECISE = 5
-    INNOVATIONS = 6
-    SHAPE = 7
-    TURNED = 8
-    EDGE = 9
+N, FLOW = 12, slice(6, 12)
 
 
 OK, GAP_TAKEN, BAD_SAMPLE, BAD_TIME = 0, 3, 4, 5  # of `update`, as `sf_status` of the C
 MISFITS = (BoardDoubt.INNOVATIONS, BoardDoubt.SHAPE, BoardDoubt.TURNED)
-
-
-@dataclass(frozen=True)
-class BoardSettings:
-    """The vehicle and the search, as `sf_config` of the C.
-
-    Args:
-        response_time: tau [s], infinite for quadratic drag alone.
-        drag: c [1/m].
-        thrust_x: a0 [m/s^2], along x.
-        thrust_y: a0 [m/s^2], along y.
-        thrust_scale: s, of a measured thrust.
-        lower: the least length scale that is sought [m].
-        upper: the largest length scale [m].
-        precision: half-width of the 95 % intervals over the value, of an answer that is ok.
-        memory: the time in which the weight of a sample falls by e [s]; 0: all count alike.
-        any_heading: 0 where the cells are taken to lie along the axes.
-        candidates: number of candidates that are looked at with a sample of the search.
-    """
-
-    response_time: float
-    drag: float
-    thrust_x: float
-    thrust_y: float
-    thrust_scale: float
-    lower: float
-    upper: float
-    precision: float
-    memory: float = 0.0
-    any_heading: int = 1
-    candidates: int = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,97 +75,6 @@ class BoardAnswer:
         return "unidentifiable" if self.doubt else "ok"
 
 
-@dataclass
-class Peak:
-    """A candidate of a sweep: its share of the rows, |k| and direction, and its least squares."""
-
-    score: float
-    size: float
-    angle: float
-    flow: Array = field(default_factory=lambda: np.full(M, np.nan))
-    trial: Array = field(default_factory=lambda: np.zeros(M))
-    right: Array = field(default_factory=lambda: np.zeros(M))
-    information: Array = field(default_factory=lambda: np.zeros((M, M)))
-    residual: float = math.inf
-    cost: float = math.inf
-    damping: float = 0.01
-
-
-def waves(flow: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return w (2, ...), its gradient by the place (2, 2, ...) and by the flow (2, 6, ...).
-
-    flow: a, b, a, b [m^2/s], kx, ky [rad/m], (6, ...); x, y: from where phases count [m], (...).
-    """
-    w, place = np.zeros((2, *np.shape(x))), np.zeros((2, 2, *np.shape(x)))
-    gradient = np.zeros((2, M, *np.shape(x)))
-    for j, (k, l) in enumerate(((flow[4], flow[5]), (-flow[5], flow[4]))):  # noqa: E741
-        a, b, phase = flow[2 * j], flow[2 * j + 1], k * x + l * y
-        c, s = np.cos(phase), np.sin(phase)
-        slope, height, normal = b * c - a * s, a * c + b * s, np.stack([l + 0 * x, -k + 0 * x])
-        w += slope * normal
-        place -= height * normal[:, None] * np.stack([k + 0 * x, l + 0 * x])
-        gradient[:, 2 * j], gradient[:, 2 * j + 1] = -s * normal, c * normal
-        by_k = np.stack([-height * l * x, height * k * x - slope])
-        by_l = np.stack([slope - height * l * y, height * k * y])
-        gradient[:, 4] += by_l if j else by_k
-        gradient[:, 5] += -by_k if j else by_l
-    return w, place, gradient
-
-
-def length_of(flow: Array) -> float:
-    """L [m] of the cells of a flow (6,)."""
-    return math.sqrt(2.0) * math.pi / math.hypot(flow[4], flow[5])
-
-
-def speed_of(flow: Array) -> float:
-    """U0 [m/s] of the cells of a flow (6,)."""
-    return math.hypot(flow[4], flow[5]) * float(np.linalg.norm(flow[:4]))
-
-
-def heading_of(angle: float) -> float:
-    """An angle [rad] less the nearest multiple of a right one."""
-    return angle - math.pi / 2 * math.floor(angle / (math.pi / 2) + 0.5)
-
-
-def unevenness(flow: Array) -> tuple[float, Array]:
-    """Half the logarithm of the ratio of the waves' squared amplitudes, and its gradient (6,)."""
-    first, second = flow[0] ** 2 + flow[1] ** 2, flow[2] ** 2 + flow[3] ** 2
-    gradient = np.concatenate([-flow[:2] / first, flow[2:4] / second, [0.0, 0.0]])
-    return math.log(second / first) / 2, gradient
-
-
-def heading(flow: Array) -> tuple[float, Array]:
-    """The heading [rad] of the cells, and its gradient (6,)."""
-    k = flow[4] ** 2 + flow[5] ** 2
-    gradient = np.array([0.0, 0.0, 0.0, 0.0, -flow[5] / k, flow[4] / k])
-    return heading_of(math.atan2(flow[5], flow[4]) - math.pi / 4), gradient
-
-
-def parameters(flow: Array, covariance: Array) -> tuple[Array, Array]:
-    """U0, L, L/U0 and the heading of a flow (6,), (4,), and their variances (4,)."""
-    k, speed, length = flow[4] ** 2 + flow[5] ** 2, speed_of(flow), length_of(flow)
-    angle, by_angle = heading(flow)
-    by_speed = np.concatenate([k * flow[:4], speed**2 / k * flow[4:]]) / speed
-    by_length = np.concatenate([np.zeros(4), -length * flow[4:] / k])
-    by_time = length / speed * (by_length / length - by_speed / speed)
-    gradients = np.stack([by_speed, by_length, by_time, by_angle])
-    variances: Array = np.einsum("gi,ij,gj->g", gradients, covariance, gradients)
-    return np.array([speed, length, length / speed, angle]), variances
-
-
-def rebased(flow: Array, place: Array) -> tuple[Array, Array]:
-    """A flow (6,) whose phases count from a place (2,) [m], and the Jacobian (6, 6) of that."""
-    moved, jacobian = flow.copy(), np.eye(M)
-    for j, by in enumerate((place, np.array([place[1], -place[0]]))):
-        turn = float(flow[4:] @ by)
-        c, s, two = math.cos(turn), math.sin(turn), slice(2 * j, 2 * j + 2)
-        turned = np.array([[c, s], [-s, c]])
-        moved[two] = turned @ flow[two]
-        jacobian[two, two] = turned
-        jacobian[two, 4:] = np.outer([moved[2 * j + 1], -moved[2 * j]], by)
-    return moved, jacobian
-
-
 class Board:
     """The estimator on board, one instance for one vehicle; `update` and `estimate` as in C."""
 
@@ -220,18 +82,11 @@ class Board:
         self.settings = settings
         self.samples = self.restarts = self.suspects = 0
         self.time_ns = self.suspect_ns = 0
-        self.doubt = BoardDoubt.FEW_SAMPLES
-        self.step = self.counted = self.block_time = self.rival = 0.0
+        self.search = Search(settings)
+        self.step = self.counted = 0.0
         self.origin, self.thrust, self.noise = np.zeros(2), np.zeros(2), np.zeros(2)
         self.history: list[Array] = []
-        self.block: list[Array] = []
-        self.rows = np.zeros((ROWS, 4))
-        self.row_count = self.row_place = 0
-        self.sweeping = False
-        self.spacing = self.total = 0.0
-        self.radius = self.turn = self.refining = self.iteration = 0
-        self.peaks: list[Peak] = []
-        self.middle, self.anchor, self.remaining = np.zeros(2), np.zeros(2), np.zeros(2)
+        self.anchor, self.remaining = np.zeros(2), np.zeros(2)
         self.following = False
         self.age = self.gated = 0.0
         levels = len(LEVELS)
@@ -242,7 +97,8 @@ class Board:
     @property
     def nbytes(self) -> int:
         """Bytes of memory that rows, filters and the search take."""
-        return self.rows.nbytes + self.state.nbytes + self.covariance.nbytes + PEAKS * 8 * 64
+        filters = self.state.nbytes + self.covariance.nbytes
+        return self.search.memory.nbytes + filters + PEAKS * 8 * 64
 
     def update(
         self, time_ns: int, x: float, y: float, vx: float, vy: float, thrust: Pair | None = None
@@ -279,10 +135,16 @@ class Board:
         if status == GAP_TAKEN:
             self._resume(z)
         self._measure_noise(z)
-        self.block_time = self.block_time + h if self.block else 0.0
-        self._take_row(z, push)
+        row = self.search.take(z, h, push)
+        if row is not None and self.following:
+            flow = self.state[int(np.argmax(self.log_likelihood)), FLOW]
+            w, _, _ = waves(flow, *(row[:2] - self.anchor))
+            squares = np.array([np.sum((row[2:] - w) ** 2), np.sum(row[2:] ** 2)])
+            self.remaining = self.remaining + (squares - self.remaining) / 32
         if not self.following:
-            self._search(z)
+            peak = self.search.work()
+            if isinstance(peak, Peak):
+                self.search.doubt = self._start(peak, z)
         elif status == OK:
             self._follow(z, h, push)
         return status
@@ -301,7 +163,7 @@ class Board:
     def _resume(self, z: Array) -> None:
         """Go on after a gap or from another clock: place and velocity are measured anew."""
         away = z[:2] - self.anchor
-        self.history, self.block, self.restarts = [], [], self.restarts + 1
+        self.history, self.search.block, self.restarts = [], [], self.restarts + 1
         if self.following:
             self.state[:, :2], self.state[:, 2:4], self.state[:, 4:6] = away, z[2:], 0.0
             self.covariance[:, :6, :] = self.covariance[:, :, :6] = 0.0
@@ -422,164 +284,12 @@ class Board:
         self.gated += (outlier - self.gated) / 32
         astray = self.square.min() > 2 or self.remaining[0] > self.remaining[1] / 2
         if self.gated > 0.3 or (self.age > 150 and astray):  # lost
-            self.following = self.sweeping = False
-            self.doubt = BoardDoubt.NO_FLOW
-
-    # ---- the search
-
-    def _take_row(self, z: Array, push: Array) -> None:
-        """Add a sample to the block; when it is long enough, its mean and slope become a row."""
-        settings = self.settings
-        self.block.append(np.concatenate([[self.block_time], z, push]))
-        count, mean = len(self.block), np.mean(self.block, axis=0)
-        moved = self.block_time * math.hypot(mean[3], mean[4])
-        if count < 4 or (moved < settings.lower / 4 and count < BLOCK_MOST):
-            return
-        block = np.array(self.block)
-        time = block[:, 0] - mean[0]
-        force = time @ block[:, 3:5] / (time @ time) - mean[5:]
-        rate = 1.0 / settings.response_time
-        reach = rate + math.sqrt(rate**2 + 4 * settings.drag * math.hypot(*force))
-        row = np.concatenate([mean[1:3], mean[3:5] + (2 * force / reach if reach > 0 else 0.0)])
-        self.rows[self.row_place] = row
-        self.block, self.row_place = [], (self.row_place + 1) % ROWS
-        self.row_count = min(self.row_count + 1, ROWS)
-        if self.following:
-            flow = self.state[int(np.argmax(self.log_likelihood)), FLOW]
-            w, _, _ = waves(flow, *(row[:2] - self.anchor))
-            squares = np.array([np.sum((row[2:] - w) ** 2), np.sum(row[2:] ** 2)])
-            self.remaining = self.remaining + (squares - self.remaining) / 32
-
-    def _look(self, rows: Array) -> bool:
-        """Look at the next candidate; False where the sweep is at its end."""
-        settings, around = self.settings, math.sqrt(2.0) * math.pi
-        step = self.spacing if settings.any_heading else self.spacing / 2
-        size = around / settings.upper + step * self.radius
-        if size > around / settings.lower + step:
-            return False
-        turns, angle = 1, math.pi / 4
-        if settings.any_heading:
-            turns = math.ceil(math.pi / 2 * size / step)
-            angle = math.pi / 2 * self.turn / turns
-        self._hold(self._explained(rows, size, angle), size, angle)
-        self.turn += 1
-        if self.turn >= turns:
-            self.turn, self.radius = 0, self.radius + 1
-        return True
-
-    def _explained(self, rows: Array, size: float, angle: float) -> float:
-        """Share of the rows' squares that two waves at a right angle explain, equally strong."""
-        share, weight, amplitude = 0.0, [], []
-        for k, l in (  # noqa: E741
-            (size * math.cos(angle), size * math.sin(angle)),
-            (-size * math.sin(angle), size * math.cos(angle)),
-        ):
-            phase = rows[:, :2] @ (k, l)
-            s, c, across = np.sin(phase), np.cos(phase), rows[:, 2:] @ (l / size, -k / size)
-            ss, sc, cc = 1.01 * (s @ s), s @ c, 1.01 * (c @ c)  # a little ridge
-            determinant = ss * cc - sc * sc
-            of_sine = (cc * (s @ across) - sc * (c @ across)) / determinant
-            of_cosine = (ss * (c @ across) - sc * (s @ across)) / determinant
-            share += of_sine * (s @ across) + of_cosine * (c @ across)
-            weight.append(2 * determinant / (ss + cc))
-            amplitude.append(math.hypot(of_sine, of_cosine))
-        apart = weight[0] * weight[1] / (weight[0] + weight[1])
-        return float(share - apart * (amplitude[0] - amplitude[1]) ** 2) / self.total
-
-    def _hold(self, score: float, size: float, angle: float) -> None:
-        """Hold a candidate that is the best of its lobe, and among the best of all."""
-        place = len(self.peaks)
-        for i, peak in enumerate(self.peaks):
-            turn = heading_of(angle - peak.angle)
-            if (size - peak.size) ** 2 + (turn * size) ** 2 < (2.6 * self.spacing) ** 2:
-                place = i
-                break
-        if place == PEAKS:
-            place = min(range(PEAKS), key=lambda i: self.peaks[i].score)
-        if place == len(self.peaks):
-            self.peaks.append(Peak(score, size, angle))
-        elif score > self.peaks[place].score:
-            self.peaks[place] = Peak(score, size, angle)
-
-    def _refine(self, rows: Array, peak: Peak, *, first: bool) -> bool:
-        """A step of Levenberg and Marquardt for a peak, on all rows; False where there is none."""
-        w, _, by_flow = waves(peak.trial[:, None], *(rows[:, :2] - self.middle).T)
-        error, columns = (rows[:, 2:].T - w).ravel(), np.moveaxis(by_flow, 1, 2).reshape(-1, M)
-        normal, right = columns.T @ columns, columns.T @ error
-        residual = cost = float(error @ error)
-        weight = self.total / (20 * len(rows)) / EVEN**2
-        ties = (
-            () if first else (unevenness,) if self.settings.any_heading else (unevenness, heading)
-        )
-        for tie in ties:
-            value, gradient = tie(peak.trial)
-            cost += weight * value**2
-            right = right - weight * value * gradient
-            normal = normal + weight * np.outer(gradient, gradient)
-        if first or cost < peak.cost:
-            peak.flow, peak.information, peak.right = peak.trial, normal, right
-            peak.residual, peak.cost = residual, math.inf if first else cost
-            peak.damping = 0.01 if first else peak.damping / 4
-        else:
-            peak.damping *= 6
-        damped = peak.information + np.diag(peak.damping * np.diag(peak.information) + 1e-9)
-        try:
-            np.linalg.cholesky(damped)
-        except np.linalg.LinAlgError:
-            return False
-        peak.trial = peak.flow + np.linalg.solve(damped, peak.right)
-        return True
-
-    def _search(self, z: Array) -> None:
-        """The work of one sample while nothing is followed."""
-        if self.row_count < FEWEST_ROWS:
-            self.doubt = BoardDoubt.FEW_SAMPLES
-            return
-        rows = self.rows[: self.row_count]
-        if not self.sweeping:
-            extent = max(self.settings.lower, *np.ptp(rows[:, :2], axis=0).tolist())
-            self.spacing, self.sweeping, self.peaks = 2.0 / extent, True, []
-            self.radius = self.turn = self.refining = self.iteration = 0
-        self.total = float(np.sum(rows[:, 2:] ** 2))
-        if not self.refining:
-            for _ in range(self.settings.candidates):
-                if not self._look(rows):
-                    self.refining, self.iteration = 1, 0
-                    break
-            return
-        peak = self.peaks[self.refining - 1]
-        if not self.iteration:
-            direction = np.array([math.cos(peak.angle), math.sin(peak.angle)])
-            peak.trial = np.concatenate([np.zeros(4), peak.size * direction])
-            if self.refining == 1:
-                self.middle = rows[:, :2].mean(axis=0)
-        if not self._refine(rows, peak, first=not self.iteration):
-            peak.residual, self.iteration = math.inf, REFINEMENTS
-        self.iteration += 1
-        if self.iteration >= REFINEMENTS:
-            self.iteration, self.refining = 0, self.refining + 1
-            if self.refining > len(self.peaks):
-                self.sweeping = False
-                self.doubt = self._decide(z)
-
-    def _decide(self, z: Array) -> BoardDoubt:
-        """Start from the best peak, where it explains the rows and has no rival."""
-        best = min(self.peaks, key=lambda peak: peak.residual)
-        rival = math.inf
-        for peak in self.peaks:
-            length = length_of(peak.flow)
-            ratio = length / length_of(best.flow)
-            if not 0.97 <= ratio <= 1.03 and peak.residual < rival:
-                rival, self.rival = peak.residual, length
-        if not best.residual < (1 - EXPLAINED) * self.total:
-            return BoardDoubt.NO_FLOW
-        if self.row_count * math.log(rival / best.residual) < EVIDENCE:
-            return BoardDoubt.RIVAL
-        return self._start(best, z)
+            self.following = self.search.sweeping = False
+            self.search.doubt = BoardDoubt.NO_FLOW
 
     def _start(self, peak: Peak, z: Array) -> BoardDoubt:
         """Start the filters from a peak, at the last sample z (4,)."""
-        variance = peak.residual / (2 * self.row_count - M)
+        variance = peak.residual / (2 * self.search.count - M)
         ridge = np.diag(1e-4 * np.diag(peak.information) + 1e-12)
         inverse = variance * np.asarray(np.linalg.inv(peak.information + ridge), np.float64)
         uneven, gradient = unevenness(peak.flow)
@@ -588,7 +298,7 @@ class Board:
         value, error = parameters(peak.flow, inverse)
         if not (error[0] < (0.03 * value[0]) ** 2 and error[1] < (0.01 * value[1]) ** 2):
             return BoardDoubt.IMPRECISE
-        away = z[:2] - self.middle
+        away = z[:2] - self.search.middle
         self.state = np.tile(np.concatenate([away, z[2:], [0.0, 0.0], peak.flow]), (len(LEVELS), 1))
         self.covariance = np.zeros((len(LEVELS), N, N))
         self.covariance[:, range(4), range(4)] = np.repeat(self.noise, 2)
@@ -607,9 +317,10 @@ class Board:
     def estimate(self) -> BoardAnswer:
         """Answer from all samples so far: the filters weighed by their likelihoods."""
         if not self.following:
-            rival = self.rival if self.doubt is BoardDoubt.RIVAL else 0.0
+            doubt = self.search.doubt
+            rival = self.search.rival if doubt is BoardDoubt.RIVAL else 0.0
             nothing = np.full(4, math.nan)
-            return BoardAnswer(self.doubt, self.samples, nothing, np.zeros(4), rival=rival)
+            return BoardAnswer(doubt, self.samples, nothing, np.zeros(4), rival=rival)
         weight = np.exp(self.log_likelihood - self.log_likelihood.max())
         weight /= weight.sum()
         flow: Array = weight @ self.state[:, FLOW]

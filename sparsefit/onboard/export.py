@@ -26,8 +26,9 @@ from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file
 from sparsefit.logs.table import FlightTable
-from sparsefit.onboard.board import LEVELS, PEAKS, ROWS, answer_of, board_of
+from sparsefit.onboard.board import LEVELS, answer_of, board_of
 from sparsefit.onboard.online import board_settings, refusal
+from sparsefit.onboard.search import PEAKS, ROWS
 from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]

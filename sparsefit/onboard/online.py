@@ -18,16 +18,9 @@ from sparsefit.estimator import Doubt, Estimate, Estimator
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.onboard.board import (
-    BAD_SAMPLE,
-    BAD_TIME,
-    BoardAnswer,
-    BoardDoubt,
-    BoardSettings,
-    answer_of,
-    board_of,
-    rebased,
-)
+from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, BoardAnswer, answer_of, board_of
+from sparsefit.onboard.cells import rebased
+from sparsefit.onboard.search import BoardDoubt, BoardSettings
 from sparsefit.regression.backend import settings_of
 from sparsefit.uncertainty import Uncertainty
 
