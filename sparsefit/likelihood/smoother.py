@@ -107,7 +107,8 @@ def measure(
     records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
     state = None if start is None else start.state
-    return Ascent(records, models, tuple(levels), settings or Smoothing()).posterior(state)
+    with np.errstate(all="ignore"):  # a step that is no number is not taken
+        return Ascent(records, models, tuple(levels), settings or Smoothing()).posterior(state)
 
 
 class Ascent:
@@ -182,11 +183,7 @@ class Ascent:
         for model in self.models:
             tau, speed = model.parameters["response_time"].value, model.pattern.mean_velocity
             rate = math.sqrt(2.0) * math.pi / model.pattern.length_scale * speed + 1e-9
-            level = self.settings.anneal * speed / tau / math.sqrt(rate)
-            level = max(level, model.disturbance.acceleration)
-            models.append(
-                replace(model, disturbance=replace(model.disturbance, acceleration=level))
-            )
+            models.append(_noisier(model, self.settings.anneal * speed / tau / math.sqrt(rate)))
         return Descent(tuple(models), nodes, tracks, self.spreads, stride=stride)
 
     def longest(self, log: FlightLog, model: Model) -> float:
@@ -231,7 +228,7 @@ class Ascent:
         )
         if same:
             pairs = zip(nodes, old.nodes, strict=True)
-            nodes = [replace(new, weights=before.weights) for new, before in pairs]
+            nodes = [replace(new, weights=before.weights.copy()) for new, before in pairs]
         last = old.last if same else None
         return Descent(old.models, tuple(nodes), tracks, self.spreads, last, stride)
 
@@ -273,22 +270,26 @@ class Ascent:
             information, levels, tuple(self.names[j] for j in weak),
         )  # fmt: skip
 
-    def moved(self, step: Step, smoothed: tuple[Smoothed, ...], share: float,
-              levels: list[Array]) -> Descent:  # fmt: skip
+    def moved(
+        self,
+        step: Step,
+        smoothed: tuple[Smoothed, ...],
+        share: float = 1.0,
+        levels: list[Array] | None = None,
+    ) -> Descent:
         """A share of a step of tracks, parameters and logarithms of variances."""
         start = step.start
         models = self.at(start.models, self.values(start.models) + share * step.change)
-        renewed = []
-        for model, change in zip(models, levels, strict=True):
-            size = dict(zip(model.disturbance.levels, np.exp(0.5 * share * change), strict=True))
-            old = model.disturbance.levels
-            new = {name: float(old[name] * size[name]) for name in old}
-            renewed.append(replace(model, disturbance=model.disturbance.at(new)))
+        if levels is not None:
+            models = tuple(
+                _scaled(model, np.exp(0.5 * share * change))
+                for model, change in zip(models, levels, strict=True)
+            )
         tracks = tuple(
             track + share * (each.track - track)
             for track, each in zip(start.tracks, smoothed, strict=True)
         )
-        descent = replace(start, models=tuple(renewed), tracks=tracks, last=smoothed)
+        descent = replace(start, models=models, tracks=tracks, last=smoothed)
         if "latency" not in self.local:
             return descent
         return self.renoded(descent, start.stride)  # the positions are then of other times
@@ -317,16 +318,21 @@ class Ascent:
             if not math.isfinite(reached) or (
                 best is not None and not fresh and reached < best[0].value + best[0].gain - 1.0
             ):
-                if halvings == 4 and best is not None and lifts < settings.lifts:
-                    lifts, halvings, fresh = lifts + 1, 0, True
-                    current, best = self.lifted(best[0].start), None
-                    scouts = [LevelSteps(self.wanted, settings.negligible, hold) for _ in self.logs]
+                if best is not None and halvings < 4:
+                    halvings += 1
+                    current = self.moved(*best[:2], 0.5**halvings, best[2])
                     continue
-                if best is None or halvings == 4:
+                if lifts == settings.lifts:
                     reason = "the likelihood cannot be raised from where the search started"
                     break
-                halvings += 1
-                current = self.moved(*best[:2], 0.5**halvings, best[2])
+                base = current if best is None else best[0].start
+                models = tuple(
+                    _noisier(each, max(10.0 * each.disturbance.acceleration, 0.01))
+                    for each in base.models
+                )
+                current, best = replace(base, models=models, last=None), None
+                lifts, halvings, fresh = lifts + 1, 0, True
+                scouts = [LevelSteps(self.wanted, settings.negligible, hold) for _ in self.logs]
                 continue
             halvings = 0
             smoothed = tuple(
@@ -351,22 +357,15 @@ class Ascent:
         else:
             reason = f"not at the maximum after {settings.passes} passes"
         if best is None:
-            raise InputError("the likelihood of the log is not a number: values too large, or NaN")
+            empty = tuple(Smoothed.empty(each.space, each.track) for each in step.passes)
+            still = replace(step, change=np.zeros(len(self.names)))
+            return replace(still, value=-math.inf, gain=0.0), empty, count, reason
         if best[0].weak and not reason:
             *others, final = best[0].weak
             reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
                 f"the log does not see {final}"
             )  # fmt: skip
         return best[0], best[1], count, reason
-
-    def lifted(self, descent: Descent) -> Descent:
-        """The search with ten times the process noise, which lets it pass over small hills."""
-        models = []
-        for model in descent.models:
-            level = 10.0 * max(model.disturbance.acceleration, 1e-3)
-            noise = model.disturbance.at({"acceleration": level})
-            models.append(replace(model, disturbance=noise))
-        return replace(descent, models=tuple(models), last=None)
 
     def gated(self, descent: Descent, smoothed: tuple[Smoothed, ...]) -> bool:
         """Leave readings out that all others contradict; take in those that they bear out.
@@ -407,8 +406,7 @@ class Ascent:
             if stride > 1:
                 step, smoothed, few, _ = self.descended(start, self.settings.passes)
                 hold = 0
-                still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
-                start = self.renoded(self.moved(step, smoothed, 1.0, still), 1)
+                start = self.renoded(self.moved(step, smoothed), 1)
         else:
             wider = []
             for model, track in zip(self.models, start.tracks, strict=True):
@@ -419,8 +417,7 @@ class Ascent:
             moved = replace(start, models=self.models, tracks=tuple(wider), last=None)
             start = self.renoded(moved, 1)
         step, smoothed, whole, reason = self.descended(start, hold)
-        still = [np.zeros(len(step.passes[0].space.kicks)) for _ in self.logs]
-        end = self.moved(step, smoothed, 1.0, still)
+        end = self.moved(step, smoothed)
         shape = np.ix_(self.wanted, self.wanted)
         information = step.levels[0][shape] if step.levels[0].size else np.zeros(shape[0].shape[0])
         tracks = tuple(map(_track, step.start.nodes, smoothed))
@@ -429,6 +426,19 @@ class Ascent:
             step.value + step.gain, tracks, self.levels, information, reason, (few, whole),
             self.origin, end,
         )  # fmt: skip
+
+
+def _scaled(model: Model, factors: Array) -> Model:
+    """The model with its levels (l,) multiplied."""
+    levels = model.disturbance.levels
+    new = {name: levels[name] * float(factor) for name, factor in zip(levels, factors, strict=True)}
+    return replace(model, disturbance=model.disturbance.at(new))
+
+
+def _noisier(model: Model, level: float) -> Model:
+    """The model with at least this process noise."""
+    level = max(level, model.disturbance.acceleration)
+    return replace(model, disturbance=model.disturbance.at({"acceleration": level}))
 
 
 def _between(old: Array, track: Array, new: Array) -> Array:

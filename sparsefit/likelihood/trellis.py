@@ -157,3 +157,10 @@ class Smoothed:
     scores: Array
     squares: Array
     chi: float
+
+    @classmethod
+    def empty(cls, space: StateSpace, track: Array) -> Smoothed:
+        """Return the pass of a log that could not be filtered: the track as it was."""
+        m, n = track.shape
+        unseen = np.full((m, 12), np.nan)
+        return cls(track, np.zeros((m + 1, 2 * n)), unseen, np.zeros((len(space.kicks), 2)), np.nan)

@@ -316,3 +316,11 @@ def test_turbulence_has_its_level():
     )  # fmt: skip
     assert posterior.converged, posterior.reason
     assert posterior.model.disturbance.levels["turbulence"] < 0.02
+
+
+def test_a_log_that_no_number_describes_is_an_answer_with_a_reason():
+    log, _ = flown(13, count=60)
+    wild = FlightLog(log.time, 1e170 * log.places, log.speeds, THRUST)
+    posterior = measure(wild, Model(nearby(), Motion(TAU)))
+    assert not posterior.converged
+    assert "cannot be raised" in posterior.reason
