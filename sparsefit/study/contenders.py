@@ -34,7 +34,13 @@ from sparsefit.regression import penalties
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.objective import Penalty as Flagged
-from sparsefit.solvers.registry import BEHIND_CVXPY, SOLVERS, Recipe, solver_type
+from sparsefit.solvers.registry import (
+    BEHIND_CVXPY,
+    SOLVERS,
+    Recipe,
+    solver_names,
+    solver_type,
+)
 from sparsefit.study.crossing import Setting, read_settings
 from sparsefit.study.holdout import Holdout
 from sparsefit.study.problem_sources import ProblemSource, read_problems
@@ -385,8 +391,14 @@ def _several(key: str, recipes: Sequence[Recipe]) -> bool:
 
 def _described(contenders: Sequence[Contender], clock: Clock, place: Place) -> list[Contender]:
     """The contenders with what their recipes tell; code of others tells it in another process."""
-    shipped = shipped_names()
-    foreign = [c for c in contenders if c.recipe and not _ships(c.recipe, shipped)]
+    shipped, known = shipped_names(), solver_names()
+    foreign = [
+        c
+        for c in contenders
+        if c.recipe
+        and not c.recipe.command
+        and (c.recipe.file or (c.recipe.name in known and c.recipe.name not in shipped))
+    ]
     told: list[dict[str, Any]] = []
     if foreign:
         try:

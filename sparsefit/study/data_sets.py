@@ -36,6 +36,7 @@ from sparsefit.errors import InputError, MissingExtra, one_of
 
 MOST_VALUES = 64_000_000  # numbers in a problem: half a gigabyte
 MOST_BYTES = 1 << 30  # of a file
+LONGEST_LINE = 1 << 22  # bytes of the line of names of a .csv
 SUFFIXES = (".npz", ".parquet", ".csv")
 WIDEST = 256  # bytes of a label of a group
 TARGET = "target"
@@ -143,6 +144,9 @@ def _read_table(path: Path) -> Data:
             _check_columns(path, file.schema_arrow)
             table = file.read()
         else:
+            with path.open("rb") as text:
+                if b"\n" not in text.read(LONGEST_LINE):
+                    raise InputError(f"{path}: a first line of more than {LONGEST_LINE >> 20} MB")
             table = pyarrow.csv.read_csv(path)
             _check_columns(path, table.schema)
     except pa.ArrowException as error:

@@ -250,6 +250,12 @@ class Definition:
     document: Section
 
     @property
+    def keeps_weights(self) -> bool:
+        """Whether weights per length scale are stored beside the cases: a figure shows them."""
+        figures = self.outputs.figures
+        return "weights" in [e if isinstance(e, str) else e.get("name") for e in figures]
+
+    @property
     def flights(self) -> FlightDesign:
         """The design of a study of flights."""
         if not isinstance(self.design, FlightDesign):

@@ -75,12 +75,6 @@ def is_regular(path: Path) -> bool:
     return True
 
 
-def keeps_weights(plan: Plan) -> bool:
-    """Whether weights per length scale are kept beside the cases: where a figure shows them."""
-    figures = plan.experiment.definition.outputs.figures
-    return "weights" in [e if isinstance(e, str) else e.get("name") for e in figures]
-
-
 @dataclass(frozen=True)
 class Known:
     """How rows of `cases.parquet` name their cases.
@@ -217,7 +211,7 @@ def write_rows(folder: Path, plan: Plan, rows: Sequence[Row]) -> None:
     # At least one part, so that no study is without columns.
     parts = [rows[i : i + BATCH] for i in range(0, max(len(rows), 1), BATCH)]
     located = [[(places[row.key], row) for row in part] for part in parts]
-    if keeps_weights(plan):
+    if plan.experiment.definition.keeps_weights:
         write_parquet((_weights_table(plan, part) for part in located), folder / WEIGHTS, ())
     dense = [column.name for column in plan.experiment.columns if column.kind.dense]
     planned = plan.columns()

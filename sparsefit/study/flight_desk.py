@@ -216,7 +216,7 @@ class FlightDesk:
     def _outcome(self, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit) -> Outcome:
         estimate, values = read_case(self._definition, flown, prepared, cell, fit)
         weights: tuple[tuple[float, float], ...] = ()
-        if keeps_weights(self._definition):
+        if self._definition.keeps_weights:
             pairs = estimate.weights_by_scale.items()
             weights = tuple(sorted((float(scale), float(weight)) for scale, weight in pairs))
         reason = one_line(estimate.reason or "", MAX_REASON)
@@ -235,14 +235,6 @@ def read_case(
     estimate = estimator_of(definition, cell).read(prepared, fit)
     flow = flown.draw.flow
     return estimate, values_of(Reading(estimate, fit, prepared.problem, flow, flown.yardstick))
-
-
-def keeps_weights(definition: Definition) -> bool:
-    """Whether weights per length scale are stored beside the cases: where a figure shows them."""
-    return "weights" in [
-        entry if isinstance(entry, str) else entry.get("name")
-        for entry in definition.outputs.figures
-    ]
 
 
 def path_fractions(cell: Cell) -> tuple[float, ...]:

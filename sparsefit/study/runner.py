@@ -12,7 +12,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -35,7 +35,6 @@ except ImportError:  # Windows: the file alone
 Progress: TypeAlias = Callable[[int, int, float | None], None]
 EXECUTORS = ("processes", "dask")
 PROGRESS_SECONDS = 0.2
-LOCK = ".lock"
 MEMORY = 10  # outcomes of a cell over which its mean forgets, so that it follows a trend
 ENOUGH = 0.5  # share of the cells with cases left that must have been seen
 
@@ -284,70 +283,28 @@ def make_folder(folder: Path) -> None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder against other runs; a lock that a dead process left is taken over.
-
-    The lock on the folder itself is the system's: it goes with its process. The file `.lock`, kept
-    by `filelock`, tells who it is and reaches other machines that share the folder.
+    """Hold the folder against other runs: the system's lock, which goes with its process.
 
     Raises:
         InputError: if another run holds it, or the folder cannot be written.
     """
-    from filelock import SoftFileLock, Timeout
-
-    path = folder / LOCK
-    with _alone_here(folder):
-        if not os.access(folder, os.W_OK):
-            raise InputError(f"{folder}: cannot be written: choose another results folder")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: no regular file: remove it")
-        lock = SoftFileLock(path, timeout=0)
-        try:
-            lock.acquire()
-        except Timeout:
-            raise InputError(_refusal(path)) from None
-        except OSError as error:
-            cause = f"{error.strerror}: choose another results folder"
-            raise InputError(f"{folder}: cannot be written: {cause}") from None
-        try:
-            yield
-        finally:
-            with suppress(OSError):  # of a folder that was removed meanwhile
-                lock.release()
-
-
-@contextmanager
-def _alone_here(folder: Path) -> Iterator[None]:
-    """Hold the folder against other processes of this machine, where its file system can."""
-    if fcntl is None:
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder}: cannot be written: choose another results folder")
+    if fcntl is None:  # Windows: the store's own lock alone
         yield
         return
-    try:
-        place = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        cause = f"{error.strerror}: choose another results folder"
-        raise InputError(f"{folder}: cannot be read: {cause}") from None
+    place = os.open(folder, os.O_RDONLY)
     try:
         try:
             fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(_refusal(folder / LOCK)) from None
-        except OSError:  # a file system without such locks: the file alone
+            words = "another run is under way: wait for it or stop it"
+            raise InputError(f"{folder}: {words}") from None
+        except OSError:  # a file system without such locks
             pass
         yield
     finally:
         os.close(place)
-
-
-def _refusal(path: Path) -> str:
-    who = "just starting"
-    with suppress(OSError, ValueError):
-        if path.is_file():
-            pid, host, *_ = path.read_text(encoding="utf-8").split()
-            who = f"process {pid} on {host.partition('?')[0]}"
-    return (
-        f"{path.parent}: another run is under way ({who}): wait for it or stop it "
-        f"(if there is none, remove {path})"
-    )
 
 
 @contextmanager

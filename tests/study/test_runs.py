@@ -18,7 +18,7 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.study import manifest
 from sparsefit.study.export import CASES, read_cases
-from sparsefit.study.runner import LOCK, Pace, locked
+from sparsefit.study.runner import Pace, locked
 from sparsefit.study.store import STORE, Store
 from tests.study import hostile
 from tests.study.small_study import small_study
@@ -296,7 +296,7 @@ def test_a_store_with_flipped_bytes_is_refused_or_passed_over(whole, tmp_path, s
     assert len(kept) + store.damaged + store.unplanned <= 18
 
 
-@pytest.mark.parametrize("name", [STORE, CASES, LOCK, "manifest.json"])
+@pytest.mark.parametrize("name", [STORE, CASES, "manifest.json"])
 def test_a_pipe_or_a_link_in_a_file_s_place_is_not_waited_for(whole, tmp_path, name):
     study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
     (study.folder / name).unlink(missing_ok=True)
@@ -339,14 +339,10 @@ def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(whole, tmp_path):
         lose()
 
 
-def test_two_runs_at_once_are_refused_and_a_dead_lock_taken_over(whole, tmp_path):
+def test_two_runs_at_once_are_refused(whole, tmp_path):
     study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
     with locked(study.folder), pytest.raises(InputError, match="another run is under way"):
         study.run(processes=1)
-    (study.folder / LOCK).write_text("999999 nowhere\n")
-    with pytest.raises(InputError, match="process 999999 on nowhere"):
-        study.run(processes=1)
-    (study.folder / LOCK).unlink()
     assert study.run(processes=1).finished
 
 
