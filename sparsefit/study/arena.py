@@ -52,8 +52,8 @@ class Crew:
 
     def forget(self, desk: str) -> None:
         """The process of a desk is gone, and with it what it knew."""
-        for known in (self.met, self.holds, self.overhead):
-            known.pop(desk, None)
+        for registered in (self.met, self.holds, self.overhead):
+            registered.pop(desk, None)
 
 
 @dataclass
@@ -157,8 +157,8 @@ class Arena:
             return
         before = case.verdict.get("excess", math.inf)
         yield from self._judge(case, weights)
-        after, asked = case.verdict.get("excess", math.inf), self._asked(case)
-        if not case.status and after > max(WORSE * before, asked):
+        after, requested = case.verdict.get("excess", math.inf), self._asked(case)
+        if not case.status and after > max(WORSE * before, requested):
             words = "a timed repeat answered another problem than it was given"
             case.end(f"{words}: off by {after:.1e} of the objective at zero")
 
@@ -178,13 +178,13 @@ class Arena:
         into = np.lib.format.open_memmap(path, mode="w+", dtype=float, shape=shape)
         into[...] = np.nan
         into.flush()
-        told: dict[str, Any] = {"contender": case.number, "tolerance": case.tolerance}
-        told |= {
+        content: dict[str, Any] = {"contender": case.number, "tolerance": case.tolerance}
+        content |= {
             "seed": seed,
             "rows": None if rows is None else rows.tolist(),
             "weights": str(path),
         }
-        ready = yield from self._ask(case, "ready", told, READY_SECONDS)
+        ready = yield from self._ask(case, "ready", content, READY_SECONDS)
         if isinstance(ready, Lost | str):
             return ready
         answer = yield from self._ask(case, "solve", {}, case.contender.limit, timed=True)
@@ -221,10 +221,10 @@ class Arena:
                 walls.append(answer["wall"])
             crew.overhead[desk] = float(np.median(walls))
         if case.number not in crew.met.setdefault(desk, set()):
-            told = {"contender": case.number, "tolerance": case.tolerance}
+            content = {"contender": case.number, "tolerance": case.tolerance}
             words = "its first call"
             first = yield from self._ask(
-                case, "first", told, case.contender.first, timed=True, words=words
+                case, "first", content, case.contender.first, timed=True, words=words
             )
             if isinstance(first, Lost):
                 crew.lost[case.number] = first
@@ -247,7 +247,7 @@ class Arena:
         self,
         case: Case,
         verb: str,
-        told: Mapping[str, Any],
+        content: Mapping[str, Any],
         limit: float,
         *,
         timed: bool = False,
@@ -256,7 +256,7 @@ class Arena:
     ) -> Answered:
         """The answer of a process, held against what an answer is; else the case is over."""
         desk = desk or case.desk
-        answer = yield Ask(verb, told, limit, desk, timed)
+        answer = yield Ask(verb, content, limit, desk, timed)
         if isinstance(answer, Lost):
             self.crew.forget(desk)
             case.end(answer, words)
@@ -281,9 +281,11 @@ class Arena:
             self.crew.holds[JUDGE] = self.unit
         path = self.folder / "judged.npy"
         np.save(path, weights)
-        told: dict[str, Any] = {"contender": case.number, "weights": str(path)}
+        content: dict[str, Any] = {"contender": case.number, "weights": str(path)}
         words = "the certificate"
-        answer = yield from self._ask(case, "verdict", told, JUDGE_SECONDS, desk=JUDGE, words=words)
+        answer = yield from self._ask(
+            case, "verdict", content, JUDGE_SECONDS, desk=JUDGE, words=words
+        )
         if isinstance(answer, Lost | str):
             return
         gap, excess = (_or_infinite(answer.get(name)) for name in ("gap", "excess"))
@@ -310,8 +312,8 @@ class Arena:
                 words = f"on a fold of the rows: {case.reason}"
                 case.reason = words[:MAX_REASON]
                 return
-            left = missed(data.theta[part], data.target[part], answer["weights"])
-            errors.append(left)
+            remaining = missed(data.theta[part], data.target[part], answer["weights"])
+            errors.append(remaining)
             mean = data.target[train].mean(axis=0)
             bases.append(float(((data.target[part] - mean) ** 2).sum()))
         point = 0
@@ -324,10 +326,10 @@ class Arena:
             theta, target = data.test
             blocks = np.array_split(np.arange(len(theta)), min(rules.folds or 5, len(theta)))
             chosen = weights[point : point + 1]
-            left = np.array([missed(theta[b], target[b], chosen) for b in blocks])
+            remaining = np.array([missed(theta[b], target[b], chosen) for b in blocks])
             mean = data.target.mean(axis=0)
             base = np.array([float(((target[b] - mean) ** 2).sum()) for b in blocks])
-            case.values |= cross_validated(left, base)
+            case.values |= cross_validated(remaining, base)
         rms = np.sqrt((data.theta**2).mean(axis=0))
         used = support(weights[point], rms, rules.support)
         case.values["support"] = int(used.sum())
@@ -358,12 +360,12 @@ class Arena:
         status, reason = case.status, case.reason
         excess = case.verdict.get("excess", math.inf)
         if not status:
-            status, asked = "ok", self._asked(case)
-            if not excess <= asked:
+            status, requested = "ok", self._asked(case)
+            if not excess <= requested:
                 status = "inaccurate"
                 words = str(case.values.get("word", ""))
-                told = f"certified {excess:.1e}, asked for {asked:g}"
-                reason = f"{told}: {words}" if words else told
+                content = f"certified {excess:.1e}, asked for {requested:g}"
+                reason = f"{content}: {words}" if words else content
         clock, timings = self.design.clock, case.repeats.timings
         walls = median_interval([timing.wall for timing in timings])
         cpus = median_interval([timing.cpu for timing in timings])
@@ -375,7 +377,7 @@ class Arena:
             **case.values,
             "points": self._points(case) if not case.contender.missing else 1,
             "repeats": len(timings),
-            "known": case.repeats.known(clock.precision),
+            "known": case.repeats.registered(clock.precision),
             "disturbed": case.repeats.disturbed,
             "first": self.crew.first.get(case.number, math.nan),
         }

@@ -89,7 +89,7 @@ class Repeats:
         if not first or timing.wall > SLOW:
             self.timings.append(timing)
 
-    def known(self, precision: float) -> bool:
+    def registered(self, precision: float) -> bool:
         """Whether the median of the wall is known to this share of it."""
         middle, low, high = median_interval([timing.wall for timing in self.timings])
         return bool(high - low <= 2.0 * precision * middle)
@@ -98,7 +98,7 @@ class Repeats:
         """Whether no more is to be timed."""
         if self.timings and self.spent >= seconds:
             return True
-        return len(self.timings) >= repeats or self.known(precision)
+        return len(self.timings) >= repeats or self.registered(precision)
 
     @property
     def disturbed(self) -> bool:

@@ -152,7 +152,7 @@ class Contender:
         return canonical_json([self.backend, dict(self.settings)])
 
     @property
-    def told(self) -> str:
+    def content(self) -> str:
         """All its settings, of the back-end and of the solver, as canonical JSON."""
         own = dict(self.recipe.settings) if self.recipe else {}
         named = {"solver": self.recipe.name} if self.recipe else {}
@@ -199,20 +199,20 @@ class ProblemDesign:
         """What determines the rows of each cell: another limit lets others fail."""
         clock = {key: value for key, value in asdict(self.clock).items() if key != "shift"}
         judged = asdict(self.holdout) if self.holdout else None
-        told = [
+        content = [
             canonical_json([_identity(self.contenders[number]), str(tolerance), self.fractions,
                             clock, judged])
             for number, tolerance in self.cells
         ]  # fmt: skip
-        return numbered(map(digest, told))
+        return numbered(map(digest, content))
 
 
 def _identity(contender: Contender) -> list[object]:
-    told = [contender.objective, contender.backend, contender.told, contender.solver]
+    content = [contender.objective, contender.backend, contender.content, contender.solver]
     recipe, code = contender.recipe, ""
     if recipe is not None and Path(recipe.file).is_file():
         code = hashlib.sha256(Path(recipe.file).read_bytes()).hexdigest()
-    return [*told, contender.certified, contender.limit, code]
+    return [*content, contender.certified, contender.limit, code]
 
 
 def read_problem_design(document: Section, place: Place) -> tuple[ProblemDesign, str]:
@@ -238,8 +238,8 @@ def read_problem_design(document: Section, place: Place) -> tuple[ProblemDesign,
     if planned > MOST_CASES:
         raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}")
     shown_only = ("question", "accuracies", "outputs", "select", "kind")
-    told = {key: value for key, value in document.items() if key not in shown_only}
-    content = canonical_json([told, [source.identity for source in problems]])
+    judged_by = {key: value for key, value in document.items() if key not in shown_only}
+    content = canonical_json([judged_by, [source.identity for source in problems]])
     return design, hashlib.sha256(content.encode()).hexdigest()
 
 
@@ -369,14 +369,14 @@ def _resolved(
         form = (backends.load(name).__doc__ or "").strip().split("\n")[0]
         first = ours if name in backends.BACKENDS else clock.first or base.limit
         family = OURS if name in backends.BACKENDS else name
-        told = {"tolerances": NO_TOLERANCE, "form": form, "family": family, "first": first}
-        yield replace(base, **told)  # type: ignore[arg-type]
+        content = {"tolerances": NO_TOLERANCE, "form": form, "family": family, "first": first}
+        yield replace(base, **content)  # type: ignore[arg-type]
         return
     if backend.alpha_fraction == "auto":
         raise place.at("alpha_fraction").error('"auto" is many fits: give a number')
     if solver in ("", exact):
-        told = {"tolerances": NO_TOLERANCE, "form": EXACT, "solver": exact, "first": ours}
-        yield replace(base, **told)  # type: ignore[arg-type]
+        content = {"tolerances": NO_TOLERANCE, "form": EXACT, "solver": exact, "first": ours}
+        yield replace(base, **content)  # type: ignore[arg-type]
         return
     chosen = recipes.get(solver) or [Recipe(solver)]
     varied = {key for r in chosen for key in r.settings if _several(key, chosen)}
@@ -391,21 +391,21 @@ def _several(key: str, recipes: Sequence[Recipe]) -> bool:
 
 def _described(contenders: Sequence[Contender], clock: Clock, place: Place) -> list[Contender]:
     """The contenders with what their recipes tell; code of others tells it in another process."""
-    shipped, known = shipped_names(), solver_names()
+    shipped, registered = shipped_names(), solver_names()
     foreign = [
         c
         for c in contenders
         if c.recipe
         and not c.recipe.command
-        and (c.recipe.file or (c.recipe.name in known and c.recipe.name not in shipped))
+        and (c.recipe.file or (c.recipe.name in registered and c.recipe.name not in shipped))
     ]
-    told: list[dict[str, Any]] = []
+    content: list[dict[str, Any]] = []
     if foreign:
         try:
-            told = in_child(about_solvers, [_asked_of(c) for c in foreign], seconds=120.0)
+            content = in_child(about_solvers, [_asked_of(c) for c in foreign], seconds=120.0)
         except InputError as error:
             raise place.at("solver").error(str(error)) from None
-    abouts = {id(contender): about for contender, about in zip(foreign, told, strict=True)}
+    abouts = {id(contender): about for contender, about in zip(foreign, content, strict=True)}
     described = []
     for contender in contenders:
         recipe = contender.recipe
@@ -416,14 +416,14 @@ def _described(contenders: Sequence[Contender], clock: Clock, place: Place) -> l
         if about["refused"]:
             raise place.at("solver").error(about["refused"])
         ours = clock.first or max(contender.limit, FIRST_SECONDS)
-        known = {
+        about_it = {
             "tolerances": contender.tolerances if about["stops"] else NO_TOLERANCE,
             "form": about["form"],
             "missing": about["missing"],
             "family": about["package"] or f"{recipe.name}{dict(recipe.settings) or ''}",
             "first": ours if _ships(recipe, shipped) else clock.first or contender.limit,
         }
-        described.append(replace(contender, **known))
+        described.append(replace(contender, **about_it))
     return described
 
 
@@ -441,12 +441,12 @@ def shipped_names() -> set[str]:
     return {*SOLVERS, *BEHIND_CVXPY, *cvxpy, "clarabel-working-set"}
 
 
-def about_solvers(asked: Sequence[tuple[Recipe, str, dict[str, Any]]]) -> list[dict[str, Any]]:
+def about_solvers(requested: Sequence[tuple[Recipe, str, dict[str, Any]]]) -> list[dict[str, Any]]:
     """Of each (recipe, back-end, its settings): form, package, whether a tolerance stops it.
 
     missing: why it cannot run here; refused: why it is none, or does not take the penalty.
     """
-    return [_about(*told) for told in asked]
+    return [_about(*content) for content in requested]
 
 
 def _about(recipe: Recipe, backend: str, settings: dict[str, Any]) -> dict[str, Any]:

@@ -297,11 +297,11 @@ def definition_of(document: Section, path: str) -> Definition:
         required(document, "seed", place)
         _check_predicted(outputs, rules.prediction_flights, place)
         design: object = _read_flights(document, place)
-        told = _flight_hash(document, place)
+        content = _flight_hash(document, place)
     else:
         from sparsefit.study.contenders import read_problem_design
 
-        design, told = read_problem_design(document, place)
+        design, content = read_problem_design(document, place)
     sweep = design.sweep if isinstance(design, FlightDesign) else ()
     protocols = design.protocols if isinstance(design, FlightDesign) else ()
     return Definition(
@@ -310,7 +310,7 @@ def definition_of(document: Section, path: str) -> Definition:
         kind="flights" if flown else "problems",
         question=question,
         seed=integer(seed, place.at("seed"), least=0),
-        hash=told,
+        hash=content,
         run=rules,
         outputs=outputs,
         selection=read_selection(document.get("select", {}), protocols, sweep, place),
@@ -443,10 +443,12 @@ def read_selection(
     """Read [select]; InputError names the first key or factor that does not fit."""
     here = place.within("select")
     rule = _rule(read_section(value, place.at("select")), here)
-    known = regime_factors(protocols, sweep)
+    registered = regime_factors(protocols, sweep)
     for name in rule.regimes:
-        if name not in known:
-            others = f"; what does: {', '.join(known)}" if known else ", and nothing else does"
+        if name not in registered:
+            others = (
+                f"; what does: {', '.join(registered)}" if registered else ", and nothing else does"
+            )
             words = f'no "{name}" varies between the flights{others}'
             raise here.at("regimes").error(words)
     return rule

@@ -143,8 +143,8 @@ class Draw:
     def believed(self) -> PointMassVehicle | None:
         """The vehicle that the estimator is given, where it is not the true one."""
         values, turns = self.values, "thrust_turn" in self.values
-        told = any(key in values for key in (*RATIO_KEYS, *LAW_KEYS))
-        if not told and (self.thrust_logged or not turns):
+        content = any(key in values for key in (*RATIO_KEYS, *LAW_KEYS))
+        if not content and (self.thrust_logged or not turns):
             return None
         by_response, push, by_drag = (values.get(key, 1.0) for key in RATIO_KEYS)
         response = by_response * values.get("response_time", math.inf)
@@ -208,14 +208,14 @@ class Draw:
     def others(self, seed: np.random.SeedSequence, count: int) -> tuple[Flight, ...]:
         """Other flights through the same flow: from other places, without noise or faults."""
         noise = ("process_noise", "position_noise", "velocity_noise", "time_jitter", "thrust_noise")
-        told = (*RATIO_KEYS, *LAW_KEYS, *FAULTS, *noise, "position_x", "position_y")
-        clean = self._without(*told)
+        content = (*RATIO_KEYS, *LAW_KEYS, *FAULTS, *noise, "position_x", "position_y")
+        clean = self._without(*content)
         flights = (clean.fly(_child(seed, OTHERS + number)) for number in range(count))
         return tuple(replace(flight, vehicle=clean.vehicle) for flight in flights)
 
     def _without(self, *names: str) -> Draw:
-        kept = {name: value for name, value in self.values.items() if name not in names}
-        return replace(self, values=kept)
+        stored = {name: value for name, value in self.values.items() if name not in names}
+        return replace(self, values=stored)
 
     def _pair(self, name: str) -> tuple[float, float]:
         return (self.values.get(f"{name}_x", 0.0), self.values.get(f"{name}_y", 0.0))

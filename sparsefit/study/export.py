@@ -58,8 +58,8 @@ class Row:
     @property
     def crc(self) -> int:
         """The checksum over all of it."""
-        told = (self.key, self.status, self.reason, self.version, self.body)
-        return crc32("\0".join(told).encode(errors="backslashreplace"))
+        content = (self.key, self.status, self.reason, self.version, self.body)
+        return crc32("\0".join(content).encode(errors="backslashreplace"))
 
 
 def is_regular(path: Path) -> bool:
@@ -114,19 +114,19 @@ def exported_rows(folder: Path, plan: Plan, *, brief: bool = False) -> Iterator[
     path = folder / CASES
     if not is_regular(path):
         return
-    known, weights = Known.of(folder, plan), {} if brief else _weights_of(folder)
+    registered, weights = Known.of(folder, plan), {} if brief else _weights_of(folder)
     kinds = kinds_of(plan.experiment.columns)
     skipped = {*plan.columns(), *OUTSIDE} if not brief else set(kinds)
     with parquet(path) as file:
         names = check_cases(path, file.schema_arrow)
         read = [name for name in names if name in kinds and name not in skipped]
-        wanted = [known.column, "case_id", "flight", "status", "reason", "version", *read]
+        wanted = [registered.column, "case_id", "flight", "status", "reason", "version", *read]
         for batch in file.iter_batches(
             batch_size=BATCH, columns=[name for name in names if name in wanted]
         ):
             columns = {name: batch.column(name).to_pylist() for name in batch.schema.names}
-            versions = columns.get("version") or [known.version] * batch.num_rows
-            for number, key in enumerate(known.keys(columns)):
+            versions = columns.get("version") or [registered.version] * batch.num_rows
+            for number, key in enumerate(registered.keys(columns)):
                 values = {name: kinds[name].of(columns[name][number]) for name in read}
                 pairs = weights.get(columns["case_id"][number], ())
                 body = "" if brief else body_of(Outcome(0, 0, "", values=values, weights=pairs))
@@ -138,10 +138,10 @@ def _weights_of(folder: Path) -> dict[str, tuple[tuple[float, float], ...]]:
     if not is_regular(folder / WEIGHTS):
         return {}
     frame = read_weights(folder)
-    kept: dict[str, list[tuple[float, float]]] = {}
+    stored: dict[str, list[tuple[float, float]]] = {}
     for case_id, *pair in frame.itertuples(index=False):
-        kept.setdefault(case_id, []).append((float(pair[0]), float(pair[1])))
-    return {case_id: tuple(pairs) for case_id, pairs in kept.items()}
+        stored.setdefault(case_id, []).append((float(pair[0]), float(pair[1])))
+    return {case_id: tuple(pairs) for case_id, pairs in stored.items()}
 
 
 @contextmanager
@@ -258,10 +258,10 @@ def _weights_table(plan: Plan, rows: Sequence[tuple[int, Row]]) -> pa.Table:
     import pyarrow as pa
 
     ids = plan.case_ids
-    told = [(ids[place], *pair) for place, row in rows for pair in read_body(row.body)[2]]
+    content = [(ids[place], *pair) for place, row in rows for pair in read_body(row.body)[2]]
     return pa.table(
         {
-            name: pa.array([item[i] for item in told], type=pa.type_for_alias(kind.arrow))
+            name: pa.array([item[i] for item in content], type=pa.type_for_alias(kind.arrow))
             for i, (name, kind) in enumerate(WEIGHT_COLUMNS.items())
         }
     )

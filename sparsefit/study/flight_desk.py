@@ -65,10 +65,10 @@ def truth_of(draw: Draw | Logged) -> dict[str, Value]:
     sides, drift = cells.length_scales, cells.drift
     names = (*PARAMETERS, "length_scale_x", "length_scale_y", "heading", "drift_x", "drift_y")
     values = (*(getattr(cells, name) for name in PARAMETERS), *sides, cells.heading, *drift)
-    told: dict[str, Value] = {
+    content: dict[str, Value] = {
         f"true_{name}": float(value) for name, value in zip(names, values, strict=True)
     }
-    return {**told, "flow": "cellular"}
+    return {**content, "flow": "cellular"}
 
 
 @dataclass(frozen=True)
@@ -135,9 +135,9 @@ class FlightDesk:
     def _design(self) -> FlightDesign:
         return self._definition.flights
 
-    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
         """The answer to `fly`, `prepare` or `cases` of a unit and cells."""
-        unit, cells = told["unit"], [self._design.cells[index] for index in told["cells"]]
+        unit, cells = content["unit"], [self._design.cells[index] for index in content["cells"]]
         if verb == "fly":
             return _said(self._fly(unit, cells[0]))
         if verb == "prepare":

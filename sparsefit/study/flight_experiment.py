@@ -114,7 +114,7 @@ class FlightExperiment:
         candidates = [words.candidate(cell) for cell in cells]
         return {
             "condition": [words.condition(cell) for cell in cells],
-            "candidate": [digest(canonical_json(told))[:12] for told in candidates],
+            "candidate": [digest(canonical_json(content))[:12] for content in candidates],
             "title": [words.title(cell) for cell in cells],
             "world": [words.worlds[cell.protocol] for cell in cells],
             "reading": [words.readings[cell.protocol] for cell in cells],
@@ -129,8 +129,8 @@ class FlightExperiment:
     def factors(self) -> dict[str, str]:
         """The swept keys, and those that protocols set."""
         swept = [factor.key for factor in self.design.sweep]
-        told = [key for protocol in self.design.protocols for key in protocol.overrides]
-        every = dict.fromkeys([*swept, *told])
+        content = [key for protocol in self.design.protocols for key in protocol.overrides]
+        every = dict.fromkeys([*swept, *content])
         return {key: "condition" if _of_flight(key) else "candidate" for key in every}
 
     def case_id(self, unit: int, cell: int) -> str:
@@ -250,9 +250,9 @@ class FlightExperiment:
                         yield from again
 
     def _ask(self, verb: str, unit: int, cells: list[Cell], fits: int) -> Ask:
-        told = {"unit": unit, "cells": [cell.index for cell in cells]}
+        content = {"unit": unit, "cells": [cell.index for cell in cells]}
         limit = self.definition.run.case_timeout * fits
-        return Ask(verb, told, limit, self._desks[cells[0].index])
+        return Ask(verb, content, limit, self._desks[cells[0].index])
 
     def _rows(
         self, unit: int, cells: list[Cell], answer: Record | Lost | None
@@ -262,8 +262,8 @@ class FlightExperiment:
             return answer
         if error := _text(answer, "error"):
             return [self._outcome(unit, cell, "error", error) for cell in cells]
-        told = answer.get("answer") if answer else None
-        rows = told.get("rows") if isinstance(told, dict) else None
+        content = answer.get("answer") if answer else None
+        rows = content.get("rows") if isinstance(content, dict) else None
         try:
             if not isinstance(rows, list) or [row["cell"] for row in rows] != [
                 cell.index for cell in cells
@@ -284,8 +284,8 @@ class FlightExperiment:
             raise ValueError("ok without an estimate")
         weights = tuple((_real(pair[0]), _real(pair[1])) for pair in row["weights"])
         shared = _real(row["shared"])
-        kept = {**values, **self.truth(unit, cell.index)}
-        return Outcome(unit, cell.index, status, reason, kept, shared, weights)
+        stored = {**values, **self.truth(unit, cell.index)}
+        return Outcome(unit, cell.index, status, reason, stored, shared, weights)
 
     def _lost(self, unit: int, cell: Cell, words: str, lost: Lost) -> Outcome:
         between = " " if lost.status == "timeout" else ": "
@@ -338,24 +338,26 @@ def _identities(definition: Definition) -> Iterator[str]:
             setups[id(cell.setup)] = _told(cell.setup, design.count)
         name = cell.choice.name
         if name not in defaults:
-            known: tuple[Field[Any], ...] = fields(backends.load(name))  # type: ignore[arg-type]
-            defaults[name] = {item.name: item.default for item in known}
+            registered: tuple[Field[Any], ...] = fields(backends.load(name))  # type: ignore[arg-type]
+            defaults[name] = {item.name: item.default for item in registered}
         settings = json.loads(cell.canonical_settings)
-        told = {k: v for k, v in settings.items() if v != defaults[name].get(k, MISSING)}
-        yield digest("\n".join((common, setups[id(cell.setup)], name, canonical_json(told))))
+        content = {k: v for k, v in settings.items() if v != defaults[name].get(k, MISSING)}
+        yield digest("\n".join((common, setups[id(cell.setup)], name, canonical_json(content))))
 
 
 def _told(setup: Setup, count: int) -> str:
     flights = setup.flights
     if isinstance(flights, Logs):  # what was logged, wherever the file lies
         pieces = [[piece.digest, piece.start, piece.end] for piece in flights.pieces]
-        told = [canonical_json([pieces, _content(flights.vehicle)])]
+        content = [canonical_json([pieces, _content(flights.vehicle)])]
     else:
-        told = [_told_rules(flights, count)]
-    told += [canonical_json(_content(p)) for p in (setup.derivative, setup.library, setup.readout)]
+        content = [_told_rules(flights, count)]
+    content += [
+        canonical_json(_content(p)) for p in (setup.derivative, setup.library, setup.readout)
+    ]
     if setup.online.asked:
-        told.append(canonical_json(_content(setup.online)))
-    return ",".join(told)
+        content.append(canonical_json(_content(setup.online)))
+    return ",".join(content)
 
 
 def _told_rules(flights: FlightRules, count: int) -> str:
@@ -368,14 +370,14 @@ def _told_rules(flights: FlightRules, count: int) -> str:
 def _content(value: object) -> object:
     """A record as its name and the fields that are not at their defaults."""
     if is_dataclass(value):
-        told = {}
+        content = {}
         for item in fields(value):
             default = item.default
             if item.default_factory is not MISSING:
                 default = item.default_factory()
             if getattr(value, item.name) != default:
-                told[item.name] = _content(getattr(value, item.name))
-        return [type(value).__name__, told]
+                content[item.name] = _content(getattr(value, item.name))
+        return [type(value).__name__, content]
     if isinstance(value, list | tuple):
         return [_content(item) for item in value]
     return value
@@ -453,8 +455,8 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
     counts = Counter(words.values())
     for half, word in words.items():
         if not word or counts[word] > 1:
-            told = (level_words(key, value) for key, value in json.loads(half).items())
-            words[half] = ", ".join(told) or "as the study says"
+            content = (level_words(key, value) for key, value in json.loads(half).items())
+            words[half] = ", ".join(content) or "as the study says"
     return {name: words[half] for name, half in halves.items()}
 
 
@@ -470,7 +472,7 @@ def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:
         names = dict.fromkeys(setting for other in others for setting in other)
         varied = [s for s in names if len({repr(other.get(s)) for other in others}) > 1]
         # A label that was given for one setting alone says enough.
-        told = [] if label != name and labels[label] == 1 else varied
-        shown = [f"{s}={settings[key][s]}" for s in told if s in settings[key]]
+        content = [] if label != name and labels[label] == 1 else varied
+        shown = [f"{s}={settings[key][s]}" for s in content if s in settings[key]]
         words[key] = " ".join([label, *shown])
     return words

@@ -68,10 +68,10 @@ class LatencyDesk:
         self._cells = [definition.flights.cells[index] for index in cells]
         self._ready: tuple[Any, Any] = (None, None)
 
-    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
         """`ready`: fly the flight of a place; `estimate` it."""
         if verb == "ready":
-            self._ready = self._flight(told["place"])
+            self._ready = self._flight(content["place"])
             return {}
         estimator, fleet = self._ready
         with suppress(Exception):  # a refusal takes its time too
@@ -81,9 +81,9 @@ class LatencyDesk:
     def _flight(self, place: int) -> tuple[Any, Any]:
         """The flights at a place of those to be timed: worlds in turn, then the next flight."""
         design = self._definition.flights
-        kept = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
+        stored = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
         cell = self._cells[place % len(self._cells)]
-        unit = kept[place // len(self._cells) % len(kept)]
+        unit = stored[place // len(self._cells) % len(stored)]
         fleet = draw_of(self._definition, unit, cell).fleet(
             stream(self._definition.seed, unit, SIMULATION)
         )
@@ -144,8 +144,8 @@ def _measured(definition: Definition, cells: tuple[int, ...], flights: int) -> L
 def machine() -> dict[str, object]:
     """On what the times are taken: the processor, the system, the version and the load."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    known = {"processor": processor(), "system": platform.platform()}
-    return {**known, "sparsefit": sparsefit_version(), "load": load}
+    registered = {"processor": processor(), "system": platform.platform()}
+    return {**registered, "sparsefit": sparsefit_version(), "load": load}
 
 
 def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:

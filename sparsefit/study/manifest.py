@@ -108,8 +108,8 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 def read_record(path: Path) -> dict[str, Any] | None:
     """The JSON object in a regular file; None where there is none that can be read."""
     try:
-        told = path.stat()
-        if not stat.S_ISREG(told.st_mode) or told.st_size > LARGEST:
+        facts = path.stat()
+        if not stat.S_ISREG(facts.st_mode) or facts.st_size > LARGEST:
             return None
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -142,8 +142,8 @@ def _sha256(path: Path) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of sparsefit, Python and what computes; None for what is not installed."""
-    told = {"sparsefit": sparsefit_version(), "python": platform.python_version()}
-    return {**told, **{name: version_of(name) for name in PACKAGES}}
+    content = {"sparsefit": sparsefit_version(), "python": platform.python_version()}
+    return {**content, **{name: version_of(name) for name in PACKAGES}}
 
 
 def sparsefit_version() -> str:

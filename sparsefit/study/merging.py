@@ -78,34 +78,34 @@ def merge(
         raise InputError(f"{folder}: {words}")
     make_folder(folder)
     with locked(folder):
-        known = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
+        registered = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
         taken: list[Row] = []
-        told = []
+        content = []
         for part in folders:
             with told_with(part):
                 store = Store.read(part, plan)
                 rows = {row.key: row for row in store.rows() if row.status in STATUSES}
-                if known:
-                    _check_beside(plan, store, [row for _, row in known.values()])
+                if registered:
+                    _check_beside(plan, store, [row for _, row in registered.values()])
             alike = other = 0
             for key, row in rows.items():
-                if key not in known:
+                if key not in registered:
                     continue
-                first, same = known[key], _same(plan, known[key][1], row)
+                first, same = registered[key], _same(plan, registered[key][1], row)
                 alike, other = alike + same, other + (not same)
                 if not same and not keep_first:
                     raise InputError(_clash(plan, first, (part, row)))
-            new = [rows[key] for key in _takes(plan, set(known), set(rows))]
-            known |= {row.key: (part, row) for row in new}
+            new = [rows[key] for key in _takes(plan, set(registered), set(rows))]
+            registered |= {row.key: (part, row) for row in new}
             taken += new
-            told.append(Part(part, len(rows), len(new), alike, other))
+            content.append(Part(part, len(rows), len(new), alike, other))
         with Store.opened(folder, plan) as store:
             for row in taken:
                 store.put_row(row)
     done = int(Store.read(folder, plan).done.sum())
     if done == plan.size:  # only its order is left
         run(plan, folder, Request(processes=1))
-    return Merged(folder, tuple(told), plan.size, done)
+    return Merged(folder, tuple(content), plan.size, done)
 
 
 def _folder_of(plan: Plan, part: Path) -> Path:
@@ -147,8 +147,8 @@ def _takes(plan: Plan, mine: set[str], theirs: set[str]) -> list[str]:
 
 def _judged(plan: Plan, row: Row) -> list[float]:
     values = read_body(row.body)[0]
-    told = [values.get(name) for name in plan.experiment.judged]
-    return [math.nan if value is None else float(value) for value in told]
+    content = [values.get(name) for name in plan.experiment.judged]
+    return [math.nan if value is None else float(value) for value in content]
 
 
 def _same(plan: Plan, first: Row, second: Row) -> bool:
@@ -163,7 +163,7 @@ def _clash(plan: Plan, first: tuple[Path, Row], second: tuple[Path, Row]) -> str
     sides = []
     for folder, row in (first, second):
         numbers = _judged(plan, row)
-        told = f": U0 {numbers[0]:.7g} m/s, L_w {numbers[1]:.7g} m" if numbers else ""
-        sides.append(f"{folder} ({row.status}{told})")
+        content = f": U0 {numbers[0]:.7g} m/s, L_w {numbers[1]:.7g} m" if numbers else ""
+        sides.append(f"{folder} ({row.status}{content})")
     remedy = "leave one out, or add --keep-first"
     return f"case {case} differs between {' and '.join(sides)}: {remedy}"

@@ -183,23 +183,23 @@ class Plan:
         """Every planned column, a value a case."""
         units, cells = self.shape
         unit_columns, cell_columns = self.experiment.units(), self.experiment.cells()
-        told: dict[str, list[Any]] = {"case_id": self.case_ids}
+        content: dict[str, list[Any]] = {"case_id": self.case_ids}
         for name, values in unit_columns.items():
             if name not in ("unit", "identity"):
-                told[name] = [value for value in values for _ in range(cells)]
+                content[name] = [value for value in values for _ in range(cells)]
         for name, values in cell_columns.items():
             if name != "identity":
-                told[name] = list(values) * units
+                content[name] = list(values) * units
         conditions = cell_columns["condition"]
         varied = len(set(conditions)) > 1
-        told["unit"] = [
+        content["unit"] = [
             f"{unit} in {condition}" if varied and condition else unit
             for unit in map(str, unit_columns["unit"])
             for condition in map(str, conditions)
         ]
-        told["identity"] = self.identities
-        told["study"] = [self.experiment.definition.name] * self.size
-        return told
+        content["identity"] = self.identities
+        content["study"] = [self.experiment.definition.name] * self.size
+        return content
 
     def frame(self) -> pd.DataFrame:
         """The plan as a frame, one row a case."""
@@ -226,11 +226,11 @@ class Plan:
             if not mine.any() and name in self.place_of_case:
                 mine[self.at(self.place_of_case[name])] = True
             if not mine.any():
-                known = ", ".join(sorted({own for each in called for own in each[1:]}))
-                words = "give a back-end, a label, a protocol, a problem, a solver"
+                names_ = ", ".join(sorted({own for each in called for own in each[1:]}))
+                words = f"give a back-end, a label, a protocol, a problem, a solver ({names_})"
                 study = self.experiment.definition.name
                 raise InputError(
-                    f'nothing in study {study} is called "{name}": {words} ({known}) or a case id'
+                    f'nothing in study {study} is called "{name}": {words} or a case id'
                 )
             wanted |= mine
         return wanted

@@ -123,7 +123,7 @@ class Pool:
         ask, worker = slot.pending, slot.working
         slot.pending = slot.working = None
         if isinstance(answer, Lost):
-            slot.crew = {name: one for name, one in slot.crew.items() if one is not worker}
+            slot.crew = {name: item for name, item in slot.crew.items() if item is not worker}
             slot.warm = False
             if not answer.started and ask is not None:
                 self._count_unstarted(answer)
@@ -161,9 +161,9 @@ class Pool:
         """Ask the worker that the ask is for; one that is not there is started first."""
         worker = slot.crew.get(ask.desk)
         if worker is None:
-            make, told = self.experiment.desk(ask.desk)
+            make, content = self.experiment.desk(ask.desk)
             memory = self.memory
-            slot.crew[ask.desk] = slot.working = Worker.start(make, told, memory=memory)
+            slot.crew[ask.desk] = slot.working = Worker.start(make, content, memory=memory)
             slot.pending = ask
             return
         worker.send(ask)

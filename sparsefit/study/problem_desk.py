@@ -105,21 +105,21 @@ def solve(
 ) -> Sequence[Solution]:
     """The contender's answers, one per penalty; uncertified unless that is in its time."""
     backend: Any = backends.get(contender.backend, **contender.settings)
-    stop, asked = None if math.isnan(tolerance) else tolerance, tuple(fractions)
+    stop, requested = None if math.isnan(tolerance) else tolerance, tuple(fractions)
     if contender.certified:
         data = (problem.theta, problem.target, problem.groups)
-        fits = certified_path(RegressionProblem.from_arrays(*data), backend, asked).fits
+        fits = certified_path(RegressionProblem.from_arrays(*data), backend, requested).fits
         return [Solution(fit.weights, solver_status=fit.status) for fit in fits]
     if not isinstance(backend, PenalisedBackend):
         return [backend.solve(problem)]
-    asked = asked or own_fraction(backend)
+    requested = requested or own_fraction(backend)
     if contender.recipe is not None:
         penalty = penalty_of(backend, problem)
-        return answers(contender.recipe.make(), problem, penalty, asked, stop).solutions
+        return answers(contender.recipe.make(), problem, penalty, requested, stop).solutions
     if isinstance(backend, PathBackend):
-        return backend.solve_path(problem, asked)
+        return backend.solve_path(problem, requested)
     penalised: Any = backend
-    points = [dataclasses.replace(penalised, alpha_fraction=fraction) for fraction in asked]
+    points = [dataclasses.replace(penalised, alpha_fraction=fraction) for fraction in requested]
     return [point.solve(problem) for point in points]
 
 
@@ -141,20 +141,20 @@ class SolverDesk:
         os.dup2(silent, 1)
         os.dup2(silent, 2)
 
-    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
         """`nothing`, `problem`, `first`, `ready` or `solve`."""
         if verb == "problem":
-            self._rows = Rows.load(told["folder"])
+            self._rows = Rows.load(content["folder"])
         elif verb == "first":
-            self._ready(small_rows(), told["contender"], told["tolerance"], 0)
+            self._ready(small_rows(), content["contender"], content["tolerance"], 0)
             self._solve()
             gc.collect()
             gc.freeze()  # later collections pass over what is loaded now
         elif verb == "ready":
             assert self._rows is not None
-            part = self._rows.part(told["rows"], told["seed"])
-            self._ready(part, told["contender"], told["tolerance"], told["seed"])
-            self._into = np.lib.format.open_memmap(told["weights"], mode="r+")
+            part = self._rows.part(content["rows"], content["seed"])
+            self._ready(part, content["contender"], content["tolerance"], content["seed"])
+            self._into = np.lib.format.open_memmap(content["weights"], mode="r+")
             memory = _peak_from_here()
             gc.collect()
             gc.disable()
@@ -192,13 +192,13 @@ class JudgeDesk:
         self._problem: RegressionProblem | None = None
         self._bounds: dict[str, Array] = {}
 
-    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
         """`problem`, or the `verdict` on the weights of a contender."""
         if verb == "problem":
-            self._problem, self._bounds = Rows.load(told["folder"]).problem(), {}
+            self._problem, self._bounds = Rows.load(content["folder"]).problem(), {}
             return {}
-        contender = self._design.contenders[told["contender"]]
-        kind, gap, excess = self._judged(contender, np.load(told["weights"]))
+        contender = self._design.contenders[content["contender"]]
+        kind, gap, excess = self._judged(contender, np.load(content["weights"]))
         return {"kind": kind, "gap": _finite(gap), "excess": _finite(excess)}
 
     def _judged(self, contender: Contender, weights: Array) -> tuple[str, float, float]:
@@ -209,7 +209,7 @@ class JudgeDesk:
         kind = str(backend.certificate_kind)
         if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):
             solutions = [Solution(each) for each in weights]
-            certificates = [certificate_of(problem, backend, one, problem) for one in solutions]
+            certificates = [certificate_of(problem, backend, item, problem) for item in solutions]
             values = [math.nan if c is None else c.value for c in certificates]
             worst = max(math.inf if math.isnan(value) else value for value in values)
             return kind, worst, worst

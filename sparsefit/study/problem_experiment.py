@@ -93,7 +93,7 @@ class ProblemExperiment:
             "objective": [contender.objective for contender, _ in pairs],
             "label": [contender.objective for contender, _ in pairs],
             "backend": [contender.backend for contender, _ in pairs],
-            "settings": [contender.told for contender, _ in pairs],
+            "settings": [contender.content for contender, _ in pairs],
             "solver": [contender.solver for contender, _ in pairs],
             "tolerance": [stop for _, stop in pairs],
             "identity": self.design.cell_identities(),
@@ -183,10 +183,10 @@ class ProblemExperiment:
         if not folder.exists():
             folder.mkdir()
             data = self._data[unit]
-            told = {"theta": data.theta, "target": data.target, "samples": data.samples or 0}
+            content = {"theta": data.theta, "target": data.target, "samples": data.samples or 0}
             if data.groups is not None:
-                told["groups"] = np.unique(data.groups, return_inverse=True)[1]
-            np.savez(folder / PROBLEM, **told)  # type: ignore[arg-type]
+                content["groups"] = np.unique(data.groups, return_inverse=True)[1]
+            np.savez(folder / PROBLEM, **content)  # type: ignore[arg-type]
         return folder
 
     def end(self) -> None:

@@ -100,8 +100,9 @@ class ProblemSource:
             if data.test is not None and data.test[0].shape[1:] != data.theta.shape[1:]:
                 raise InputError("the test rows have other columns than the file")
         except InputError as error:
-            told = str(error).startswith(str(self.origin)) if isinstance(self.origin, Path) else 0
-            raise InputError(f"{'' if told else f'problem {self.name!r}: '}{error}") from None
+            in_file = isinstance(self.origin, Path) and str(error).startswith(str(self.origin))
+            where = "" if in_file else f"problem {self.name!r}: "
+            raise InputError(f"{where}{error}") from None
         return data
 
     def _data(self) -> Data:
@@ -117,9 +118,11 @@ class ProblemSource:
         target = np.asarray(data.target, float).reshape(len(theta), -1)
         data = replace(data, theta=theta, target=target)
         if self.test is not None:
-            held = read_data(self.test)
-            rows = np.asarray(held.theta, float)
-            data = replace(data, test=(rows, np.asarray(held.target, float).reshape(len(rows), -1)))
+            holdout_rows = read_data(self.test)
+            rows = np.asarray(holdout_rows.theta, float)
+            data = replace(
+                data, test=(rows, np.asarray(holdout_rows.target, float).reshape(len(rows), -1))
+            )
         if self.alter != AS_IT_IS:
             random = stream(self.seed, 0, ALTERED)
             altered = ALTERATIONS[self.alter](theta, target, np.random.default_rng(random))
@@ -173,13 +176,13 @@ def _read_entry(
         Path(place.file).parent / text(entry["test"], place.at("test")) if "test" in entry else None
     )
     series = str(entry.get("name", entry[given[0]]))
-    kept = [entry.get("groups"), digest_of(test) if test else None]
+    stored = [entry.get("groups"), digest_of(test) if test else None]
     for name, level, origin, identity in _origins(given[0], entry, base, seed, place):
         for alter in alterations:
             several = f"{name}, {alter}" if alter != AS_IT_IS else name
-            whole = canonical_json([identity, *kept, alter, seed])
-            told = (groups, alter, seed, series, level, whole, test)
-            yield ProblemSource(several, origin, *told)
+            whole = canonical_json([identity, *stored, alter, seed])
+            content = (groups, alter, seed, series, level, whole, test)
+            yield ProblemSource(several, origin, *content)
 
 
 def _origins(

@@ -172,9 +172,9 @@ def run(
         with Store.opened(folder, plan) as store:
             summary = _run(store, wanted, request, processes, progress, stopping)
             if summary.finished:
-                left = store.export()
+                remaining = store.export()
                 write_manifest(folder, _content(plan, summary))
-        if summary.finished and not left:
+        if summary.finished and not remaining:
             discard(folder)
     return summary
 
@@ -201,10 +201,10 @@ def _run(
 ) -> RunSummary:
     """Compute the cases wanted; each row is in the store before the next is waited for."""
     plan, begun = store.plan, time.monotonic()
-    known = int((store.done & ~wanted).sum())
+    registered = int((store.done & ~wanted).sum())
     pace = Pace.start(wanted.sum(axis=0), processes)
     solving: dict[int, float] = {}
-    report = _Report(known + int(wanted.sum()), progress, known)
+    report = _Report(registered + int(wanted.sum()), progress, registered)
     report.say(pace)
     came = np.zeros_like(wanted)
     with (
@@ -231,7 +231,7 @@ def _run(
     return RunSummary(
         store.folder,
         plan.size,
-        known,
+        registered,
         store.statuses,
         time.monotonic() - begun,
         sum(solving.values()),
@@ -308,7 +308,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def counted_interrupts(asked: Callable[[], None]) -> Iterator[Callable[[], bool]]:
+def counted_interrupts(requested: Callable[[], None]) -> Iterator[Callable[[], bool]]:
     """Inside, the first interrupt calls ``asked``; the function tells whether there was one.
 
     The second raises KeyboardInterrupt, and later ones are ignored. Where somebody else handles
@@ -325,7 +325,7 @@ def counted_interrupts(asked: Callable[[], None]) -> Iterator[Callable[[], bool]
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             raise KeyboardInterrupt
         heard.append(True)
-        asked()
+        requested()
 
     signal.signal(signal.SIGINT, hear)
     try:
@@ -341,19 +341,24 @@ def counted_interrupts(asked: Callable[[], None]) -> Iterator[Callable[[], bool]
 class Pace:
     """Cases left per cell (c,), and the mean seconds [s] and number of those seen."""
 
-    left: Array
+    remaining: Array
     mean: Array
     seen: Array
     processes: int
 
     @classmethod
-    def start(cls, left: Any, processes: int) -> Pace:
+    def start(cls, remaining: Any, processes: int) -> Pace:
         """Nothing seen yet."""
-        return cls(np.array(left, float), np.zeros(len(left)), np.zeros(len(left)), processes)
+        return cls(
+            np.array(remaining, float),
+            np.zeros(len(remaining)),
+            np.zeros(len(remaining)),
+            processes,
+        )
 
     def note(self, cell: int, seconds: float) -> None:
         """One case of `cell` ended after `seconds` of a worker's time; NaN: not representative."""
-        self.left[cell] -= 1
+        self.remaining[cell] -= 1
         if seconds == seconds:
             self.seen[cell] += 1
             self.mean[cell] += (seconds - self.mean[cell]) / min(self.seen[cell], MEMORY)
@@ -365,13 +370,14 @@ class Pace:
         A cell never seen counts as the median of those seen: the first case of a flight carries
         the simulation and the library, and must not stand for all.
         """
-        if not self.left.any():
+        if not self.remaining.any():
             return 0.0
-        known, open_ = self.seen > 0, self.left > 0
-        if not known.any() or np.count_nonzero(known & open_) < ENOUGH * np.count_nonzero(open_):
+        seen, open_ = self.seen > 0, self.remaining > 0
+        enough = ENOUGH * np.count_nonzero(open_)
+        if not seen.any() or np.count_nonzero(seen & open_) < enough:
             return None
-        typical = np.where(known, self.mean, np.median(self.mean[known]))
-        return float(self.left @ typical) / self.processes
+        typical = np.where(seen, self.mean, np.median(self.mean[seen]))
+        return float(self.remaining @ typical) / self.processes
 
 
 @dataclass

@@ -138,16 +138,16 @@ class Store:
     def put(self, outcome: Outcome) -> None:
         """Write a row of the plan, in the place of an earlier one."""
         place = outcome.unit * self.plan.shape[1] + outcome.cell
-        told = (outcome.status, outcome.reason, outcome.version, body_of(outcome))
-        self.put_row(Row(self.plan.keys[place], *told))
+        content = (outcome.status, outcome.reason, outcome.version, body_of(outcome))
+        self.put_row(Row(self.plan.keys[place], *content))
         self.status[place], self.version[place] = outcome.status, outcome.version
 
     def put_row(self, row: Row) -> None:
         """Write a row, planned or not."""
         assert self.base is not None
         with _telling(self.folder / STORE):
-            told = (row.key, row.status, row.reason, row.version, row.body, row.crc)
-            self.base.execute(PUT, told)
+            content = (row.key, row.status, row.reason, row.version, row.body, row.crc)
+            self.base.execute(PUT, content)
         self.exported = False
         self.pending += 1
         if self.pending >= SYNC_ROWS or time.monotonic() - self.synced > SYNC_SECONDS:
@@ -166,24 +166,24 @@ class Store:
 
     def rows(self) -> Iterator[Row]:
         """The whole rows of the plan, in its order."""
-        kept = self._every()
-        yield from (kept[key] for key in self.plan.keys if key in kept)
+        stored = self._every()
+        yield from (stored[key] for key in self.plan.keys if key in stored)
 
     def _every(self) -> dict[str, Row]:
         """Every whole row by its key: those of `cases.parquet`, under those of `cases.sqlite`."""
-        kept: dict[str, Row] = {}
+        stored: dict[str, Row] = {}
         there: set[str] = set()
         if self.base is not None:
-            kept.update((row.key, row) for row in _rows(self.base) if row)
+            stored.update((row.key, row) for row in _rows(self.base) if row)
         elif is_regular(self.folder / STORE):
             with _reading(self.folder / STORE) as base:
-                kept.update((row.key, row) for row in _rows(base) if row)
-        there.update(kept)
+                stored.update((row.key, row) for row in _rows(base) if row)
+        there.update(stored)
         if self.base is None:  # once the store is open, all rows of the export are in it
             for row in exported_rows(self.folder, self.plan):
                 if row.key not in there:
-                    kept[row.key] = row
-        return kept
+                    stored[row.key] = row
+        return stored
 
     def _note_exported(self) -> None:
         """Note the rows of `cases.parquet`."""
@@ -220,16 +220,16 @@ class Store:
 
         Of the store only the rows stay that the study does not plan. Returns whether there are any.
         """
-        kept = self._every()
-        planned = [kept.pop(key) for key in self.plan.keys if key in kept]
+        stored = self._every()
+        planned = [stored.pop(key) for key in self.plan.keys if key in stored]
         write_rows(self.folder, self.plan, planned)
-        if kept and self.base is not None:
+        if stored and self.base is not None:
             self.base.execute("DELETE FROM cases")
-            for row in kept.values():
+            for row in stored.values():
                 self.put_row(row)
             self.sync()
         self.exported = True
-        return bool(kept)
+        return bool(stored)
 
 
 def discard(folder: Path) -> None:
@@ -278,8 +278,10 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
 def _rows(base: sqlite3.Connection) -> Iterator[Row | None]:
     """Every row; None for one whose checksum is wrong."""
     try:
-        for *told, crc in base.execute("SELECT key, status, reason, version, body, crc FROM cases"):
-            row = Row(*told) if all(isinstance(part, str) for part in told) else None
+        for *content, crc in base.execute(
+            "SELECT key, status, reason, version, body, crc FROM cases"
+        ):
+            row = Row(*content) if all(isinstance(part, str) for part in content) else None
             yield row if row is not None and row.crc == crc else None
     except sqlite3.OperationalError as error:
         if "no such table" not in str(error):

@@ -237,14 +237,14 @@ class Study:
     def variant(self, candidates: Sequence[str], count: int, name: str = "fresh") -> Study:
         """These candidates on flights of fresh seeds, in a folder within the study's own."""
         design = self.definition.flights
-        chosen = sorted(cell for one in candidates for cell in self.cells_of(one))
+        chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
         cells = tuple(replace(design.cells[cell], index=i) for i, cell in enumerate(chosen))
-        told = f"{self.hash} {name} {count} {' '.join(cell.key for cell in cells)}"
+        content = f"{self.hash} {name} {count} {' '.join(cell.key for cell in cells)}"
         definition = replace(
             self.definition,
             name=name,
             seed=int(sha256(f"{name} {self.seed}".encode()).hexdigest()[:8], 16),
-            hash=sha256(told.encode()).hexdigest(),
+            hash=sha256(content.encode()).hexdigest(),
             outputs=Outputs(),
             design=replace(design, count=count, cells=cells, validate_count=None),
         )
@@ -264,12 +264,12 @@ class Study:
         progress: Progress | None = None,
     ) -> dict[str, Latency]:
         """Seconds and memory of one estimate of each candidate; known ones are not timed anew."""
-        known = {} if again else self.latencies
-        trials = {name: self.cells_of(name) for name in candidates if name not in known}
+        registered = {} if again else self.latencies
+        trials = {name: self.cells_of(name) for name in candidates if name not in registered}
         measured = measure(self.definition, trials, flights, progress)
         if measured:
-            write_latencies(self.hash, self.folder, {**known, **measured})
-        every = {**known, **measured}
+            write_latencies(self.hash, self.folder, {**registered, **measured})
+        every = {**registered, **measured}
         return {name: every[name] for name in candidates}
 
     def select(self, **rule: Any) -> Any:

@@ -152,8 +152,8 @@ def digest(content: str) -> str:
 def numbered(names: Iterable[str]) -> list[str]:
     """The names, the second of equal ones with `-2` behind: cases that differ in nothing else."""
     seen: Counter[str] = Counter()
-    told = []
+    content = []
     for name in names:
         seen[name] += 1
-        told.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
-    return told
+        content.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+    return content

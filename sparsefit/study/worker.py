@@ -43,7 +43,7 @@ START_SECONDS = 180.0
 class Desk(Protocol):
     """The object that lives in a worker and answers."""
 
-    def answer(self, verb: str, **told: Any) -> Mapping[str, Any]:
+    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
         """The answer to an ask, as JSON can hold it."""
         ...
 
@@ -57,7 +57,7 @@ class Ask:
     """
 
     verb: str
-    told: Mapping[str, Any]
+    content: Mapping[str, Any]
     limit: float
     desk: str = ""
     timed: bool = False
@@ -95,7 +95,7 @@ def unpacked(line: bytes) -> Record | None:
 
 def serve(
     make: Callable[..., Desk],
-    told: tuple[Any, ...],
+    content: tuple[Any, ...],
     memory: float,
     asks: Connection,
     answers: Connection,
@@ -108,7 +108,7 @@ def serve(
     _leave_tracker()
     if math.isfinite(memory):
         _limit_memory(memory)
-    desk = make(*told)
+    desk = make(*content)
     _reply(answers, {"number": 0})
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
@@ -150,10 +150,10 @@ def _limit_memory(megabytes: float) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def memory_limit(asked: float | None, processes: int) -> float:
+def memory_limit(requested: float | None, processes: int) -> float:
     """Megabytes [MB] that a worker may take: those asked for, or its share of the machine's."""
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
     except (ValueError, OSError, AttributeError):
@@ -184,12 +184,12 @@ class Worker:
 
     @classmethod
     def start(
-        cls, make: Callable[..., Desk], told: tuple[Any, ...], *, memory: float = math.inf
+        cls, make: Callable[..., Desk], content: tuple[Any, ...], *, memory: float = math.inf
     ) -> Worker:
         """A new process with ``make(*told)`` in it; it is busy until it has started."""
         asks, ours = multiprocessing.Pipe(duplex=False)
         answers, theirs = multiprocessing.Pipe(duplex=False)
-        child = Child.start(serve, make, told, memory, asks, theirs)
+        child = Child.start(serve, make, content, memory, asks, theirs)
         asks.close()
         theirs.close()
         os.set_blocking(answers.fileno(), False)
@@ -202,7 +202,7 @@ class Worker:
         self.deadline = time.monotonic() + ask.limit
         self.began = (0.0, cpu_seconds(self.child.process.pid)) if ask.timed else None
         with suppress(OSError):
-            message = ForkingPickler.dumps((self.number, ask.verb, dict(ask.told)))
+            message = ForkingPickler.dumps((self.number, ask.verb, dict(ask.content)))
             if ask.timed:
                 self.began = (time.perf_counter(), self.began[1] if self.began else math.nan)
             self.asks.send_bytes(message)
