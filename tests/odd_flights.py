@@ -6,7 +6,7 @@ import sparsefit as sf
 from sparsefit.library.builder import Library
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.study.spec.alterations import ALTERATIONS
+from sparsefit.study.data_sets import ALTERATIONS
 from tests.problems import VEHICLE
 
 SAMPLE_RATE, WINDOW = 100.0, 5  # the derivative drops half a window at either end

@@ -7,8 +7,6 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 import sparsefit
 from sparsefit.backends import BACKENDS
 
@@ -34,7 +32,6 @@ SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy", "group_lasso", "spams"}
 BRIDGES = {"sklearn": {"sklearn"}, "pysindy": {"pysindy"}}  # rooms that are for users of a peer
 READERS = {"pyulog", "aerofiles", "pyproj"}  # of logs
-STUDY_ROOMS = ("spec", "run", "evidence", "report")
 NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -114,20 +111,6 @@ def test_a_room_imports_only_rooms_above_it():
         if room_of(module) in ROOMS[place + 1 :]
     ]
     assert not wrong
-
-
-@pytest.mark.parametrize("room", STUDY_ROOMS)
-def test_a_study_room_imports_only_study_rooms_above_it(room):
-    """For type checkers, inside a function or by a name in quotes, an import is an import."""
-    below = STUDY_ROOMS[STUDY_ROOMS.index(room) + 1 :]
-    paths = sorted((PACKAGE / "study" / room).glob("*.py"))
-    assert paths
-    for path in paths:
-        for node in nodes_of(path):
-            named = isinstance(node, ast.Import | ast.ImportFrom | ast.Constant)
-            said = ast.unparse(node).replace(" import ", ".") if named else ""
-            for other in below:
-                assert f"sparsefit.study.{other}" not in said, f"{path}:{node.lineno}: {said}"
 
 
 def needs_of(path, modules):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from typing import Any
 
-from sparsefit.cli.output import duration, print_json, proof
-from sparsefit.cli.parser import Verbs, add_setting, collected, number, shown, verb
+from sparsefit.cli.options import JSON, SETTING, Option, Verbs, collected, declare, number, verb
+from sparsefit.cli.terminal import duration, emit, proof, typed
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
 EXAMPLE = """\
@@ -22,43 +23,24 @@ CHECK_SECONDS = 60.0
 
 def add(verbs: Verbs) -> None:
     """Declare the verb; without an action it lists."""
-    parser = verb(
-        verbs,
-        "backends",
-        run_list,
-        summary="list the back-ends with their settings, or check that one works",
-        example=EXAMPLE,
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    summary = "list the back-ends with their settings, or check that one works"
+    parser = verb(verbs, "backends", run_list, summary=summary, example=EXAMPLE)
+    declare(parser, (JSON,))
     actions = parser.add_subparsers(metavar="ACTION", title="actions")
-    listing = verb(
-        actions,
-        "list",
-        run_list,
-        summary="list the back-ends, plug-ins included, with their settings and defaults",
-        example="  sparsefit backends list --json\n",
-    )
-    check = verb(
-        actions,
-        "check",
-        run_check,
-        summary="run a back-end on a small flight whose answer is known",
-        example="  sparsefit backends check lasso --setting solver=osqp\n",
-    )
+    summary = "list the back-ends, plug-ins included, with their settings and defaults"
+    example = "  sparsefit backends list --json\n"
+    listing = verb(actions, "list", run_list, summary=summary, example=example)
+    summary = "run a back-end on a small flight whose answer is known"
+    example = "  sparsefit backends check lasso --setting alpha_fraction=0.05\n"
+    check = verb(actions, "check", run_check, summary=summary, example=example)
     check.add_argument("name", metavar="NAME", help="a back-end, see sparsefit backends list")
-    add_setting(check)
-    check.add_argument(
-        "--timeout",
-        type=number("s"),
-        default=CHECK_SECONDS,
-        metavar="SECONDS",
-        help=f"how long a plug-in may take; default: {CHECK_SECONDS:g}",
-    )
+    limit = f"how long a plug-in may take; default: {CHECK_SECONDS:g}"
+    timeout = Option("--timeout", limit, "SECONDS", number("s"), {"default": CHECK_SECONDS})
+    declare(check, (SETTING, timeout))
+    # Not to undo a --json that stands before the action.
+    below = Option("--json", "print JSON", read=None, extra={"default": argparse.SUPPRESS})
     for action in (listing, check):
-        # Not to undo a --json that stands before the action.
-        action.add_argument(
-            "--json", action="store_true", default=argparse.SUPPRESS, help="print JSON"
-        )
+        declare(action, (below,))
 
 
 def run_list(args: argparse.Namespace) -> int:
@@ -74,15 +56,15 @@ def run_list(args: argparse.Namespace) -> int:
     ]
     solvers = installed_solvers()
     public = [{"name": one.name, "form": one.form, "installed": one.installed} for one in PEERS]
-    if args.json:
-        print_json({"backends": records, "cvxpy_solvers": solvers, "solvers": public})
-        return 0
-    print("\n\n".join(_entry(record) for record in records))
-    print(f"\nsolvers that cvxpy finds here: {', '.join(solvers)}")
-    print(f"other solvers: {', '.join(one.name for one in PEERS if one.installed)}")
-    for one in PEERS:
-        if not one.installed:
-            print(f"  missing: {one.remedy}")
+
+    def lines() -> Iterator[str]:
+        yield "\n\n".join(_entry(record) for record in records)
+        yield f"\nsolvers that cvxpy finds here: {', '.join(solvers)}"
+        yield f"other solvers: {', '.join(one.name for one in PEERS if one.installed)}"
+        yield from (f"  missing: {one.remedy}" for one in PEERS if not one.installed)
+
+    record = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
+    emit(record, lines, as_json=args.json)
     return 0
 
 
@@ -124,7 +106,7 @@ def _entry(record: dict[str, Any]) -> str:
         return f"{record['name']}\n  missing: {record['missing']}"
     if "error" in record:
         return f"{record['name']}\n  broken: {record['error']}"
-    settings = shown(record["settings"]) or "none"
+    settings = typed(record["settings"]) or "none"
     return (
         f"{record['name']}\n  {record['summary']}\n"
         f"  certificate: {record['certificate']}\n  settings: {settings}"
@@ -146,10 +128,8 @@ def run_check(args: argparse.Namespace) -> int:
         except InputError as error:
             named = "" if args.name in str(error) else f"back-end {args.name!r} "
             raise InputError(f"{named}{error}") from None
-    if args.json:
-        print_json({key: value for key, value in record.items() if key != "lines"})
-    else:
-        print("\n".join(record["lines"]))
+    answer = {key: value for key, value in record.items() if key != "lines"}
+    emit(answer, lambda: record["lines"], as_json=args.json)
     return 0 if record["status"] == "ok" and not record["faults"] else 1
 
 
@@ -188,7 +168,7 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     lines = [
         f"{name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
         f"{duration(estimate.seconds)}",
-        f"  settings: {shown(estimate.settings) or 'none'}",
+        f"  settings: {typed(estimate.settings) or 'none'}",
         f"  loop: {loop_of(name) or 'no compiled one'}, Gram matrix: {product_loop()}",
         f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
         f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)",

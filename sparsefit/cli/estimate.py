@@ -37,7 +37,7 @@ EXAMPLE = """\
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
 2 for bad input. `sparsefit backends` lists back-ends and their settings.
 """
-PICTURES = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+PICTURES = (".png", ".svg", ".pdf")
 LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
@@ -172,18 +172,13 @@ def _draw(
     estimate: Estimate,
 ) -> None:
     """Write the picture: all tracks, and the residual of the first flight."""
-    from sparsefit.derivative import Derivative
-    from sparsefit.study.report.drawing import to_pdf, to_png, to_svg
-    from sparsefit.study.report.estimate_figure import estimate_figure
-    from sparsefit.study.report.flown import flown_by
+    from sparsefit.plot.estimate import draw_estimate
+    from sparsefit.plot.style import encoded
     from sparsefit.whole_file import write_whole
 
-    assert isinstance(estimator.derivative, Derivative)
-    first, *beside = flights
-    flown = flown_by(first, estimator.derivative(first), estimate, beside)
-    more = f" and {len(beside)} more" if beside else ""
-    encode = {".png": to_png, ".svg": to_svg, ".pdf": to_pdf}[Path(path).suffix.lower()]
+    more = f" and {len(flights) - 1} more" if len(flights) > 1 else ""
     with warnings.catch_warnings():  # a name in letters that the font has not is drawn as boxes
         warnings.filterwarnings("ignore", "Glyph", UserWarning)
-        content = encode(estimate_figure(flown, f"{one_line(names[0])}{more}"))
+        figure = draw_estimate(estimate, estimator, flights, f"{one_line(names[0])}{more}")
+        content = encoded(figure, Path(path).suffix.lower())
     write_whole(path, content)

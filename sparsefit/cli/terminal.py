@@ -140,8 +140,10 @@ class Progress:
         words = "" if done == planned or left is None else f"about {duration(left)} left"
         if sys.stderr.isatty():
             self._draw(done, planned, words)
-        elif done == planned or time.monotonic() - self._last >= PLAIN_SECONDS:
-            self._last = time.monotonic()
+            return
+        now = time.monotonic()
+        if done == planned or now - self._last >= PLAIN_SECONDS:
+            self._last = now
             share = f"{done}/{planned} cases, {100 * done // max(planned, 1)} %"
             print(f"{share}{', ' + words if words else ''}", file=sys.stderr, flush=True)
 

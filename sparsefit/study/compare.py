@@ -249,4 +249,5 @@ def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
         *(each.to_markdown(SHOWN) for each in made.values()),
     ]
     files["comparison.md"] = ("\n\n".join(part.strip() for part in parts) + "\n").encode()
+    folder.mkdir(parents=True, exist_ok=True)
     return write_files(folder, files)

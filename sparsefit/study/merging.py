@@ -76,14 +76,17 @@ def merge(
     if folder.resolve() in {part.resolve() for part in folders}:
         words = "merges into itself: give the other parts, or other --results"
         raise InputError(f"{folder}: {words}")
+    stores = []
+    for part in folders:
+        with told_with(part):
+            stores.append(Store.read(part, plan))
     make_folder(folder)
     with locked(folder):
         registered = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
         taken: list[Row] = []
         content = []
-        for part in folders:
+        for part, store in zip(folders, stores, strict=True):
             with told_with(part):
-                store = Store.read(part, plan)
                 rows = {row.key: row for row in store.rows() if row.status in STATUSES}
                 if registered:
                     _check_beside(plan, store, [row for _, row in registered.values()])

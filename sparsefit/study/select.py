@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError, one_of, suggestion, told_with
 from sparsefit.study.measures import (
     answered,
     ended,
@@ -132,10 +132,7 @@ def select(
     rule = rule or study.definition.selection
     rule = rule.changed(**options) if options else rule
     placed = _with_regimes(study, study.cases, rule)
-    regimes = tuple(dict.fromkeys(placed["regime"]))
-    one_of("over =", rule.over, (AVERAGE, WORST, *regimes))
-    summary, name = rule.measure
-    criterion = Criterion(measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
+    criterion = _criterion(rule, placed)
     if not np.isfinite(criterion.measure.read(placed)).any():
         raise InputError(
             f"{study.name} has no case with a number for {criterion.measure.words}: choose by "
@@ -146,6 +143,26 @@ def select(
     if rule.simplest == "fastest" and not timed:
         raise InputError('simplest = "fastest" needs measured latencies: allow them to be measured')
     return _decided(study, rule, criterion, placed, timed, refusals or {})
+
+
+def check_rule(study: Any) -> None:
+    """Refuse, before anything is run, a [select] whose measure, regimes or `over` is unknown.
+
+    Raises:
+        InputError: with the nearest name that is known.
+    """
+    rule = study.definition.selection
+    if rule != type(rule)():
+        _criterion(rule, _with_regimes(study, study.plan(), rule))
+
+
+def _criterion(rule: Any, placed: pd.DataFrame) -> Criterion:
+    """The measure of a rule over the regimes of the cases."""
+    regimes = tuple(dict.fromkeys(placed["regime"]))
+    one_of("regime in over =", rule.over, (AVERAGE, WORST, *regimes))
+    summary, name = rule.measure
+    with told_with("criterion ="):
+        return Criterion(measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
 
 
 def _with_regimes(study: Any, cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
@@ -161,7 +178,13 @@ def _with_regimes(study: Any, cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
             f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "
             "give the study file a [split] with validate and evaluate"
         )
-    names = [name for name in rule.regimes if name in cases]
+    named = [name for name in ("world", *factors(cases)) if name in cases]
+    varying = [name for name in named if cases[name].nunique() > 1]
+    names = list(rule.regimes)
+    for name in names:
+        if name not in varying:
+            words = f'regimes: no "{name}" varies in {study.name}'
+            raise InputError(f"{words}{suggestion(name, varying)}")
     if names:
         parts = [cases[name].astype(str) for name in names]
         regime = parts[0].str.cat(parts[1:], sep=", ")

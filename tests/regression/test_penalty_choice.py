@@ -21,7 +21,7 @@ from sparsefit.regression.penalty_choice import (
     effective_samples,
 )
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.study import Study, read_cases, run
+from sparsefit.study import Study
 from tests.problems import SMALL_GRID, degenerate, flight, flight_problem, regular
 from tests.study.small_study import small_study
 
@@ -329,12 +329,12 @@ def test_only_fit_chooses(name):
     assert [f.backend.alpha_fraction for f in along.fits] == [0.3, 0.1]
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_study_may_ask_for_auto_beside_numbers(tmp_path):
     path = tmp_path / "auto.toml"
     path.write_text(STUDY)
-    study = Study.load(path)
-    cases = read_cases(run(study, tmp_path, processes=1).folder)
+    study = Study.from_file(path, results=tmp_path)
+    study.run(processes=1)
+    cases = study.cases
     assert len(cases) == 5
     assert set(cases["status"]) == {"ok"}, cases["reason"].tolist()
     asked = [json.loads(text)["alpha_fraction"] for text in cases["settings"]]

@@ -1,1 +1,0 @@
-"""What the rows say: errors, intervals, comparisons, a selection."""

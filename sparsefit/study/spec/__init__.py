@@ -1,1 +1,0 @@
-"""What a study asks: one TOML file, resolved into cases."""
