@@ -12,11 +12,6 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from sparsefit import backends
-from sparsefit.derivative import Derivative
-from sparsefit.library import LengthScaleGrid, Library, WaveGrid
-from sparsefit.modes import Readout
-from sparsefit.onboard import Stream
 from sparsefit.study.evidence.asked import Asked
 from sparsefit.study.spec.contenders import RESERVED as CONTENDER_KEYS
 from sparsefit.study.spec.flights import WORDS
@@ -29,6 +24,12 @@ from sparsefit.study.spec.solver_problems import KEYS as PROBLEM_KEYS
 from sparsefit.study.spec.solver_study import KEYS as SOLVER_KEYS
 from sparsefit.study.spec.solver_study import Clock, PathRule
 from sparsefit.study.spec.study import KEYS, SPLITS, Run
+
+from sparsefit import backends
+from sparsefit.derivative import Derivative
+from sparsefit.library import LengthScaleGrid, Library, WaveGrid
+from sparsefit.modes import Readout
+from sparsefit.onboard import Stream
 
 NEEDED = "needed"
 MEANINGS = Path(__file__).parents[1] / "study-keys.toml"

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from sparsefit.cli.estimator_file import read_estimator
-from sparsefit.cli.terminal import check_folder
 from sparsefit.cli.options import Verbs, verb
+from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
 
 COSTS = ("RAM ", "flas", "stac", "work", "    ")
