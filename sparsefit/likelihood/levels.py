@@ -64,7 +64,7 @@ class LevelSteps:
             gain = float((a - n) @ share)
         few = np.where(np.isin(np.arange(len(a)), (1, 2)), 5.0, 1e-300)
         ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
-        near = not active or gain < 10.0
+        near = not active or 0.0 <= gain < 10.0
         if near:
             step[active] = np.log1p(share[active])
             self.gain = gain if active else 0.0
@@ -90,9 +90,10 @@ def _bounded(information: Array, score: Array, least: Array) -> Array:
         block = information[np.ix_(free, free)]
         rest = score[free] - information[np.ix_(free, ~free)] @ share[~free]
         share[free] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), rest)
-        beyond = free & ((share < least) | (share > 2.0))
-        if not beyond.any():
+        excess = np.where(free, np.maximum(share - 2.0, least - share), 0.0)
+        furthest = int(np.argmax(excess))
+        if excess[furthest] <= 0.0:
             break
-        share[beyond] = np.clip(share, least, 2.0)[beyond]
-        free &= ~beyond
+        share[furthest] = min(max(share[furthest], least[furthest]), 2.0)
+        free[furthest] = False
     return share
