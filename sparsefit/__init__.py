@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sparsefit.backends.by_name import fit as fit
     from sparsefit.backends.by_name import path as path
-    from sparsefit.derivative import Derivative as Derivative
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
     from sparsefit.estimator import Estimate as Estimate
@@ -29,20 +28,21 @@ if TYPE_CHECKING:
     from sparsefit.flight.vehicle import PointMassVehicle as PointMassVehicle
     from sparsefit.flight.vehicle import ThrustSeries as ThrustSeries
     from sparsefit.flight.waves import WaveFlow as WaveFlow
-    from sparsefit.library import LengthScaleGrid as LengthScaleGrid
-    from sparsefit.library import Library as Library
-    from sparsefit.library import WaveGrid as WaveGrid
     from sparsefit.logs import read_flight as read_flight
     from sparsefit.logs import write_flight as write_flight
     from sparsefit.logs.checks import LogQuality as LogQuality
     from sparsefit.logs.checks import check_log as check_log
     from sparsefit.logs.checks import quality_of as quality_of
-    from sparsefit.modes import Readout as Readout
+    from sparsefit.model import LengthScaleGrid as LengthScaleGrid
+    from sparsefit.model import Library as Library
+    from sparsefit.model import Readout as Readout
+    from sparsefit.model import WaveGrid as WaveGrid
     from sparsefit.onboard import OnlineEstimator as OnlineEstimator
     from sparsefit.regression import Certificate as Certificate
     from sparsefit.regression import Fit as Fit
     from sparsefit.regression import Path as Path
     from sparsefit.regression import RegressionProblem as RegressionProblem
+    from sparsefit.rows import Derivative as Derivative
     from sparsefit.score import ScalesScore as ScalesScore
     from sparsefit.score import Score as Score
     from sparsefit.score import prediction_error as prediction_error
@@ -65,20 +65,20 @@ _HOMES = {
     "simulate_flight": "flight",
     "read_flight": "logs",
     "write_flight": "logs",
-    "Derivative": "derivative",
+    "Derivative": "rows",
     "LogQuality": "logs.checks",
     "quality_of": "logs.checks",
     "check_log": "logs.checks",
-    "LengthScaleGrid": "library",
-    "Library": "library",
-    "WaveGrid": "library",
+    "LengthScaleGrid": "model",
+    "Library": "model",
+    "WaveGrid": "model",
     "RegressionProblem": "regression",
     "Certificate": "regression",
     "Fit": "regression",
     "Path": "regression",
     "fit": "backends.by_name",
     "path": "backends.by_name",
-    "Readout": "modes",
+    "Readout": "model",
     "Estimate": "estimator",
     "Estimator": "estimator",
     "ScaleEstimate": "estimator",

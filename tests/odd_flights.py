@@ -3,8 +3,7 @@
 import numpy as np
 
 import sparsefit as sf
-from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.study.data_sets import ALTERATIONS
 from tests.problems import VEHICLE

@@ -5,8 +5,7 @@ from functools import cache
 import numpy as np
 
 import sparsefit as sf
-from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))

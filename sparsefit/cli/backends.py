@@ -139,14 +139,13 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     from sparsefit.backends.conic import installed_solvers
     from sparsefit.backends.contract import faults
     from sparsefit.backends.loops import loop_of
-    from sparsefit.derivative import Derivative
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.flight import simulate_flight
     from sparsefit.flight.flow import CellularFlow
     from sparsefit.flight.vehicle import PointMassVehicle
-    from sparsefit.library.builder import Library
-    from sparsefit.library.grid import LengthScaleGrid
+    from sparsefit.model import LengthScaleGrid, Library
     from sparsefit.regression.statistics import product_loop
+    from sparsefit.rows import Derivative
 
     backend = backends.get(name, **settings)
     truth = CellularFlow(mean_velocity=15.0, length_scale=4.0)

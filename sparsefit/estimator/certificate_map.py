@@ -1,7 +1,7 @@
 """The dual certificate of a group-LASSO of waves, over the whole plane of wavevectors.
 
 A fit on a grid is optimal where eta <= 1 at the waves of the grid; between them eta may be higher,
-and says where a finer grid would put a wave (`sparsefit.library.plane`). Of the gridless
+and says where a finer grid would put a wave (`sparsefit.model.continuum`). Of the gridless
 group-LASSO eta is at most 1 on the whole plane, and 1 at its waves.
 """
 
@@ -18,11 +18,14 @@ from sparsefit.backends.group_lasso import GroupLasso
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import Flight
-from sparsefit.library.plane import PlaneGrid
-from sparsefit.modes.wave_peaks import strengths
+from sparsefit.model.continuum import PlaneHeights
+from sparsefit.model.grid import extent_of
+from sparsefit.model.waves import strengths
 from sparsefit.regression.continuum import Bounds, Continuum
 from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.problem import RegressionProblem
+
+STEP = 0.4  # between wavevectors, in 1/extent: eta between them is at most 1 % higher
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
             f"{library.unknown!r}"
         )
     prepared = estimator.prepare(flight)
-    if prepared.weak:
+    if prepared.samples.weak is not None:
         raise InputError("a certificate over the plane needs samples, not the weak form")
     fit = estimator.fit(prepared)
     backend = fit.backend
@@ -76,15 +79,17 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
     if prepared.problem.continuum is None:
         raise InputError("a certificate over the plane needs columns that fit in memory")
     alpha, (low, high) = _penalty(prepared.problem, prepared.problem.continuum, backend)
-    residual = (fit.problem.target - fit.problem.theta @ fit.weights).reshape(-1, 2)
-    grid = PlaneGrid.of(prepared.samples.position[:: library.every], (low, high))
-    inside = (grid.radius >= low) & (grid.radius <= high)
+    residual = fit.problem.target - fit.problem.theta @ fit.weights
+    position = prepared.samples.position[:: library.every]
+    plane = PlaneHeights(position, (low, high), STEP / extent_of(position))
+    radius = np.hypot(plane.axis[:, None], plane.axis)
+    inside = (radius >= low) & (radius <= high)
     assert fit.problem.parameters is not None
     weights = fit.weights.reshape(-1, 2)
     used = weights.any(axis=1)
     k = fit.problem.parameters[used]
-    eta = np.where(inside, grid.heights(residual) / alpha, np.nan)
-    return CertificateMap(grid.axis, eta, k, strengths(k, weights[used]))
+    eta = np.where(inside, plane.heights(residual) / alpha, np.nan)
+    return CertificateMap(plane.axis, eta, k, strengths(k, weights[used]))
 
 
 def _penalty(

@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
-from sparsefit.derivative import Agreement, Repairs
 from sparsefit.estimator.doubt import Doubt
+from sparsefit.estimator.intervals import (
+    FlowUncertainty,
+    ShapeUncertainty,
+    Uncertainty,
+    VehicleUncertainty,
+)
 from sparsefit.flight.flow import FlowField
 from sparsefit.regression.certificate import Certificate
+from sparsefit.rows import Repairs
 
 if TYPE_CHECKING:  # who reads an estimator need not wait for it
-    from sparsefit.uncertainty import (
-        Constancy,
-        FlowUncertainty,
-        Goodness,
-        ShapeUncertainty,
-        Uncertainty,
-        VehicleUncertainty,
-    )
-
+    from sparsefit.likelihood.goodness import Constancy, Goodness
 
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 PARAMETERS = (
@@ -35,6 +33,26 @@ PARAMETERS = (
 def decimals(spread: float) -> int:
     """Decimals that show two digits of a standard error; four where it is tiny or not known."""
     return max(0, 1 - math.floor(math.log10(spread))) if FINEST <= spread < math.inf else 4
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far the logged position wanders from the integral of the velocity.
+
+    Args:
+        wander: rms of a correlated error of the position [m], 0 where there is none.
+        wander_time: its correlation time [s].
+        broken: whether the velocity is not that of the position at all.
+    """
+
+    wander: float = 0.0
+    wander_time: float = math.nan
+    broken: bool = False
+
+    @property
+    def wanders(self) -> bool:
+        """Whether the position errs with a memory."""
+        return self.wander > 0.0
 
 
 @dataclass(frozen=True)
@@ -132,7 +150,8 @@ class Estimate(Brief):
     drift: at which they move [m/s], (x, y); shape_uncertainty: how sure these are; rungs: every
     shape that was tried. flights: of several flights through one flow what is of each; what is
     estimated of a vehicle, repairs and agreement stand there alone. constancy: how fast U0 changes
-    while it is flown through, with its interval and p-value.
+    while it is flown through, with its interval and p-value. freed: the names of what was freed
+    beside the flow, where the settings say so.
     """
 
     mean_velocity: float
@@ -171,6 +190,7 @@ class Estimate(Brief):
     constancy: Constancy | None = None
     drag: float = math.nan
     thrust_scale: float = math.nan
+    freed: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """The status and its reason, or the parameters with their standard errors: one line."""

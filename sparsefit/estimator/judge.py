@@ -1,264 +1,329 @@
-"""Whether a flight tells its flow, and why not, as a pilot would say it."""
+"""The checks that an estimate has to pass, in the order in which a pilot would ask them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.derivative import Samples
-from sparsefit.estimator.assess import Reading
 from sparsefit.estimator.doubt import Doubt, Verdict
 from sparsefit.estimator.estimate import ScaleEstimate
-from sparsefit.estimator.judge_flights import disagreeing, of_any, still, too_coarse
-from sparsefit.estimator.misfit import misfit
-from sparsefit.estimator.shaped import outside
-from sparsefit.library.scan import extent_of
-from sparsefit.modes.choice import Ladder
-from sparsefit.modes.located import Located
-from sparsefit.modes.rung import Rung
-from sparsefit.modes.space import FALSE_ALARM, SearchSpace
-from sparsefit.uncertainty import LAGS, Goodness
+from sparsefit.estimator.measure import FALSE_ALARM, Measured
+from sparsefit.estimator.prepare import Prepared
+from sparsefit.flight import Flight
+from sparsefit.likelihood.causes import Cause, Suspect, noise_of, usable
+from sparsefit.model.grid import extent_of
+from sparsefit.rows import Samples
 
-TRACE = 1e-3  # of |Phi|^2: what is left of a flow without noise is what differences do to it
+CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
+APART = 0.2  # of the motion: position and velocity that differ by more are of two motions
+RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
+FEWEST = 20  # samples: fewer say nothing of their own noise
+HARDLY = 0.4  # of U0: with more turbulence than this there are hardly any steady cells
+UNEXPLAINED = 0.5  # of |Phi|^2: what leaves more of the rows is another flow
+OTHER = 0.8  # of the air's variance: a flight of which the common flow explains less
+EXACT = 1e-6  # of L: less noise of positions is that of the arithmetic
+COLOURED = 1e-6  # p-value of innovations as coloured by chance: below, the model is another
 
 
-def judge(
-    located: Located,
-    scales: Sequence[ScaleEstimate],
-    flights: Sequence[Samples],
-    goodness: Goodness | None = None,
-    *,
-    precision: float | None,
-    climbed: bool = False,
-    unknown: tuple[str, ...] = (),
-) -> Verdict | None:
-    """The first reason not to believe modes off the grid; None where there is none.
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What is judged.
 
     Args:
-        located: the modes and their rivals.
-        scales: the estimates of the modes, fastest first.
-        flights: the samples of each.
-        goodness: of the fit, where it is known.
-        precision: the largest share of a value that its interval may reach to either side; None
-            where no standard errors were asked for.
-        climbed: whether other shapes than steady cells along the axes were tried.
-        unknown: what the library has freed beside the flow.
+        prepared: the flights.
+        measured: the flow at the maximum of its likelihood; None where no flow was proposed.
+        scales: its estimates, fastest first.
+        precision: the largest half-width of an interval, as a share of the value.
+        free: what was freed by the estimator's settings, or may be ("auto").
     """
-    short = _short(located.space.extent, scales, goodness)
-    return (
-        still(located.space, flights)
-        or disagreeing(flights)
-        or _few(located)
-        or _undersampled(located, flights)
-        or _undetected(located, climbed=climbed)
-        or _at_edge(located)
-        or _left_over(located)
-        or (misfit(goodness, unknown) if short is None else None)
-        or _mistaken(located)
-        or imprecise(scales, precision)
-        or short
-    )
+
+    prepared: Prepared
+    measured: Measured | None
+    scales: Sequence[ScaleEstimate]
+    precision: float
+    free: tuple[str, ...] | str = ()
 
 
-def imprecise(scales: Sequence[ScaleEstimate], precision: float | None) -> Verdict | None:
-    """Whether a value is known too poorly.
+def judge(case: Case) -> Verdict | None:
+    """The first reason not to believe an estimate; None where there is none."""
+    return next((verdict for check in CHECKS if (verdict := check(case)) is not None), None)
 
-    Every value must be told at all, and those of the fastest flow well; a weak flow beside it may
-    be known less well, as its intervals say.
-    """
-    if precision is None:
+
+def refused(prepared: Prepared) -> Verdict | None:
+    """The first reason not to search for a flow at all."""
+    case = Case(prepared, None, (), math.inf)
+    checks = (_few, _still, _disagreeing, _undersampled)
+    return next((verdict for check in checks if (verdict := check(case)) is not None), None)
+
+
+def _of_any(case: Case, rule: Callable[[Samples], str]) -> str:
+    """The first flight's words by a rule; of several flights its number comes before it."""
+    for number, samples in enumerate(case.prepared.parts, 1):
+        words = rule(samples)
+        if words:
+            return f"flight {number}: {words}" if len(case.prepared.parts) > 1 else words
+    return ""
+
+
+def _still(case: Case) -> Verdict | None:
+    phi = case.prepared.flow_velocity
+    speed = float(np.abs(case.prepared.samples.velocity).max())
+    if float(np.abs(phi - phi.mean(axis=0)).max()) > CALM * speed:
         return None
-    for place, scale in enumerate(scales):
-        known = scale.uncertainty
-        if known is None:
-            if len(scales) == 1:  # `_few` has counted the samples
-                return None
+    return Verdict.against(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
+
+
+def _disagreeing(case: Case) -> Verdict | None:
+    """A log of two motions: that of its positions is not that of its velocities."""
+    for number, flight in enumerate(case.prepared.flights, 1):
+        share = apart(flight)
+        if not flight.velocity_measured or not share > APART:
+            continue
+        size = f"{100 * share:.0f} % of" if share < 10 else "more than 10 times"
+        words = "the logged velocity is not that of the logged position: they are "
+        words += f"{size} the motion apart; check units, axes and time stamps"
+        several = len(case.prepared.flights) > 1
+        return Verdict.against(
+            Doubt.DISAGREEMENT, f"flight {number}: {words}" if several else words
+        )
+    return None
+
+
+def apart(flight: Flight) -> float:
+    """The rms of what the integral of the velocity leaves of the way, as a share of the way.
+
+    Ways are those over a 32nd of the log each; five deviations of the noise of the readings are
+    taken off.
+    """
+    steps = np.diff(flight.time)[:, None]
+    half = 0.5 * (flight.velocity[1:] + flight.velocity[:-1]) * steps
+    integral = np.vstack([np.zeros(2), np.cumsum(half, axis=0)])
+    ends = np.unique(np.linspace(0, len(flight.time) - 1, 33).astype(int))
+    ways, moved = np.diff(flight.position[ends], axis=0), np.diff(integral[ends], axis=0)
+    rms = math.sqrt(float(np.mean((ways - moved) ** 2)))
+    drawn = float(np.mean(steps)) * math.sqrt(len(flight.time) / len(ends))
+    noise = math.hypot(noise_of(flight.position), drawn * noise_of(flight.velocity))
+    return max(rms - 5.0 * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
+
+
+def _few(case: Case) -> Verdict | None:
+    samples = len(case.prepared.samples.time)
+    if samples > FEWEST:
+        return None
+    words = f"{samples} samples are too few for the unknowns of a flow"
+    return Verdict.against(Doubt.FEW_SAMPLES, f"{words}; fly longer, or sample faster")
+
+
+def _undersampled(case: Case) -> Verdict | None:
+    lower = case.prepared.library.grid.lower
+    least = min((scale.length_scale for scale in case.scales), default=lower)
+
+    def rule(samples: Samples) -> str:
+        steps = np.diff(samples.time)
+        step = float(np.median(steps)) if len(steps) else 0.0
+        speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
+        if speed * step * RESOLVED <= least or 2 * speed * step <= lower:
+            return ""
+        return (
+            f"the flight moves {speed * step:.3g} m from sample to sample, too far to follow a "
+            f"length scale of {least:.3g} m; sample at {RESOLVED * speed / least:.3g} Hz or more"
+        )
+
+    words = _of_any(case, rule)
+    return Verdict.against(Doubt.UNDERSAMPLED, words) if words else None
+
+
+def _undetected(case: Case) -> Verdict | None:
+    if case.measured is not None and case.measured.detected:
+        return None
+    words = "no cellular flow detected: no waves explain more than chance and turbulence do"
+    odds = f"{1 / FALSE_ALARM:.0f} to 1 against a false alarm"
+    return Verdict.against(Doubt.NO_FLOW, f"{words}, at {odds}")
+
+
+def _failed(case: Case) -> Verdict | None:
+    posterior = _measured(case).posterior
+    if usable(posterior):
+        return None
+    return Verdict("inaccurate", posterior.reason or "the likelihood's ascent did not converge")
+
+
+def _at_edge(case: Case) -> Verdict | None:
+    low, high = case.prepared.library.grid.lower, case.prepared.library.grid.upper
+    waves = _measured(case).waves
+    lengths = math.sqrt(2) * math.pi / np.hypot(waves[:, 0], waves[:, 1])
+    beyond = lengths[(lengths < 0.99 * low) | (lengths > 1.01 * high)]
+    if not len(beyond):
+        return None
+    words = f"a length scale is at the edge of the search, {float(beyond[0]):.3g} m"
+    return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
+
+
+def _vehicle(case: Case) -> Verdict | None:
+    tau = _measured(case).posterior.value("response_time")
+    if tau > 0:
+        return None
+    words = f"the response time that fits best is {tau:.3g} s"
+    return Verdict.against(Doubt.VEHICLE, f"{words}; fly longer, or give the response time")
+
+
+def _misfit(case: Case) -> Verdict | None:
+    measured = _measured(case)
+    if _short(case) is not None:
+        return None
+    if measured.suspects and case.free != "auto":
+        suspect = measured.suspects[0]
+        where = f" of flight {suspect.flight}" if suspect.flight else ""
+        words = f"more than noise is left{where}: {cause_in_words(suspect)}"
+        remedy = suspect.free
+        if remedy:
+            words += f'; free it: free = ["{remedy}"] (--free {remedy}), or free = "auto"'
+        return Verdict("misfit", words, Doubt.MISFIT)
+    goodness, left = measured.goodness, measured.proposal.residual
+    shares = [own.r_squared for own in goodness.flights]
+    if shares and min(shares) < OTHER < max(shares):
+        flight = 1 + shares.index(min(shares))
+        words = f"more than noise is left of flight {flight}: it tells another flow than the other"
+        words += " flights: its vehicle, frame or time may be another; leave it out"
+        return Verdict("misfit", words, Doubt.MISFIT)
+    if left > UNEXPLAINED:
+        words = f"the fit explains only {100 * (1 - left):.0f} % of the flow velocity"
+        words = f"{words}: the flow is another, or hardly steady"
+        return Verdict("misfit", words, Doubt.MISFIT)
+    if goodness.turbulence_share > HARDLY:
+        share = 100 * goodness.turbulence_share
+        words = f"turbulence of {goodness.turbulence:.2g} m/s, {share:.2g} % of U0, and hardly any"
+        return Verdict("misfit", f"more than noise is left: {words} steady cells", Doubt.MISFIT)
+    noise = measured.posterior.model.disturbance.position_noise
+    noisy = noise > EXACT * case.scales[0].length_scale
+    if noisy and goodness.whiteness < COLOURED and not goodness.turbulence > 0:
+        words = f"more than noise is left: innovations are not white (p = {goodness.whiteness:.1g})"
+        return Verdict("misfit", f"{words}, and no cause explains it", Doubt.MISFIT)
+    return None
+
+
+def _no_cells(case: Case) -> Verdict | None:
+    measured = _measured(case)
+    waves = len(measured.waves)
+    if waves == 2 or len(case.scales) > 1:
+        return None
+    words = f"{waves} waves make no cells of one flow or two, equally strong"
+    return Verdict.against(Doubt.NO_CELLS, f"{words}: only the flow itself is told; fly longer")
+
+
+def _rivalled(case: Case) -> Verdict | None:
+    rival = _measured(case).rival
+    if rival is None:
+        return None
+    best = f"{case.scales[0].mean_velocity:.3g} m/s and {case.scales[0].length_scale:.3g} m"
+    other = f"{rival.mean_velocity:.3g} m/s and {rival.length_scale:.3g} m (shape {rival.shape!r})"
+    words = f"cannot tell a flow of {best} from {other}: the flight covers "
+    words += f"{case.prepared.search.lookout.extent:.3g} m, or too straight a line"
+    return Verdict.against(Doubt.RIVAL, f"{words}; fly longer, across more cells, or turn")
+
+
+def _imprecise(case: Case) -> Verdict | None:
+    """Every value must be told at all, and those of the fastest flow to the precision."""
+    for place, scale in enumerate(case.scales):
+        sure = scale.uncertainty
+        values = scale.mean_velocity, scale.length_scale, scale.timescale
+        if sure is None:
             words = "too few samples for a standard error; fly longer, or sample faster"
             return Verdict.against(Doubt.FEW_SAMPLES, words)
-        if not place or not math.isfinite(known.mean_velocity + known.length_scale):
-            values = scale.mean_velocity, scale.length_scale, scale.timescale
-            wide = known.wide(values, precision)
+        if not place or not math.isfinite(sure.mean_velocity + sure.length_scale):
+            wide = sure.wide(values, case.precision)
             if wide:
                 return Verdict.against(Doubt.IMPRECISE, wide)
     return None
 
 
-def _few(located: Located) -> Verdict | None:
-    """Of fewer values of Phi than this nothing is known of their errors."""
-    samples = len(located.space.rows.target)
-    unknowns = located.space.parameters * len(located.candidates)
-    if samples > max(LAGS, unknowns if len(located.candidates) > 1 else 0):
-        return None
-    words = f"{samples} samples are too few for the {unknowns} unknowns of "
-    words += "a length scale" if len(located.candidates) == 1 else "the length scales"
-    return Verdict.against(Doubt.FEW_SAMPLES, f"{words}; fly longer, or sample faster")
-
-
-def _undersampled(located: Located, flights: Sequence[Samples]) -> Verdict | None:
-    """A scale that is told must be resolved; where none is, the least one that was searched."""
-    lower = math.pi / located.space.bounds[1]
-    least = math.pi / float(located.wavenumbers.max()) if located.identifiable else lower
-    return of_any(flights, lambda samples: too_coarse(samples, least, lower))
-
-
-def _undetected(located: Located, *, climbed: bool) -> Verdict | None:
-    if located.detected:
-        return None
-    axes, other = " along the axes", "; cells that are turned, stretched or drift are for refine = "
-    words = f"no cellular flow{'' if climbed else axes} detected: no length scale explains more "
-    words += f"than a uniform wind does, at {1 / FALSE_ALARM:.0f} to 1 against a false alarm"
-    return Verdict.against(Doubt.NO_FLOW, words if climbed else f'{words}{other}"ladder"')
-
-
-def _at_edge(located: Located) -> Verdict | None:
-    if math.isnan(located.edge):
-        return None
-    which = "the best" if len(located.candidates) == 1 else "a"
-    return Verdict.against(
-        Doubt.EDGE,
-        f"{which} length scale is at the edge of the search, {math.pi / located.edge:.3g} m; "
-        "widen the grid's bounds",
-    )
-
-
-def _short(
-    extent: float, scales: Sequence[ScaleEstimate], goodness: Goodness | None
-) -> Verdict | None:
-    """Whether the flight covers less than one period, 2 L, of the fastest flow.
-
-    A fit that leaves nothing but truncation is no chance.
-    """
-    period = 2 * scales[0].length_scale
-    if not extent < period or (goodness and goodness.exact):
+def _short(case: Case) -> Verdict | None:
+    """A track that covers less than one period, 2 L, of the fastest flow, which may drift."""
+    measured, period = _measured(case), 2 * case.scales[0].length_scale
+    places = [
+        samples.position - samples.time[:, None] * np.array(measured.drift)
+        for samples in case.prepared.parts
+    ]
+    extent = extent_of(np.concatenate(places))
+    if not extent < period:
         return None
     words = f"the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} m"
     return Verdict.against(Doubt.SHORT_TRACK, f"{words}; fly farther")
 
 
-def _left_over(located: Located) -> Verdict | None:
-    if math.isnan(located.left_over):
-        return None
-    return Verdict.against(
-        Doubt.LEFT_OVER,
-        f"another flow is left, of {math.pi / located.left_over:.3g} m, that the back-end did "
-        "not propose",
-    )
+def _measured(case: Case) -> Measured:
+    assert case.measured is not None
+    return case.measured
 
 
-def _mistaken(located: Located) -> Verdict | None:
-    """Whether a mode could be its rival."""
-    if located.rival is None:
-        return None
-    scale, other = (math.pi / k for k in (located.rival.mode_wavenumber, located.rival.wavenumber))
-    if located.beaten:
-        words = f"{other:.3g} m fits better than {scale:.3g} m, and the back-end did not propose it"
-        return Verdict.against(Doubt.BEATEN, words)
-    if located.distinct:
-        return None
-    extent = located.space.extent
-    short = f", less than one cell of {scale:.3g} m" if extent < scale else ""
-    return Verdict.against(
-        Doubt.RIVAL,
-        f"cannot tell {scale:.3g} m from {other:.3g} m: the flight covers {extent:.3g} m{short}, "
-        "or too straight a line; fly farther, or turn",
-    )
+CHECKS: tuple[Callable[[Case], Verdict | None], ...] = (
+    _still,
+    _disagreeing,
+    _few,
+    _undersampled,
+    _undetected,
+    _failed,
+    _at_edge,
+    _vehicle,
+    _misfit,
+    _no_cells,
+    _rivalled,
+    _imprecise,
+    _short,
+)
 
 
-def judge_shape(
-    ladder: Ladder,
-    reading: Reading,
-    space: SearchSpace,
-    flights: Sequence[Samples],
-    precision: float,
-    unknown: tuple[str, ...] = (),
-) -> Verdict | None:
-    """The first reason not to believe waves, or a shape other than steady cells along the axes."""
-    short = _short(_swept(flights, reading), reading.scales, reading.goodness)
-    return (
-        disagreeing(flights)
-        or _no_waves(ladder, space, flights)
-        or _unresolved(ladder, space, flights)
-        or (misfit(reading.goodness, unknown) if short is None else None)
-        or _more(ladder)
-        or rivalled(ladder)
-        or _uneven(ladder, reading)
-        or _unsure(reading.scales, precision)
-        or short
-    )
-
-
-def _swept(flights: Sequence[Samples], reading: Reading) -> float:
-    """The extent [m] of the flights through the pattern, which may drift."""
-    cells = reading.shaped.cells if reading.shaped else None
-    drift = np.array(cells.drift if cells else (0.0, 0.0))
-    every = [samples.position - samples.time[:, None] * drift for samples in flights]
-    return extent_of(np.concatenate(every))
-
-
-def _no_waves(ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
-    calm = still(space, flights)
-    if calm is not None:
-        return replace(calm, reason="no flow detected: the air is still")
-    if ladder.evidence <= ladder.chance:
-        words = "no cellular flow detected: no waves explain more than chance does"
-        return Verdict.against(Doubt.NO_FLOW, words)
-    return None
-
-
-def _unresolved(ladder: Ladder, space: SearchSpace, flights: Sequence[Samples]) -> Verdict | None:
-    """Whether a wave is out of the bounds of the search, or too short for the samples."""
-    edge, lower = outside(ladder, space.bounds), math.pi / space.bounds[1]
-    if not math.isnan(edge):
-        words = f"a wave of the flow has a length scale of {edge:.3g} m, outside the search"
-        return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
-    largest = float(np.hypot(*ladder.best.phases[:, :2].T).max())
-    least = math.sqrt(2.0) * math.pi / largest
-    return of_any(flights, lambda samples: too_coarse(samples, least, lower))
-
-
-def _more(ladder: Ladder) -> Verdict | None:
-    if ladder.quiet or ladder.left <= TRACE:
-        return None
-    words = f"more is left than noise beside the flow of shape {ladder.best.shape!r}"
-    return Verdict.against(Doubt.LEFT_OVER, f"{words}: the flow is another")
-
-
-def _uneven(ladder: Ladder, reading: Reading) -> Verdict | None:
-    """Whether several waves are no two flows of cells, each with a U0 and an L of its own."""
-    if ladder.best.shape != "several" or len(reading.scales) > 1:
-        return None
-    words = f"{len(ladder.best.phases)} waves make no cells of one flow or two, equally strong"
-    return Verdict.against(Doubt.NO_CELLS, f"{words}: only the flow itself is told; fly longer")
-
-
-def rivalled(ladder: Ladder | None) -> Verdict | None:
-    """Whether another shape, or the same one elsewhere, explains the flight nearly as well."""
-    if ladder is None or ladder.rival is None:
-        return None
-    if ladder.best.drifting != ladder.rival.drifting:
-        return _too_short(ladder, ladder.rival)
-    moving = "drifting" if ladder.best.drifting else "steady"
-    words = f"cannot tell a {moving} flow of {_told(ladder.best)} from {_told(ladder.rival)}"
-    return Verdict.against(Doubt.RIVAL, f"{words}; fly longer, across more cells")
-
-
-def _too_short(ladder: Ladder, rival: Rung) -> Verdict:
-    """A flight that does not tell a drift from other cells that stand."""
-    steady, moving = map(_told, sorted((ladder.best, rival), key=lambda rung: rung.drifting))
-    words = f"a flight of {np.ptp(ladder.rows.position[:, 2]):.3g} s is too short to tell whether "
-    words += f"the flow drifts: {moving} if it does, {steady} if it stands"
-    return Verdict.against(Doubt.RIVAL, f"{words}; fly longer, across more cells")
-
-
-def _told(rung: Rung) -> str:
-    return f"{rung.mean_velocity:.3g} m/s and {rung.length_scale:.3g} m (shape {rung.shape!r})"
-
-
-def _unsure(scales: Sequence[ScaleEstimate], precision: float) -> Verdict | None:
-    if scales[0].uncertainty is None:
-        words = "too few samples for a standard error; fly longer, or sample faster"
-        return Verdict.against(Doubt.FEW_SAMPLES, words)
-    return imprecise(scales, precision)
+def cause_in_words(suspect: Suspect) -> str:
+    """A cause and its size as a sentence."""
+    size = suspect.size
+    first = size[0] if size else math.nan
+    pair = f"({first:.2g}, {size[1]:.2g})" if len(size) > 1 else ""
+    percent = f"{100 * abs(first):.2g} %"
+    more, longer = ("more", "longer") if first > 0 else ("less", "shorter")
+    match suspect.cause:
+        case Cause.WIND:
+            return f"there seems to be a wind of {pair} m/s"
+        case Cause.GROWING_WIND:
+            return f"there seems to be a wind that grows by {pair} m/s in a second"
+        case Cause.RESPONSE_TIME:
+            return f"the response time seems {abs(first):.2g} s {longer} than it is believed"
+        case Cause.THRUST:
+            return f"the thrust seems {percent} {more} than it is believed"
+        case Cause.THRUST_TURNED:
+            return f"the thrust seems turned, by {math.degrees(first):.2g} degrees"
+        case Cause.DRAG:
+            return f"the drag seems {more} quadratic than it is believed, by {abs(first):.2g} s/m"
+        case Cause.MASS:
+            return f"the mass seems to change, by {100 * first:.2g} % in a second"
+        case Cause.LAG:
+            return f"the drag seems to lag behind the wind, by {1e3 * first:.2g} ms"
+        case Cause.DECAY:
+            grows = "grow" if first > 0 else "decay"
+            return f"the mean velocity seems to {grows}, by {percent} in a second"
+        case Cause.SWELLING:
+            return f"the mean velocity seems to change in time, by {percent} rms"
+        case Cause.DRIFT:
+            return f"the cells seem to drift at about {pair} m/s"
+        case Cause.VELOCITY_SCALE:
+            return f"the logged velocity seems {percent} too {'large' if first > 0 else 'small'}"
+        case Cause.POSITION_SCALE:
+            return f"the logged position seems {percent} too {'large' if first > 0 else 'small'}"
+        case Cause.VELOCITY_BIAS:
+            return f"the logged velocity seems off by {pair} m/s"
+        case Cause.LATENCY:
+            late = "position" if first > 0 else "velocity"
+            return f"the logged {late} seems late, by {1e3 * abs(first):.2g} ms"
+        case Cause.ROTATION:
+            angle = math.degrees(first)
+            return f"the frame of the velocity seems turned, by {angle:.2g} degrees"
+        case Cause.POSITION_NOISE:
+            return f"the position seems to wander, by {abs(first):.2g} m rms"
+        case Cause.ANOTHER_FLOW:
+            return f"it tells another flow than the other flights, by about {percent}"
+        case Cause.TURN | Cause.STRETCH:
+            return "the cells seem turned or stretched"
+        case Cause.TURBULENCE:
+            return f"turbulence of {abs(first):.2g} m/s"

@@ -8,11 +8,11 @@ from typing import Any
 
 from sparsefit import backends
 from sparsefit.codec import Place, build, mapping, only, plain, shown
-from sparsefit.derivative import Derivative
 from sparsefit.errors import InputError
-from sparsefit.library.builder import Library
-from sparsefit.modes.readout import UNNAMED, Readout
+from sparsefit.model import Library, Readout
+from sparsefit.model.readout import UNNAMED
 from sparsefit.regression.backend import Backend
+from sparsefit.rows import Derivative
 
 FORMAT = "sparsefit-estimator/1"
 RECORDS = {"derivative": Derivative, "library": Library, "readout": Readout}
@@ -30,7 +30,9 @@ def text_of(parts: Mapping[str, Any]) -> str:
 def _written(part: Any) -> Any:
     if isinstance(part, Backend):
         return {"name": part.name, **plain(part)}
-    return part if isinstance(part, float | int) else plain(part)
+    if isinstance(part, tuple):
+        return list(part)
+    return part if isinstance(part, float | int | str) else plain(part)
 
 
 def record_of(text: str) -> dict[str, Any]:
@@ -96,9 +98,11 @@ def parts_of(record: Mapping[str, object], place: Place = HERE) -> dict[str, Any
 
     Raises InputError with the place on unknown keys and on values that do not fit.
     """
-    only(record, (*RECORDS, "backend", "tolerance"), place)
+    only(record, (*RECORDS, "backend", "tolerance", "free"), place)
     sections = {
-        name: mapping(part, place.at(name)) for name, part in record.items() if name != "tolerance"
+        name: mapping(part, place.at(name))
+        for name, part in record.items()
+        if name not in ("tolerance", "free")
     }
     parts: dict[str, Any] = {
         name: build(kind, sections[name], place.within(name))
@@ -112,4 +116,4 @@ def parts_of(record: Mapping[str, object], place: Place = HERE) -> dict[str, Any
             parts["backend"] = backends.get(name, **settings)
         except TypeError as error:  # a value of a type the back-end does not check
             raise InputError(f"estimator: {error}") from None
-    return parts | {key: value for key, value in record.items() if key == "tolerance"}
+    return parts | {key: record[key] for key in ("tolerance", "free") if key in record}

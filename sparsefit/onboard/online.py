@@ -15,6 +15,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, finite, pair, positive
 from sparsefit.estimator import Doubt, Estimate, Estimator
+from sparsefit.estimator.intervals import Uncertainty
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
@@ -22,7 +23,6 @@ from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, BoardAnswer, answer_of
 from sparsefit.onboard.cells import rebased
 from sparsefit.onboard.search import BoardDoubt, BoardSettings
 from sparsefit.regression.backend import settings_of
-from sparsefit.uncertainty import Uncertainty
 
 WIDEST = 16.0  # the largest length scale over the least: beyond it the path held is too short
 CANDIDATES = 8  # looked at with each sample of the search

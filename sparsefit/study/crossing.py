@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 from sparsefit import Derivative, Estimator, LengthScaleGrid, Library, Readout, backends
 from sparsefit.codec import Place, build, made, number, only, shown, text
 from sparsefit.errors import SparsefitError, suggestion, told_with
-from sparsefit.modes.readout import UNNAMED
+from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, nearest, read_flight_rules

@@ -15,9 +15,8 @@ from sparsefit.cli import main
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight.flow import ShapedCells, SuperposedFlow
 from sparsefit.flight.turbulence import Turbulence
-from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.logs import read_flight, write_flight
+from sparsefit.model import LengthScaleGrid, Library
 
 SIMULATE = ("simulate", "--mean-velocity", "15.43", "--length-scale", "4.21", "--seed", "7")
 COARSE = ("--grid-lower", "3.2", "--grid-upper", "5.2")

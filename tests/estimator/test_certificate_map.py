@@ -12,7 +12,7 @@ from sparsefit.errors import InputError
 from sparsefit.estimator.certificate_map import certificate_map
 from sparsefit.library.plane import PlaneGrid
 from sparsefit.library.waves import WAVE, Waves
-from sparsefit.modes.wave_peaks import APART
+from sparsefit.model.waves import APART
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0))

@@ -33,7 +33,7 @@ def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days):
         estimate = estimator.estimate(flight)
         assert estimate.status in ("unidentifiable", "misfit")
         assert estimate.reason
-        assert estimate.repairs.none
+        assert not estimate.repairs.words
 
 
 def test_a_grid_of_metres_is_refused_for_a_sea(track):

@@ -14,8 +14,7 @@ from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.estimator.saved import FORMAT
-from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.certificate import Certificate
 from tests.problems import SMALL_GRID, VEHICLE, flight
 

@@ -9,7 +9,7 @@ import sparsefit as sf
 from sparsefit.cli.answer import Log, lines
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.logs.checks import quality_of
-from sparsefit.modes.readout import Readout
+from sparsefit.model import Readout
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 LADDER = sf.Estimator(readout=Readout(refine="ladder"))

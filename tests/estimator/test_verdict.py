@@ -9,7 +9,6 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.doubt import Doubt
-from sparsefit.modes.space import concentration
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
@@ -125,30 +124,6 @@ def test_still_air_flown_slowly_with_noisy_instruments_is_no_flow():
         assert found.status == "unidentifiable"
         assert "no cellular flow" in found.reason
         assert "false alarm" in found.reason
-
-
-def test_concentration_of_white_and_of_smoothed_errors():
-    noise = np.random.default_rng(0).standard_normal((4000, 2))
-    assert 1.0 < concentration(noise) < 2.0
-    kernel = np.ones(25) / 25
-    smoothed = np.column_stack([np.convolve(column, kernel, "valid") for column in noise.T])
-    assert 15 < concentration(smoothed) < 40  # |sum|^2 / sum of squares is 25
-    assert concentration(np.zeros((50, 2))) == 1.0
-
-
-def test_a_flight_too_short_for_a_drift_says_so():
-    flow = sf.ShapedCells(10.0, 4.0, drift=(0.3, 0.2))
-    noise = {"position_noise": 0.05, "velocity_noise": 0.2}
-    short, longer = (
-        sf.simulate_flight(flow, VEHICLE, duration=time, sample_rate=100.0, seed=3, **noise)
-        for time in (3.0, 10.0)
-    )
-    found = sf.Estimator().estimate(short)
-    assert (found.status, found.doubt) == ("unidentifiable", sf.estimator.Doubt.RIVAL)
-    assert "too short to tell whether the flow drifts" in found.reason
-    told = sf.Estimator().estimate(longer)
-    assert told.status == "ok"
-    assert told.drift == pytest.approx((0.3, 0.2), abs=0.02)
 
 
 def test_how_precise_an_answer_must_be_is_a_setting():

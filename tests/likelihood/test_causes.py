@@ -1,0 +1,103 @@
+"""Score tests of causes against their refits, and what is named where something is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.likelihood.causes import FREEDOMS, Cause, diagnose, fitted, gains_of
+from sparsefit.likelihood.goodness import Constancy, explained, whiteness
+from sparsefit.likelihood.model import Model, Motion, Process
+from sparsefit.likelihood.nodes import FlightLog
+from sparsefit.likelihood.pattern import StreamPattern
+
+FLOW = sf.CellularFlow(10.0, 4.0)
+TAU = 0.4
+
+
+def flight_of(seed=3, tau=TAU, flow=FLOW, **noise):
+    noise = {"velocity_noise": 0.2, "position_noise": 0.05} | noise
+    vehicle = sf.PointMassVehicle(tau, (5.0, 3.0))
+    return sf.simulate_flight(flow, vehicle, duration=12.0, sample_rate=50.0, seed=seed, **noise)
+
+
+def posterior_of(flight):
+    k = np.pi / FLOW.length_scale * np.array([[1.0, 1.0], [1.0, -1.0]])
+    height = FLOW.mean_velocity / (2 * np.pi / FLOW.length_scale)
+    pattern = StreamPattern.of_waves("axis", k, [-height, height], [0.0, 0.0])
+    log = FlightLog.of_flight(flight)
+    return [log], fitted([log], [Model(pattern, Motion(TAU))])
+
+
+def test_the_score_of_a_cause_is_what_freeing_it_gains():
+    logs, posterior = posterior_of(flight_of())
+    for name, names in FREEDOMS.items():
+        gain = gains_of(posterior, {name: names})[name, 0]
+        freed = fitted(logs, [posterior.model.free(*names)], posterior)
+        gained = 2 * (freed.log_likelihood - posterior.log_likelihood)
+        assert gain.gain == pytest.approx(gained, abs=0.4 + 0.1 * gained), name
+        assert gain.error == pytest.approx([freed.error(own) for own in names], rel=0.1), name
+
+
+def test_nothing_is_named_where_nothing_is_wrong():
+    logs, posterior = posterior_of(flight_of(seed=5))
+    gusts = Process("turbulence", ("wind_x", "wind_y"), 1.0, 2.0)
+    diagnosis = diagnose(logs, posterior, [gusts])
+    assert not diagnosis.suspects
+    assert diagnosis.posterior is posterior
+    assert abs(diagnosis.growth.step[0]) < 4 * diagnosis.growth.error[0]
+
+
+def scaled(flight, position=1.0, velocity=1.0, angle=0.0, bias=0.0):
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    velocity = velocity * flight.velocity @ turn + bias
+    return replace(flight, position=position * flight.position, velocity=velocity)
+
+
+@pytest.mark.parametrize(
+    ("flight", "cause", "size"),
+    [
+        (lambda: flight_of(tau=1.05 * TAU), Cause.RESPONSE_TIME, (0.05 * TAU,)),
+        (lambda: scaled(flight_of(), velocity=1.04), Cause.VELOCITY_SCALE, (0.04,)),
+        (lambda: scaled(flight_of(), angle=0.03), Cause.ROTATION, (0.03,)),
+        (lambda: scaled(flight_of(), bias=0.2), Cause.VELOCITY_BIAS, (0.2, 0.2)),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_size(flight, cause, size):
+    logs, posterior = posterior_of(flight())
+    diagnosis = diagnose(logs, posterior, [])
+    assert diagnosis.suspects[0].cause is cause
+    assert diagnosis.suspects[0].size == pytest.approx(size, rel=0.1)
+    assert diagnosis.suspects[0].p_value < 1e-4
+    pattern = diagnosis.posterior.model.pattern
+    assert pattern.mean_velocity == pytest.approx(10.0, rel=1e-3)
+
+
+def test_turbulence_is_a_level_and_no_cause():
+    gusts = sf.Turbulence(intensity=1.0, length=4.0, seed=3)
+    logs, posterior = posterior_of(flight_of(flow=sf.SuperposedFlow((FLOW, gusts))))
+    process = Process("turbulence", ("wind_x", "wind_y"), 1.0, 2.5)
+    diagnosis = diagnose(logs, posterior, [process])
+    assert diagnosis.turbulence_gain > 20
+    assert diagnosis.posterior.model.disturbance.processes[0].level == pytest.approx(1.0, rel=0.6)
+
+
+def test_white_innovations_are_white_and_coloured_ones_are_not():
+    rng = np.random.default_rng(4)
+    chances = [whiteness(rng.normal(size=(300, 4))) for _ in range(200)]
+    assert 0.5 < np.mean(np.array(chances) < 0.5) * 2 < 1.5
+    coloured = np.convolve(rng.normal(size=2000), np.ones(5) / 5, "same")[:, None]
+    assert whiteness(coloured) < 1e-6
+    gaps = np.where(rng.random((300, 4)) < 0.3, np.nan, rng.normal(size=(300, 4)))
+    assert whiteness(gaps) > 1e-3
+    assert np.isnan(whiteness(np.full((50, 2), np.nan)))
+
+
+def test_constancy_is_the_rate_of_growth_in_its_unit():
+    constancy = Constancy.of(0.01, 0.005, 10.0)
+    assert constancy.rate == pytest.approx(0.1)
+    assert constancy.interval == pytest.approx((0.1 - 0.098, 0.1 + 0.098), abs=1e-3)
+    assert constancy.p_value == pytest.approx(0.0455, abs=1e-4)  # of two standard errors
+    assert Constancy.of(0.0, 0.0, 10.0) is None
+    assert explained(3.0, 1.0, 0.0) == 0.75

@@ -1,0 +1,420 @@
+"""Flights of a simulator that shares no code with the package, and what an estimator says of them.
+
+    v' = (1/tau + c |r|) r_lag + a(t)/mu(t) + q noise,   r = w - v,   r_lag' = (r - r_lag)/lag
+
+by a Runge-Kutta scheme of fourth order on 1/400 s, all flights of a world side by side; logs are
+read off by cubic Hermite interpolation, so that each sensor has its own latency and clock. Flows
+are sums of waves; those without cells are functions. Run by hand, one group of worlds at a time:
+
+    python -m tests.worlds own --flights 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+import sparsefit as sf
+
+STEP = 1.0 / 400.0  # of the integration [s]
+MODES = 90  # Fourier modes of a turbulence
+Floats = np.ndarray
+Field = Callable[[Floats, Floats, float], tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True)
+class World:
+    """One kind of flight: how it departs from a known vehicle in steady cells along the axes.
+
+    flow: changes of the waves; air: strength and kind of turbulence, process noise q
+    [m/s^2/sqrt(Hz)], uniform wind and its growth as shares of U0, a field without cells; body: true
+    over believed vehicle; sensor: faults of the log; causes: the names that explain a misfit.
+    """
+
+    name: str
+    flow: dict = field(default_factory=dict)
+    air: dict = field(default_factory=dict)
+    body: dict = field(default_factory=dict)
+    sensor: dict = field(default_factory=dict)
+    causes: tuple[str, ...] = ()
+
+
+def _many(name: str, part: str, key: str, values: tuple, causes: tuple = ()) -> list[World]:
+    return [World(f"{name} {v}", **{part: {key: v}}, causes=causes) for v in values]
+
+
+_FAULT = {
+    "scale": ("velocity-scale", "position-scale", "velocity_scale", "position_scale"),
+    "late": ("latency", "lag"),
+}
+GROUPS: dict[str, list[World]] = {
+    "exact": [
+        World(f"noise {x}/{v}", sensor={"noise": (x, v)})
+        for x, v in ((0.01, 0.05), (0.05, 0.2), (0.2, 0.8))
+    ],
+    "process": _many("q", "air", "q", (0.1, 0.3, 1.0)),
+    "turbulence10": [
+        World(f"10 % {kind}", air={"turbulence": (0.10, kind)})
+        for kind in ("broad", "karman", "anisotropic", "3d", "bursts")
+    ],
+    "turbulence30": [
+        World(f"30 % {kind}", air={"turbulence": (0.30, kind)})
+        for kind in ("broad", "karman", "anisotropic", "3d", "bursts")
+    ],
+    "own": [
+        World("nominal"),
+        World("turned", flow={"turn": 45.0}),
+        World("rectangle", flow={"turn": 45.0, "stretch": (1.2, 2.0)}),
+        World("rhomb", flow={"turn": 45.0, "shear": 15.0}),
+        World("drift", flow={"drift": (0.02, 0.3)}),
+        World("two flows", flow={"second": (0.4, 0.9)}),
+        World("short", flow={"duration": (4.0, 8.0)}),
+        World("slow", flow={"timescale": (1.0, 3.0)}),
+    ],
+    "vehicle": [
+        *_many("tau", "body", "tau", (1.03, 1.05, 0.9, 1.2), ("response-time", "thrust")),
+        *_many("thrust", "body", "thrust", (1.05, 0.9), ("thrust", "wind", "response-time")),
+        *_many("thrust turned", "body", "turn", (5.0, 10.0), ("thrust", "wind")),
+        *_many("quadratic", "body", "quadratic", (0.03, 0.1), ("drag", "response-time")),
+        *_many("mass", "body", "mass", (0.9, 0.8), ("mass", "response-time", "thrust")),
+        *_many("lag", "body", "lag", (0.01, 0.03, 0.05), ("lag", "latency")),
+    ],
+    "sensors": [
+        *_many("velocity scale", "sensor", "velocity_scale", (1.03, 1.06, 0.9), _FAULT["scale"]),
+        *_many("position scale", "sensor", "position_scale", (1.03, 1.06), _FAULT["scale"]),
+        *_many("bias", "sensor", "bias", (0.1, 0.3), ("velocity-bias", "bias", "wind", "thrust")),
+        *_many("position late", "sensor", "position_latency", (0.02, 0.1), _FAULT["late"]),
+        *_many("velocity late", "sensor", "velocity_latency", (0.02, 0.2), _FAULT["late"]),
+        *_many("low-pass", "sensor", "low_pass", (0.02, 0.1), _FAULT["late"]),
+        *_many("rotation", "sensor", "rotation", (2.0, 5.0), ("rotation",)),
+        *_many("Gauss-Markov", "sensor", "markov", (0.05, 0.2), ("position-noise", "wander")),
+        *_many("random walk", "sensor", "walk", (0.02, 0.1), ("position-noise", "wander")),
+        *_many("quantised", "sensor", "quantum", (0.1,)),
+        *_many("jitter", "sensor", "jitter", (0.05, 0.2)),
+        *_many("dropouts", "sensor", "dropouts", (0.05, 0.3)),
+        *_many("bursts", "sensor", "bursts", (0.01, 0.03)),
+        *_many("heavy tails", "sensor", "tails", (3.0,)),
+    ],
+    "other": [
+        *_many("wind", "air", "wind", (0.02, 0.05, 0.2), ("wind", "thrust")),
+        *_many("growing wind", "air", "growth", (0.05, 0.1), ("growing-wind", "wind", "swelling")),
+        *_many("swell", "air", "swell", (0.05, 0.2), ("swelling", "decay")),
+        *_many("decay", "air", "decay", (0.1, 0.3), ("decay", "swelling")),
+    ],
+    "none": [
+        World(kind, air={"field": kind})
+        for kind in ("calm", "thermals", "vortices", "jet", "street", "roll", "shear")
+    ]
+    + [World(f"{k} alone", air={"turbulence": (1.0, k), "field": "calm"}) for k in ("broad", "3d")],
+}
+GROUPS["all"] = [world for group in list(GROUPS) for world in GROUPS[group]]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Waves (j, 5) of k_x, k_y, omega, a, b; U0 [m/s] and L [m] of the first flow."""
+
+    waves: Floats
+    mean_velocity: float
+    length_scale: float
+
+
+def _cells(rng: np.random.Generator, world: World) -> Truth:
+    flow = world.flow
+    length, timescale = (
+        rng.uniform(2, 10),
+        np.exp(rng.uniform(*np.log(flow.get("timescale", (0.1, 1))))),
+    )
+    speed = length / timescale
+    stretch = rng.uniform(*flow["stretch"]) if "stretch" in flow else 1.0
+    turn = np.radians(rng.uniform(-1, 1) * flow.get("turn", 0.0))
+    shear = np.radians(flow.get("shear", 0.0)) * rng.uniform(0.3, 1)
+    kx, ky = np.pi / length, np.pi / length / stretch
+    size, angle = np.hypot(kx, ky), np.arctan2(ky, kx)
+    angles = np.array([turn + angle + shear, turn - angle - shear])
+    drift = rng.uniform(*flow["drift"]) * speed if "drift" in flow else 0.0
+    heading = rng.uniform(0, 2 * np.pi)
+    rows = []
+    for own in angles:
+        k = size * np.array([np.cos(own), np.sin(own)])
+        phase = rng.uniform(0, 2 * np.pi)
+        height = speed / np.sqrt(2) / size
+        omega = drift * k @ [np.cos(heading), np.sin(heading)]
+        rows.append([*k, omega, height * np.cos(phase), height * np.sin(phase)])
+    if "second" in flow:
+        share, other = rng.uniform(*flow["second"]), length * rng.choice([0.35, 0.5, 1.9, 2.6])
+        for sign in (1, -1):
+            k, phase = np.pi / other * np.array([1.0, sign]), rng.uniform(0, 2 * np.pi)
+            height = share * speed / np.sqrt(2) / np.hypot(*k)
+            rows.append([*k, 0.0, height * np.cos(phase), height * np.sin(phase)])
+    return Truth(np.array(rows), speed, np.pi * np.sqrt(2) / size)
+
+
+def _turbulence(rng: np.random.Generator, kind: str, level: float, length: float, speed: float):
+    """Random waves with a component's rms of `level` [m/s]; (j, 5), and their slopes if 3-D."""
+    k0 = 2 * np.pi / (length * rng.uniform(1, 4))
+    size = np.exp(rng.uniform(np.log(k0 / 3), np.log(k0 * 20), MODES))
+    angle = rng.uniform(0, 2 * np.pi, MODES)
+    if kind == "anisotropic":
+        angle = np.where(rng.random(MODES) < 0.75, rng.normal(0.4, 0.3, MODES), angle)
+    power = size ** (-2 / 3.0) if kind == "broad" else size * (1 + (size / k0) ** 2) ** (-4 / 3.0)
+    k = size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    along = k[:, ::-1] * [1, -1]
+    if kind == "3d":  # a cut through a flow in space: divergence-free no more
+        along = rng.normal(size=(MODES, 2)) * size[:, None] / np.sqrt(2) + 0.7 * along
+    phase = rng.uniform(0, 2 * np.pi, MODES)
+    height = np.sqrt(power) / size
+    scale = level / np.sqrt(0.25 * np.sum((height[:, None] * along) ** 2))
+    omega = rng.normal(size=MODES) * size * 0.3 * level + size ** (2 / 3) * 0.1 * speed / length
+    return np.column_stack(
+        [k, omega, scale * height * np.cos(phase), scale * height * np.sin(phase)]
+    ), along
+
+
+def _other(kind: str, rng: np.random.Generator) -> Field:
+    """A flow without cells, of the speeds that cells have here."""
+    speed, size, turn = rng.uniform(3, 15), rng.uniform(2, 8), rng.uniform(0, 2 * np.pi)
+    c, s = np.cos(turn), np.sin(turn)
+    centres = rng.uniform(-40, 40, (14, 2))
+    if kind == "street":
+        n = np.arange(-12, 13)
+        centres = np.column_stack([3 * size * n, 0.84 * size * (n % 2)])
+    signs = np.where(np.arange(len(centres)) % 2, 1.0, -1.0)
+
+    def velocity(x: Floats, y: Floats, t: float) -> tuple[Floats, Floats]:
+        along, across = c * x + s * y, c * y - s * x
+        if kind == "calm":
+            return 0 * x, 0 * x
+        if kind in ("jet", "shear", "roll"):
+            u = (
+                speed
+                * {
+                    "jet": 1 / np.cosh(np.clip(across / size, -30, 30)) ** 2,
+                    "shear": across / (5 * size),
+                    "roll": np.sin(np.pi * across / size),
+                }[kind]
+            )
+            return c * u, s * u
+        dx = (x if kind != "street" else along)[..., None] - centres[:, 0]
+        dy = (y if kind != "street" else across)[..., None] - centres[:, 1]
+        fall = signs * speed / size * np.exp(-(dx**2 + dy**2) / (2 * size**2))
+        if kind == "thermals":
+            return np.sum(dx * fall, -1), np.sum(dy * fall, -1)
+        u, v = -np.sum(dy * fall, -1), np.sum(dx * fall, -1)
+        return (u, v) if kind != "street" else (c * u - s * v, s * u + c * v)
+
+    return velocity
+
+
+def draw(world: World, flights: int, seed: int) -> list[tuple[sf.Flight, Truth]]:
+    """Flights of a world with their truth, by a seed."""
+    import zlib
+
+    name = zlib.crc32(world.name.encode())
+    return [_draw(world, np.random.default_rng([seed, name, i])) for i in range(flights)]
+
+
+def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
+    truth, air, body, sensor = _cells(rng, world), world.air, world.body, world.sensor
+    duration = rng.uniform(*world.flow.get("duration", (10.0, 30.0)))
+    rate = rng.choice([20.0, 40.0, 50.0, 100.0])
+    tau, push = rng.uniform(0.1, 0.5), rng.uniform(3, 8)
+    direction = rng.uniform(0, 2 * np.pi)
+    thrust = push * np.array([np.cos(direction), np.sin(direction)])
+    other = _other(air["field"], rng) if "field" in air else None
+    waves, slopes = truth.waves, truth.waves[:, 1::-1] * [1, -1]
+    speed = truth.mean_velocity
+    extra = np.zeros((0, 5))
+    if "turbulence" in air:
+        share, kind = air["turbulence"]
+        extra, more = _turbulence(rng, kind, share * speed / 1.0, truth.length_scale, speed)
+    heading = rng.uniform(0, 2 * np.pi)
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    burst, period = rng.uniform(0, 1, 3), rng.uniform(3, 8)
+
+    def flow(x: Floats, t: float) -> Floats:
+        if other is not None:
+            total = np.array(other(x[0], x[1], t))
+        else:
+            phase = waves[:, :2] @ x - waves[:, 2] * t
+            total = (waves[:, 4] * np.cos(phase) - waves[:, 3] * np.sin(phase)) @ slopes
+        swell = air.get("swell", 0.0) * np.sin(2 * np.pi * (t / duration + burst[0]))
+        total = total * (1 + swell) * (1 - air.get("decay", 0.0) * t / duration)
+        if len(extra):
+            phase = extra[:, :2] @ x - extra[:, 2] * t
+            gust = (extra[:, 4] * np.cos(phase) - extra[:, 3] * np.sin(phase)) @ more
+            if air["turbulence"][1] == "bursts":
+                gust *= 2.0 * np.clip(np.sin(2 * np.pi * (t / period + burst[1])), 0, None)
+            total = total + gust
+        return total + ahead * speed * (
+            air.get("wind", 0.0) + air.get("growth", 0.0) * t / duration
+        )
+
+    true_tau, quadratic = tau * body.get("tau", 1.0), body.get("quadratic", 0.0)
+    turn = np.radians(body.get("turn", 0.0))
+    push = (
+        body.get("thrust", 1.0)
+        * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        @ thrust
+    )
+    lag = body.get("lag", 0.0)
+
+    def rate_of(state: Floats, t: float) -> Floats:
+        x, v, r = state[:2], state[2:4], state[4:6]
+        relative = flow(x, t) - v
+        drag = r if lag else relative
+        light = 1.0 - (1.0 - body.get("mass", 1.0)) * t / duration
+        force = drag * (1 + quadratic * np.hypot(*drag)) / true_tau / light
+        slow = (relative - r) / lag if lag else np.zeros(2)
+        return np.concatenate([v, force + push / light, slow])
+
+    steps = int(np.ceil((duration + 1.0) / STEP))
+    state, q = np.zeros(6), air.get("q", 0.0)
+    state[:2] = rng.uniform(-3, 3, 2)
+    state[2:4] = flow(state[:2], -0.5)
+    kicks = rng.normal(size=(steps, 2)) * q * np.sqrt(STEP)
+    every = np.empty((steps + 1, 6))
+    for i in range(steps):
+        t = i * STEP - 0.5
+        every[i] = state
+        k1 = rate_of(state, t)
+        k2 = rate_of(state + 0.5 * STEP * k1, t + 0.5 * STEP)
+        k3 = rate_of(state + 0.5 * STEP * k2, t + 0.5 * STEP)
+        k4 = rate_of(state + STEP * k3, t + STEP)
+        state = state + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        state[2:4] += kicks[i]
+    every[-1] = state
+    grid = np.arange(steps + 1) * STEP - 0.5
+    flight = _logged(
+        grid, every, rng, rate, duration, sensor, sf.PointMassVehicle(tau, tuple(thrust))
+    )
+    return flight, truth
+
+
+def _logged(grid, every, rng, rate, duration, sensor, vehicle) -> sf.Flight:
+    from scipy.interpolate import CubicSpline
+
+    stamps = np.arange(int(duration * rate)) / rate
+    keep = np.ones(len(stamps), bool)
+    if "dropouts" in sensor:
+        keep = rng.random(len(stamps)) >= sensor["dropouts"]
+    stamps = stamps[keep]
+    true = stamps + rng.uniform(-1, 1, len(stamps)) * sensor.get("jitter", 0.0) / rate
+    velocity = every[:, 2:4]
+    if "low_pass" in sensor:
+        low, share = velocity.copy(), STEP / (sensor["low_pass"] + STEP)
+        for i in range(1, len(low)):
+            low[i] = low[i - 1] + share * (velocity[i] - low[i - 1])
+        velocity = low
+    x = CubicSpline(grid, every[:, :2])(true - sensor.get("position_latency", 0.0))
+    v = CubicSpline(grid, velocity)(true - sensor.get("velocity_latency", 0.0))
+    angle = np.radians(sensor.get("rotation", 0.0))
+    v = v @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    x, v = x * sensor.get("position_scale", 1.0), v * sensor.get("velocity_scale", 1.0)
+    if "bias" in sensor:
+        ahead = rng.uniform(0, 2 * np.pi)
+        v = v + sensor["bias"] * np.array([np.cos(ahead), np.sin(ahead)])
+    noise = sensor.get("noise", (0.05, 0.2))
+    tails = sensor.get("tails")
+    unit = (
+        (lambda: rng.standard_t(tails, x.shape) / np.sqrt(3.0))
+        if tails
+        else (lambda: rng.normal(size=x.shape))
+    )
+    x, v = x + noise[0] * unit(), v + noise[1] * unit()
+    steps = np.diff(stamps, prepend=stamps[0])
+    if "markov" in sensor:
+        wander, size = np.zeros(2), sensor["markov"]
+        for i, step in enumerate(steps):
+            share = np.exp(-step / 5.0)
+            wander = (
+                wander * share + rng.normal(size=2) * size * np.sqrt(1 - share**2)
+                if i
+                else rng.normal(size=2) * size
+            )
+            x[i] += wander
+    if "walk" in sensor:
+        x += np.cumsum(rng.normal(size=x.shape) * sensor["walk"] * np.sqrt(steps)[:, None], axis=0)
+    if "bursts" in sensor:
+        for start in rng.choice(len(x), max(1, int(sensor["bursts"] * len(x) / 5)), replace=False):
+            v[start : start + 5] += rng.normal(size=2) * 5.0
+    if "quantum" in sensor:
+        x, v = (np.round(one / sensor["quantum"]) * sensor["quantum"] for one in (x, v))
+    return sf.Flight(stamps, x, v, vehicle)
+
+
+def answer(estimator: sf.Estimator, flight: sf.Flight, truth: Truth, world: World) -> dict:
+    """What an estimator says of a flight, as a row."""
+    start = time.process_time()
+    try:
+        e = estimator.estimate(flight)
+    except sf.InputError as error:
+        return {"world": world.name, "status": "error", "reason": str(error)}
+    row = {"world": world.name, "seconds": time.process_time() - start, "status": e.status,
+           "reason": e.reason, "samples": flight.samples, "shape": e.shape}  # fmt: skip
+    suspect = e.goodness.suspect if e.goodness else None
+    row["cause"] = str(suspect.cause) if suspect else ""
+    row["named"] = row["cause"] in world.causes or any(c in e.reason for c in world.causes)
+    for name in ("mean_velocity", "length_scale"):
+        value, right = getattr(e, name), getattr(truth, name)
+        row[f"{name}_error"] = 100 * (value / right - 1)
+        if e.uncertainty:
+            low, high = getattr(e.uncertainty, f"{name}_interval")
+            row[f"{name}_holds"] = bool(low <= right <= high)
+            row[f"{name}_half"] = 100 * (high - low) / 2 / abs(value)
+    return row
+
+
+def told(rows: list[dict], *, cells: bool = True) -> str:
+    """A line of a table from the rows of a world."""
+    ok = [row for row in rows if row["status"] == "ok"]
+    misfit = [row for row in rows if row["status"] == "misfit"]
+    silent = sum(max(abs(r["mean_velocity_error"]), abs(r["length_scale_error"])) > 5 for r in ok)
+    parts = [f"{len(ok):3d}/{len(rows):3d} ok", f"{silent if cells else len(ok):2d} silent"]
+    for name, symbol in (("mean_velocity", "U0"), ("length_scale", "L")):
+        errors = np.array([row[f"{name}_error"] for row in ok])
+        holds = [row[f"{name}_holds"] for row in ok if f"{name}_holds" in row]
+        rms = np.sqrt(np.mean(errors**2)) if len(errors) else np.nan
+        median = np.median(np.abs(errors)) if len(errors) else np.nan
+        parts.append(f"{symbol} rms {rms:.2g} med {median:.2g} % holds {sum(holds)}/{len(holds)}")
+    parts.append(f"{len(misfit)} misfit, {sum(row['named'] for row in misfit)} named")
+    spent = [row["seconds"] for row in rows if "seconds" in row]
+    if spent:
+        parts.append(f"{1e3 * np.median(spent):.0f} ms, max {max(spent):.1f} s")
+    return "  ".join(parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("group", choices=GROUPS)
+    parser.add_argument("--flights", type=int, default=10, help="of each world")
+    parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--only", default="", help="part of a world's name")
+    parser.add_argument("--precision", type=float, default=0.03)
+    parser.add_argument("--auto", action="store_true", help='free="auto"')
+    parser.add_argument("--rows", help="file of JSON lines to append rows to")
+    given = parser.parse_args()
+    settings = {"free": "auto"} if given.auto else {}
+    estimator = sf.Estimator(readout=sf.Readout(precision=given.precision), **settings)
+    total = []
+    for world in GROUPS[given.group]:
+        if given.only not in world.name:
+            continue
+        pairs = draw(world, given.flights, given.seed)
+        rows = [answer(estimator, flight, truth, world) for flight, truth in pairs]
+        total += rows
+        print(f"{world.name:22s}{told(rows, cells=given.group != 'none')}", flush=True)
+        if given.rows:
+            with open(given.rows, "a") as file:
+                file.writelines(json.dumps(row) + "\n" for row in rows)
+    print(f"{'all':22s}{told(total, cells=given.group != 'none')}", file=sys.stdout)
+
+
+if __name__ == "__main__":
+    main()
