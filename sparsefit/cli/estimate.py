@@ -106,9 +106,9 @@ def run(args: argparse.Namespace) -> int:
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[Log]:
     """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
     from sparsefit.cli.answer import Log
-    from sparsefit.rows import Derivative
     from sparsefit.logs.checks import check_log, quality_of
     from sparsefit.logs.files import read_table
+    from sparsefit.rows import Derivative
 
     if len(args.only or ()) > 1:
         remedy = "several together are read from Python: read_flight(..., only=...) of each"
