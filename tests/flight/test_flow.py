@@ -1,3 +1,5 @@
+"""Cells of any heading and shape, waves, and sums: by hand, against psi and each other."""
+
 import math
 
 import numpy as np
@@ -6,12 +8,207 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sparsefit.errors import InputError
-from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
+from sparsefit.flight.turbulence import Turbulence
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import WaveFlow
 
-FLOW = CellularFlow(mean_velocity=6.0, length_scale=4.0)
-TWO = SuperposedFlow((FLOW, CellularFlow(2.0, 1.5)))
-
+PLAIN = CellularFlow(6.0, 4.0)
+WAVES = WaveFlow([[1.0, 0.5], [-0.3, 0.8]], [0.4, -1.0], [0.2, 0.5], frequencies=[0.3, -0.2])
+KINDS = {
+    "turned": ShapedCells(6.0, 4.0, heading=0.3),
+    "stretched": ShapedCells(6.0, (4.0, 5.0)),
+    "rhombic": ShapedCells(6.0, (4.0, 4.0), heading=-0.2, angle=1.0, offset=(1.0, 0.4)),
+    "moving": ShapedCells(6.0, (4.0, 5.0), drift=(0.7, -0.3), swell=0.2, swell_period=7.0),
+    "waves": WAVES,
+    "turbulence": Turbulence(1.5, 5.0, memory=3.0, seed=4),
+}
+FLOWS = {**KINDS, "sum": SuperposedFlow((PLAIN, *KINDS.values()), wind=(0.5, -1.0))}
+TWO = SuperposedFlow((PLAIN, CellularFlow(2.0, 1.5)))
 places = st.floats(-50.0, 50.0)
+PLACES = np.random.default_rng(8).uniform(-15.0, 15.0, (50, 2)).T
+
+
+def psi(waves, x, y, t):
+    phase = np.multiply.outer(x, waves.wavevectors[:, 0])
+    phase = phase + np.multiply.outer(y, waves.wavevectors[:, 1]) - waves.frequencies * t
+    return np.cos(phase) @ waves.cosine + np.sin(phase) @ waves.sine
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_velocity_is_the_turned_gradient_of_the_stream_function(name):
+    flow, (x, y), t, h = KINDS[name], PLACES, 1.7, 1e-5
+    waves = getattr(flow, "waves", flow)
+    level = 1.0 + flow.swell * math.sin(2 * math.pi * t / 7.0) if name == "moving" else 1.0
+    u = level * (psi(waves, x, y + h, t) - psi(waves, x, y - h, t)) / (2 * h)
+    v = -level * (psi(waves, x + h, y, t) - psi(waves, x - h, y, t)) / (2 * h)
+    np.testing.assert_allclose(flow.velocity(x, y, t), np.stack([u, v], axis=-1), atol=2e-7)
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_no_flow_has_a_divergence(name):
+    flow, (x, y), h = FLOWS[name], PLACES, 1e-4
+    east = flow.velocity(x + h, y, 2.0)[:, 0] - flow.velocity(x - h, y, 2.0)[:, 0]
+    north = flow.velocity(x, y + h, 2.0)[:, 1] - flow.velocity(x, y - h, 2.0)[:, 1]
+    np.testing.assert_allclose((east + north) / (2 * h), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_one_point_on_plain_floats_is_the_velocity_there(name):
+    flow = FLOWS[name]
+    at = flow.pointwise()
+    given = [at(x, y, 3.5) for x, y in PLACES.T.tolist()]
+    np.testing.assert_allclose(given, flow.velocity(*PLACES, 3.5), atol=1e-11)
+
+
+def test_square_cells_along_the_axes_are_the_cellular_flow():
+    np.testing.assert_allclose(
+        ShapedCells(6.0, 4.0).velocity(*PLACES, 9.0), PLAIN.velocity(*PLACES, 9.0), atol=1e-13
+    )
+
+
+def test_heading_turns_places_and_velocities():
+    turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
+    turned = KINDS["turned"].velocity(*(turn @ PLACES))
+    np.testing.assert_allclose(turned, PLAIN.velocity(*PLACES) @ turn.T, atol=1e-12)
+
+
+def test_drift_and_offset_move_the_pattern():
+    moved = ShapedCells(6.0, 4.0, offset=(1.0, -0.5), drift=(0.7, 0.2))
+    x, y = PLACES
+    expected = PLAIN.velocity(x - 1.0 - 0.7 * 3.0, y + 0.5 - 0.2 * 3.0)
+    np.testing.assert_allclose(moved.velocity(x, y, 3.0), expected, atol=1e-12)
+
+
+def test_swell_multiplies_the_velocity():
+    # a quarter of the period from the phase 0: 1 + 0.2
+    swollen = ShapedCells(6.0, 4.0, swell=0.2, swell_period=8.0)
+    np.testing.assert_allclose(
+        swollen.velocity(*PLACES, 2.0), 1.2 * PLAIN.velocity(*PLACES), atol=1e-12
+    )
+    late = ShapedCells(6.0, 4.0, swell=0.2, swell_period=8.0, swell_phase=-math.pi / 2)
+    np.testing.assert_allclose(late.velocity(1, 1), 0.8 * PLAIN.velocity(1, 1), atol=1e-12)
+
+
+def test_walls_of_a_rhombic_cell_are_where_no_flow_crosses():
+    # p = pi/4 (1, 0), q = pi/4 (1, sqrt 3)/2: x = 4 is a wall, and so is x + sqrt(3) y = 8
+    # k = p - q and p + q are at -60 and 30 degrees: -15 degrees halve their angle
+    cells = ShapedCells(6.0, 4.0, angle=math.pi / 3, heading=-math.pi / 12)
+    along = np.linspace(-5.0, 5.0, 11)
+    np.testing.assert_allclose(cells.velocity(4.0, along)[:, 0], 0.0, atol=1e-13)
+    normal = np.array([0.5, math.sqrt(3) / 2])
+    across = cells.velocity(8.0 - math.sqrt(3) * along, along) @ normal
+    np.testing.assert_allclose(across, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["turned", "stretched", "rhombic"])
+def test_heading_halves_the_angle_between_the_waves(name):
+    directions = [math.atan2(*k[::-1]) for k in KINDS[name].waves.wavevectors]
+    turned = math.remainder(sum(directions) / 2 - KINDS[name].heading, math.pi / 2)
+    assert turned == pytest.approx(0.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("name", ["turned", "stretched", "rhombic"])
+def test_mean_velocity_is_the_root_of_twice_the_mean_square(name):
+    flow = KINDS[name]
+    # one period of the lattice: p.x and q.x from 0 to 2 pi
+    p = (flow.waves.wavevectors[0] + flow.waves.wavevectors[1]) / 2
+    q = (flow.waves.wavevectors[1] - flow.waves.wavevectors[0]) / 2
+    share = np.arange(24) / 24 * 2 * math.pi
+    phases = np.stack(np.meshgrid(share, share)).reshape(2, -1)
+    x, y = np.linalg.solve(np.stack([p, q]), phases)
+    mean_square = np.mean(np.sum(flow.velocity(x, y) ** 2, axis=-1))
+    assert math.sqrt(2 * mean_square) == pytest.approx(6.0, rel=1e-12)
+    assert flow.waves.mean_velocity == pytest.approx(6.0, rel=1e-12)
+
+
+def test_length_scale_of_shapes():
+    assert KINDS["turned"].length_scale == pytest.approx(4.0, rel=1e-14)
+    # |k|^2 = pi^2 (1/16 + 1/25) for both waves
+    expected = math.sqrt(2 / (1 / 16 + 1 / 25))
+    assert KINDS["stretched"].length_scale == pytest.approx(expected, rel=1e-14)
+    assert KINDS["stretched"].timescale == pytest.approx(expected / 6.0, rel=1e-14)
+    assert KINDS["stretched"].period == 10.0
+    assert WaveFlow([[0.0, 2.0]], [1.0], [0.0]).mean_velocity == 2.0
+
+
+def test_sums_name_their_cells():
+    turned, gusts = KINDS["turned"], KINDS["turbulence"]
+    both = SuperposedFlow((PLAIN, gusts, turned))
+    assert both.cells == (PLAIN, turned)
+    assert both.period == 8.0
+    assert both.mean_velocity == pytest.approx(math.hypot(6.0, 6.0, 3.0))
+    assert SuperposedFlow((gusts,)).period == gusts.period
+    with pytest.raises(InputError, match="at least one"):
+        SuperposedFlow((both,))
+
+
+def test_flights_through_a_drifting_pattern_are_flights_in_its_frame():
+    # In the frame of the pattern the flow is steady, and thrust is higher by drift/tau.
+    drift, start, vehicle = np.array([0.7, -0.3]), (1.0, 0.5), PointMassVehicle(0.5, (5.0, 3.0))
+    moving = ShapedCells(6.0, 4.0, heading=0.2, drift=tuple(drift))
+    still = ShapedCells(6.0, 4.0, heading=0.2)
+    other = PointMassVehicle(0.5, tuple(np.array([5.0, 3.0]) - drift / 0.5))
+    options = {"duration": 2.0, "sample_rate": 50.0, "seed": 0, "initial_position": start}
+    flown = simulate_flight(moving, vehicle, **options)
+    seen = simulate_flight(still, other, initial_velocity=-drift, **options)
+    moved = seen.position + flown.time[:, None] * drift
+    np.testing.assert_allclose(flown.position, moved, atol=1e-9)
+    np.testing.assert_allclose(flown.velocity, seen.velocity + drift, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_every_flow_can_be_flown(name):
+    flight = simulate_flight(
+        FLOWS[name], PointMassVehicle(0.5), duration=0.2, sample_rate=50.0, seed=3
+    )
+    assert isinstance(flight, Flight)
+    assert (flight.position[0] < FLOWS[name].period).all()
+    # v' = (w - v)/tau at the start, at rest
+    slope = np.diff(flight.velocity[:2], axis=0)[0] / 0.02
+    assert slope == pytest.approx(2.0 * FLOWS[name].velocity(*flight.position[0]), rel=0.2, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"length_scales": (4.0, 0.0)}, "length_scales must be a finite number above 0"),
+        ({"length_scales": "wide"}, "length_scales must be two numbers"),
+        ({"angle": math.pi}, "angle must lie between 0 and pi"),
+        ({"heading": math.nan}, "heading must be a finite number"),
+        ({"drift": 1.0}, "drift must be two numbers"),
+        ({"swell": 1.0}, "swell is a share of mean_velocity, below 1"),
+        ({"swell_period": 0.0}, "swell_period must be"),
+    ],
+)
+def test_bad_shapes_are_named(changes, message):
+    with pytest.raises(InputError, match=message):
+        ShapedCells(**({"mean_velocity": 6.0, "length_scales": (4.0, 4.0)} | changes))
+
+
+@pytest.mark.parametrize(
+    ("waves", "message"),
+    [
+        (([[0.0, 0.0]], [1.0], [1.0]), "no wavevector may be"),
+        (([], [], []), "shape"),
+        (([[1.0, 0.0]], [1.0, 2.0], [1.0]), r"cosine must hold finite numbers, shape \(1,\)"),
+        (([[1.0, 0.0]], [1.0], [math.inf]), "sine must hold finite numbers"),
+        (([[1.0, 0.0]], ["a"], [1.0]), "cosine must be an array of real numbers"),
+    ],
+)
+def test_bad_waves_are_named(waves, message):
+    with pytest.raises(InputError, match=message):
+        WaveFlow(*waves)
+
+
+def test_waves_are_kept_from_changes():
+    given = np.ones(2)
+    flow = WaveFlow([[1.0, 0.5], [0.2, 1.0]], given, given)
+    given[0] = 5.0
+    assert flow.cosine[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        flow.sine[0] = 2.0
 
 
 def test_timescale_is_length_over_velocity():
@@ -20,73 +217,64 @@ def test_timescale_is_length_over_velocity():
 
 def test_velocity_at_hand_worked_points():
     # sin(pi/4) cos(pi/4) = 1/2; mid-edge (L/2, 0): sin(pi/2) cos(0) = 1
-    assert FLOW.velocity(1.0, 1.0) == pytest.approx([3.0, -3.0], abs=1e-14)
-    assert FLOW.velocity(2.0, 0.0) == pytest.approx([6.0, 0.0], abs=1e-14)
-    assert FLOW.velocity(0.0, 2.0) == pytest.approx([0.0, -6.0], abs=1e-14)
+    assert PLAIN.velocity(1.0, 1.0) == pytest.approx([3.0, -3.0], abs=1e-14)
+    assert PLAIN.velocity(2.0, 0.0) == pytest.approx([6.0, 0.0], abs=1e-14)
+    assert PLAIN.velocity(0.0, 2.0) == pytest.approx([0.0, -6.0], abs=1e-14)
 
 
 @pytest.mark.parametrize("point", [(0, 0), (4, 0), (4, 4), (2, 2), (6, 2), (-2, 6)])
 def test_cell_corners_and_centres_stand_still(point):
-    assert FLOW.velocity(*point) == pytest.approx([0.0, 0.0], abs=1e-14)
+    assert PLAIN.velocity(*point) == pytest.approx([0.0, 0.0], abs=1e-14)
 
 
 def test_rotation_alternates_between_neighbouring_cells():
-    assert FLOW.velocity(1.0, 0.5) == pytest.approx(-FLOW.velocity(5.0, 0.5), abs=1e-14)
-
-
-@pytest.mark.parametrize("flow", [FLOW, TWO])
-@given(x=places, y=places)
-def test_divergence_free(flow, x, y):
-    h = 1e-4
-    dwx = flow.velocity(x + h, y)[0] - flow.velocity(x - h, y)[0]
-    dwy = flow.velocity(x, y + h)[1] - flow.velocity(x, y - h)[1]
-    assert (dwx + dwy) / (2 * h) == pytest.approx(0.0, abs=1e-7)
+    assert PLAIN.velocity(1.0, 0.5) == pytest.approx(-PLAIN.velocity(5.0, 0.5), abs=1e-14)
 
 
 @given(x=places, y=places)
 def test_periodic_and_never_faster_than_the_mean_velocity(x, y):
-    here = FLOW.velocity(x, y)
-    assert FLOW.velocity(x + 8.0, y - 16.0) == pytest.approx(here, abs=1e-11)
+    here = PLAIN.velocity(x, y)
+    assert PLAIN.velocity(x + 8.0, y - 16.0) == pytest.approx(here, abs=1e-11)
     assert math.hypot(*here) <= 6.0 * (1 + 1e-14)
 
 
 def test_mean_speed_squared_over_a_period_is_half_the_mean_velocity_squared():
     x, y = np.meshgrid(np.arange(64) / 8.0, np.arange(64) / 8.0)
-    assert np.mean(np.sum(FLOW.velocity(x, y) ** 2, axis=-1)) == pytest.approx(36.0 / 2, rel=1e-13)
+    assert np.mean(np.sum(PLAIN.velocity(x, y) ** 2, axis=-1)) == pytest.approx(36.0 / 2, rel=1e-13)
 
 
 def test_arrays_broadcast():
-    assert FLOW.velocity(np.zeros(5), np.zeros(5)).shape == (5, 2)
-    assert FLOW.velocity(np.zeros((3, 1)), np.zeros(4)).shape == (3, 4, 2)
+    assert PLAIN.velocity(np.zeros(5), np.zeros(5)).shape == (5, 2)
+    assert PLAIN.velocity(np.zeros((3, 1)), np.zeros(4)).shape == (3, 4, 2)
     assert TWO.velocity(np.zeros((3, 1)), 0.0).shape == (3, 1, 2)
-    assert FLOW.velocity([1, 2], [3, 4]).dtype == np.float64
+    assert PLAIN.velocity([1, 2], [3, 4]).dtype == np.float64
 
 
 def test_superposition_is_the_sum():
     x, y = np.array([0.3, 1.7]), np.array([2.2, -0.4])
-    expected = FLOW.velocity(x, y) + CellularFlow(2.0, 1.5).velocity(x, y)
+    expected = PLAIN.velocity(x, y) + CellularFlow(2.0, 1.5).velocity(x, y)
     np.testing.assert_allclose(TWO.velocity(x, y), expected, rtol=1e-15)
-    np.testing.assert_array_equal(SuperposedFlow((FLOW,)).velocity(x, y), FLOW.velocity(x, y))
+    np.testing.assert_array_equal(SuperposedFlow((PLAIN,)).velocity(x, y), PLAIN.velocity(x, y))
 
 
 def test_a_wind_carries_the_sum():
-    windy = SuperposedFlow((FLOW,), wind=[1, -2])
+    windy = SuperposedFlow((PLAIN,), wind=[1, -2])
     x, y = np.array([0.3, 1.7]), np.array([2.2, -0.4])
     np.testing.assert_allclose(
-        windy.velocity(x, y), FLOW.velocity(x, y) + np.array([1, -2]), rtol=1e-15
+        windy.velocity(x, y), PLAIN.velocity(x, y) + np.array([1, -2]), rtol=1e-15
     )
     assert windy.wind == (1.0, -2.0)
-    assert FLOW.wind == SuperposedFlow((FLOW,)).wind == (0.0, 0.0)
+    assert PLAIN.wind == SuperposedFlow((PLAIN,)).wind == (0.0, 0.0)
     with pytest.raises(InputError, match=r"wind must be two numbers"):
-        SuperposedFlow((FLOW,), wind=(1.0,))
+        SuperposedFlow((PLAIN,), wind=(1.0,))
 
 
 def test_values_are_stored_as_floats_and_compare_equal():
-    assert CellularFlow(6, np.float64(4)) == FLOW
+    assert CellularFlow(6, np.float64(4)) == PLAIN
     assert type(CellularFlow(6, 4).mean_velocity) is float
-    assert SuperposedFlow([FLOW]).components == (FLOW,)
-    assert FLOW.components == (FLOW,)
-    assert len({FLOW, CellularFlow(6, 4), TWO}) == 2
+    assert SuperposedFlow([PLAIN]).components == (PLAIN,)
+    assert PLAIN.components == (PLAIN,)
+    assert len({PLAIN, CellularFlow(6, 4), TWO}) == 2
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf, "3", None, True])
@@ -97,7 +285,7 @@ def test_bad_parameters_are_named(bad):
         CellularFlow(mean_velocity=1.0, length_scale=bad)
 
 
-@pytest.mark.parametrize("bad", [(), FLOW, (FLOW, 3.0), None])
+@pytest.mark.parametrize("bad", [(), PLAIN, (PLAIN, 3.0), None])
 def test_superposition_needs_cellular_flows(bad):
     with pytest.raises(InputError, match="at least one CellularFlow"):
         SuperposedFlow(bad)

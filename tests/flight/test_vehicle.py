@@ -1,3 +1,5 @@
+"""The vehicle's laws, linear and quadratic, thrust that is measured, and the files of both."""
+
 import math
 
 import numpy as np
@@ -5,10 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight import Flight
+from sparsefit.flight.vehicle import GRAVITY, PointMassVehicle, ThrustSeries, turning
 
 VEHICLE = PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
+TIME = np.arange(101) / 20.0
+CIRCLE = turning(5.0, 20.0, constant=(1.0, 0.5), size=2.0, period=4.0, phase=0.3)
 
 
 def test_acceleration_by_hand():
@@ -18,17 +24,6 @@ def test_acceleration_by_hand():
 
 def test_terminal_velocity_in_still_air_is_thrust_times_response_time():
     assert VEHICLE.acceleration([2.5, 1.5], [0.0, 0.0]) == pytest.approx([0.0, 0.0], abs=1e-15)
-
-
-@given(
-    tau=st.floats(1e-3, 1e3),
-    values=st.lists(st.floats(-100, 100), min_size=6, max_size=6),
-)
-def test_flow_velocity_inverts_the_equation_of_motion(tau, values):
-    vehicle = PointMassVehicle(tau, (values[0], values[1]))
-    velocity, flow = np.array(values[2:4]), np.array(values[4:])
-    back = vehicle.flow_velocity(velocity, vehicle.acceleration(velocity, flow))
-    np.testing.assert_allclose(back, flow, atol=1e-10 * max(1.0, tau))
 
 
 def test_rows_are_samples():
@@ -55,3 +50,128 @@ def test_response_time_must_be_positive(bad):
 def test_thrust_must_be_two_numbers(bad):
     with pytest.raises(InputError, match="thrust_acceleration"):
         PointMassVehicle(0.5, bad)
+
+
+def test_quadratic_drag_by_hand():
+    # r = w - v = (3, 4): |r| = 5, F = 0.2 * 5 * (3, 4) = (3, 4); with tau = 0.5 another (6, 8).
+    pure, both = PointMassVehicle(math.inf, drag=0.2), PointMassVehicle(0.5, drag=0.2)
+    assert pure.acceleration([1.0, 1.0], [4.0, 5.0]) == pytest.approx([3.0, 4.0], abs=1e-14)
+    assert both.acceleration([1.0, 1.0], [4.0, 5.0]) == pytest.approx([9.0, 12.0], abs=1e-14)
+    assert both.flow_velocity([1.0, 1.0], [9.0, 12.0]) == pytest.approx([4.0, 5.0], abs=1e-14)
+    # At rest in the flow nothing drags, and nothing is divided by zero.
+    assert pure.flow_velocity([1.0, 1.0], [0.0, 0.0]) == pytest.approx([1.0, 1.0], abs=0)
+    # dr/dF = 1/(2 c |r|) = 0.5 along (3, 4)/5, 1/(c |r|) = 1 across it.
+    response = pure.response(np.array([[3.0, 4.0]]), 1e-9)[:, :, 0]
+    along = np.array([0.6, 0.8])
+    np.testing.assert_allclose(response, np.eye(2) - 0.5 * np.outer(along, along), atol=1e-12)
+
+
+@given(
+    tau=st.one_of(st.just(math.inf), st.floats(0.01, 100)),
+    drag=st.one_of(st.floats(1e-3, 10)),
+    values=st.lists(st.floats(-100, 100), min_size=8, max_size=8),
+)
+def test_the_flow_velocity_inverts_every_law(tau, drag, values):
+    vehicle = PointMassVehicle(tau, (values[0], values[1]), drag, thrust_scale=1.5)
+    velocity, flow, thrust = np.array(values[2:]).reshape(3, 2)
+    back = vehicle.flow_velocity(velocity, vehicle.acceleration(velocity, flow, thrust), thrust)
+    np.testing.assert_allclose(back, flow, atol=1e-5)
+
+
+def test_a_vehicle_falls_at_its_terminal_velocity():
+    # v' = a - c v |v| from rest: v = sqrt(a/c) tanh(sqrt(a c) t), x = log(cosh(sqrt(a c) t)) / c.
+    flight = sf.simulate_flight(
+        None, PointMassVehicle(math.inf, (4.0, 0.0), 0.25), duration=3.0, sample_rate=20.0, seed=0
+    )
+    t = flight.time
+    np.testing.assert_allclose(flight.velocity[:, 0], 4.0 * np.tanh(t), atol=1e-11)
+    np.testing.assert_allclose(flight.position[:, 0], 4.0 * np.log(np.cosh(t)), atol=1e-11)
+
+
+def test_a_thrust_that_turns_is_flown_and_logged():
+    # v' = s m(t) - v/tau with m a ramp (t, 0): v = s tau (t - tau (1 - exp(-t/tau))).
+    ramp = ThrustSeries([0.0, 3.0], [[0.0, 1.0], [3.0, 1.0]])
+    flight = sf.simulate_flight(
+        None,
+        PointMassVehicle(0.5, thrust_scale=2.0),
+        duration=3.0,
+        sample_rate=20.0,
+        seed=0,
+        thrust=ramp,
+    )
+    t = flight.time
+    speed = t - 0.5 * (1 - np.exp(-2 * t))
+    np.testing.assert_allclose(flight.velocity[:, 0], speed, atol=1e-11)
+    np.testing.assert_allclose(flight.thrust, np.stack([t, np.ones_like(t)], axis=1), atol=1e-14)
+    noisy = {
+        noise: sf.simulate_flight(
+            None, PointMassVehicle(0.5), duration=3.0, sample_rate=20.0, seed=0,
+            thrust=ramp, thrust_noise=noise,
+        )
+        for noise in (0.0, 0.5)
+    }  # fmt: skip
+    np.testing.assert_array_equal(noisy[0.0].velocity, noisy[0.5].velocity)
+    assert np.std(noisy[0.5].thrust - noisy[0.0].thrust) == pytest.approx(0.5, rel=0.2)
+
+
+def test_attitudes_are_thrust():
+    # Tilted by 30 degrees towards +y with 20 m/s^2: 10 m/s^2; in level flight g tan 30 degrees.
+    tilted = ThrustSeries.from_attitude(
+        [0.0, 1.0], heading=math.pi / 2, tilt=math.pi / 6, magnitude=20.0
+    )
+    np.testing.assert_allclose(tilted.acceleration, [[0.0, 10.0]] * 2, atol=1e-14)
+    level = ThrustSeries.from_attitude([0.0, 1.0], heading=[0.0, math.pi], tilt=math.pi / 6)
+    own = GRAVITY / math.sqrt(3.0)
+    np.testing.assert_allclose(level.acceleration, [[own, 0.0], [-own, 0.0]], atol=1e-14)
+    boat = ThrustSeries.from_attitude([0.0, 1.0], heading=0.0, magnitude=[1.0, 3.0])
+    np.testing.assert_allclose(boat.at([0.5]), [[2.0, 0.0]])
+    assert boat.pointwise()(0.25) == pytest.approx((1.5, 0.0))
+    with pytest.raises(InputError, match="neither is given"):
+        ThrustSeries.from_attitude([0.0, 1.0], heading=0.0)
+    with pytest.raises(InputError, match="from the vertical"):
+        ThrustSeries.from_attitude([0.0, 1.0], heading=0.0, tilt=1.6)
+    with pytest.raises(InputError, match="known from 0 to 1 s, the flight is from 0 to 2 s"):
+        boat.at([0.0, 2.0])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_files_hold_every_vehicle(tmp_path, suffix):
+    vehicles = [
+        PointMassVehicle(math.inf, (1.0, 2.0), 0.3),
+        PointMassVehicle(0.5, (0.1, 0.2), 0.3, 1.1),
+        PointMassVehicle(0.5),
+    ]
+    for number, vehicle in enumerate(vehicles):
+        for thrust in (None, CIRCLE.at(TIME)):
+            plane = np.column_stack([TIME, TIME**2])
+            flight = Flight(TIME, plane, plane, vehicle, thrust=thrust)
+            path = tmp_path / f"{number}{thrust is None}{suffix}"
+            sf.write_flight(flight, path)
+            back = sf.read_flight(path)
+            assert back.vehicle == vehicle
+            if thrust is None:
+                assert back.thrust is None
+            else:
+                np.testing.assert_array_equal(back.thrust, thrust)
+    logged = Flight.from_positions(TIME, plane, vehicle, thrust=thrust)
+    path = tmp_path / f"positions{suffix}"
+    sf.write_flight(logged, path)
+    np.testing.assert_array_equal(sf.read_flight(path).thrust, thrust)
+
+
+def test_what_is_wrong_is_told_in_one_line(tmp_path):
+    with pytest.raises(InputError, match="response_time"):
+        PointMassVehicle(math.inf)
+    with pytest.raises(InputError, match="drag"):
+        PointMassVehicle(0.5, drag=-0.1)
+    with pytest.raises(InputError, match="thrust_scale"):
+        PointMassVehicle(0.5, thrust_scale=math.nan)
+    plane = np.column_stack([TIME, TIME])
+    with pytest.raises(InputError, match=r"thrust has 4 rows for 101 samples"):
+        Flight(TIME, plane, plane, PointMassVehicle(0.5), thrust=np.zeros((4, 2)))
+    with pytest.raises(InputError, match="increasing strictly"):
+        ThrustSeries([0.0, 0.0], np.zeros((2, 2)))
+    path = tmp_path / "half.csv"
+    path.write_text("# drag=0.2\ntime,x,y,vx,vy,ax\n0,0,0,0,0,0\n1,0,0,0,0,0\n2,0,0,0,0,0\n")
+    with pytest.raises(InputError, match="no column ay"):
+        sf.read_flight(path)

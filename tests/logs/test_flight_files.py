@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.flight import Flight, simulate_flight
-from sparsefit.flight.flow import CellularFlow, SuperposedFlow
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.record import SMALLEST_STEP
+from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import WaveFlow
 from sparsefit.logs import parquet_file, read_flight, write_flight
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
@@ -80,14 +82,6 @@ def test_round_trip_is_exact(tmp_path_factory, suffix, flight):
     write_flight(flight, path)
     assert_same(read_flight(path), flight)
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".CSV"])
-@pytest.mark.parametrize("flow", [FLOW, TWO])
-def test_a_simulated_flight_comes_back(tmp_path, suffix, flow):
-    flight = simulate_flight(flow, VEHICLE, duration=1.0, sample_rate=100.0, seed=7)
-    write_flight(flight, str(tmp_path / f"a{suffix}"))
-    assert_same(read_flight(str(tmp_path / f"a{suffix}")), flight)
 
 
 def test_csv_is_as_documented(tmp_path):
@@ -327,3 +321,50 @@ def test_writing_refuses_to_overwrite_unless_told(tmp_path):
 def test_writing_into_no_folder(tmp_path):
     with pytest.raises(InputError, match=r"cannot write .*check the folder"):
         write_flight(flight_with(), tmp_path / "absent" / "a.csv")
+
+
+SHAPED = ShapedCells(6.0, (4.0, 5.0), 0.3, 1.4, (1.0, 2.0), (0.5, -1.0), 0.2, 9.0, 0.7)
+GUSTS = (Turbulence(1.5, 8.0, seed=2**32), Turbulence(0.5, 3.0, 2.0, "von-karman", 3))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    "flow", [SHAPED, GUSTS[1], SuperposedFlow((FLOW, *GUSTS, SHAPED), (1.0, -2.0))]
+)
+def test_files_keep_the_true_flow(tmp_path, suffix, flow):
+    vehicle = PointMassVehicle(0.5)
+    flight = simulate_flight(flow, vehicle, duration=0.1, sample_rate=50.0, seed=3)
+    write_flight(flight, tmp_path / f"flight.{suffix}")
+    assert read_flight(tmp_path / f"flight.{suffix}").flow == flow
+
+
+def test_files_leave_out_a_flow_of_waves(tmp_path):
+    flight = simulate_flight(
+        WaveFlow([[1.0, 0.5]], [0.4], [0.2]),
+        PointMassVehicle(0.5),
+        duration=0.1,
+        sample_rate=50.0,
+        seed=3,
+    )
+    write_flight(flight, tmp_path / "flight.csv")
+    assert read_flight(tmp_path / "flight.csv").flow is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("# heading=0.3\n", "", "is given without heading"),
+        ("# swell=0.2", "# swell=2.0", "swell is a share"),
+        ("# swell=0.2", "# swel=0.2", "unknown key"),
+        ("# length_scale_x=4.0", "# turbulence_intensity=1.0", "without turbulence_length"),
+    ],
+)
+def test_half_a_flow_in_a_file_is_refused(tmp_path, old, new, message):
+    flight = simulate_flight(SHAPED, PointMassVehicle(0.5), duration=0.1, sample_rate=50.0, seed=3)
+    path = tmp_path / "flight.csv"
+    write_flight(flight, path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_flight(path)
