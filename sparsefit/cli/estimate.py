@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sparsefit.cli.answer import Log
     from sparsefit.estimator import Estimate, Estimator
     from sparsefit.flight import Flight
-    from sparsefit.logs.table import FlightTable
+    from sparsefit.logs.flight_table import FlightTable
 
 EXAMPLE = """\
   sparsefit estimate flight.csv

@@ -55,7 +55,7 @@ def add(verbs: Verbs) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the C, and say what it takes."""
     from sparsefit.logs import read_flight
-    from sparsefit.onboard.export import package
+    from sparsefit.onboard.c_source import package
     from sparsefit.whole_file import write_whole
 
     folder = check_folder(args.folder, force=args.force)

@@ -16,10 +16,10 @@ from itertools import islice
 from typing import BinaryIO
 
 from sparsefit.errors import InputError, unknown
+from sparsefit.logs.flight_table import FlightTable
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.settings import KEYS, frame_of, is_key, number
 from sparsefit.logs.sheet import Cells, Sheet, check_size
-from sparsefit.logs.table import FlightTable
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text

@@ -11,8 +11,8 @@ from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file, igc_file, parquet_file, ulog_file
+from sparsefit.logs.flight_table import Anchor, FlightTable
 from sparsefit.logs.layout import Columns, Layout
-from sparsefit.logs.table import Anchor, FlightTable
 from sparsefit.whole_file import regular_file, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text

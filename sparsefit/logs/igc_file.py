@@ -17,9 +17,9 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.logs.flight_table import POSITIONS, Anchor, FlightTable
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.table import POSITIONS, Anchor, FlightTable
 
 LARGEST = 100_000_000  # bytes: ten fixes a second for two days
 FIX = "A"  # of a B record that is three-dimensional

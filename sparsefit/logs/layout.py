@@ -16,7 +16,7 @@ from itertools import chain
 from typing import TypeAlias
 
 from sparsefit.errors import InputError, one_of, suggestion, unknown
-from sparsefit.logs.table import COLUMNS, POSITIONS, THRUST, VELOCITY, Anchor
+from sparsefit.logs.flight_table import COLUMNS, POSITIONS, THRUST, VELOCITY, Anchor
 
 Columns: TypeAlias = "str | Mapping[str, str] | None"
 """A column map as it is typed, or as a mapping of fields to columns."""

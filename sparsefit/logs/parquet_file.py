@@ -11,10 +11,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.logs.flight_table import FlightTable
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.settings import frame_of, is_key, number
 from sparsefit.logs.sheet import Cells, Sheet, check_size
-from sparsefit.logs.table import FlightTable
 
 _WIDEST = 64  # bytes of a cell, in the mean, that a column of a flight may unpack to
 _SPARE = 1 << 20  # bytes beside these: pages and dictionaries of short files

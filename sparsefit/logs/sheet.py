@@ -20,10 +20,10 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, suggestion
 from sparsefit.flight.record import MOST_SAMPLES
+from sparsefit.logs.flight_table import THRUST, VELOCITY, Anchor, FlightTable, moment_at, moment_of
 from sparsefit.logs.layout import DEGREES, Layout, factor_of, is_number
 from sparsefit.logs.plane import plane_of
 from sparsefit.logs.settings import finite_in, number
-from sparsefit.logs.table import THRUST, VELOCITY, Anchor, FlightTable, moment_at, moment_of
 
 Cells: TypeAlias = "list[str] | np.ndarray[Any, Any]"
 """Texts, or an array of numbers or of moments (``datetime64``)."""
@@ -36,7 +36,7 @@ _SHOWN = 3  # vehicles that a refusal lists
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class SheetColumn:
     """The cells of one column.
 
     Args:
@@ -51,13 +51,13 @@ class Column:
     row: Callable[[int], str]
     commas: bool = False
 
-    def taken(self, rows: IntArray) -> Column:
+    def taken(self, rows: IntArray) -> SheetColumn:
         """Return the column of some of the rows."""
         if isinstance(self.cells, np.ndarray):
             cells: Cells = self.cells[rows]
         else:
             cells = [self.cells[row] for row in rows]
-        return Column(self.name, cells, lambda row: self.row(int(rows[row])), self.commas)
+        return SheetColumn(self.name, cells, lambda row: self.row(int(rows[row])), self.commas)
 
     def words(self) -> list[str]:
         """Return every cell as text; whole numbers without a point."""
@@ -159,7 +159,7 @@ class Sheet:
         naming = [name for name in self.names if name not in used and _names_vehicle(name)]
         wanted = dict.fromkeys([*used, *naming, *(layout.only or ())[:1]])
         columns = {
-            name: Column(name, cells, self.row, self.commas)
+            name: SheetColumn(name, cells, self.row, self.commas)
             for name, cells in self.read(list(wanted)).items()
         }
         if layout.only is not None:

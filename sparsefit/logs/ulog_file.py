@@ -19,9 +19,9 @@ import numpy as np
 from sparsefit.arrays import BoolArray, IntArray
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.flight.record import MOST_SAMPLES
+from sparsefit.logs.flight_table import COLUMNS, Anchor, FlightTable, moment_at
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.table import COLUMNS, Anchor, FlightTable, moment_at
 
 TOPIC, LANDED = "vehicle_local_position", "vehicle_land_detected"
 GPS = "vehicle_gps_position"

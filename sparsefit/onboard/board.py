@@ -18,8 +18,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.onboard.cells import M, parameters, rebased, speed_of, unevenness, waves
-from sparsefit.onboard.search import EVEN, PEAKS, BoardDoubt, BoardSettings, Peak, Search
+from sparsefit.onboard.square_cells import M, parameters, rebased, speed_of, unevenness, waves
+from sparsefit.onboard.sweep import EVEN, PEAKS, BoardDoubt, BoardSettings, Peak, Sweep
 
 try:
     CompiledFlow: Any = import_module("sparsefit.onboard.compiled").CompiledFlow
@@ -82,7 +82,7 @@ class Board:
         self.settings = settings
         self.samples = self.restarts = self.suspects = 0
         self.time_ns = self.suspect_ns = 0
-        self.search = Search(settings)
+        self.sweep = Sweep(settings)
         self.step = self.counted = 0.0
         self.origin, self.thrust, self.noise = np.zeros(2), np.zeros(2), np.zeros(2)
         self.history: list[Array] = []
@@ -98,7 +98,7 @@ class Board:
     def nbytes(self) -> int:
         """Bytes of memory that rows, filters and the search take."""
         filters = self.state.nbytes + self.covariance.nbytes
-        return self.search.memory.nbytes + filters + PEAKS * 8 * 64
+        return self.sweep.memory.nbytes + filters + PEAKS * 8 * 64
 
     def update(
         self, time_ns: int, x: float, y: float, vx: float, vy: float, thrust: Pair | None = None
@@ -135,16 +135,16 @@ class Board:
         if status == GAP_TAKEN:
             self._resume(z)
         self._measure_noise(z)
-        row = self.search.take(z, h, push)
+        row = self.sweep.take(z, h, push)
         if row is not None and self.following:
             flow = self.state[int(np.argmax(self.log_likelihood)), FLOW]
             w, _, _ = waves(flow, *(row[:2] - self.anchor))
             squares = np.array([np.sum((row[2:] - w) ** 2), np.sum(row[2:] ** 2)])
             self.remaining = self.remaining + (squares - self.remaining) / 32
         if not self.following:
-            peak = self.search.work()
+            peak = self.sweep.work()
             if isinstance(peak, Peak):
-                self.search.doubt = self._start(peak, z)
+                self.sweep.doubt = self._start(peak, z)
         elif status == OK:
             self._follow(z, h, push)
         return status
@@ -163,7 +163,7 @@ class Board:
     def _resume(self, z: Array) -> None:
         """Go on after a gap or from another clock: place and velocity are measured anew."""
         away = z[:2] - self.anchor
-        self.history, self.search.block, self.restarts = [], [], self.restarts + 1
+        self.history, self.sweep.block, self.restarts = [], [], self.restarts + 1
         if self.following:
             self.state[:, :2], self.state[:, 2:4], self.state[:, 4:6] = away, z[2:], 0.0
             self.covariance[:, :6, :] = self.covariance[:, :, :6] = 0.0
@@ -284,12 +284,12 @@ class Board:
         self.gated += (outlier - self.gated) / 32
         astray = self.square.min() > 2 or self.remaining[0] > self.remaining[1] / 2
         if self.gated > 0.3 or (self.age > 150 and astray):  # lost
-            self.following = self.search.sweeping = False
-            self.search.doubt = BoardDoubt.NO_FLOW
+            self.following = self.sweep.sweeping = False
+            self.sweep.doubt = BoardDoubt.NO_FLOW
 
     def _start(self, peak: Peak, z: Array) -> BoardDoubt:
         """Start the filters from a peak, at the last sample z (4,)."""
-        variance = peak.residual / (2 * self.search.count - M)
+        variance = peak.residual / (2 * self.sweep.count - M)
         ridge = np.diag(1e-4 * np.diag(peak.information) + 1e-12)
         inverse = variance * np.asarray(np.linalg.inv(peak.information + ridge), np.float64)
         uneven, gradient = unevenness(peak.flow)
@@ -298,7 +298,7 @@ class Board:
         value, error = parameters(peak.flow, inverse)
         if not (error[0] < (0.03 * value[0]) ** 2 and error[1] < (0.01 * value[1]) ** 2):
             return BoardDoubt.IMPRECISE
-        away = z[:2] - self.search.middle
+        away = z[:2] - self.sweep.middle
         self.state = np.tile(np.concatenate([away, z[2:], [0.0, 0.0], peak.flow]), (len(LEVELS), 1))
         self.covariance = np.zeros((len(LEVELS), N, N))
         self.covariance[:, range(4), range(4)] = np.repeat(self.noise, 2)
@@ -317,8 +317,8 @@ class Board:
     def estimate(self) -> BoardAnswer:
         """Answer from all samples so far: the filters weighed by their likelihoods."""
         if not self.following:
-            doubt = self.search.doubt
-            rival = self.search.rival if doubt is BoardDoubt.RIVAL else 0.0
+            doubt = self.sweep.doubt
+            rival = self.sweep.rival if doubt is BoardDoubt.RIVAL else 0.0
             nothing = np.full(4, math.nan)
             return BoardAnswer(doubt, self.samples, nothing, np.zeros(4), rival=rival)
         weight = np.exp(self.log_likelihood - self.log_likelihood.max())

@@ -20,8 +20,8 @@ from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, BoardAnswer, answer_of, board_of
-from sparsefit.onboard.cells import rebased
-from sparsefit.onboard.search import BoardDoubt, BoardSettings
+from sparsefit.onboard.square_cells import rebased
+from sparsefit.onboard.sweep import BoardDoubt, BoardSettings
 from sparsefit.regression.backend import settings_of
 
 WIDEST = 16.0  # the largest length scale over the least: beyond it the path held is too short

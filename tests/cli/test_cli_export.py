@@ -8,7 +8,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.cli import main
-from sparsefit.onboard import export
+from sparsefit.onboard import c_source
 
 GRID = sf.LengthScaleGrid(2.0, 8.0)
 
@@ -24,8 +24,8 @@ def saved(tmp_path):
 @pytest.fixture
 def unmeasured(monkeypatch):
     """As where there is no compiler, and a reference that costs nothing."""
-    monkeypatch.setattr(export, "footprint", lambda files, compiler: None)
-    monkeypatch.setattr(export, "reference", lambda estimator, flight: ["sample", "1"])
+    monkeypatch.setattr(c_source, "footprint", lambda files, compiler: None)
+    monkeypatch.setattr(c_source, "reference", lambda estimator, flight: ["sample", "1"])
 
 
 def refused(capsys, *arguments):

@@ -339,13 +339,8 @@ def test_files_keep_the_true_flow(tmp_path, suffix, flow):
 
 
 def test_files_leave_out_a_flow_of_waves(tmp_path):
-    flight = simulate_flight(
-        WaveFlow([[1.0, 0.5]], [0.4], [0.2]),
-        PointMassVehicle(0.5),
-        duration=0.1,
-        sample_rate=50.0,
-        seed=3,
-    )
+    waves = WaveFlow([[1.0, 0.5]], [0.4], [0.2])
+    flight = simulate_flight(waves, PointMassVehicle(0.5), duration=0.1, sample_rate=50.0, seed=3)
     write_flight(flight, tmp_path / "flight.csv")
     assert read_flight(tmp_path / "flight.csv").flow is None
 

@@ -10,8 +10,8 @@ import sparsefit as sf
 from sparsefit.flight.vehicle import turning
 from sparsefit.onboard import board as module
 from sparsefit.onboard.board import Board, answer_of, board_of
-from sparsefit.onboard.cells import heading, parameters, rebased, unevenness, waves
-from sparsefit.onboard.search import BoardDoubt, BoardSettings
+from sparsefit.onboard.square_cells import heading, parameters, rebased, unevenness, waves
+from sparsefit.onboard.sweep import BoardDoubt, BoardSettings
 
 SETTINGS = BoardSettings(0.3, 0.0, 2.0, -1.0, 1.0, 2.0, 8.0, 0.03)
 FLOW = np.array([1.5, -1.0, 0.7, 1.8, 0.6, 0.7])

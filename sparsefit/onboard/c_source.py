@@ -25,10 +25,10 @@ from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file
-from sparsefit.logs.table import FlightTable
+from sparsefit.logs.flight_table import FlightTable
 from sparsefit.onboard.board import LEVELS, answer_of, board_of
 from sparsefit.onboard.online import board_settings, refusal
-from sparsefit.onboard.search import PEAKS, ROWS
+from sparsefit.onboard.sweep import PEAKS, ROWS
 from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]

@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.onboard.cells import M, heading, heading_of, length_of, unevenness, waves
+from sparsefit.onboard.square_cells import M, heading, heading_of, length_of, unevenness, waves
 
 ROWS, FEWEST_ROWS, BLOCK_MOST, PEAKS, REFINEMENTS = 192, 24, 64, 5, 14
 EVEN, EXPLAINED, EVIDENCE = 0.03, 0.6, 15.0
@@ -77,7 +77,7 @@ class Peak:
         self.damping = 0.01
 
 
-class Search:
+class Sweep:
     """The rows of a flight, and the sweep over them."""
 
     def __init__(self, settings: BoardSettings) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.onboard.export import following, footprint, package, ram, searching
+from sparsefit.onboard.c_source import following, footprint, package, ram, searching
 
 GRID = sf.LengthScaleGrid(2.0, 8.0)
 ESTIMATOR = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
