@@ -1,4 +1,4 @@
-"""The compiled loops: from the Python sources of `sparsefit.backends`, with the types beside them.
+"""The compiled loops: `.pyx` beside a NumPy reference, and Python sources with types beside them.
 
 They are optional: without Cython, scipy or a C compiler the same sources run interpreted, slower.
 All keep to the stable interface, so one wheel a platform.

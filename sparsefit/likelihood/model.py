@@ -31,7 +31,6 @@ ELEMENTS = (
     *("gain", "growth", "position_scale", "velocity_scale", "velocity_bias_x", "velocity_bias_y"),
     *("velocity_rotation", "latency", "position_bias_x", "position_bias_y"),
 )  # in the order of the passes; the waves follow, five elements each
-WALKERS_ONLY = ("gain", "position_bias_x", "position_bias_y")  # a constant one is in the flow's own
 
 
 @dataclass(frozen=True)
@@ -225,8 +224,8 @@ class Model:
             elif stem in WAVE and number.isdigit() and 0 < int(number) <= waves // 5:
                 jacobian[first + 5 * (int(number) - 1) + WAVE.index(stem), column] = 1.0
             else:
-                known = (*self.pattern.names, *ELEMENTS)
-                raise InputError(f"no parameter {name!r} in this model{suggestion(name, known)}")
+                valid = (*self.pattern.names, *ELEMENTS)
+                raise InputError(f"no parameter {name!r} in this model{suggestion(name, valid)}")
         return jacobian
 
     def at(self, values: dict[str, float]) -> Model:

@@ -420,8 +420,6 @@ def backward(
                 scores[i, 8 + c] = innovation / sqrt(size)
                 sums[n + c, 0] += noise[c] / weights[i, c] * u * u
                 sums[n + c, 1] += noise[c] / weights[i, c] * spread
-                sums[n + 4, 0] += innovation * innovation / size
-                sums[n + 4, 1] += 1.0
             memcpy(&adjoint[i, 0], r, n * sizeof(double))
             memcpy(&smoothed[i, 0], saved, n * sizeof(double))
             for j in range(p):

@@ -277,8 +277,7 @@ def backward(
         scores: of the readings (m, 12), written: u, then the residual that each leaves when it is
             left out over its deviation, u/sqrt(D), then the standardised innovation e/sqrt(S).
         sums: (n, 2) sums of r^2 and of N over the half kicks, times their seconds, then (4, 2) of
-            R u^2 and of R times its variance over the readings, then (1, 2) of e^2/S at dtheta
-            and its number: added to.
+            R u^2 and of R times its variance over the readings: added to.
     """
     n, p = carried.shape[1], columns
     r, covariance = carried[0], carried[1:]
@@ -309,7 +308,6 @@ def backward(
             covariance += spread * np.outer(h, h) - np.outer(h, along) - np.outer(along, h)
             variance = noise[channel] / weights[i, channel]
             sums[n + channel] += variance * u * u, variance * spread
-            sums[n + 4] += innovation**2 / size, 1.0
         adjoint[i, :n] = r
         delta, sensitivity = stored[i, :n], stored[i, n : n * (1 + p)].reshape(p, n)
         predicted = stored[i, n * (1 + p) : n * (1 + p + n)].reshape(n, n)

@@ -94,7 +94,7 @@ class Pass:
         q = len(self.score)
         carried, noise = np.zeros((1 + n, n)), space.noise.sum(axis=0)
         smoothed, adjoint, scores = np.empty((m, n)), np.zeros((m + 1, 2 * n)), np.empty((m, 12))
-        sums = np.zeros((n + 5, 2))
+        sums = np.zeros((n + 4, 2))
         for block in range(len(self.starts) - 1, -1, -1):
             first, stored = block * BLOCK, self.stored
             end = min(first + BLOCK, m)
@@ -112,9 +112,8 @@ class Pass:
             )  # fmt: skip
         initial = np.column_stack([adjoint[0, :n] ** 2, np.diag(carried[1:])])
         squares = space.kicks @ sums[:n] + space.spread @ initial
-        squares += (space.noise > 0.0) @ sums[n : n + 4]
-        chi = float(sums[n + 4, 0] / sums[n + 4, 1])
-        return Smoothed(track + smoothed, adjoint, scores, 0.5 * squares, chi)
+        squares += (space.noise > 0.0) @ sums[n:]
+        return Smoothed(track + smoothed, adjoint, scores, 0.5 * squares)
 
 
 def _width(n: int, p: int) -> int:
@@ -149,18 +148,16 @@ class Smoothed:
             the standardised innovations.
         squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
             their difference is the derivative of the log-likelihood by its logarithm.
-        chi: the mean square of the standardised innovations.
     """
 
     track: Array
     adjoint: Array
     scores: Array
     squares: Array
-    chi: float
 
     @classmethod
     def empty(cls, space: StateSpace, track: Array) -> Smoothed:
         """Return the pass of a log that could not be filtered: the track as it was."""
         m, n = track.shape
         unseen = np.full((m, 12), np.nan)
-        return cls(track, np.zeros((m + 1, 2 * n)), unseen, np.zeros((len(space.kicks), 2)), np.nan)
+        return cls(track, np.zeros((m + 1, 2 * n)), unseen, np.zeros((len(space.kicks), 2)))

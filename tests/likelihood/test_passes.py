@@ -171,7 +171,7 @@ def filtered(kernel, space, nodes, seed=5, adjoint=True):
         time, thrust, measured, weights, track, pushed, scores, state, stored,
     )  # fmt: skip
     carried, smoothed = np.zeros((1 + n, n)), np.zeros((m, n))
-    pushed, scores, sums = np.zeros((m, 2 * n)), np.zeros((m, 12)), np.zeros((n + 5, 2))
+    pushed, scores, sums = np.zeros((m, 2 * n)), np.zeros((m, 12)), np.zeros((n + 4, 2))
     kernel.backward(
         space.rates, p, time, weights, 0.01 * rng.normal(size=p), space.noise.sum(axis=0),
         stored, carried, smoothed, pushed, scores, sums,
