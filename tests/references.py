@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from sparsefit.library.cells import Cells, candidate_columns
+from sparsefit.library.cells import Cells
+from sparsefit.model.cells import candidate_columns
 from sparsefit.modes.fitted_rows import Rows
 from sparsefit.modes.projection import project
 

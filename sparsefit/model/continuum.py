@@ -29,6 +29,7 @@ EQUATION_1[CANDIDATES.index("sin x cos y"), 0] = 1.0
 EQUATION_1[CANDIDATES.index("cos x sin y"), 1] = -1.0
 STEP, FEWEST = 0.15, 8  # of a scan of cells, in 1/extent: a thirtieth of a lobe; steps at least
 MISSED = 0.02  # of a peak's height: what a scan of waves may not show
+TURNS = 9  # places within a step of a wave that are tried
 ACCURACY = 1e-9  # of the sums, relative to the number of rows
 UNKNOWN = 1e-6  # of a column's mean square: less is lost in the sums' error
 
@@ -217,21 +218,29 @@ class PlaneHeights:
 
     @cached_property
     def _rms(self) -> tuple[ComplexArray, Array]:
-        """The turn of phases to the flight's own coordinates (q, q), and rms (2, q, q)."""
+        """The turn of phases to the flight's own coordinates (q, q), and rms (3, q, q).
+
+        Of psi = cos, of psi = sin, and the least of any phase between them.
+        """
         origin, k_x, k_y = middle(self.position), self.axis[:, None], self.axis
         turn = np.exp(1j * (origin[0] * k_x + origin[1] * k_y))
         square, count = k_x**2 + k_y**2, len(self.position)
-        share = (self._sums.of(np.ones(count), 2) * turn * turn).real / count
-        means = (np.maximum(square * (1 + s * share) / 4, UNKNOWN * square) for s in (-1, 1))
-        return turn, np.sqrt(np.stack(list(means)))
+        doubled = self._sums.of(np.ones(count), 2) / count
+        share = (doubled * turn * turn).real
+        shares = np.stack([-share, share, -np.abs(doubled)])
+        return turn, np.sqrt(np.maximum(square * (1 + shares) / 4, UNKNOWN * square))
 
-    def heights(self, residual: Array) -> Array:
-        """The heights (q, q), 0 at k = 0, of a residual (2 m, 1) [m/s], u before v of a sample."""
+    def heights(self, residual: Array, *, highest: bool = False) -> Array:
+        """The heights (q, q), 0 at k = 0, of a residual (2 m, 1) [m/s], u before v of a sample.
+
+        highest: an upper bound instead, over all phases of the waves at the origin.
+        """
         turn, rms = self._rms
         of_u, of_v = self._sums.of(np.ascontiguousarray(residual.reshape(-1, 2).T))
         load = (self.axis * of_u - self.axis[:, None] * of_v) * turn
-        parts = np.stack([load.imag, load.real])
-        scaled = np.divide(parts, rms, out=np.zeros_like(parts), where=rms > 0)
+        parts = np.abs(load)[None] if highest else np.stack([load.imag, load.real])
+        least = rms[2:] if highest else rms[:2]
+        scaled = np.divide(parts, least, out=np.zeros_like(parts), where=least > 0)
         heights: Array = np.sqrt(np.sum(scaled**2, axis=0)) / (2 * len(self.position))
         return heights
 
@@ -242,13 +251,35 @@ class PlaneHeights:
         """
         radius = np.hypot(self.axis[:, None], self.axis)
         near = (radius > self.bounds[0] - self.step) & (radius < self.bounds[1] + self.step)
-        heights = np.where(near & (self.axis > -0.5 * self.step), self.heights(residual), 0.0)
-        tops = peaks(heights)
-        tops = tops[heights[tuple(tops.T)] >= (1 - slack) * heights.max()]
-        k = self.axis[tops]
+        near &= self.axis > -0.5 * self.step
+        heights, bound = (
+            np.where(near, self.heights(residual, highest=highest), 0.0)
+            for highest in (False, True)
+        )
+        limit, places = (1 - slack) * heights.max(), np.concatenate([peaks(heights), peaks(bound)])
+        tops = np.unique(places[bound[tuple(places.T)] >= limit], axis=0)
+        tops = tops[np.argsort(-heights[tuple(tops.T)], kind="stable")]
+        k = self._turned(self.axis[tops], residual)
         radii = np.clip(np.hypot(*k.T), *self.bounds)
         reach = np.column_stack([np.full(len(k), self.step), self.step / radii])
         return np.column_stack([radii, np.arctan2(k[:, 1], k[:, 0])]), reach
+
+    def _turned(self, k: Array, residual: Array) -> Array:
+        """Waves (j, 2) moved within a step to where their phases at the origin suit them best.
+
+        Where a flight is far from its origin, cosine and sine of a wave change places, and with
+        them the rms that each is divided by, faster than the step resolves.
+        """
+        origin = middle(self.position)
+        away = max(float(np.hypot(*origin)), 1e-300)
+        half = min(self.step, max(0.5 * self.step, 0.5 * math.pi / away))
+        tried = k[:, None] + half * np.linspace(-1.0, 1.0, TURNS)[:, None] * origin / away
+        theta = wave_theta(self.position, tried.reshape(-1, 2))
+        scale = np.sqrt(np.mean(theta**2, axis=0))
+        products = theta.T @ residual / np.where(scale > 0, scale, np.inf)[:, None]
+        heights = np.sum(products.reshape(len(k), TURNS, -1) ** 2, axis=2)
+        best: Array = tried[np.arange(len(k)), heights.argmax(axis=1)]
+        return best
 
 
 @dataclass(frozen=True, eq=False)

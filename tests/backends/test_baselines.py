@@ -11,9 +11,9 @@ from sparsefit.backends.best_scale import BestScale
 from sparsefit.backends.group_fit import explained
 from sparsefit.backends.group_omp import GroupOMP
 from sparsefit.backends.parametric_nls import ParametricNLS
-from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
+from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.rows import Derivative
 from tests.problems import (
     DEGENERATE_KINDS,
     VEHICLE,
@@ -100,7 +100,7 @@ def test_omp_with_one_scale_is_best_scale():
 def test_omp_finds_two_flows():
     flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
-    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(sf.Derivative()(flown), VEHICLE)
+    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
     backend = GroupOMP()
     weights = backend.solve(problem).weights
     np.testing.assert_allclose(problem.group_scales[chosen(problem, weights)], [3.0, 5.0])
@@ -110,7 +110,7 @@ def test_omp_finds_two_flows():
 def test_omp_next_support_sees_a_wrong_stop():
     flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
-    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(sf.Derivative()(flown), VEHICLE)
+    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
     early = GroupOMP(scales=1).solve(problem).weights
     assert np.any(GroupOMP().next_support(problem, early) != (early != 0))
 
@@ -168,7 +168,7 @@ def test_parametric_flags_the_edge():
 
 def test_parametric_needs_the_flow_velocity():
     flown = flight()
-    problem = Library(target="acceleration").build(sf.Derivative()(flown), VEHICLE)
+    problem = Library(target="acceleration").build(Derivative()(flown), VEHICLE)
     solution = ParametricNLS().solve(problem)
     assert solution.status == "error"
     assert "flow-velocity" in solution.reason

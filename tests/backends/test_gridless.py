@@ -14,13 +14,15 @@ from sparsefit.backends.continuous_dual import (
 from sparsefit.backends.gridless import GridlessGroupLasso
 from sparsefit.backends.group_lasso import GroupLasso
 from sparsefit.backends.sliding import Atoms, derivatives
-from sparsefit.library.builder import Library
-from sparsefit.library.grid import LengthScaleGrid
-from sparsefit.modes.space import SearchSpace
+from sparsefit.model.fitting import FlowRows, descended
+from sparsefit.model.grid import LengthScaleGrid
+from sparsefit.model.library import Library
+from sparsefit.model.shapes import axis_cells
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.objective import Penalty
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.rows import Derivative
 from tests.problems import VEHICLE, flight, flight_problem
 from tests.references import dual_certificate
 
@@ -29,7 +31,7 @@ BOUNDS = (math.pi / 12, math.pi / 1)
 
 
 def library_problem(flown, grid=GRID):
-    return Library(grid).build(sf.Derivative()(flown), flown.vehicle)
+    return Library(grid).build(Derivative()(flown), flown.vehicle)
 
 
 def two_flows(first, second, seed, velocities=(10.0, 6.0)):
@@ -147,6 +149,14 @@ def test_finer_grids_descend_to_the_gridless_optimum():
     assert values[-1] == pytest.approx(limit, rel=1e-2)
 
 
+def refined(problem, scales):
+    """The wavenumbers of cells of a stream function that fit the rows best, from scales [m]."""
+    place = problem.continuum.position - problem.continuum.position.mean(axis=0)
+    rows = np.column_stack([place, np.zeros(len(place))])
+    rows = FlowRows(rows, problem.target, np.zeros((len(rows), 2, 0)))
+    return descended(rows, axis_cells(len(scales)), np.pi / np.array(scales)).q
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_single_flow_noise_free(seed):
     problem = library_problem(flight(3.33, seed=seed))
@@ -154,9 +164,7 @@ def test_single_flow_noise_free(seed):
     scales = solution.problem.group_scales
     strongest = scales[np.argmax(group_norms(solution.weights))]
     assert strongest == pytest.approx(3.33, rel=0.01)
-    space = SearchSpace.plain(problem.continuum.position, problem.target, BOUNDS)
-    found = space.descend(np.array([np.pi / strongest]))
-    np.testing.assert_allclose(np.pi / found.parameters, [[3.33]], rtol=1e-6)
+    np.testing.assert_allclose(np.pi / refined(problem, [strongest]), [3.33], rtol=2e-4)
 
 
 @pytest.mark.parametrize(("ratio", "seed"), [(1.3, 0), (1.5, 1), (2.0, 2)])
@@ -171,10 +179,8 @@ def test_two_flows_within_one_percent(ratio, seed):
     for scale in truth:
         near = np.abs(scales / scale - 1) < 0.01
         assert group_norms(solution.weights)[near].sum() > 3.0
-    nearest = [np.pi / scales[np.argmin(np.abs(scales - scale))] for scale in truth]
-    space = SearchSpace.plain(problem.continuum.position, problem.target, BOUNDS)
-    found = space.descend(np.array(nearest))
-    np.testing.assert_allclose(np.pi / found.parameters[:, 0], truth, rtol=1e-4)
+    nearest = [scales[np.argmin(np.abs(scales - scale))] for scale in truth]
+    np.testing.assert_allclose(np.pi / refined(problem, nearest), truth, rtol=1e-4)
 
 
 def test_a_small_penalty_on_a_short_flight():
