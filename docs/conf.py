@@ -18,8 +18,7 @@ extensions = [
     "sphinx_design",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    *("contents", "mathml", "results", "study_keys", "commands", "pictures"),
-    *("public_names", "import_cost"),
+    "directives",
 ]
 exclude_patterns = ["_ext", "_static", "_templates", "pictures"]
 templates_path = ["_templates"]
@@ -37,8 +36,7 @@ smartquotes = False  # --option stays what is typed
 toc_object_entries_show_parents = "hide"
 # Types of other packages, and of rooms whose records users meet but do not make.
 nitpick_ignore_regex = [
-    ("py:class", r"(numpy|collections|os|datetime)\b.*"),
-    ("py:class", r"sparsefit\.(library|flight|logs|estimator|derivative|uncertainty)\..*"),
+    ("py:class", r"(numpy|collections|os|datetime|pathlib|pd|sparsefit)\b.*"),
     ("py:(class|exc)", "Prepared|Uncertainty|Columns|MissingExtra"),
 ]
 
