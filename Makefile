@@ -27,12 +27,10 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -n -q -E -b html docs build/docs
 	@echo "open build/docs/index.html"
 
-# Compiled loops of older sources would be tested otherwise.
-COMPILED := $(wildcard sparsefit/backends/compiled/*.pxd sparsefit/backends/compiled/*.h)
-LOOPS := $(patsubst sparsefit/backends/compiled/%.pxd,sparsefit/backends/%.py,$(COMPILED))
+# Compiled kernels of older sources would be tested otherwise.
+COMPILED := $(wildcard sparsefit/*/*.pyx sparsefit/*/*.pxd sparsefit/*/*.h)
 
-$(VENV)/.installed: pyproject.toml setup.py sparsefit/regression/_gram.c \
-		$(COMPILED) $(wildcard $(LOOPS))
+$(VENV)/.installed: pyproject.toml setup.py $(COMPILED)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@

@@ -1,19 +1,16 @@
-"""The compiled loops: `.pyx` beside a NumPy reference, and Python sources with types beside them.
+"""The compiled kernels, one typed source each.
 
-They are optional: without Cython, scipy or a C compiler the same sources run interpreted, slower.
-All keep to the stable interface, so one wheel a platform.
+They are optional: without Cython, scipy or a C compiler plain numpy does the same, slower. All
+keep to the stable interface, so one wheel a platform.
 """
 
 import os
 
 from setuptools import Extension, setup
 
-LOOPS = (
-    *("active_set", "homotopy_point", "homotopy_walk"),
-    *("variational_step", "variational_point", "variational_search"),
-)  # sparsefit/backends/NAME.py, typed by compiled/NAME.pxd
-TYPED = ("likelihood/passes", "solvers/sweeps")  # sparsefit/NAME.pyx, beside a plain reference
-KERNELS = ("regression._gram",)  # C
+TYPED = (
+    *("likelihood/passes", "solvers/homotopy", "solvers/variational", "solvers/sweeps"),
+)  # sparsefit/NAME.pyx
 STABLE = {
     "extra_compile_args": [] if os.name == "nt" else ["-g0"],  # no debugging symbols
     "define_macros": [("Py_LIMITED_API", "0x030b0000")],
@@ -22,27 +19,22 @@ STABLE = {
 }
 
 
-def loops() -> list[Extension]:
-    """The loops in C, or none where there is no Cython, or no scipy, whose BLAS they call."""
+def kernels() -> list[Extension]:
+    """The kernels in C, or none where there is no Cython, or no scipy, whose BLAS they call."""
     try:
         import scipy.linalg  # noqa: F401
         from Cython.Build import cythonize
     except ImportError:
         return []
-    folder = "sparsefit/backends"
     extensions = cythonize(
         [
             Extension(
-                f"sparsefit.backends.compiled.{name}",
-                [f"{folder}/{name}.py"],
-                include_dirs=[f"{folder}/compiled"],
-                depends=[f"{folder}/compiled/dense.h"],
+                f"sparsefit.{name.replace('/', '.')}",
+                [f"sparsefit/{name}.pyx"],
+                include_dirs=["sparsefit/solvers"],
+                depends=["sparsefit/solvers/dense.h"],
                 **STABLE,
             )
-            for name in LOOPS
-        ]
-        + [
-            Extension(f"sparsefit.{name.replace('/', '.')}", [f"sparsefit/{name}.pyx"], **STABLE)
             for name in TYPED
         ]
         + [
@@ -70,13 +62,4 @@ def loops() -> list[Extension]:
     return extensions
 
 
-setup(
-    ext_modules=[
-        *loops(),
-        *(
-            Extension(f"sparsefit.{name}", [f"sparsefit/{name.replace('.', '/')}.c"], **STABLE)
-            for name in KERNELS
-        ),
-    ],
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
-)
+setup(ext_modules=kernels(), options={"bdist_wheel": {"py_limited_api": "cp311"}})

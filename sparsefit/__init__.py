@@ -9,8 +9,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sparsefit.backends.by_name import fit as fit
-    from sparsefit.backends.by_name import path as path
+    from sparsefit.backends import fit as fit
+    from sparsefit.backends import path as path
     from sparsefit.errors import InputError as InputError
     from sparsefit.errors import SparsefitError as SparsefitError
     from sparsefit.estimator import Estimate as Estimate
@@ -76,8 +76,8 @@ _HOMES = {
     "Certificate": "regression",
     "Fit": "regression",
     "Path": "regression",
-    "fit": "backends.by_name",
-    "path": "backends.by_name",
+    "fit": "backends",
+    "path": "backends",
     "Readout": "model",
     "Estimate": "estimator",
     "Estimator": "estimator",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -46,8 +45,8 @@ def add(verbs: Verbs) -> None:
 def run_list(args: argparse.Namespace) -> int:
     """List every back-end, one that is broken with its error, and the solvers behind them."""
     from sparsefit import backends
-    from sparsefit.backends.conic import installed_solvers
-    from sparsefit.backends.solvers import PEERS
+    from sparsefit.solvers.conic import installed_solvers
+    from sparsefit.solvers.registry import Recipe, solver_names
 
     ours = (*backends.BACKENDS, *backends.PUBLIC)
     records = [
@@ -55,13 +54,14 @@ def run_list(args: argparse.Namespace) -> int:
         for name in (*backends.known(), *backends.PUBLIC)
     ]
     solvers = installed_solvers()
-    public = [{"name": one.name, "form": one.form, "installed": one.installed} for one in PEERS]
+    others = [Recipe(name) for name in solver_names()]
+    public = [{"name": one.name, "form": one.form, "installed": not one.missing} for one in others]
 
     def lines() -> Iterator[str]:
         yield "\n\n".join(_entry(record) for record in records)
         yield f"\nsolvers that cvxpy finds here: {', '.join(solvers)}"
-        yield f"other solvers: {', '.join(one.name for one in PEERS if one.installed)}"
-        yield from (f"  missing: {one.remedy}" for one in PEERS if not one.installed)
+        yield f"other solvers: {', '.join(one.name for one in others if not one.missing)}"
+        yield from (f"  missing: {one.missing}" for one in others if one.missing)
 
     record = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
     emit(record, lines, as_json=args.json)
@@ -89,10 +89,7 @@ def _record(name: str) -> dict[str, Any]:
         return {"name": name, "missing": str(error)}
     except (InputError, TypeError) as error:  # a plug-in whose settings have no defaults
         return {"name": name, "error": one_line(str(error))}
-    # Each of our own is a module of its own, whose first line says more than its class's.
-    ours = name in backends.BACKENDS or name in backends.PUBLIC
-    described = sys.modules[loaded.__module__] if ours else loaded
-    summary = (described.__doc__ or "").strip().split("\n\n")[0]
+    summary = (loaded.__doc__ or "").strip().split("\n\n")[0]
     return {
         "name": name,
         "summary": " ".join(summary.split()),
@@ -136,16 +133,14 @@ def run_check(args: argparse.Namespace) -> int:
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """What the back-end answers on a small flight, as JSON and in lines."""
     from sparsefit import backends
-    from sparsefit.backends.conic import installed_solvers
-    from sparsefit.backends.contract import faults
-    from sparsefit.backends.loops import loop_of
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.flight import simulate_flight
     from sparsefit.flight.flow import CellularFlow
     from sparsefit.flight.vehicle import PointMassVehicle
     from sparsefit.model import LengthScaleGrid, Library
-    from sparsefit.regression.statistics import product_loop
     from sparsefit.rows import Derivative
+    from sparsefit.solvers.conic import installed_solvers
+    from sparsefit.solvers.contract import faults
 
     backend = backends.get(name, **settings)
     truth = CellularFlow(mean_velocity=15.0, length_scale=4.0)
@@ -168,15 +163,10 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
         f"{name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
         f"{duration(estimate.seconds)}",
         f"  settings: {typed(estimate.settings) or 'none'}",
-        f"  loop: {loop_of(name) or 'no compiled one'}, Gram matrix: {product_loop()}",
         f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
         f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)",
         f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}",
         *told,
     ]
-    machinery = {
-        "loop": loop_of(name),
-        "gram": product_loop(),
-        "cvxpy_solvers": installed_solvers(),
-    }
+    machinery = {"cvxpy_solvers": installed_solvers()}
     return {**estimate.to_dict(), **machinery, "faults": wrong, "lines": lines}

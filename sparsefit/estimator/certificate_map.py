@@ -12,9 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.backends.continuous_dual import continuous_alpha_max
-from sparsefit.backends.gridless import GridlessGroupLasso
-from sparsefit.backends.group_lasso import GroupLasso
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import Flight
@@ -22,8 +19,11 @@ from sparsefit.model.continuum import PlaneHeights
 from sparsefit.model.grid import extent_of
 from sparsefit.model.waves import strengths
 from sparsefit.regression.continuum import Bounds, Continuum
-from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers.continuous_dual import continuous_alpha_max
+from sparsefit.solvers.gridless import GridlessGroupLasso
+from sparsefit.solvers.group_lassos import GroupLasso
 
 STEP = 0.4  # between wavevectors, in 1/extent: eta between them is at most 1 % higher
 

@@ -18,7 +18,6 @@ from sparsefit.regression.frames import (
     plot_path,
     predicted,
 )
-from sparsefit.regression.objective import alpha_max
 from sparsefit.regression.penalty_choice import PenaltyChoice
 from sparsefit.regression.problem import RegressionProblem
 
@@ -63,8 +62,7 @@ class Fit(Brief):
         """The penalty in the unit of the target, alpha_fraction * alpha_max; NaN without one."""
         if math.isnan(self.alpha_fraction) or not isinstance(self.backend, PenalisedBackend):
             return math.nan
-        cross = self.problem.statistics.cross
-        return self.alpha_fraction * alpha_max(cross, self.backend.penalty(self.problem))
+        return self.alpha_fraction * self.problem.alpha_max(self.backend.penalty(self.problem))
 
     def predict(self, theta: Any) -> Array:
         """The target at theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n).

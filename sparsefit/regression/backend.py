@@ -1,5 +1,8 @@
 """What a back-end is: frozen settings and a pure ``solve``."""
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
 
@@ -7,7 +10,7 @@ from sparsefit.arrays import Array
 from sparsefit.codec import plain
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.regression.certificate import Certificate, CertificateKind
-from sparsefit.regression.objective import Penalty
+from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
 
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
@@ -41,7 +44,8 @@ class Backend(Protocol):
 
     ``certificate_kind`` says what the caller verifies: ``duality_gap`` back-ends also have
     ``alpha_fraction`` and ``penalty(problem)``, ``normal_equations`` ones ``rcond``, and
-    ``fixed_point`` ones ``next_support(problem, weights)``.
+    ``fixed_point`` ones ``next_weights(problem, weights)``, what one more iteration makes of these,
+    or ``next_support``, its support, where the weights are the least squares there.
     """
 
     name: ClassVar[str]
@@ -133,3 +137,10 @@ def checked_selection(owner: str, value: Any) -> None:
 def settings_of(backend: Any) -> dict[str, Any]:
     """The settings of a back-end, JSON-ready, in the order of its fields."""
     return plain(backend)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Send what code of others prints to stderr: it is no output of ours."""
+    with redirect_stdout(sys.stderr):
+        yield

@@ -74,9 +74,14 @@ class Design(ABC):
         return 1.0
 
     @cached_property
+    def squares(self) -> Array:
+        """The squares of the columns' norms (k,), in the units of theta, finite or not."""
+        return self.raw_squares()
+
+    @cached_property
     def rms(self) -> Array:
         """The rms of the columns (k,), in the units of theta; 1 for a column of zeros."""
-        rms = np.sqrt(np.maximum(self.raw_squares(), 0.0) / self.samples)
+        rms = np.sqrt(np.maximum(self.squares, 0.0) / self.samples)
         rms[rms == 0.0] = 1.0
         rms.setflags(write=False)
         return rms
@@ -105,18 +110,27 @@ class Design(ABC):
         out /= self.rms[others]
         return out
 
-    def residual_sums(self, target: Array, values: Array) -> tuple[Array, Array, Array]:
-        """Z'R/m (k, q), |R_q|^2/m and <R_q, Y_q>/m (q,) of R = Y - Z V, Y (m, q) and V (k, q)."""
+    def residual_sums(self, target: Array, values: Array, bound: Array) -> tuple[Array, Array]:
+        """Z'u/m (k, q), and |u_q|^2/m, <u_q, Y_q>/m, <u_q, R_q>/m (3, q).
+
+        R = Y - Z V for Y (m, q) and V (k, q), u = R where |R| <= bound (q,), cut to it elsewhere.
+        """
         residual = target - self.predict(values)
-        square = np.einsum("iq,iq->q", residual, residual) / self.samples
-        product = np.einsum("iq,iq->q", residual, target) / self.samples
-        return self.correlate(residual), square, product
+        pull, sums = _cut_sums(residual, target, bound)
+        return self.correlate(pull), sums / self.samples
 
 
 def _in_use(values: Array) -> IntArray | slice:
     """The rows of values (k, n) that are not zero, where these are few; else all of them."""
     used = np.flatnonzero(values.any(axis=1))
     return used if len(used) < SPARSE_BELOW * len(values) else slice(None)
+
+
+def _cut_sums(residual: Array, target: Array, bound: Array) -> tuple[Array, Array]:
+    """u (m, q), and the sums of u^2, u Y and u R (3, q)."""
+    pull = residual if np.isinf(bound).all() else np.clip(residual, -bound, bound)
+    sums = [np.einsum("iq,iq->q", pull, other) for other in (pull, target, residual)]
+    return pull, np.stack(sums)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,20 +216,18 @@ class RowDesign(Design):
         assert total is not None
         return total
 
-    def residual_sums(self, target: Array, values: Array) -> tuple[Array, Array, Array]:
-        """Z'R/m (k, q), |R_q|^2/m and <R_q, Y_q>/m (q,), in one pass over the rows."""
+    def residual_sums(self, target: Array, values: Array, bound: Array) -> tuple[Array, Array]:
+        """Z'u/m (k, q) and the three sums (3, q), in one pass over the rows."""
         k, count = values.shape
         raw = values / self.rms[:, None]
         used = _in_use(raw)
         raw = raw[used]
-        total, square, product = np.zeros((count, k)), np.zeros(count), np.zeros(count)
+        total, sums = np.zeros((count, k)), np.zeros((3, count))
         for part, block in self.blocks():
-            residual = target[part] - block[:, used] @ raw
-            square += np.einsum("iq,iq->q", residual, residual)
-            product += np.einsum("iq,iq->q", residual, target[part])
-            total += residual.T @ block
-        scale = (self.rms * self.samples)[:, None]
-        return total.T / scale, square / self.samples, product / self.samples
+            pull, each = _cut_sums(target[part] - block[:, used] @ raw, target[part], bound)
+            sums += each
+            total += pull.T @ block
+        return total.T / (self.rms * self.samples)[:, None], sums / self.samples
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ def sharpened(
     pulls = statistics.gram_rows(used).T @ multipliers
     norm = float(np.sum(multipliers * pulls[used]))
     product = float(np.sum(multipliers * statistics.cross[used]))
-    gamma = rounding_of(statistics.rows + 2 * columns * targets + 20)
+    gamma = rounding_of(statistics.terms + 2 * columns * targets + 20)
     size, level = np.abs(multipliers).sum(axis=0), np.sqrt(statistics.target_square)
     peak, total = float(np.abs(pulls).max()), float(np.sqrt(np.sum(level**2)))
     if not (product > 0.0 and norm > 0.0):

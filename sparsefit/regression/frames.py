@@ -123,5 +123,5 @@ def predicted(fit: Any, theta: Any) -> Array:
     rows = values if hasattr(values, "tocsr") else np.atleast_2d(np.asarray(values, dtype=float))
     if rows.shape[1] != fit.columns:
         raise InputError(f"predict needs {fit.columns} columns, not {rows.shape[1]}")
-    predicted: Array = np.asarray(rows @ fit.weights)
+    predicted: Array = np.asarray(rows @ fit.weights) + fit.problem.intercept_of(fit.weights)
     return predicted[:, 0] if predicted.shape[1] == 1 else predicted

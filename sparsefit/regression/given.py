@@ -1,27 +1,86 @@
 """What is handed in for a regression problem, made arrays of numbers or refused with a reason."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError, told_with
+from sparsefit.regression.design import DaskDesign, Design, RowDesign, SparseDesign
 
-FIRST_ROWS = 32  # a column that is not zero in these is not a column of zeros
 LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose products all are in range
 
 
 def rows_of(theta: ArrayLike, target: ArrayLike) -> tuple[Array, Array]:
-    """theta (m, k) and target (m, n) as float64 in C order. Raises InputError on anything else."""
-    design, values = _floats(theta, "theta"), _floats(target, "target")
-    values = values[:, None] if values.ndim == 1 else values
-    if design.ndim != 2 or values.ndim != 2:
-        raise InputError(
-            f"theta must have shape (m, k) and target (m,) or (m, n), not {design.shape} and "
-            f"{values.shape}"
-        )
+    """theta (m, k) and target (m, n) as float64. Raises InputError on anything else."""
+    design, values = _floats(theta, "theta"), target_of(target)
+    if design.ndim != 2:
+        _refuse_dimensions(design, values)
     return design, values
+
+
+def target_of(target: ArrayLike) -> Array:
+    """The target (m, n) as float64. Raises InputError on anything else."""
+    values = _floats(target, "target")
+    values = values[:, None] if values.ndim == 1 else values
+    if values.ndim != 2:
+        _refuse_dimensions(np.zeros((0, 0)), values)
+    return values
+
+
+def _refuse_dimensions(design: Array, values: Array) -> None:
+    raise InputError(
+        f"theta must have shape (m, k) and target (m,) or (m, n), not {design.shape} and "
+        f"{values.shape}"
+    )
+
+
+def source_of(theta: Any) -> Any:
+    """What a design is made of, unchanged: see `design_of`; arrays as float64, not copied.
+
+    A DataFrame becomes the array of its values. Raises InputError on what is no matrix of reals.
+    """
+    if isinstance(theta, Design):
+        return theta
+    package = type(theta).__module__.partition(".")[0]
+    if package == "scipy":
+        from scipy import sparse
+
+        if sparse.issparse(theta):
+            stored: Any = theta
+            if stored.dtype.kind not in "fiub":
+                raise InputError("theta must hold real numbers, not complex ones")
+            matrix = stored.tocsc()  # a word on the format would help nobody: it is only stored so
+            matrix = matrix if matrix.dtype == np.float64 else matrix.astype(np.float64)
+            matrix.sum_duplicates()
+            return matrix
+    sliced = not hasattr(theta, "__array__") and hasattr(theta, "__getitem__")
+    if package == "dask" or isinstance(theta, np.memmap) or (sliced and hasattr(theta, "shape")):
+        if len(theta.shape) != 2 or np.dtype(getattr(theta, "dtype", float)).kind not in "fiub":
+            raise InputError(f"theta must be a matrix of real numbers, not {type(theta).__name__}")
+        return theta
+    array = _floats(theta, "theta")
+    if array.ndim != 2:
+        _refuse_dimensions(array, np.zeros((0, 0)))
+    return array
+
+
+def design_of(source: Any, samples: int, weights: Array | None = None) -> Design:
+    """The design of a source, with factors (m,) of its rows: sums are divided by ``samples``."""
+    if isinstance(source, Design):
+        return source
+    package = type(source).__module__.partition(".")[0]
+    if package == "scipy":
+        if weights is not None:
+            from scipy import sparse
+
+            source = (sparse.diags_array(weights) @ source).tocsc()
+        return SparseDesign(source, samples)
+    if package == "dask":
+        return DaskDesign(source if weights is None else source * weights[:, None], samples)
+    return RowDesign(source, samples, weights)
 
 
 def fitting(blocks: Iterable[tuple[ArrayLike, ArrayLike]]) -> Iterator[tuple[Array, Array]]:
@@ -42,13 +101,14 @@ def fitting(blocks: Iterable[tuple[ArrayLike, ArrayLike]]) -> Iterator[tuple[Arr
                     f"theta {theta.shape} and target {target.shape} must have as many rows, and "
                     "as many columns as the blocks before"
                 )
-            refuse_large(theta, tuple(map(str, range(widths[0]))), "")
-            refuse_large(target, tuple(map(str, range(widths[1]))), "of the target ")
+            refuse_large(squares_of(theta), tuple(map(str, range(widths[0]))), "")
+            refuse_large(squares_of(target), tuple(map(str, range(widths[1]))), "of the target ")
         first = widths
         yield theta, target
 
 
 def _floats(values: ArrayLike, name: str) -> Array:
+    """A float64 array, not copied where it is one in C or Fortran order."""
     if hasattr(values, "toarray"):
         raise InputError(f"{name} is a sparse matrix: hand in {name}.toarray()")
     if np.ma.is_masked(values):
@@ -56,9 +116,10 @@ def _floats(values: ArrayLike, name: str) -> Array:
     try:
         if np.asarray(values).dtype.kind in "cmM":
             raise TypeError("it holds complex numbers or times")
-        return np.ascontiguousarray(values, dtype=np.float64)
+        array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be an array of real numbers: {error}") from None
+    return array if array.flags.c_contiguous or array.flags.f_contiguous else array.copy()
 
 
 def numbers_of(labels: ArrayLike, columns: int, name: str) -> IntArray:
@@ -85,12 +146,6 @@ def numbers_of(labels: ArrayLike, columns: int, name: str) -> IntArray:
         raise InputError(f"{name} must have labels of one kind, such as all numbers") from None
 
 
-def refuse_other(values: object, name: str) -> None:
-    """Raise InputError unless the values are an array (m, k) of float64."""
-    if not (isinstance(values, np.ndarray) and values.dtype == np.float64 and values.ndim == 2):
-        raise InputError(f"{name} must be a float64 array (m, k); from_arrays makes one of others")
-
-
 def refuse_gaps(numbers: object, columns: int, name: str) -> None:
     """Raise InputError unless each column has a number and these are 0, 1, 2, ... without gaps."""
     numbered = (
@@ -107,35 +162,31 @@ def refuse_gaps(numbers: object, columns: int, name: str) -> None:
         )
 
 
-def refuse_large(values: Array, names: Sequence[str], which: str) -> None:
-    """Raise InputError, which names it, on a column of values (m, k) that cannot be reckoned with.
+def refuse_large(squares: Array, names: Sequence[str], which: str) -> None:
+    """Raise InputError, which names it, on a column that cannot be reckoned with.
 
-    One with NaN, infinity or a norm above LARGEST.
+    One with NaN, infinity or a norm above LARGEST; squares (k,) of the norms.
     """
-    flat = values.ravel(order="K")
-    if not np.vdot(flat, flat) <= LARGEST**2:  # one fast sum clears every column, or none
-        bad = ~(_squares(values) <= LARGEST**2)
-        what = f"{which}holds NaN, infinity or values above {LARGEST:g}"
-        _refuse_columns(bad, names, f"{what}; clean the data or change the unit")
+    what = f"{which}holds NaN, infinity or values above {LARGEST:g}"
+    _refuse_columns(~(squares <= LARGEST**2), names, f"{what}; clean the data or change the unit")
 
 
-def refuse_zeros(values: Array, names: Sequence[str]) -> None:
-    """The same on a column of values (m, k) whose norm is below SMALLEST."""
-    small = np.flatnonzero(_squares(values[:FIRST_ROWS]) < SMALLEST**2)  # few, but in odd data
-    zero = np.zeros(len(names), dtype=bool)
-    zero[small] = _squares(values[:, small]) < SMALLEST**2
+def refuse_zeros(squares: Array, names: Sequence[str]) -> None:
+    """Raise InputError on a column whose norm is below SMALLEST; squares (k,)."""
     what = f"is zero in every sample (or below {SMALLEST:g})"
-    _refuse_columns(zero, names, f"{what}; drop it or change the unit")
+    _refuse_columns(squares < SMALLEST**2, names, f"{what}; drop it or change the unit")
 
 
-def refuse_small(values: Array, names: Sequence[str]) -> None:
-    """The same on a target of values (m, n) whose norm is below SMALLEST, and not zero."""
-    small = (_squares(values) < SMALLEST**2) & values.any(axis=0)
+def refuse_small(squares: Array, values: Array, names: Sequence[str]) -> None:
+    """Raise InputError on a target of values (m, n) whose norm is below SMALLEST, and not zero."""
+    small = (squares < SMALLEST**2) & values.any(axis=0)
     _refuse_columns(small, names, f"of the target is below {SMALLEST:g}, not 0; change the unit")
 
 
-def _squares(values: Array) -> Array:
-    squares: Array = np.einsum("ij,ij->j", values, values)
+def squares_of(values: Array) -> Array:
+    """The squares of the norms of the columns (k,) of values (m, k)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
+        squares: Array = np.einsum("ij,ij->j", values, values)
     return squares
 
 

@@ -93,6 +93,8 @@ class GroupNorms(Penalty):
         """N (c, c) on the coefficients ``on`` of groups that are not zero."""
         from scipy.sparse import csc_array, diags_array
 
+        if not len(on):
+            return None
         column, target = np.divmod(on, origin.shape[1])
         group, place = self.groups[column], 0 if self.together else target
         norms = self.block_norms(origin)[group, place]

@@ -68,10 +68,10 @@ class RootSquares(Squares):
 
     def factor(self, square: Array, product: Array, limit: Array, level: Array) -> Array:
         """The s (p, 1) at both of its limits."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             reach = np.sqrt(np.sum(level**2)) / np.sqrt(square.sum(axis=1, keepdims=True))
         least = np.minimum(limit.min(axis=1, keepdims=True), reach)
-        return np.where(np.isfinite(least), least, 0.0)
+        return np.where(np.isfinite(least), least, 0.0)  # a target of zero, too
 
     def dual(self, s: Array, square: Array, product: Array) -> Array:
         """D by target (p, n) at s."""

@@ -107,6 +107,10 @@ class Penalty(ABC):
         """The penalty on some of the columns, in whole blocks; None where it has no such form."""
         return None
 
+    def in_units(self, level: float) -> Self:
+        """The penalty of values that are divided by ``level``, and so is alpha."""
+        return replace(self, ridge=self.ridge * level) if self.ridge else self
+
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
         """The factor N of the prox's derivative at ``origin`` (k, n), values = prox(origin).
 
@@ -216,10 +220,15 @@ class BoundedValues(AbsoluteValues):
         total: Array = over.sum(axis=(-2, -1))
         return total
 
+    def in_units(self, level: float) -> Self:
+        """The bounds divided by it, too."""
+        plain = super().in_units(level)
+        return replace(plain, lower=self.lower / level, upper=self.upper / level)
+
     def restricted(self, index: IntArray) -> Self:
         """The penalty on some of the columns."""
-        parts = {name: getattr(self, name)[index] for name in ("weights", "lower", "upper")}
-        return replace(self, **parts)
+        lower, upper = self.lower[index], self.upper[index]
+        return replace(self, weights=self.weights[index], lower=lower, upper=upper)
 
     def prox(self, values: Array, step: float) -> Array:
         """Soft thresholding, then the bounds."""

@@ -14,8 +14,9 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import ChoosingBackend, Selection
-from sparsefit.regression.objective import Penalty, alpha_max
+from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.regression.statistics import Statistics
 
 FRACTIONS = tuple(np.geomspace(1.0, 1e-3, 30).tolist())
 FOLDS = 5  # of cross-validation: each a fifth of the samples, in one piece
@@ -68,23 +69,25 @@ def information_criterion(
     which hold the least of what the others leave unexplained. weights (p, k, n): the path.
     """
     points, columns, targets = weights.shape
-    flat = np.ascontiguousarray(weights.transpose(1, 0, 2)).reshape(columns, points * targets)
-    fitted = (problem.theta @ flat).reshape(-1, points, targets)
-    residuals = problem.target[:, None, :] - fitted
+    design, statistics, rms = problem.design, problem.statistics, problem.statistics.rms
     solved = np.flatnonzero(np.isfinite(weights).all(axis=(1, 2)))
     if not len(solved):
         return _choice(backend, np.full(points, np.nan), 0)
+    values = (weights * rms[:, None]).transpose(1, 0, 2).reshape(columns, points * targets)
+    fitted = design.predict(np.where(np.isfinite(values), values, 0.0))
+    residuals = problem.target[:, None, :] - fitted.reshape(-1, points, targets)
     null = np.einsum("it,it->t", problem.target, problem.target)
     size = float(problem.samples)
     if not _compressed(problem):  # rows that mix samples say nothing of their order
         size = effective_samples(residuals[:, solved[-1]])
-    penalty, statistics = backend.penalty(problem), problem.statistics
-    alphas = alpha_max(statistics.cross, penalty) * np.array(FRACTIONS)
+    penalty = backend.penalty(problem)
+    alphas = problem.alpha_max(penalty) * np.array(FRACTIONS)
     criterion = np.full(points, np.nan)
     for i in solved:
-        scaled = weights[i] * statistics.rms[:, None]
+        scaled = weights[i] * rms[:, None]
         share = np.einsum("it,it->t", residuals[:, i], residuals[:, i]) / np.where(null, null, 1.0)
-        freedom = degrees_of_freedom(statistics.gram, scaled, float(alphas[i]), penalty)
+        pull = design.correlate(residuals[:, i])
+        freedom = degrees_of_freedom(statistics, scaled, pull, float(alphas[i]), penalty)
         criterion[i] = size * np.log(np.maximum(share, FLOOR)).sum() + math.log(size) * freedom
         if backend.selection == "ebic":
             criterion[i] += 2.0 * _log_models(scaled, penalty)
@@ -92,58 +95,32 @@ def information_criterion(
     return replace(_choice(backend, criterion, chosen), effective_samples=size)
 
 
-def degrees_of_freedom(gram: Array, weights: Array, alpha: float, penalty: Penalty) -> float:
-    """df = tr[H (H + alpha K)^-1] on the support (Vaiter, Deledalle, Fadili, Peyre, Dossal 2017).
+def degrees_of_freedom(
+    statistics: Statistics, weights: Array, pull: Array, alpha: float, penalty: Penalty
+) -> float:
+    """df = tr[H dV/dB] of weights V (k, n), scaled, with C = ``pull`` (Vaiter et al. 2017).
 
-    H = Z'Z/m for each target; K, the curvature of the penalty, is block diagonal with
-    omega_g/|V_g| (I - u u'), u = V_g/|V_g|. It vanishes for blocks of one coefficient, where df is
-    the size of the support (Zou, Hastie and Tibshirani 2007); blocks within blocks add theirs, and
-    a ridge rho I. gram (k, k); weights V (k, n), scaled.
+    From V = prox(V + C), with the derivative M = N N' of the prox on the coefficients in use,
+    dV/dB = (I - M + M (H + alpha rho I))^-1 M, H = Z'Z/m for each target. For single coefficients
+    that is the size of the support (Zou, Hastie and Tibshirani 2007).
     """
-    if penalty.ridge or penalty.within is not None:
-        return _dense_freedom(gram, weights, alpha, penalty)
-    if penalty.elementwise:
+    if isinstance(penalty, AbsoluteValues) and not penalty.ridge:
         return float(np.count_nonzero(weights))
-    if not penalty.joint:
-        alone = replace(penalty, joint=True)
-        return sum(degrees_of_freedom(gram, one[:, None], alpha, alone) for one in weights.T)
-    norms = penalty.block_norms(weights)[:, 0]
-    active = np.flatnonzero(norms)
-    used = np.isin(penalty.groups, active)
-    if not len(active):
+    if not penalty.coupled and weights.shape[1] > 1:
+        parts = zip(weights.T[:, :, None], pull.T[:, :, None], strict=True)
+        return sum(degrees_of_freedom(statistics, *each, alpha, penalty) for each in parts)
+    ridge = alpha * penalty.ridge
+    on, factor = penalty.slope(weights + pull - ridge * weights, weights, alpha)
+    if not len(on):
         return 0.0
-    member = np.searchsorted(active, penalty.groups[used])
-    curvature = alpha * penalty.weights[active] / norms[active]
-    hessian = gram[np.ix_(used, used)]
-    # Without u u' the targets are alike; those directions, one a group, come back by Woodbury.
-    inverse = np.linalg.inv(hessian + np.diag(curvature[member]))
-    units = weights[used] / norms[active][member][:, None]
-    basis = units.T[:, :, None] * (member[:, None] == np.arange(len(active)))  # (n, used, active)
-    lifted = inverse @ basis
-    core = np.diag(1.0 / curvature) - np.einsum("tkg,tkh->gh", basis, lifted)
-    back = np.einsum("tkg,tkh->gh", lifted, hessian @ lifted)
-    extra = np.sum(np.linalg.pinv(core, rcond=FLOOR, hermitian=True) * back)
-    return float(weights.shape[1] * np.sum(inverse * hessian) + extra)
-
-
-def _dense_freedom(gram: Array, weights: Array, alpha: float, penalty: Penalty) -> float:
-    """The same for any penalty, from H and K on the support as they stand."""
-    column, target = np.nonzero(weights)
-    if not len(column):
-        return 0.0
-    values = weights[column, target]
-    hessian = np.where(target[:, None] == target, gram[np.ix_(column, column)], 0.0)
-    curvature = np.diag(np.full(len(column), penalty.ridge))
-    for part in (penalty, penalty.within):
-        if part is None or part.smooth:
-            continue
-        block = part.groups[column] * weights.shape[1] + (0 if part.joint else target)
-        same = block[:, None] == block
-        square = same @ values**2
-        pull = part.weights[part.groups[column]] / np.sqrt(square)
-        curvature += np.diag(pull) - same * np.outer(values * pull / square, values)
-    share = np.linalg.lstsq(hessian + alpha * curvature, hessian, rcond=FLOOR)[0]
-    return float(np.trace(share))
+    column, target = np.divmod(on, weights.shape[1])
+    used, place = np.unique(column, return_inverse=True)
+    square = statistics.gram_rows(used)[:, used][np.ix_(place, place)]
+    square = np.where(target[:, None] == target, square, 0.0)
+    shrink = np.eye(len(on)) if factor is None else (factor @ factor.T).toarray()
+    bent = np.eye(len(on)) - shrink + shrink @ (square + ridge * np.eye(len(on)))
+    rate = np.linalg.lstsq(bent, shrink, rcond=FLOOR)[0]
+    return float(np.sum(square * rate.T))
 
 
 def effective_samples(residual: Array) -> float:
@@ -179,8 +156,10 @@ def cross_validation(
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
     losses = np.empty((FOLDS, len(FRACTIONS)))
     for i, fold in enumerate(folds):
-        found = _path_on(problem, backend, folds[:i] + folds[i + 1 :])
-        misfit = problem.target[fold] - problem.theta[fold] @ found
+        found, levels = _path_on(problem, backend, folds[:i] + folds[i + 1 :])
+        held_out = problem.theta[fold]
+        fitted = np.stack([held_out @ each for each in found]) + levels[:, None, :]
+        misfit = problem.raw_target[fold] - fitted
         losses[i] = np.einsum("pit,pit->p", misfit, misfit) / (len(fold) * square)
     losses[:, ~np.isfinite(weights).all(axis=(1, 2))] = np.nan
     mean = losses.mean(axis=0)
@@ -205,9 +184,9 @@ def stability_selection(
     pieces = _pieces(problem, PIECES, backend)
     member = problem.groups[:, None] == np.arange(problem.groups.max() + 1)
     sizes = [
-        np.maximum.accumulate((found != 0).any(axis=2) @ member, axis=0).sum(axis=1)
+        np.maximum.accumulate(np.not_equal(found, 0).any(axis=2) @ member, axis=0).sum(axis=1)
         for found in (
-            _path_on(problem, backend, list(half)) for half in combinations(pieces, PIECES // 2)
+            _path_on(problem, backend, list(half))[0] for half in combinations(pieces, PIECES // 2)
         )
     ]
     bound = np.mean(sizes, axis=0) ** 2 / ((2 * THRESHOLD - 1) * member.shape[1])
@@ -229,10 +208,11 @@ def _choice(backend: ChoosingBackend, criterion: Array, index: int) -> PenaltyCh
 
 def _log_models(weights: Array, penalty: Penalty) -> float:
     """Sum over the targets of log C(G, s)."""
-    total = math.lgamma(len(penalty.weights) + 1)
-    active = np.count_nonzero(penalty.block_norms(weights), axis=0).tolist()
-    rest = (math.lgamma(s + 1) + math.lgamma(len(penalty.weights) - s + 1) for s in active)
-    return len(active) * total - sum(rest)
+    blocks = int(penalty.blocks.max()) + 1
+    used = weights.any(axis=1, keepdims=True) if penalty.joint else weights != 0
+    active = [len(np.unique(penalty.blocks[on])) for on in np.transpose(used)]
+    rest = (math.lgamma(s + 1) + math.lgamma(blocks - s + 1) for s in active)
+    return len(active) * math.lgamma(blocks + 1) - sum(rest)
 
 
 def _compressed(problem: RegressionProblem) -> bool:
@@ -260,18 +240,12 @@ def _pieces(problem: RegressionProblem, count: int, backend: ChoosingBackend) ->
     return list(np.array_split(np.arange(problem.samples), count))
 
 
-def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[IntArray]) -> Array:
-    """Weights (p, k, n) of the path on these pieces, NaN where there is no solution."""
-    rows = np.concatenate(pieces)
+def _path_on(
+    problem: RegressionProblem, backend: ChoosingBackend, pieces: list[IntArray]
+) -> tuple[Array, Array]:
+    """Weights (p, k, n) of the path on these pieces, NaN where there is no solution; intercepts."""
     try:
-        part = replace(
-            problem,
-            theta=problem.theta[rows],
-            target=problem.target[rows],
-            sample_count=None,
-            sums=None,
-            continuum=None if problem.continuum is None else problem.continuum.at(rows),
-        )
+        part = problem.part(np.concatenate(pieces))
     except InputError as error:
         raise InputError(
             f"selection {backend.selection!r}: on a part of the samples, {error}, or "
@@ -279,4 +253,5 @@ def _path_on(problem: RegressionProblem, backend: ChoosingBackend, pieces: list[
         ) from None
     missing = np.full((problem.columns, problem.targets), np.nan)
     solutions = backend.solve_path(part, FRACTIONS)
-    return np.stack([missing if s.weights is None else s.weights for s in solutions])
+    weights = np.stack([missing if s.weights is None else s.weights for s in solutions])
+    return weights, np.stack([part.intercept_of(each) for each in weights])

@@ -239,9 +239,8 @@ class Cvxpy:
     solver: str = "clarabel"
 
     def __post_init__(self) -> None:
-        import cvxpy
 
-        installed = sorted(name.lower() for name in cvxpy.installed_solvers())
+        installed = installed_solvers()
         if self.solver in installed:
             return
         if self.solver in (*STOPS, *QUADRATIC, "qoco", "cvxopt", "mosek", "gurobi"):
@@ -398,3 +397,10 @@ def _in_units(penalty: Penalty, unit: float) -> Penalty:
         if hasattr(penalty, name):
             changed[name] = getattr(penalty, name) / unit
     return replace(penalty, **changed)
+
+
+def installed_solvers() -> list[str]:
+    """Names of the solvers that cvxpy finds here, in lower case."""
+    import cvxpy
+
+    return sorted(name.lower() for name in cvxpy.installed_solvers())

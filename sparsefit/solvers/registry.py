@@ -28,9 +28,8 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, described, one_line, unknown
-from sparsefit.regression.backend import Solution
+from sparsefit.regression.backend import Solution, quiet
 from sparsefit.regression.design import RowDesign
-from sparsefit.regression.foreign import quiet
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.peers import Timed

@@ -30,10 +30,6 @@ from sparsefit import RegressionProblem, backends
 from sparsefit.child import in_child
 from sparsefit.codec import Place, build, integer, only, shown, text
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
-from sparsefit.regression import penalties
-from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
-from sparsefit.regression.losses import SQUARES, RootSquares
-from sparsefit.regression.objective import Penalty as Flagged
 from sparsefit.solvers.registry import (
     BEHIND_CVXPY,
     SOLVERS,
@@ -473,22 +469,5 @@ def small_problem() -> RegressionProblem:
 
 
 def penalty_of(backend: Any, problem: RegressionProblem) -> Any:
-    """The penalty of a back-end on a problem, as the class that solvers are given."""
-    penalty: Any = backend.penalty(problem)
-    return classes_of(penalty) if isinstance(penalty, Flagged) else penalty
-
-
-def classes_of(penalty: Flagged) -> penalties.Penalty:
-    """A penalty that is told by flags as one that is told by its class."""
-    added = {"ridge": penalty.ridge, "loss": RootSquares() if penalty.root else SQUARES}
-    if penalty.within is not None:
-        inner = replace(penalty, groups=penalty.within.groups, weights=penalty.within.weights,
-                        joint=penalty.within.joint, within=None, ridge=0.0, root=False)  # fmt: skip
-        outer = GroupNorms(penalty.groups, penalty.weights, penalty.joint)
-        return NestedNorms(outer, classes_of(inner), **added)  # type: ignore[arg-type]
-    if penalty.smooth:
-        return penalties.SquaredNorm(len(penalty.groups), ridge=penalty.ridge)
-    if penalty.elementwise:
-        weights = penalty.weights[penalty.groups]
-        return penalties.AbsoluteValues(weights, **added)  # type: ignore[arg-type]
-    return GroupNorms(penalty.groups, penalty.weights, penalty.joint, **added)  # type: ignore[arg-type]
+    """The penalty of a back-end on a problem."""
+    return backend.penalty(problem)

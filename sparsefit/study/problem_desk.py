@@ -33,12 +33,11 @@ from sparsefit import RegressionProblem, backends
 from sparsefit import path as certified_path
 from sparsefit.arrays import Array
 from sparsefit.backends import Solution
-from sparsefit.backends.penalised import PenalisedPath
 from sparsefit.errors import one_line
 from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_fraction
 from sparsefit.regression.certificate import duality_gaps
-from sparsefit.regression.judgement import certificate_of
-from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.fit import certificate_of
+from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import answers
 from sparsefit.study.contenders import Contender, ProblemDesign, penalty_of, small_problem
 from sparsefit.study.worker import trim_memory
@@ -209,15 +208,14 @@ class JudgeDesk:
         kind = str(backend.certificate_kind)
         if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):
             solutions = [Solution(each) for each in weights]
-            certificates = [certificate_of(problem, backend, item, problem) for item in solutions]
+            certificates = [certificate_of(problem, backend, item) for item in solutions]
             values = [math.nan if c is None else c.value for c in certificates]
             worst = max(math.inf if math.isnan(value) else value for value in values)
             return kind, worst, worst
         fractions = self._design.fractions or own_fraction(backend)
         statistics, penalty = problem.statistics, backend.penalty(problem)
-        alphas = alpha_max(statistics.cross, penalty) * np.array(fractions)
-        data = (problem.theta, problem.target, statistics.rms, weights, alphas, penalty)
-        gaps = duality_gaps(*data, samples=problem.samples)
+        alphas = problem.alpha_max(penalty) * np.array(fractions)
+        gaps = duality_gaps(problem.design, problem.target, weights, alphas, penalty)
         primal, dual = np.array([c.primal for c in gaps]), np.array([c.dual for c in gaps])
         bounds = self._bound(contender.problem_of, backend, fractions)
         excess = np.maximum(primal - np.maximum(dual, bounds), 0.0)

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from sparsefit import backends
-from sparsefit.backends.contract import faults
 from sparsefit.cli import main
+from sparsefit.solvers.contract import faults
 from tests.problems import regular
 
 GOOD = """
@@ -49,8 +49,8 @@ class Good:
             return Solution(scale * answer(problem))
         return Solution(answer(problem))
 
-    def next_support(self, problem, weights):
-        return weights != 0 if self.deed == "yes" else answer(problem) != 0
+    def next_weights(self, problem, weights):
+        return weights if self.deed == "yes" else answer(problem)
 """
 
 
@@ -96,7 +96,13 @@ def test_plug_ins_that_end_their_process_are_listed_with_it(
             ],
         ),
         ("zeros", ["it says ok of an answer that is not: fixed_point"]),
-        ("worse", ["its weights fit the target worse than zeros do"]),
+        (
+            "worse",
+            [
+                "it says ok of an answer that is not: fixed_point",
+                "its weights fit the target worse than zeros do",
+            ],
+        ),
         ("write", ["raises InputError: back-end 'good' writes into problem.theta, which it is "]),
         (
             "shape",

@@ -14,7 +14,7 @@ from sparsefit.library.builder import Library
 from sparsefit.library.columns import stream_columns, wave_columns
 from sparsefit.library.grid import LengthScaleGrid
 from sparsefit.library.wave_grid import WaveGrid
-from sparsefit.regression.objective import alpha_max
+from sparsefit.regression.penalties import alpha_max
 from tests.problems import VEHICLE, flight
 
 GRID = LengthScaleGrid(3.0, 8.0)

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
-from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.design import RowDesign
+from sparsefit.regression.group_penalties import GroupNorms
+from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.regression.statistics import Statistics
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
@@ -34,7 +36,7 @@ def certified(theta, target, weights, alphas, penalty, source="rows"):
     weights, alphas = np.asarray(weights), np.asarray(alphas)
     if source == "gram":
         return gram_gaps(statistics, weights, alphas, penalty)
-    return duality_gaps(theta, target, statistics.rms, weights, alphas, penalty)
+    return duality_gaps(RowDesign(theta, len(theta)), target, weights, alphas, penalty)
 
 
 def certify(theta, target, weights, alpha, penalty, source="rows"):
@@ -153,7 +155,7 @@ def test_certificate_agrees_with_loops_over_unequal_groups(seed, joint, source):
     groups = np.array([2, 0, 1, 1, 2, 2, 2])  # sizes 1, 2 and 4, not in order
     omega = np.sqrt(np.bincount(groups))
     weights = rng.normal(size=(7, 3)) * (rng.random((7, 3)) < 0.6)
-    penalty = Penalty(groups, omega, joint)
+    penalty = GroupNorms(groups, omega, joint)
     found = certify(theta, target, weights, 0.2, penalty, source)
     primal, dual, points = by_hand(theta, target, weights, 0.2, groups, omega, joint)
     assert found.primal == pytest.approx(primal, rel=1e-13)
@@ -162,7 +164,7 @@ def test_certificate_agrees_with_loops_over_unequal_groups(seed, joint, source):
     for targets, point in points:  # the dual point obeys its constraint
         correlation = np.zeros((7, 3))
         correlation[:, targets] = z.T @ point / 11
-        assert penalty.dual_norms(correlation).max() <= 0.2 * (1 + 1e-12)
+        assert penalty.dual_norm(correlation).max() <= 0.2 * (1 + 1e-12)
 
 
 @both
@@ -193,7 +195,7 @@ def test_gathering_columns_and_points_together_changes_nothing(sparse, source):
 def test_gap_does_not_depend_on_units(theta_unit, target_unit, seed, joint, source):
     problem = regular(seed)
     weights = np.random.default_rng(seed).normal(size=(12, 2))
-    penalty = Penalty(problem.groups, np.ones(4), joint)
+    penalty = GroupNorms(problem.groups, np.ones(4), joint)
     plain = certify(problem.theta, problem.target, weights, 0.3, penalty, source)
     changed = certify(
         problem.theta * theta_unit,
@@ -216,7 +218,7 @@ def test_gap_is_never_negative_and_dual_never_above_primal(seed, kind, size):
     rng = np.random.default_rng(seed)
     unit = np.sqrt(s.target_square) / s.rms[:, None]
     weights = size * unit * rng.normal(size=(problem.columns, problem.targets))
-    penalty = Penalty(problem.groups, np.ones(problem.groups.max() + 1), bool(seed % 2))
+    penalty = GroupNorms(problem.groups, np.ones(problem.groups.max() + 1), bool(seed % 2))
     found = certify(
         problem.theta, problem.target, weights, 0.3 * alpha_max(s.cross, penalty), penalty
     )
@@ -233,7 +235,7 @@ def test_gap_is_never_negative_and_dual_never_above_primal(seed, kind, size):
 @settings(max_examples=80)
 def test_zero_is_the_solution_exactly_from_alpha_max_on(seed, joint, below, above):
     problem = regular(seed)
-    penalty = Penalty(problem.groups, np.sqrt([1.0, 2.0, 3.0, 4.0]), joint)
+    penalty = GroupNorms(problem.groups, np.sqrt([1.0, 2.0, 3.0, 4.0]), joint)
     top = alpha_max(problem.statistics.cross, penalty)
     zeros = np.zeros((12, 2))
     assert certify(problem.theta, problem.target, zeros, top * above, penalty).value <= 1e-15
@@ -272,7 +274,7 @@ def exact_gap(theta, target, rms, weights, alpha, penalty):
         product = mp.fsum(residual[i][t] * float(target[i, t]) for i in range(m) for t in block)
         peak, norm = mp.mpf(0), mp.mpf(0)
         for group, omega in enumerate(penalty.weights.tolist()):
-            on = np.flatnonzero(penalty.groups == group).tolist()
+            on = np.flatnonzero(penalty.blocks == group).tolist()
             pull = [mp.fsum(z[i][j] * residual[i][t] for i in range(m)) for j in on for t in block]
             peak = max(peak, mp.sqrt(mp.fsum(x**2 for x in pull)) / m / omega)
             norm += omega * mp.sqrt(mp.fsum(v[j][t] ** 2 for j in on for t in block))
@@ -303,7 +305,7 @@ def test_rounding_covers_what_double_precision_loses(source, seed, size, fitted,
     weights[:2] += size * np.array([[1.0], [-1.0]]) / np.abs(theta[:, 0]).mean()
     target = theta @ weights if fitted else target
     groups = np.array([0, 1, 2, 0, 1, 2])
-    blocks = Penalty(groups, np.sqrt([1.0, 2.0, 3.0]), penalty == "joint")
+    blocks = GroupNorms(groups, np.sqrt([1.0, 2.0, 3.0]), penalty == "joint")
     blocks = lasso_penalty(6) if penalty == "lasso" else blocks
     found = certify(theta, target, weights, 0.05, blocks, source)
     with mp.workdps(60):
@@ -335,7 +337,7 @@ def test_gram_and_rows_agree_within_what_they_claim():
     fractions = np.geomspace(1.0, 1e-3, 12)
     path = sf.path(problem, backends.get("lasso"), fractions)
     alphas = fractions * alpha_max(s.cross, penalty)
-    by_rows = duality_gaps(problem.theta, problem.target, s.rms, path.weights, alphas, penalty)
+    by_rows = duality_gaps(problem.design, problem.target, path.weights, alphas, penalty)
     for gram, rows in zip(gram_gaps(s, path.weights, alphas, penalty), by_rows, strict=True):
         assert abs(gram.value - rows.value) <= gram.rounding + rows.rounding
         assert (gram.primal, gram.dual) == pytest.approx((rows.primal, rows.dual), rel=1e-10)
@@ -349,10 +351,10 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     blocks = ((theta[i : i + 100], target[i : i + 100]) for i in range(0, 900, 100))
     small = RegressionProblem.from_blocks(blocks)
     weights = rng.normal(size=(1, 5, 2))
-    assert (small.statistics.samples, small.statistics.rows) == (900, 7)
+    assert (small.statistics.samples, small.statistics.terms) == (900, 7)
     whole = certified(theta, target, weights, [0.1], lasso_penalty(5))[0]
-    alphas, penalty, rms = np.array([0.1]), lasso_penalty(5), small.statistics.rms
-    by_rows = duality_gaps(small.theta, small.target, rms, weights, alphas, penalty, samples=900)
+    alphas, penalty = np.array([0.1]), lasso_penalty(5)
+    by_rows = duality_gaps(small.design, small.target, weights, alphas, penalty)
     by_gram = gram_gaps(small.statistics, weights, alphas, penalty)
     for found in (by_rows[0], by_gram[0]):
         assert (found.value, found.primal) == pytest.approx((whole.value, whole.primal), rel=1e-12)

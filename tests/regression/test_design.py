@@ -61,11 +61,17 @@ def check(design: Design, theta: Array) -> None:
     assert np.allclose(design.rms, rms, rtol=1e-12)
     for dense in (values, np.ones((K, 3))):
         assert np.allclose(design.predict(dense), z @ dense)
-        correlation, square, product = design.residual_sums(rows, dense)
+        correlation, sums = design.residual_sums(rows, dense, np.full(3, np.inf))
+        square, product, overlap = sums
         residual = rows - z @ dense
         assert np.allclose(correlation, z.T @ residual / M)
         assert np.allclose(square, np.mean(residual**2, axis=0))
         assert np.allclose(product, np.mean(residual * rows, axis=0))
+        assert np.allclose(overlap, square)
+        cut = np.clip(residual, -0.5, 0.5)
+        pull, sums = design.residual_sums(rows, dense, np.full(3, 0.5))
+        assert np.allclose(pull, z.T @ cut / M)
+        assert np.allclose(sums[2], np.mean(cut * residual, axis=0))
     assert np.allclose(design.correlate(rows), z.T @ rows / M)
     assert np.allclose(design.columns(index), z[:, index])
     gram = z.T @ z / M

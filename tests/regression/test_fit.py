@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.backends.lasso import Lasso
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import duality_gaps
-from sparsefit.regression.objective import alpha_max, lasso_penalty
+from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers.lassos import Lasso
 from tests.problems import flight_problem, regular
 
-judgement = import_module("sparsefit.regression.judgement")
+door = import_module("sparsefit.regression.fit")
 PROBLEM = regular()
 FRACTIONS = (0.9, 0.5, 0.2, 0.05, 0.01)
 NAN, ZERO = np.full((12, 2), np.nan), np.zeros((12, 2))
@@ -135,7 +135,7 @@ def test_a_solution_that_is_not_identifiable_keeps_its_word():
 
 
 def test_a_path_that_the_gram_matrix_proves_never_reads_the_rows(monkeypatch):
-    monkeypatch.setattr(judgement, "duality_gaps", lambda *_args, **_more: pytest.fail("read"))
+    monkeypatch.setattr(door, "duality_gaps", lambda *_args, **_more: pytest.fail("read"))
     found = sf.path(PROBLEM, backends.get("lasso"), FRACTIONS)
     assert all(each.status == "ok" for each in found.fits)
     assert all(0 < each.certificate.rounding <= 1e-9 for each in found.fits)
@@ -155,7 +155,7 @@ def test_the_rows_decide_what_the_gram_matrix_cannot_prove(tolerance, wrong):
     found = sf.fit(PROBLEM, Double(answer=Solution(weights)), tolerance=tolerance)
     s, penalty = PROBLEM.statistics, lasso_penalty(12)
     alphas = np.array([0.1]) * alpha_max(s.cross, penalty)
-    rows = duality_gaps(PROBLEM.theta, PROBLEM.target, s.rms, weights[None], alphas, penalty)[0]
+    rows = duality_gaps(PROBLEM.design, PROBLEM.target, weights[None], alphas, penalty)[0]
     assert found.certificate == rows
     assert found.status == ("ok" if rows.bound <= tolerance else "inaccurate")
 

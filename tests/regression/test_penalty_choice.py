@@ -9,11 +9,11 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.backends.lasso import Lasso
 from sparsefit.errors import InputError
 from sparsefit.library.builder import Library
 from sparsefit.regression.backend import ChoosingBackend, Solution
-from sparsefit.regression.objective import Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.group_penalties import GroupNorms
+from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from sparsefit.regression.penalty_choice import (
     FRACTIONS,
     RULES,
@@ -21,6 +21,7 @@ from sparsefit.regression.penalty_choice import (
     effective_samples,
 )
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers.lassos import Lasso
 from sparsefit.study import Study
 from tests.problems import SMALL_GRID, degenerate, flight, flight_problem, regular
 from tests.study.small_study import small_study
@@ -200,17 +201,19 @@ def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
     penalty = backend.penalty(problem)
     alpha = fraction * alpha_max(problem.statistics.cross, penalty)
     scaled = backend.solve(problem).weights * problem.statistics.rms[:, None]
-    found = degrees_of_freedom(problem.statistics.gram, scaled, alpha, penalty)
+    statistics = problem.statistics
+    pull = statistics.cross - statistics.gram @ scaled
+    found = degrees_of_freedom(statistics, scaled, pull, alpha, penalty)
     assert found == pytest.approx(divergence(problem, penalty, name, alpha, **more), abs=2e-3)
 
 
 def test_degrees_of_freedom_of_nothing_and_of_everything():
-    gram = regular().statistics.gram
-    joint = Penalty(np.repeat(np.arange(4), 3), np.ones(4), joint=True)
-    assert degrees_of_freedom(gram, np.zeros((12, 2)), 0.1, joint) == 0
+    statistics, none = regular().statistics, np.zeros((12, 2))
+    joint = GroupNorms(np.repeat(np.arange(4), 3), np.ones(4))
+    assert degrees_of_freedom(statistics, none, none, 0.1, joint) == 0
     full = np.random.default_rng(0).normal(size=(12, 2))
-    assert degrees_of_freedom(gram, full, 1e-12, joint) == pytest.approx(24, abs=1e-6)
-    assert degrees_of_freedom(gram, full, 0.1, lasso_penalty(12)) == 24
+    assert degrees_of_freedom(statistics, full, none, 1e-12, joint) == pytest.approx(24, abs=1e-6)
+    assert degrees_of_freedom(statistics, full, none, 0.1, lasso_penalty(12)) == 24
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])

@@ -396,7 +396,7 @@ def test_the_version_is_that_of_every_file_that_can_change_a_number():
     code = (
         "import sys, sparsefit.study.flight_desk, sparsefit.study.problem_desk, "
         "sparsefit.study.flight_experiment, sparsefit.study.problem_experiment, "
-        "sparsefit.estimator.assess, sparsefit.backends.lasso, sparsefit.solvers.peers\n"
+        "sparsefit.estimator.assess, sparsefit.solvers.lassos, sparsefit.solvers.peers\n"
         "print('\\n'.join(m.__file__ for n, m in sys.modules.items() "
         "if n.startswith('sparsefit') and getattr(m, '__file__', None)))"
     )

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from sparsefit.backends import Solution
-from sparsefit.regression.objective import lasso_penalty
+from sparsefit.regression.penalties import lasso_penalty
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Damped:
         gram = statistics.gram + self.amount * np.eye(problem.columns)
         return Solution(np.linalg.solve(gram, statistics.cross) / statistics.rms[:, None])
 
-    def next_support(self, problem, weights):
-        """Where the weights, solved for again, are not zero."""
-        return self.solve(problem).weights != 0
+    def next_weights(self, problem, weights):
+        """The weights (k, n), solved for again."""
+        return Damped.solve(self, problem).weights
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,250 @@
+"""Interchangeable back-ends: ``get(name, **settings)``, and `fit` and `path` by their names.
+
+Those of other packages are found by the entry-point group ``sparsefit.backends``; a plug-in that
+cannot be loaded is listed with its error and raises it when asked for, it does not vanish.
+"""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib import import_module
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from sparsefit.errors import InputError, SparsefitError, is_integer, unknown
+from sparsefit.regression import fit as certified
+from sparsefit.regression.answer import Fit, Path
+from sparsefit.regression.backend import Backend, Solution, quiet, settings_of
+from sparsefit.regression.fit import TOLERANCE
+from sparsefit.regression.fit import path as certified_path
+from sparsefit.regression.penalty_choice import FRACTIONS
+from sparsefit.regression.problem import RegressionProblem
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+__all__ = [
+    "BACKENDS",
+    "PUBLIC",
+    "Backend",
+    "Solution",
+    "distribution",
+    "finds_its_own",
+    "fit",
+    "get",
+    "known",
+    "load",
+    "named",
+    "path",
+    "settings_of",
+]
+
+FEWEST_CLASSES = 20  # samples of 0 and 1 from which these are taken for classes
+BACKENDS: Mapping[str, str] = MappingProxyType(
+    {
+        "least-squares": "sparsefit.solvers.least_squares:LeastSquares",
+        "stlsq": "sparsefit.solvers.stlsq:STLSQ",
+        "lasso": "sparsefit.solvers.lassos:Lasso",
+        "group-lasso": "sparsefit.solvers.group_lassos:GroupLasso",
+        "sparse-group-lasso": "sparsefit.solvers.group_lassos:SparseGroupLasso",
+        "adaptive-lasso": "sparsefit.solvers.lassos:AdaptiveLasso",
+        "adaptive-group-lasso": "sparsefit.solvers.group_lassos:AdaptiveGroupLasso",
+        "group-mcp": "sparsefit.solvers.group_mcp:GroupMCP",
+        "square-root-lasso": "sparsefit.solvers.lassos:SquareRootLasso",
+        "huber-lasso": "sparsefit.solvers.lassos:HuberLasso",
+        "slope": "sparsefit.solvers.lassos:Slope",
+        "fused-lasso": "sparsefit.solvers.lassos:FusedLasso",
+        "elastic-net": "sparsefit.solvers.lassos:ElasticNet",
+        "ridge": "sparsefit.solvers.lassos:Ridge",
+        "gridless-group-lasso": "sparsefit.solvers.gridless:GridlessGroupLasso",
+        "group-omp": "sparsefit.solvers.group_search:GroupOMP",
+        "ensemble": "sparsefit.solvers.ensemble:Ensemble",
+        "best-subset": "sparsefit.solvers.best_subset:BestSubset",
+        "best-scale": "sparsefit.solvers.group_search:BestScale",
+        "parametric-nls": "sparsefit.solvers.parametric_nls:ParametricNLS",
+    }
+)
+"""The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
+
+PUBLIC: Mapping[str, str] = MappingProxyType(
+    {"pysindy": "sparsefit.solvers.pysindy_optimizers:PySindy"}
+)
+"""Back-ends that are another package's, behind an adapter here; they need the extra ``peers``."""
+
+
+@cache
+def _plugins() -> "Mapping[str, EntryPoint]":
+    from importlib.metadata import entry_points  # of no use to our own back-ends, and slow
+
+    return MappingProxyType(
+        {
+            entry.name: entry
+            for entry in entry_points(group="sparsefit.backends")
+            if entry.name not in BACKENDS and entry.name not in PUBLIC
+        }
+    )
+
+
+def known() -> tuple[str, ...]:
+    """Names of all back-ends: sparsefit's own, then the plug-ins."""
+    return (*BACKENDS, *sorted(_plugins()))
+
+
+def distribution(name: str) -> str:
+    """`NAME VERSION` of what a plug-in was installed with; nothing for our own and unknown ones."""
+    entry = None if name in BACKENDS else _plugins().get(name)
+    if entry is None or entry.dist is None:
+        return ""
+    return f"{entry.dist.name} {entry.dist.version}"
+
+
+def load(name: str) -> type[Backend]:
+    """The class of a back-end. Raises InputError on an unknown name or a plug-in that is broken."""
+    home = BACKENDS.get(name) or PUBLIC.get(name)
+    if home:
+        module, _, attribute = home.partition(":")
+        return cast(type[Backend], getattr(import_module(module), attribute))
+    if name not in _plugins():
+        raise unknown("back-end", name, (*known(), *PUBLIC))
+    try:
+        with quiet():
+            loaded = _plugins()[name].load()
+    except (Exception, SystemExit) as error:  # a plug-in may raise anything on import
+        raise InputError(
+            f"back-end {name!r} (plug-in {_plugins()[name].value}) cannot be loaded: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if not (is_dataclass(loaded) and callable(getattr(loaded, "solve", None))):
+        raise InputError(
+            f"back-end {name!r} (plug-in {_plugins()[name].value}) is not a frozen dataclass with "
+            "a `solve` method"
+        )
+    for needed in ("name", "certificate_kind"):
+        if not isinstance(getattr(loaded, needed, None), str):
+            raise InputError(
+                f"back-end {name!r} (plug-in {_plugins()[name].value}) has no `{needed}`, a text "
+                "that its class holds"
+            )
+    return cast(type[Backend], loaded)
+
+
+@cache
+def finds_its_own(name: str) -> bool:
+    """Whether a back-end of sparsefit finds columns of its own instead of choosing from a grid."""
+    return name in BACKENDS and hasattr(load(name), "certify")
+
+
+def get(name: str, **settings: Any) -> Backend:
+    """The back-end of that name with these settings.
+
+    Raises InputError on an unknown name, an unknown setting or a value out of range.
+    """
+    backend = load(name)
+    valid = [item.name for item in fields(cast(Any, backend))]
+    for key in settings:
+        if key not in valid:
+            raise unknown(f"setting of {name}", key, valid)
+    if name in BACKENDS or name in PUBLIC:
+        return backend(**settings)
+    return _plugin(name, backend, settings)
+
+
+def named(backend: Backend | str) -> Backend:
+    """The back-end, or the one of that name with its default settings."""
+    return get(backend) if isinstance(backend, str) else backend
+
+
+def _plugin(name: str, backend: type[Backend], settings: Mapping[str, Any]) -> Backend:
+    """A plug-in with these settings: it may check none of them itself, or refuse in any words."""
+    for item in fields(cast(Any, backend)):
+        value = settings.get(item.name)
+        if item.type in (int, float, "int", "float") and isinstance(value, str):
+            raise InputError(f"{name}: {item.name} must be a number, not {value!r}")
+    try:
+        with quiet():
+            return backend(**settings)
+    except SparsefitError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f"back-end {name!r} refuses these settings: {error}") from None
+
+
+def fit(
+    problem: Any,
+    target: Any = None,
+    backend: Backend | str | None = None,
+    *,
+    groups: Any = None,
+    tolerance: float = TOLERANCE,
+    **settings: Any,
+) -> Fit:
+    """Solve one problem and certify the answer.
+
+    ``fit(problem, backend)``, or ``fit(theta, target, backend)`` with arrays, a frame or a sparse
+    matrix and ``groups``, k labels, as of `RegressionProblem.from_arrays`. backend: what
+    ``backends.get(name, **settings)`` returns, or a name, with ``settings`` in place of defaults. A
+    certificate above ``tolerance``, with all that rounding can hide of it, gives status
+    ``inaccurate``, with the best solution found. An alpha_fraction of "auto" is chosen first: the
+    fit is the chosen point of the path. Raises InputError on what is not a problem, a back-end or a
+    tolerance >= 0.
+    """
+    posed, chosen = _posed("fit", problem, target, backend, groups, settings)
+    return certified(posed, chosen, tolerance=tolerance)
+
+
+def path(
+    problem: Any,
+    target: Any = None,
+    backend: Any = None,
+    alpha_fractions: Any = FRACTIONS,
+    *,
+    groups: Any = None,
+    tolerance: float = TOLERANCE,
+    **settings: Any,
+) -> Path:
+    """Solve along a penalty grid, in any order given, and certify every point.
+
+    ``path(problem, backend, alpha_fractions)``, or ``path(theta, target, backend,
+    alpha_fractions)``; the rest as in `fit`. alpha_fractions: numbers in (0, 1], the penalties as
+    fractions of the smallest one whose solution is zero, or how many of them from 1 to 1e-3; 30 by
+    default. Back-ends without a path of their own are run point by point. Raises InputError for
+    back-ends that have no penalty, and as `fit` does.
+    """
+    if isinstance(problem, RegressionProblem) and backend is not None:
+        alpha_fractions, backend = backend, None
+    posed, chosen = _posed("path", problem, target, backend, groups, settings)
+    if is_integer(alpha_fractions, 2):
+        alpha_fractions = np.geomspace(1.0, FRACTIONS[-1], int(alpha_fractions))
+    return certified_path(posed, chosen, alpha_fractions, tolerance=tolerance)
+
+
+def _posed(
+    verb: str, problem: Any, target: Any, backend: Any, groups: Any, settings: dict[str, Any]
+) -> tuple[RegressionProblem, Backend]:
+    """The problem and the back-end of a call in either form."""
+    if isinstance(problem, RegressionProblem):
+        if groups is not None:
+            raise InputError(f"{verb}: the problem has its groups: from_arrays takes others")
+        if backend is not None:
+            raise InputError(f"{verb} takes a problem and a back-end: {verb}(problem, backend)")
+        backend = target
+    elif isinstance(target, str) or target is None or backend is None:
+        raise InputError(
+            f"{verb} needs a RegressionProblem and a back-end, or arrays: "
+            f'{verb}(theta, target, "lasso", alpha_fraction=0.1)'
+        )
+    else:
+        problem = RegressionProblem.from_arrays(problem, target, groups)
+    if settings and not isinstance(backend, str):
+        raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
+    values = np.unique(problem.target[:1000])
+    if np.array_equal(values, [0.0, 1.0]) and len(problem.target) >= FEWEST_CLASSES:
+        warnings.warn(
+            "the target holds 0 and 1 only: it is fitted by squares, as numbers, not as classes",
+            UserWarning,
+            stacklevel=3,
+        )
+    return problem, get(backend, **settings) if isinstance(backend, str) else named(backend)

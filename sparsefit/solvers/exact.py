@@ -1,0 +1,360 @@
+"""Exact paths of any penalty on a design of any shape: working sets around the kernels.
+
+The columns of the largest |Z'Y| are in play at first. A kernel follows the path on these; the
+correlations of all columns with the residuals of several penalties, in one product, tell the first
+penalty at which a column outside objects. The path goes on from the penalty before it, with those
+columns, and no more than half as many as there are. Where the columns are few, all of them are in
+play, and Z'Z is formed once for all targets.
+
+The square-root loss has the conditions of the squares with the penalty t = a rho/y, rho the
+residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): its path is that at other penalties.
+Huber's loss is the squares with a column of the identity for each row, an outlier that costs c y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+from sparsefit.regression.design import Design, SparseDesign
+from sparsefit.regression.losses import SQUARES, RootSquares
+from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
+from sparsefit.regression.statistics import Statistics
+from sparsefit.solvers.descent import descent_path
+from sparsefit.solvers.kernels import Kernel, NewtonKernel, Points, Units, compiled, kernel_for
+from sparsefit.solvers.newton import Normal
+from sparsefit.solvers.outliers import outlier_path
+
+FEW = 600  # columns that are all in play at once
+START = 200  # columns in play at first
+SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
+AHEAD = 8  # penalties that are solved before all columns are asked
+FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
+HELD = 2**25  # entries of the columns in play that are held as rows beside their products
+
+
+@dataclass(frozen=True, eq=False)
+class InPlay:
+    """Columns in play: their indices (j,), Z_J (m, j) where it is held, Z_J'Z_J/m where it is.
+
+    Where the columns are more than the rows, their products are not formed, if a kernel can do
+    without (``in_rows``).
+    """
+
+    design: Design
+    index: IntArray
+    rows: Array | None
+    gram: Array | None
+    in_rows: bool
+
+    @classmethod
+    def of(cls, design: Design, index: IntArray, in_rows: bool) -> InPlay:
+        """These columns."""
+        empty = cls(design, index[:0], None, np.zeros((0, 0)), in_rows)
+        return empty.joined(index)
+
+    def joined(self, new: IntArray) -> InPlay:
+        """With further columns behind those that there are."""
+        index = np.concatenate([self.index, new])
+        (m, _), held, gram = self.design.shape, len(self.index), None
+        rows = None
+        if m * len(index) <= HELD:
+            rows = np.empty((m, len(index)), order="F")
+            if held:
+                rows[:, :held] = self.rows
+            rows[:, held:] = self.design.columns(new)
+        if not (self.in_rows and rows is not None and len(index) > m):
+            gram = np.empty((len(index), len(index)))
+            old = self.gram if self.gram is not None else self._products(rows, slice(0, held))
+            gram[:held, :held] = old
+            if rows is not None:
+                gram[held:] = rows[:, held:].T @ rows / self.design.samples
+            else:
+                gram[held:] = self.design.products(new, index)
+            gram[:held, held:] = gram[held:, :held].T
+        return replace(self, index=index, rows=rows, gram=gram)
+
+    def _products(self, rows: Array | None, part: slice) -> Array:
+        assert rows is not None
+        square: Array = rows[:, part].T @ rows[:, part] / self.design.samples
+        return square
+
+    @property
+    def normal(self) -> Normal:
+        """What Newton's method needs of them."""
+        return Normal(self.gram, self.rows, self.design.samples)
+
+    def fitted(self, values: Array) -> Array:
+        """Z_J V (m, q) of V (j, q)."""
+        if self.rows is not None:
+            on = np.flatnonzero(values.any(axis=1))
+            out: Array = self.rows[:, on] @ values[on]
+            return out
+        full = np.zeros((self.design.shape[1], values.shape[1]))
+        full[self.index] = values
+        return self.design.predict(full)
+
+
+def exact_path(
+    design: Design,
+    target: Array,
+    penalty: Penalty,
+    alphas: Array,
+    *,
+    statistics: Statistics | None = None,
+) -> Points:
+    """The optimum at descending penalties alphas (p,), for targets (m, n).
+
+    statistics: of the design and the target, where the caller has them already.
+    """
+    statistics = statistics or Statistics.on(design, target)
+    if isinstance(penalty.loss, RootSquares):
+        return _root_path(design, target, penalty, alphas, statistics)
+    if np.isfinite(penalty.loss.clip):
+        return outlier_path(design, target, penalty, alphas)
+    if isinstance(penalty, SquaredNorm):
+        return _ridge_path(design, target, penalty, alphas, statistics)
+    targets = target.shape[1]
+    parts = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(targets)]
+    solved = [
+        _along(design, target[:, part], statistics.cross[:, part], penalty, alphas, statistics)
+        for part in parts
+    ]
+    return Points(
+        np.concatenate([points.weights for points in solved], axis=2),
+        np.all([points.complete for points in solved], axis=0),
+        np.sum([points.steps for points in solved], axis=0),
+        solved[0].words,
+    )
+
+
+def _along(
+    design: Design,
+    target: Array,
+    cross: Array,
+    penalty: Penalty,
+    alphas: Array,
+    statistics: Statistics,
+) -> Points:
+    """The path of targets (m, q) that share the norm of each block."""
+    (k, q), count = cross.shape, len(alphas)
+    level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
+    zero = Points(np.zeros((count, k, q)), np.ones(count, bool), np.zeros(count, np.intp), "zero")
+    if level == 0.0 or not cross.any():
+        return zero
+    descends = type(penalty) is AbsoluteValues and k > FEW and compiled("sweeps") is not None
+    if isinstance(design, SparseDesign) and isinstance(penalty, AbsoluteValues) and descends:
+        found = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
+        return Points(found[0][:, :, None], *found[1:], "descent")
+    units = Units.of(penalty, cross, level)
+    single = len(alphas) < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
+    if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
+        normal = Normal(statistics.gram, None, design.samples)
+        kernel = kernel_for(penalty, q)(normal, cross, penalty, units)
+        stretch = kernel.advance(alphas)
+        return Points(
+            stretch.values, stretch.complete, stretch.steps, f"{kernel.name}, all columns"
+        )
+    start = START if k > FEW else START // 8
+    return _with_working_set(design, target, cross, penalty, alphas, units, start)
+
+
+def _with_working_set(
+    design: Design,
+    target: Array,
+    cross: Array,
+    penalty: Penalty,
+    alphas: Array,
+    units: Units,
+    start: int,
+) -> Points:
+    """The path on the columns in play, ``start`` of them or more at first."""
+    (k, q), count = cross.shape, len(alphas)
+    kind = kernel_for(penalty, q, wide=k > design.shape[0])
+    play = InPlay.of(design, _first(penalty, cross, start), kind is NewtonKernel)
+    part = penalty.restricted(play.index)
+    assert part is not None
+    kernel: Kernel = kind(play.normal, cross[play.index], part, units)
+    weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
+    steps, done = np.zeros(count, np.intp), 0
+    while done < count:
+        here = alphas[done : done + AHEAD]
+        stretch = kernel.advance(here)
+        accepted, new = _objections(play, target, penalty, here, stretch.values, done)
+        until = done + accepted
+        weights[done:until, play.index] = stretch.values[:accepted]
+        complete[done:until] = stretch.complete[:accepted]
+        steps[done:until] = stretch.steps[:accepted]
+        done = until
+        if len(new):
+            play = play.joined(new)
+            part = penalty.restricted(play.index)
+            assert part is not None
+            kernel = kernel.enlarged(play.normal, cross[play.index], part, accepted)
+    return Points(weights, complete, steps, f"{kernel.name}, {len(play.index)} columns in play")
+
+
+def _first(penalty: Penalty, cross: Array, least: int) -> IntArray:
+    """Whole blocks of the largest dual norms, so many columns or more."""
+    pull = penalty.block_dual_norms(cross).max(axis=-1)
+    blocks = penalty.blocks
+    if len(pull) == 1:  # one block of all columns: the largest correlations
+        pull, blocks = np.abs(cross).max(axis=1), np.arange(len(cross))
+    order = np.argsort(-pull, kind="stable")
+    sizes = np.cumsum(np.bincount(blocks)[order])
+    chosen = order[: int(np.searchsorted(sizes, least)) + 1]
+    return np.flatnonzero(np.isin(blocks, chosen))
+
+
+def _objections(
+    play: InPlay, target: Array, penalty: Penalty, alphas: Array, values: Array, done: int
+) -> tuple[int, IntArray]:
+    """The penalties before the first at which a column outside objects, and those to join.
+
+    values (a, j, q) at alphas (a,).
+    """
+    count, held, q = values.shape
+    flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(held, count * q)
+    residual = np.tile(target, (1, count)) - play.fitted(flat)
+    pulls = play.design.correlate(residual)
+    pulls = pulls.reshape(len(pulls), count, q).transpose(1, 0, 2)
+    full = np.zeros((len(penalty.blocks), q))
+    joining: list[IntArray] = []
+    first = count
+    for i in range(count):
+        full[play.index] = values[i]
+        excess = penalty.objections(pulls[i], full, float(alphas[i]))
+        excess[play.index] = -1.0
+        objecting = np.flatnonzero(excess > FEASIBLE)
+        if not len(objecting):
+            continue
+        if not joining:
+            first = i
+        joining.append(objecting[np.argsort(-excess[objecting], kind="stable")])
+        if len(joining) == 3:
+            break
+    if not joining:
+        return count, np.zeros(0, dtype=np.intp)
+    most = max(held // 2, START // 4)
+    new = joining[0]
+    for later in joining[1:]:
+        if len(new) < most:
+            new = np.concatenate([new, np.setdiff1d(later, new, assume_unique=True)])
+    return first, _whole(penalty, new, most)
+
+
+def _whole(penalty: Penalty, columns: IntArray, most: int) -> IntArray:
+    """The blocks of the leading columns, at most so many columns where one block is not more."""
+    blocks = penalty.blocks
+    if blocks[0] == blocks[-1]:  # one block of all columns
+        return columns[:most]
+    named = blocks[columns]
+    first = np.sort(np.unique(named, return_index=True)[1])
+    order = named[first]
+    sizes = np.cumsum(np.bincount(blocks)[order])
+    chosen = order[: max(int(np.searchsorted(sizes, most, side="right")), 1)]
+    return np.flatnonzero(np.isin(blocks, chosen))
+
+
+def _ridge_path(
+    design: Design,
+    target: Array,
+    penalty: Penalty,
+    alphas: Array,
+    statistics: Statistics,
+) -> Points:
+    """(G + mu I)^-1 Z'Y/m at each mu = alpha rho, by the smaller of Z'Z and Z Z'."""
+    from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
+
+    (m, k), rows, cross = design.shape, None, statistics.cross
+    if k <= m:
+        square, right = statistics.gram, cross
+    else:
+        rows = design.columns(np.arange(k))
+        square, right = rows @ rows.T / design.samples, target
+    weights, complete = np.zeros((len(alphas), *cross.shape)), np.ones(len(alphas), bool)
+    for i, alpha in enumerate(alphas.tolist()):
+        shifted = square.copy()
+        shifted.flat[:: len(square) + 1] += alpha * penalty.ridge
+        _, values, failed = dposv(shifted.T, right, lower=1, overwrite_a=1)
+        if failed:  # alpha is lost beside G in rounding: the least squares of least norm
+            values, complete[i] = np.linalg.lstsq(square, right, rcond=None)[0], False
+        weights[i] = values if rows is None else rows.T @ values / design.samples
+    return Points(weights, complete, np.ones(len(alphas), np.intp), "cholesky")
+
+
+NEAREST = 1e-11  # of the largest penalty: the smallest t that is asked for
+SETTLED = 1e-11  # relative excess of t^2 that ends the search
+ROUNDING = 1e-15  # of (y + |V|_1)^2: what rho^2 from Z'Z may be off by, which ends it too
+STEP = 1e-4  # relative step in t over which the derivative of rho^2 is taken
+ROUNDS = 60
+
+
+def _root_path(
+    design: Design,
+    target: Array,
+    penalty: Penalty,
+    alphas: Array,
+    statistics: Statistics,
+) -> Points:
+    """The points by a safeguarded search for each root x = t^2 of x = (alpha/y)^2 rho^2(t).
+
+    t/rho(V(t)) does not decrease in t, and between events rho^2 is linear in t^2, so that Newton's
+    method on t^2 ends once the events are right. A bracket keeps it safe. Below some penalty an
+    optimum fits the data exactly, and is the limit for t -> 0.
+    """
+    level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples)) or 1.0
+    inner = replace(penalty, loss=SQUARES)
+    cross, slope = statistics.cross, (alphas / level) ** 2
+    if not cross.any():
+        steps = np.zeros(len(alphas), np.intp)
+        return Points(
+            np.zeros((len(alphas), *cross.shape)), np.ones(len(alphas), bool), steps, "zero"
+        )
+    largest = float(penalty.dual_norm(cross).max())
+    least = (NEAREST * largest) ** 2
+    x = np.maximum(np.minimum(alphas, largest) ** 2, least)
+    low, high = np.full(len(x), least), x.copy()
+    floor, complete = np.zeros(len(x), bool), np.zeros(len(x), bool)
+    is_open, steps = np.ones(len(x), bool), np.zeros(len(x), np.intp)
+    values, words = np.zeros((len(alphas), *cross.shape)), ""
+    for _ in range(ROUNDS):
+        at = np.flatnonzero(is_open)
+        if not len(at):
+            break
+        wanted = np.sqrt(np.concatenate([x[at], x[at] * (1.0 - STEP) ** 2]))
+        order = np.argsort(-wanted, kind="stable")
+        points = exact_path(design, target, inner, wanted[order], statistics=statistics)
+        back = np.argsort(order)
+        here, there = np.split(points.weights[back], 2)
+        steps[at] += points.steps.sum()
+        values[at], words, solved = here, points.words, points.complete[back][: len(at)]
+        size = penalty.norm(here)
+        misfit = np.array([_mean_square(design, target, each) for each in here])
+        rate = np.maximum((penalty.norm(there) - size) / (STEP * np.sqrt(x[at])), 0.0)
+        excess, bent = x[at] - slope[at] * misfit, 1.0 - slope[at] * rate
+        newton = np.where(bent > 0, x[at] - excess / np.where(bent > 0, bent, 1.0), 0.0)
+        off = ROUNDING * (level + np.abs(here).sum(axis=(1, 2))) ** 2
+        tried = floor[at] | (x[at] <= least)
+        high[at] = np.where(excess >= 0, x[at], high[at])
+        low[at] = np.where(excess <= 0, x[at], low[at])
+        near = np.abs(excess) <= SETTLED * x[at]
+        hidden = (misfit <= 2.0 * off) & ~near  # perhaps no residual remains: look there
+        near |= (np.abs(excess) <= slope[at] * off) & (newton > least) & ~hidden
+        beyond = ((newton <= least) | hidden) & ~tried
+        inside = (newton > low[at]) & (newton < high[at])
+        following = np.where(inside, newton, np.sqrt(low[at]) * np.sqrt(high[at]))
+        gone = (x[at] <= least) & ((excess >= 0) | hidden)
+        narrow = high[at] <= low[at] * (1.0 + SETTLED)
+        x[at] = np.where(near, x[at], np.where(beyond, least, following))
+        floor[at] = tried
+        complete[at] = (near | narrow) & ~gone & solved
+        is_open[at] = ~(near | narrow | gone) & solved
+    return Points(values, complete, steps, f"root of the scaled path; {words}")
+
+
+def _mean_square(design: Design, target: Array, values: Array) -> float:
+    residual = target - design.predict(values)
+    return float(np.einsum("iq,iq->", residual, residual)) / design.samples

@@ -1,0 +1,251 @@
+"""Exact paths on the columns in play, each of which can go on where it was with more columns.
+
+A kernel solves at descending penalties on G and B of the columns in play. It keeps where the path
+stood after every penalty: where a column outside objects to one of them, the path goes on from the
+penalty before, with that column beside the others. ``homotopy`` and ``variational`` are compiled;
+where they are not built, the generic Newton's method runs in their place, slower.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.regression.group_penalties import GroupNorms
+from sparsefit.regression.penalties import AbsoluteValues, Penalty
+from sparsefit.solvers.newton import Normal, settled
+
+STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Weights V (p, k, n) of columns of unit rms along a path of p penalties.
+
+    complete (p,): whether each is a solution; steps (p,) taken; words: by what, for a status.
+    """
+
+    weights: Array
+    complete: BoolArray
+    steps: IntArray
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of a path: values (p, j, q), which are optimal (p,), and steps taken (p,)."""
+
+    values: Array
+    complete: BoolArray
+    steps: IntArray
+
+
+class Kernel(Protocol):
+    """A path on the columns in play, from its largest penalty on."""
+
+    name: ClassVar[str]
+
+    def advance(self, alphas: Array) -> Stretch:
+        """The path at further penalties (p,), descending."""
+        ...
+
+    def enlarged(self, normal: Normal, cross: Array, penalty: Penalty, accepted: int) -> Kernel:
+        """The path after ``accepted`` points of the last stretch, on the columns and more of them.
+
+        Those so far come first, in their order. cross B (j, q).
+        """
+        ...
+
+
+def compiled(name: str) -> Any:
+    """The compiled source of that name; None where it was not built."""
+    try:
+        return import_module(f"sparsefit.solvers.{name}")
+    except ImportError:
+        return None
+
+
+class HomotopyKernel:
+    """The LASSO of one target, from event to event; z_j / omega_j has the weight omega_j v_j."""
+
+    name: ClassVar[str] = "homotopy"
+    stop: float = STOP
+
+    def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
+        assert isinstance(penalty, AbsoluteValues)
+        self.units, self.omega = units, penalty.weights
+        self.walk = compiled("homotopy").Homotopy(*self._scaled(normal, cross))
+        self.states: list[Any] = []
+
+    def _scaled(self, normal: Normal, cross: Array) -> tuple[Array, Array]:
+        assert normal.gram is not None
+        gram, pull, omega, units = normal.gram, cross[:, 0], self.omega, self.units
+        if np.any(omega != 1.0):
+            gram, pull = gram / np.multiply.outer(omega, omega), pull / omega
+        return np.ascontiguousarray(
+            gram / units.square if units.square != 1.0 else gram
+        ), pull / units.height
+
+    def advance(self, alphas: Array, *, states: bool = True) -> Stretch:
+        """The path at further penalties."""
+        height = self.units.height
+        values, complete = np.zeros((len(alphas), len(self.omega))), np.zeros(len(alphas), bool)
+        before, self.states = self.walk.steps, [self.walk.state()] if states else []
+        steps = np.zeros(len(alphas), np.intp)
+        with np.errstate(all="ignore"):  # what a broken inverse overflows to is caught by checks
+            for i in range(len(alphas)) if states else [slice(None)]:
+                here = slice(i, i + 1) if isinstance(i, int) else i
+                self.walk.advance(alphas[here] / height, values[here], complete[here])
+                if states:
+                    self.states.append(self.walk.state())
+        steps[-1] = self.walk.steps - before
+        return Stretch(
+            (values * (height / self.units.square) / self.omega)[:, :, None], complete, steps
+        )
+
+    def enlarged(
+        self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
+    ) -> HomotopyKernel:
+        """The walk from its state then, on more columns."""
+        assert isinstance(penalty, AbsoluteValues)
+        self.omega = penalty.weights
+        self.walk.resume(self.states[accepted], *self._scaled(normal, cross))
+        return self
+
+
+class NewtonKernel:
+    """Any penalty, by proximal points, each started from the penalty before."""
+
+    name: ClassVar[str] = "newton"
+    stop: float = STOP
+
+    def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
+        self.normal, self.penalty, self.units, self.level = normal, penalty, units, units.level
+        self.cross = cross / units.level
+        self.known = [np.zeros(cross.shape)]
+
+    def advance(self, alphas: Array) -> Stretch:
+        """The path at further penalties."""
+        self.known = self.known[-1:]
+        # In units of the target's rms y the ridge of y V is y rho, that of alpha and V being one.
+        penalty = self.penalty.in_units(self.level)
+        gaps, steps = np.zeros(len(alphas)), np.zeros(len(alphas), np.intp)
+        for i, alpha in enumerate((alphas / self.level).tolist()):
+            values, gaps[i], steps[i] = settled(
+                self.normal, self.cross, penalty, alpha, self.known[-1], self.stop
+            )
+            self.known.append(values)
+        return Stretch(np.stack(self.known[1:]) * self.level, gaps <= self.stop, steps)
+
+    def enlarged(
+        self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
+    ) -> NewtonKernel:
+        """The same values, with zeros for the new columns."""
+        kernel = NewtonKernel(normal, cross, penalty, self.units)
+        start = self.known[accepted]
+        kernel.known = [np.pad(start, ((0, len(cross) - len(start)), (0, 0)))]
+        return kernel
+
+
+class VariationalKernel:
+    """Group norms over all targets at hand, by Newton's method on the groups' variances."""
+
+    name: ClassVar[str] = "variational"
+    stop: float = STOP
+
+    def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
+        assert isinstance(penalty, GroupNorms)
+        assert normal.gram is not None
+        self.level, self.units, self.penalty = units.level, units, penalty
+        labels = penalty.groups
+        self.order = np.argsort(labels, kind="stable")
+        self.scale = penalty.weights[labels[self.order]]
+        gram, pull = normal.gram, cross / units.level
+        if np.any(self.order[1:] < self.order[:-1]):
+            gram, pull = gram[np.ix_(self.order, self.order)], pull[self.order]
+        if np.any(self.scale != 1.0):
+            gram = gram / np.multiply.outer(self.scale, self.scale)
+            pull = pull / self.scale[:, None]
+        self.gram, self.cross = np.ascontiguousarray(gram), np.ascontiguousarray(pull.T)
+        self.starts = np.concatenate([[0], np.cumsum(np.bincount(labels))]).astype(np.intp)
+        self.known, self.alphas = [np.zeros(cross.shape)], np.zeros(1)
+
+    def advance(self, alphas: Array) -> Stretch:
+        """The path at further penalties."""
+        spread, start = np.zeros(len(self.penalty.weights)), self.known[-1]
+        if start.any():
+            norms = GroupNorms(self.penalty.groups, self.penalty.weights).block_norms(start)[:, 0]
+            spread = norms * self.penalty.weights / (self.alphas[-1])
+        with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
+            solved, steps, gaps = compiled("variational").path(
+                self.gram, self.cross, self.starts, spread, alphas / self.level, self.stop
+            )
+        values = np.zeros((len(alphas), *start.shape))
+        values[:, self.order] = solved.transpose(0, 2, 1) * (self.level / self.scale)[:, None]
+        self.known, self.alphas = [start, *values], np.append(self.alphas[-1:], alphas)
+        return Stretch(values, gaps <= self.stop, steps)
+
+    def enlarged(
+        self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
+    ) -> VariationalKernel:
+        """The same variances, with zeros for the new groups."""
+        kernel, start = VariationalKernel(normal, cross, penalty, self.units), self.known[accepted]
+        kernel.known = [np.pad(start, ((0, len(cross) - len(start)), (0, 0)))]
+        kernel.alphas = self.alphas[accepted : accepted + 1]
+        return kernel
+
+
+def kernel_for(
+    penalty: Penalty, targets: int, *, wide: bool = False
+) -> type[HomotopyKernel | VariationalKernel | NewtonKernel]:
+    """The fastest kernel for a penalty on so many targets; wide: columns are more than rows."""
+    if not penalty.ridge:
+        if type(penalty) is AbsoluteValues and targets == 1 and compiled("homotopy"):
+            return HomotopyKernel
+        if isinstance(penalty, GroupNorms) and compiled("variational"):
+            return VariationalKernel
+    return NewtonKernel
+
+
+@dataclass(frozen=True)
+class Units:
+    """The rms of the target, and powers of two near the largest of G's diagonal and of Z'Y/m.
+
+    Both of columns that are divided by their penalty's weight.
+    """
+
+    level: float
+    square: float = 1.0
+    height: float = 1.0
+
+    @classmethod
+    def of(cls, penalty: Penalty, cross: Array, level: float) -> Units:
+        """Those of a penalty and Z'Y/m (k, q)."""
+        if not isinstance(penalty, AbsoluteValues):
+            return cls(level)
+        largest = float((np.abs(cross) / penalty.weights[:, None]).max())
+        return cls(level, binary_unit(float(penalty.weights.min()) ** -2), binary_unit(largest))
+
+
+def path_on_gram(
+    gram: Array, cross: Array, penalty: Penalty, alphas: Array, square: float, stop: float = STOP
+) -> Stretch:
+    """The path of targets that are solved together, on all columns: G (k, k), B (k, q), |Y|^2/m.
+
+    stop: the relative gap that is enough.
+    """
+    units = Units.of(penalty, cross, float(np.sqrt(square)) or 1.0)
+    kernel = kernel_for(penalty, cross.shape[1])(Normal(gram, None, 0), cross, penalty, units)
+    kernel.stop = stop
+    return kernel.advance(np.asarray(alphas, dtype=float))
+
+
+def binary_unit(largest: float) -> float:
+    """Power of two next to a number: dividing by it rounds nothing."""
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    return float(2.0 ** (np.frexp(largest)[1] - 1)) if not 0.99 < largest < 1.01 else 1.0

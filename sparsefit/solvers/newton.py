@@ -1,0 +1,218 @@
+"""One exact solver of every penalty that has a prox: proximal points by a semismooth Newton method.
+
+    minimise over V (k, q):  sum_t [v_t'G v_t / 2 - b_t'v_t] + p(V),   p = alpha Omega
+
+From V, the proximal point with step s is P = prox_{s p}(U), U = V + s C, C = B - G X, at the X for
+which X = P. That is an equation in X whose residual F = P - X is -G^-1 times the gradient of
+
+    psi(X) = <X, G X>/2 + (<U, P> - |P|^2/2)/s - p(P),
+
+convex and once differentiable. With the derivative of the prox, N N', Newton's step is
+
+    d = (I + s N N'G)^-1 F = F - s N (I + s N'G N)^-1 N'G F,
+
+of the size of what is in use, and halved until psi falls; where rows are fewer than that, the
+inverse is taken in rows, L = Z N/sqrt(m):  (I + s L'L)^-1 = I - s L'(I + s L L')^-1 L. Proximal
+points with growing steps converge faster than linearly, for polyhedral norms in finitely many; the
+duality gap is the stop. Targets have |Y|^2/m = 1.
+
+Sources: Rockafellar, SIAM J. Control Optim. 14 (1976) 877-898; Li, Sun and Toh, "A highly efficient
+semismooth Newton augmented Lagrangian method for solving Lasso problems", SIAM J. Optim. 28 (2018).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sparsefit.arrays import Array, IntArray
+from sparsefit.regression.penalties import Penalty
+
+OUTER, INNER, HALVINGS = 60, 50, 25
+FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit rms
+PATIENCE = 6  # proximal points without a smaller gap
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """G of the columns in play: as a matrix (j, j), or by the rows Z_J (m, j) where it is None."""
+
+    gram: Array | None
+    rows: Array | None
+    samples: int
+
+    def times(self, values: Array) -> Array:
+        """G V (j, q) of V (j, q); rows of zeros are not multiplied."""
+        on = np.flatnonzero(values.any(axis=1))
+        if self.gram is not None:
+            out: Array = self.gram[:, on] @ values[on]
+            return out
+        assert self.rows is not None
+        pulled: Array = ((self.rows[:, on] @ values[on]).T @ self.rows).T / self.samples
+        return pulled
+
+    def solved(self, on: IntArray, factor: object, pull: Array, step: float, targets: int) -> Array:
+        """s N (I + s N'G N)^-1 N' pull (c,) on the coefficients ``on`` (c,), flat in (j, q)."""
+        column, target = np.divmod(on, targets)
+        right = pull if factor is None else factor.T @ pull  # type: ignore[attr-defined]
+        if self.gram is None and self.rows is not None and len(right) > targets * self.samples:
+            y = self._solved_in_rows(column, target, factor, right, step, targets)
+        else:
+            square = self._block(column)
+            if targets > 1:
+                square = np.where(target[:, None] == target, square, 0.0)
+            if factor is not None:
+                square = factor.T @ (factor.T @ square).T  # type: ignore[attr-defined]
+            square *= step
+            square.flat[:: len(square) + 1] += 1.0
+            y = _definite(square, right)
+        lifted: Array = step * (y if factor is None else factor @ y)  # type: ignore[operator]
+        return lifted
+
+    def _block(self, column: IntArray) -> Array:
+        """G among these columns, which may repeat."""
+        if self.gram is not None:
+            block: Array = self.gram.take(column, 0).take(column, 1)
+            return block
+        assert self.rows is not None
+        part = self.rows[:, column]
+        product: Array = part.T @ part / self.samples
+        return product
+
+    def _solved_in_rows(
+        self,
+        column: IntArray,
+        target: IntArray,
+        factor: object,
+        right: Array,
+        step: float,
+        targets: int,
+    ) -> Array:
+        """(I + s L'L)^-1 right by the matrix I + s L L' of the rows of all targets."""
+        assert self.rows is not None
+        m, part = len(self.rows), self.rows[:, column] / np.sqrt(self.samples)
+        tall = part
+        if targets > 1:
+            tall = np.zeros((targets * m, len(column)))
+            for t in range(targets):
+                tall[t * m : (t + 1) * m, target == t] = part[:, target == t]
+        if factor is not None:
+            tall = (factor.T @ tall.T).T  # type: ignore[attr-defined]
+        outer = step * (tall @ tall.T)
+        outer.flat[:: len(outer) + 1] += 1.0
+        y: Array = right - step * (tall.T @ _definite(outer, tall @ right))
+        return y
+
+
+def _definite(matrix: Array, right: Array) -> Array:
+    """The solution of a positive definite system, least squares where rounding made it none."""
+    from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
+
+    _, solution, failed = dposv(matrix.T, right, lower=1)
+    if failed:
+        solution = np.linalg.lstsq(matrix, right, rcond=1e-14)[0]
+    out: Array = solution
+    return out
+
+
+def settled(
+    normal: Normal, cross: Array, penalty: Penalty, alpha: float, values: Array, goal: float
+) -> tuple[Array, float, int]:
+    """The optimum (j, q) at one penalty from any values, its relative gap, and Newton's steps.
+
+    cross B (j, q); a gap above ``goal`` tells that proximal points no longer lower it.
+    """
+    best, least, waited, steps, step = values, np.inf, 0, 0, FIRST
+    for _ in range(OUTER):
+        correlation = cross - normal.times(values)
+        gap = relative_gap(values, correlation, cross, penalty, alpha)
+        waited = 0 if gap < 0.5 * least else waited + 1
+        if gap < least:
+            best, least = values, gap
+        if least <= goal or waited > PATIENCE:
+            break
+        enough = max(1e-27, 1e-6 * least / step)
+        start = values, correlation
+        values, taken = _proximal_point(normal, cross, penalty, alpha, start, step, enough)
+        steps += taken
+        step = min(step * (10.0 if taken <= 6 else 2.0 if taken <= 12 else 0.5), LARGEST)
+    return best, least, steps
+
+
+def relative_gap(
+    values: Array, correlation: Array, cross: Array, penalty: Penalty, alpha: float
+) -> float:
+    """(primal - dual) / (|Y|^2 / 2m) as the certificate has it, for a target of |Y|^2/m = 1."""
+    product, ridge = 1.0 - float(np.vdot(values, cross)), alpha * penalty.ridge
+    square = max(product - float(np.vdot(values, correlation)), 0.0)
+    primal = 0.5 * square + alpha * float(penalty.value(values))
+    if ridge:
+        correlation = correlation - ridge * values
+        square += ridge * float(np.vdot(values, values))
+    peak = float(penalty.constraint(correlation).max(initial=0.0))
+    limit = alpha / peak if peak > 0 else np.inf
+    s = min(max(product / square if square > 0 else 0.0, -limit), limit)
+    dual = s * product - 0.5 * s * s * square
+    return 2.0 * max(primal - dual + float(penalty.excess(s * correlation, np.array(alpha))), 0.0)
+
+
+def _proximal_point(
+    normal: Normal,
+    cross: Array,
+    penalty: Penalty,
+    alpha: float,
+    origin: tuple[Array, Array],
+    step: float,
+    enough: float,
+) -> tuple[Array, int]:
+    """P for V and its C (``origin``), until F'G F <= enough, and the Newton steps that it took."""
+    start, correlation = origin
+    shrink = 1.0 / (1.0 + step * alpha * penalty.ridge)  # the ridge's part of the prox
+    inner = step * alpha * shrink
+    x, targets = start, start.shape[1]
+
+    def at(x: Array, correlation: Array) -> tuple[Array, Array, float]:
+        pull = start + step * correlation
+        point = penalty.prox(pull * shrink, inner)
+        height = 0.5 * float(np.vdot(x, cross - correlation)) - alpha * float(penalty.value(point))
+        height += (float(np.vdot(pull, point)) - 0.5 * float(np.vdot(point, point))) / step
+        return pull, point, height
+
+    pull, point, height = at(x, correlation)
+    for count in range(INNER):
+        residual = point - x
+        pulled = normal.times(residual)
+        if not float(np.vdot(residual, pulled)) > enough:
+            return point, count
+        on, factor = penalty.slope(pull * shrink, point, inner)
+        move, moved = residual, pulled
+        if len(on):
+            if shrink != 1.0:
+                root = np.sqrt(shrink)
+                factor = _diagonal(len(on), root) if factor is None else factor * root
+            back = np.zeros(residual.size)
+            back[on] = normal.solved(on, factor, pulled.ravel()[on], step, targets)
+            less = back.reshape(residual.shape)
+            move, moved = residual - less, pulled - normal.times(less)
+        fall = float(np.vdot(residual, moved))
+        if not fall > 0.0:
+            return point, count
+        share = 1.0
+        for _ in range(HALVINGS):
+            there = x + share * move
+            after = at(there, correlation - share * moved)
+            if after[2] <= height - 1e-4 * share * fall + 1e-15 * abs(height):
+                break
+            share *= 0.5
+        else:
+            return point, count
+        x, correlation = there, correlation - share * moved
+        pull, point, height = after
+        if count % 8 == 7:
+            correlation = cross - normal.times(x)
+    return point, INNER
+
+
+def _diagonal(size: int, value: float) -> object:
+    from scipy.sparse import diags_array
+
+    return diags_array(np.full(size, value)).tocsc()

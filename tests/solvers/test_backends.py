@@ -1,0 +1,169 @@
+"""Back-ends by name, and plug-ins that are found, or broken, but never vanish."""
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError, number_setting
+from sparsefit.regression.backend import Solution
+from tests.problems import regular
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """A plug-in: ridge regression, with the support of its own answer."""
+
+    name: ClassVar[str] = "damped"
+    certificate_kind: ClassVar[str] = "fixed_point"
+    amount: float = 1.0
+
+    def solve(self, problem):
+        gram = problem.theta.T @ problem.theta + self.amount * np.eye(problem.columns)
+        return Solution(np.linalg.solve(gram, problem.theta.T @ problem.target))
+
+    def next_weights(self, problem, weights):
+        return self.solve(problem).weights
+
+
+class NotADataclass:
+    def solve(self, problem):
+        return Solution(None)
+
+
+@dataclass(frozen=True)
+class WithoutSolve:
+    amount: float = 1.0
+
+
+@dataclass(frozen=True)
+class WithoutName:
+    certificate_kind: ClassVar[str] = "fixed_point"
+
+    def solve(self, problem):
+        return Solution(None)
+
+
+@pytest.fixture
+def plug_in(monkeypatch):
+    """Register objects of this module, or places that do not exist, as plug-ins."""
+
+    def register(**places):
+        entries = {
+            name.replace("_", "-"): EntryPoint(name, place, "sparsefit.backends")
+            for name, place in places.items()
+        }
+        monkeypatch.setattr(backends, "_plugins", lambda: MappingProxyType(entries))
+
+    return register
+
+
+def test_the_four_back_ends_are_there():
+    assert {"least-squares", "stlsq", "lasso", "group-lasso"} <= set(backends.BACKENDS)
+    assert set(backends.known()) >= set(backends.BACKENDS)
+
+
+@pytest.mark.parametrize("name", list(backends.BACKENDS))
+def test_get_gives_the_back_end_of_that_name(name):
+    backend = backends.get(name)
+    assert backend.name == name
+    assert isinstance(backend, backends.Backend)
+    assert type(backend) is backends.load(name)
+
+
+def test_the_registry_cannot_be_changed():
+    with pytest.raises(TypeError):
+        backends.BACKENDS["mine"] = "nowhere:Mine"
+
+
+def test_an_unknown_name_is_refused_with_the_nearest():
+    with pytest.raises(InputError, match='unknown back-end "laso": did you mean "lasso"'):
+        backends.get("laso")
+    with pytest.raises(InputError, match="known: least-squares"):
+        backends.get("")
+
+
+def test_an_unknown_setting_is_refused_with_the_nearest():
+    with pytest.raises(InputError, match='did you mean "alpha_fraction"'):
+        backends.get("lasso", alpha_fractoin=0.1)
+    with pytest.raises(InputError, match="setting of stlsq"):
+        backends.get("stlsq", certificate_kind="duality_gap")  # not a setting
+
+
+def test_a_plug_in_is_a_back_end_like_any_other(plug_in):
+    plug_in(damped=f"{__name__}:Ridge")
+    assert backends.known() == (*backends.BACKENDS, "damped")
+    found = sf.fit(regular(), backends.get("damped", amount=2.0))
+    assert found.status == "ok"
+    assert found.backend == Ridge(2.0)
+    assert backends.settings_of(found.backend) == {"amount": 2.0}
+    estimator = sf.Estimator(backend="damped")
+    assert sf.Estimator.from_json(estimator.to_json()) == estimator
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("no_such_module:Thing", "ModuleNotFoundError"),
+        (f"{__name__}:NoSuchName", "AttributeError"),
+        (f"{__name__}:NotADataclass", "frozen dataclass"),
+        (f"{__name__}:WithoutSolve", "solve"),
+        (f"{__name__}:WithoutName", "has no `name`"),
+        ("tests.solvers.exits:Thing", "SystemExit: 0"),
+    ],
+)
+def test_a_broken_plug_in_is_listed_and_says_why(plug_in, place, words):
+    plug_in(broken_one=place)
+    assert "broken-one" in backends.known()
+    with pytest.raises(InputError, match=words) as error:
+        backends.get("broken-one")
+    assert "broken-one" in str(error.value)
+    assert backends.get("lasso").name == "lasso"
+
+
+@dataclass(frozen=True)
+class Picky(Ridge):
+    """A plug-in that refuses in words of its own, and has a setting without a default."""
+
+    needed: int = None  # type: ignore[assignment]
+
+    def __post_init__(self):
+        if self.needed is None or self.needed < 0:
+            raise ValueError("needed must be given")
+
+
+@pytest.mark.parametrize(
+    ("place", "settings", "words"),
+    [
+        ("Ridge", {"amount": "abc"}, "amount must be a number, not 'abc'"),
+        ("Picky", {}, "needed must be given"),
+        ("Picky", {"needed": "1"}, "needed must be a number"),
+    ],
+)
+def test_settings_that_a_plug_in_cannot_take_are_bad_input(plug_in, place, settings, words):
+    plug_in(damped=f"{__name__}:{place}")
+    with pytest.raises(InputError, match=words):
+        backends.get("damped", **settings)
+
+
+@pytest.mark.parametrize("value", [0.0, 1, 0.5, np.float32(0.5), np.int64(1)])
+def test_numbers_within_bounds_are_taken(value):
+    number_setting("owner", "name", value, low=0.0, high=1.0)
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.1, np.nan, np.inf, "0.5", None, True, [0.5], 1j])
+def test_numbers_out_of_bounds_and_what_is_no_number_are_refused(value):
+    with pytest.raises(InputError, match=r"owner: name must be a number in \[0, 1\]"):
+        number_setting("owner", "name", value, low=0.0, high=1.0)
+
+
+def test_an_open_or_absent_bound():
+    with pytest.raises(InputError, match=r"\(0, inf\).*; why"):
+        number_setting("owner", "name", 0.0, low=0.0, open_low=True, meaning="why")
+    with pytest.raises(InputError, match="inf"):
+        number_setting("owner", "name", np.inf, low=0.0)

@@ -1,0 +1,196 @@
+"""best-scale, group-omp and parametric-nls against slow references and known flows."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit.model import LengthScaleGrid, Library
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.rows import Derivative
+from sparsefit.solvers.group_search import BestScale, GroupOMP, explained
+from sparsefit.solvers.parametric_nls import ParametricNLS
+from tests.problems import (
+    DEGENERATE_KINDS,
+    VEHICLE,
+    degenerate,
+    flight,
+    flight_problem,
+    regular,
+)
+
+
+def residuals_one_by_one(problem):
+    """|Y - theta_g W_g|^2 of each group alone: the slow, obvious reference."""
+    values = []
+    for group in range(problem.groups.max() + 1):
+        columns = problem.theta[:, problem.groups == group]
+        fitted = columns @ np.linalg.lstsq(columns, problem.target, rcond=None)[0]
+        values.append(np.sum((problem.target - fitted) ** 2))
+    return np.array(values)
+
+
+def chosen(problem, weights):
+    return np.unique(problem.groups[np.any(weights != 0, axis=1)])
+
+
+def test_explained_agrees_with_least_squares():
+    problem = flight_problem(3.3, velocity_noise=0.5)
+    left = np.sum(problem.target**2) - residuals_one_by_one(problem)
+    gains = explained(problem) * problem.samples
+    np.testing.assert_allclose(gains, left, rtol=1e-7)
+
+
+def test_explained_on_groups_of_different_size_in_any_order():
+    problem = regular(seed=1, groups=4, size=3)
+    groups = np.array([2, 0, 1, 1, 3, 2, 2, 0, 3, 3, 3, 2])
+    problem = dataclasses.replace(problem, groups=groups)
+    left = np.sum(problem.target**2) - residuals_one_by_one(problem)
+    gains = explained(problem) * problem.samples
+    np.testing.assert_allclose(gains, left, rtol=1e-9)
+
+
+@pytest.mark.parametrize("length_scale", [2.5, 4.2, 6.1])
+def test_best_scale_is_the_nearest_of_the_grid(length_scale):
+    problem = flight_problem(length_scale)
+    weights = BestScale().solve(problem).weights
+    (group,) = chosen(problem, weights)
+    assert group == np.argmin(residuals_one_by_one(problem))
+    assert abs(problem.group_scales[group] - length_scale) <= 0.25
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("backend", [BestScale(), GroupOMP(), GroupOMP(stop="bic")])
+def test_degenerate_problems(backend, kind, seed):
+    problem = degenerate(kind, seed)
+    solution = backend.solve(problem)
+    assert np.isfinite(solution.weights).all()
+    residual = np.sum((problem.target - problem.theta @ solution.weights) ** 2)
+    floor = 1e-9 * np.sum(problem.target**2)
+    assert residual <= residuals_one_by_one(problem).min() + floor
+    if isinstance(backend, BestScale):
+        support = solution.weights != 0
+        np.testing.assert_array_equal(
+            (backend.next_weights(problem, solution.weights) != 0), support
+        )
+
+
+def test_best_scale_of_zero_target():
+    problem = RegressionProblem.from_arrays(np.eye(3), np.zeros(3))
+    assert BestScale().solve(problem).status == "unidentifiable"
+    assert GroupOMP().solve(problem).status == "unidentifiable"
+
+
+def test_omp_ends_where_no_column_explains_anything():
+    problem = RegressionProblem.from_arrays(np.eye(5)[:, :3], np.eye(5)[:, 3:])
+    for stop in ("decrease", "bic"):
+        found = sf.fit(problem, GroupOMP(stop=stop, tolerance=0.0))
+        assert (found.status, found.weights.any()) == ("ok", False)
+
+
+def test_omp_with_one_scale_is_best_scale():
+    problem = flight_problem(4.2, velocity_noise=0.5)
+    one, best = GroupOMP(scales=1).solve(problem).weights, BestScale().solve(problem).weights
+    np.testing.assert_allclose(one, best)
+
+
+def test_omp_finds_two_flows():
+    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
+    flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
+    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
+    backend = GroupOMP()
+    weights = backend.solve(problem).weights
+    np.testing.assert_allclose(problem.group_scales[chosen(problem, weights)], [3.0, 5.0])
+    np.testing.assert_array_equal((backend.next_weights(problem, weights) != 0), weights != 0)
+
+
+def test_omp_sees_a_wrong_stop():
+    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
+    flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
+    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
+    early = GroupOMP(scales=1).solve(problem).weights
+    assert np.any((GroupOMP().next_weights(problem, early) != 0) != (early != 0))
+
+
+def test_omp_bic_stops_at_the_truth():
+    problem = regular(seed=2, samples=200, groups=6, size=3)
+    assert chosen(problem, GroupOMP(stop="bic").solve(problem).weights).tolist() == [0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parametric_recovers_the_flow(seed):
+    problem = flight_problem(3.37, seed=seed)
+    backend = ParametricNLS()
+    solution = backend.solve(problem)
+    assert solution.status == "ok"
+    assert solution.problem.group_scales[0] == pytest.approx(3.37, rel=1e-5)
+    assert solution.weights[5, 0] == pytest.approx(15.0, rel=1e-3)
+    assert solution.weights[6, 1] == -solution.weights[5, 0]
+    assert np.count_nonzero(solution.weights) == 2
+    assert backend.certify(problem, solution).value < 1e-9
+
+
+def test_parametric_exact_on_exact_data():
+    problem = flight_problem(3.37)
+    flow = sf.CellularFlow(12.0, 2.9)
+    exact = dataclasses.replace(problem, target=flow.velocity(*problem.continuum.position.T))
+    solution = ParametricNLS().solve(exact)
+    assert solution.problem.group_scales[0] == pytest.approx(2.9, rel=1e-12)
+    assert solution.weights[5, 0] == pytest.approx(12.0, rel=1e-11)
+
+
+def test_parametric_is_no_worse_than_a_fine_scan():
+    problem = flight_problem(4.2, velocity_noise=1.0)
+    solution = ParametricNLS().solve(problem)
+    found = np.sum((problem.target - solution.problem.theta @ solution.weights) ** 2)
+    for k in np.linspace(math.pi / 7, math.pi / 2, 2000):
+        f = sf.CellularFlow(1.0, math.pi / k).velocity(*problem.continuum.position.T)
+        speed = max(np.sum(f * problem.target) / np.sum(f * f), 0.0)
+        assert found <= np.sum((problem.target - speed * f) ** 2) * (1 + 1e-12)
+
+
+def test_parametric_certificate_sees_a_wrong_answer():
+    problem = flight_problem(4.2)
+    backend = ParametricNLS()
+    good = backend.solve(problem)
+    wrong = dataclasses.replace(good, weights=1.01 * good.weights)
+    assert backend.certify(problem, wrong).value > 1e-3
+
+
+def test_parametric_flags_the_edge():
+    solution = ParametricNLS(lower=4.25, upper=4.4).solve(flight_problem(4.2))
+    assert solution.status == "unidentifiable"
+    assert "edge" in solution.reason
+
+
+def test_parametric_needs_the_flow_velocity():
+    flown = flight()
+    problem = Library(target="acceleration").build(Derivative()(flown), VEHICLE)
+    solution = ParametricNLS().solve(problem)
+    assert solution.status == "error"
+    assert "flow-velocity" in solution.reason
+
+
+def test_parametric_needs_positions():
+    solution = ParametricNLS().solve(regular())
+    assert solution.status == "error"
+    assert "position" in solution.reason
+
+
+@pytest.mark.parametrize(
+    ("backend", "settings"),
+    [
+        (BestScale, {"rcond": -1.0}),
+        (GroupOMP, {"scales": 0}),
+        (GroupOMP, {"tolerance": 2.0}),
+        (GroupOMP, {"stop": "aic"}),
+        (ParametricNLS, {"starts": 0}),
+        (ParametricNLS, {"lower": 0.0}),
+    ],
+)
+def test_settings_out_of_range(backend, settings):
+    with pytest.raises(sf.InputError):
+        backend(**settings)

@@ -1,0 +1,387 @@
+"""What every back-end promises, ours or a plug-in's, in several settings and by several solvers."""
+
+import copy
+import dataclasses
+import json
+from functools import cache
+
+import cvxpy
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.regression.backend import PathBackend, PenalisedBackend
+from sparsefit.regression.losses import RootSquares
+from sparsefit.regression.problem import RegressionProblem
+from tests.problems import GENERAL, flight_problem, orthonormal, regular
+
+FOUND = {name.lower() for name in cvxpy.installed_solvers()}
+BY_SOLVER = [
+    (name, {"solver": solver, **more})
+    for name, solver, more in (
+        ("lasso", "clarabel", {}),
+        ("lasso", "clarabel-direct", {}),
+        ("lasso", "clarabel-working-set", {"alpha_fraction": 0.02}),
+        ("lasso", "osqp", {}),
+        ("lasso", "scs", {}),
+        ("group-lasso", "clarabel", {}),
+        ("group-lasso", "clarabel", {"separate": True, "group_weights": "sqrt-size"}),
+        ("group-lasso", "clarabel-direct", {"separate": True}),
+        ("group-lasso", "clarabel-working-set", {"group_weights": "sqrt-size"}),
+        ("group-lasso", "scs", {}),
+        ("sparse-group-lasso", "clarabel", {"separate": True}),
+        ("sparse-group-lasso", "clarabel-direct", {"l1_ratio": 0.2}),
+        ("sparse-group-lasso", "clarabel-working-set", {}),
+        ("elastic-net", "clarabel", {}),
+        ("elastic-net", "clarabel-working-set", {}),
+        ("ridge", "clarabel-direct", {}),
+        ("adaptive-lasso", "osqp", {}),
+    )
+    if solver.startswith("clarabel-") or solver in FOUND
+]
+SETTINGS = [
+    ("least-squares", {"rcond": 1e-2}),
+    ("least-squares", {"rcond": 0.3}),
+    ("stlsq", {"unbias": False}),
+    ("stlsq", {"ridge": 0.0, "threshold": 0.3}),
+    ("stlsq", {"mode": "pysindy", "threshold": 0.1}),
+    ("stlsq", {"mode": "pysindy", "threshold": 0.5, "normalize_columns": True, "unbias": False}),
+    ("lasso", {"alpha_fraction": 0.5}),
+    ("lasso", {"alpha_fraction": 1e-4}),
+    ("group-lasso", {"alpha_fraction": 0.5}),
+    ("group-lasso", {"alpha_fraction": 1e-4}),
+    ("group-lasso", {"separate": True}),
+    ("group-lasso", {"group_weights": "sqrt-size"}),
+    ("sparse-group-lasso", {"alpha_fraction": 1e-3, "group_weights": "sqrt-size"}),
+    ("sparse-group-lasso", {"separate": True, "l1_ratio": 0.2}),
+    ("adaptive-group-lasso", {"separate": True, "power": 2.0}),
+    ("group-mcp", {"separate": True, "alpha_fraction": 0.3}),
+    ("elastic-net", {"alpha_fraction": 1e-3, "l1_ratio": 0.05}),
+    ("ridge", {"alpha_fraction": 1.0}),
+    ("square-root-lasso", {"alpha_fraction": 0.01}),
+    ("best-subset", {"separate": True, "stop": "bic"}),
+    ("ensemble", {"base": "lasso", "draws": 20, "seed": 3}),
+]
+OFF_GRID = [name for name in backends.BACKENDS if name not in GENERAL]
+CASES = [(name, {}) for name in backends.known() if name not in OFF_GRID] + SETTINGS + BY_SOLVER
+FIRST_ORDER = ("osqp", "scs", "clarabel")  # their weights are good to 1e-4, the others' to 1e-6
+PROBLEM = regular(3)
+
+
+def describe(case):
+    return case[0] + "".join(f" {key}={value}" for key, value in case[1].items())
+
+
+def close(backend, values):
+    loose = getattr(backend, "solver", "") in FIRST_ORDER
+    return pytest.approx(values, abs=(2e-4 if loose else 1e-5) * np.abs(values).max())
+
+
+def rebuilt(problem, theta=None, target=None, groups=None):
+    return RegressionProblem.from_arrays(
+        problem.theta if theta is None else theta,
+        problem.target if target is None else target,
+        problem.groups if groups is None else groups,
+    )
+
+
+def solved(problem, backend):
+    found = sf.fit(problem, backend, tolerance=1e-6)
+    assert found.status == "ok", found.reason
+    return found
+
+
+@cache
+def answered(backend):
+    """The certified fit of the one problem: many laws are about it and a changed problem's."""
+    return solved(PROBLEM, backend)
+
+
+every = pytest.mark.parametrize("case", CASES, ids=describe)
+CONVEX = [c for c in CASES if backends.load(c[0]).certificate_kind == "duality_gap"]
+convex = pytest.mark.parametrize("case", CONVEX, ids=describe)
+SPARSE = [case for case in CONVEX if case[0] != "ridge"]  # no ridge has a solution of zero
+
+
+@every
+def test_the_answer_is_certified(case):
+    found = answered(backends.get(case[0], **case[1]))
+    assert found.certificate.value <= 1e-6
+    assert found.certificate.kind == found.backend.certificate_kind
+    assert found.weights.shape == (PROBLEM.columns, PROBLEM.targets)
+    assert found.weights.dtype == np.float64
+    assert not found.repaired
+
+
+@every
+def test_solving_is_pure(case):
+    backend = backends.get(case[0], **case[1])
+    problem = regular(4)
+    before = copy.deepcopy((problem.theta, problem.target, problem.groups))
+    settings = backends.settings_of(backend)
+    first = backend.solve(problem).weights
+    second = backend.solve(problem).weights
+    fresh = backends.get(case[0], **case[1]).solve(regular(4)).weights
+    assert np.array_equal(first, second)
+    assert np.array_equal(first, fresh)
+    after = (problem.theta, problem.target, problem.groups)
+    for old, new in zip(before, after, strict=True):
+        assert np.array_equal(old, new)
+    assert backends.settings_of(backend) == settings
+
+
+@every
+def test_settings_are_frozen_and_round_trip_through_json(case):
+    backend = backends.get(case[0], **case[1])
+    settings = json.loads(json.dumps(backends.settings_of(backend), allow_nan=False))
+    again = backends.get(case[0], **settings)
+    assert again == backend
+    assert hash(again) == hash(backend)
+    for key in settings:
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(backend, key, None)
+    assert isinstance(backend, backends.Backend)
+
+
+@every
+def test_unknown_settings_are_refused(case):
+    with pytest.raises(InputError, match=f"setting of {case[0]}"):
+        backends.get(case[0], alfa=1.0, **case[1])
+
+
+@every
+def test_permuted_columns_permute_the_weights(case):
+    if case[0] == "fused-lasso":  # whose columns have an order
+        return
+    backend = backends.get(case[0], **case[1])
+    order = np.random.default_rng(0).permutation(PROBLEM.columns)
+    moved = rebuilt(PROBLEM, theta=PROBLEM.theta[:, order], groups=PROBLEM.groups[order])
+    expected = answered(backend).weights[order]
+    assert solved(moved, backend).weights == close(backend, expected)
+
+
+@every
+def test_permuted_samples_and_targets_change_nothing_else(case):
+    backend = backends.get(case[0], **case[1])
+    rows = np.random.default_rng(1).permutation(PROBLEM.samples)
+    moved = rebuilt(PROBLEM, PROBLEM.theta[rows], PROBLEM.target[rows][:, ::-1])
+    expected = answered(backend).weights[:, ::-1]
+    assert solved(moved, backend).weights == close(backend, expected)
+
+
+def depends_on_samples(backend):
+    return getattr(backend, "mode", "") == "pysindy"  # its loss is the plain sum of squares
+
+
+@every
+def test_repeated_samples_change_nothing(case):
+    backend = backends.get(case[0], **case[1])
+    if depends_on_samples(backend):
+        pytest.skip("its loss is the plain sum of squares: more samples weaken ridge and threshold")
+    twice = rebuilt(PROBLEM, np.tile(PROBLEM.theta, (2, 1)), np.tile(PROBLEM.target, (2, 1)))
+    expected = answered(backend).weights
+    assert solved(twice, backend).weights == close(backend, expected)
+
+
+@every
+def test_units_of_a_column_are_units_of_its_weight(case):
+    backend = backends.get(case[0], **case[1])
+    if getattr(backend, "rcond", None) or depends_on_samples(backend):
+        pytest.skip("works in the units that it is given")
+    # Least squares as the paper prints it does not scale: it is backward stable, |theta| |W| eps.
+    span = 1e3 if case[0] == "least-squares" else 1e6
+    units = np.geomspace(1 / span, span, PROBLEM.columns)
+    changed = rebuilt(PROBLEM, theta=PROBLEM.theta * units)
+    expected = answered(backend).weights
+    assert solved(changed, backend).weights * units[:, None] == close(backend, expected)
+
+
+@every
+@pytest.mark.parametrize("unit", [-1.0, 1e-9, 1e9])
+def test_units_of_the_target_are_units_of_the_weights(case, unit):
+    backend = backends.get(case[0], **case[1])
+    if depends_on_samples(backend) and unit != -1.0:
+        pytest.skip("its threshold has the unit of the weights")
+    changed = rebuilt(PROBLEM, target=PROBLEM.target * unit)
+    expected = answered(backend).weights
+    assert solved(changed, backend).weights / unit == close(backend, expected)
+
+
+@every
+def test_a_zero_target_has_zero_weights(case):
+    backend = backends.get(case[0], **case[1])
+    found = sf.fit(rebuilt(PROBLEM, target=0.0 * PROBLEM.target), backend)
+    if found.status == "unidentifiable":  # a threshold that is not relative removes everything
+        assert "empty support" in found.reason or "target is zero" in found.reason
+        return
+    assert found.status == "ok"
+    assert not found.weights.any()
+
+
+@every
+def test_one_column_and_one_target(case):
+    theta = np.array([[1.0], [2.0], [3.0]])
+    problem = RegressionProblem.from_arrays(theta, 2.0 * theta[:, 0])
+    backend = backends.get(case[0], **case[1])
+    weight = solved(problem, backend).weights[0, 0]
+    if isinstance(backend, PenalisedBackend) and case[0] not in ("group-mcp", "huber-lasso"):
+        # One scaled column whose correlation is the target's rms: c = y. With the ridge mu,
+        # v = (c - shrink)/(1 + mu): elastic net alpha = f c/r, shrink = f c, mu = alpha (1 - r)/y.
+        fraction, ratio = backend.alpha_fraction, getattr(backend, "l1_ratio", 1.0)
+        # Without noise the root of its square is as steep as the norm: nothing is shrunk.
+        left = {"ridge": 1 / (1 + fraction), "square-root-lasso": 1}.get(case[0], 1 - fraction)
+        if case[0] == "elastic-net":
+            left /= 1 + fraction * (1 - ratio) / ratio
+        assert weight == pytest.approx(2.0 * left, rel=1e-4)
+    else:
+        rel = 0.09 if case[0] == "huber-lasso" else 0.06
+        assert weight == pytest.approx(2.0, rel=rel)  # up to the shrinkage of a ridge
+
+
+def objective(problem, backend, weights):
+    s, penalty = problem.statistics, backend.penalty(problem)
+    alpha = backend.alpha_fraction * problem.alpha_max(penalty)
+    residual = problem.target - problem.theta @ weights
+    loss = np.sum(residual**2) / (2 * problem.samples)
+    if isinstance(penalty.loss, RootSquares):
+        loss = 2 * np.sqrt(loss * s.null_objective)
+    elif np.isfinite(penalty.loss.clip):
+        bound = penalty.loss.clip * np.sqrt(s.target_square)
+        cut = np.clip(residual, -bound, bound)
+        loss = np.sum(cut * (residual - cut / 2)) / problem.samples
+    return loss + alpha * penalty.value(weights * s.rms[:, None])
+
+
+@convex
+def test_random_perturbations_never_lower_the_objective(case):
+    backend, rng = backends.get(case[0], **case[1]), np.random.default_rng(5)
+    found = answered(backend)
+    least, null = objective(PROBLEM, backend, found.weights), PROBLEM.statistics.null_objective
+    assert least == pytest.approx(found.certificate.primal, rel=1e-12)
+    for size in np.geomspace(1e-6, 1.0, 60):
+        step = size * rng.normal(size=found.weights.shape)
+        for direction in (step, step * (found.weights != 0), -size * found.weights):
+            moved = objective(PROBLEM, backend, found.weights + direction)
+            assert moved >= least - max(found.certificate.value, 1e-15) * null
+
+
+@pytest.mark.parametrize("case", SPARSE, ids=describe)
+def test_at_alpha_max_all_is_zero_and_just_below_it_is_not(case):
+    backend = backends.get(case[0], **{**case[1], "alpha_fraction": 1.0})
+    top = sf.fit(PROBLEM, backend, tolerance=1e-6)
+    peak = np.abs(PROBLEM.statistics.cross / PROBLEM.statistics.rms[:, None]).max()
+    assert top.status == "ok"
+    if case[0] != "sparse-group-lasso":  # where only the gap of an inner point is that small
+        assert top.weights == pytest.approx(np.zeros((12, 2)), abs=1e-5 * peak)
+    if "solver" not in case[1]:
+        assert not top.weights.any()
+    below = dataclasses.replace(backend, alpha_fraction=0.99)
+    assert np.abs(sf.fit(PROBLEM, below).weights).max() > 1e-4 * peak
+
+
+@convex
+def test_a_path_is_its_points(case):
+    backend = backends.get(case[0], **case[1])
+    assert isinstance(backend, PathBackend)
+    along = sf.path(PROBLEM, backend, [0.05, 0.6, 0.2], tolerance=1e-6)
+    for fraction, found in zip(along.alpha_fractions, along.fits, strict=True):
+        point = dataclasses.replace(backend, alpha_fraction=float(fraction))
+        assert found.weights == close(backend, solved(PROBLEM, point).weights)
+
+
+@pytest.mark.parametrize("solver", [None, "clarabel", "clarabel-working-set"])
+@pytest.mark.parametrize("fraction", [0.7, 0.2, 0.01])
+def test_groups_of_one_reproduce_the_lasso(fraction, solver):
+    single = rebuilt(PROBLEM, groups=np.arange(PROBLEM.columns))
+    more = {"solver": solver} if solver else {}
+    grouped = backends.get("group-lasso", alpha_fraction=fraction, separate=True, **more)
+    expected = answered(backends.get("lasso", alpha_fraction=fraction)).weights
+    assert solved(single, grouped).weights == close(grouped, expected)
+    one = rebuilt(single, target=PROBLEM.target[:, :1])
+    joint = dataclasses.replace(grouped, separate=False)
+    expected = solved(one, backends.get("lasso", alpha_fraction=fraction)).weights
+    assert solved(one, joint).weights == close(joint, expected)
+
+
+def shrunk(values, amount):
+    """Soft thresholding of a block: towards zero by ``amount``."""
+    return values * max(0.0, 1.0 - amount / max(np.linalg.norm(values), 1e-300))
+
+
+OTHERWISE = (
+    *("sparse-group-lasso", "elastic-net", "square-root-lasso"),
+    *("huber-lasso", "slope", "fused-lasso"),
+)
+SIMPLE = [case for case in SPARSE if case[0] not in OTHERWISE]
+
+
+@pytest.mark.parametrize("case", SIMPLE, ids=describe)
+@pytest.mark.parametrize("seed", range(2))
+def test_orthonormal_columns_give_soft_thresholding(case, seed):
+    problem = orthonormal(seed)
+    backend = backends.get(case[0], **{**case[1], "alpha_fraction": 0.3})
+    s, penalty = problem.statistics, backend.penalty(problem)
+    blocks = [
+        np.ix_(np.flatnonzero(penalty.blocks == g), targets)
+        for g in range(len(penalty.weights))
+        for targets in ([[0, 1]] if penalty.joint else [[0], [1]])
+    ]
+    weight = [penalty.weights[penalty.blocks[b[0][0, 0]]] for b in blocks]
+    alpha = 0.3 * max(np.linalg.norm(s.cross[b]) / w for b, w in zip(blocks, weight, strict=True))
+    expected = np.zeros(s.cross.shape)
+    for block, w in zip(blocks, weight, strict=True):
+        expected[block] = shrunk(s.cross[block], alpha * w)
+    assert solved(problem, backend).weights * s.rms[:, None] == close(backend, expected)
+
+
+def test_orthonormal_columns_give_hard_thresholding_and_projections():
+    problem = orthonormal()
+    s = problem.statistics
+    exact = solved(problem, backends.get("least-squares")).weights * s.rms[:, None]
+    assert exact == pytest.approx(s.cross, rel=1e-12)
+    backend = backends.get("stlsq", threshold=0.4, ridge=0.25, unbias=False)
+    kept = np.abs(s.cross / 1.25) >= 0.4 * np.sqrt(s.target_square)
+    assert 0 < kept.sum() < kept.size
+    found = solved(problem, backend).weights * s.rms[:, None]
+    assert found == pytest.approx(np.where(kept, s.cross / 1.25, 0.0), rel=1e-12)
+    unbiased = dataclasses.replace(backend, unbias=True)
+    found = solved(problem, unbiased).weights * s.rms[:, None]
+    assert found == pytest.approx(np.where(kept, s.cross, 0.0), rel=1e-10, abs=1e-13)
+
+
+@every
+def test_fewer_samples_than_columns(case):
+    wide = RegressionProblem.from_arrays(PROBLEM.theta[:7], PROBLEM.target[:7], PROBLEM.groups)
+    backend = backends.get(case[0], **case[1])
+    found = sf.fit(wide, backend, tolerance=1e-6)
+    refused = backend == backends.get("least-squares") or getattr(backend, "ridge", 1.0) == 0
+    assert found.status == ("error" if refused else "ok"), found.reason
+    assert np.isnan(found.weights).all() == refused
+    if refused:
+        assert "7 samples are fewer than 12 columns" in found.reason
+
+
+@pytest.mark.parametrize("name", OFF_GRID)
+def test_back_ends_off_the_grid_refuse_what_has_no_positions(name):
+    found = sf.fit(PROBLEM, backends.get(name))
+    assert found.status == "error"
+    assert found.reason
+    assert np.isnan(found.weights).all()
+
+
+@pytest.mark.parametrize("name", OFF_GRID)
+def test_back_ends_off_the_grid_are_pure_frozen_and_certified_on_flights(name):
+    problem, backend = flight_problem(velocity_noise=0.1), backends.get(name)
+    before = copy.deepcopy((problem.theta, problem.target))
+    first, second = backend.solve(problem).weights, backend.solve(problem).weights
+    assert np.array_equal(first, second)
+    assert np.array_equal(before[0], problem.theta)
+    assert np.array_equal(before[1], problem.target)
+    assert backends.get(name, **json.loads(json.dumps(backends.settings_of(backend)))) == backend
+    for key in backends.settings_of(backend):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(backend, key, None)
+    found = solved(problem, backend)
+    assert found.certificate.kind == backend.certificate_kind

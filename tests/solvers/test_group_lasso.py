@@ -1,0 +1,173 @@
+"""The group-LASSO against celer, a naive cvxpy model and Clarabel."""
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from celer import GroupLasso
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.regression.penalties import alpha_max
+from sparsefit.regression.problem import RegressionProblem
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
+
+PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01]
+
+
+def single(problem, target=0):
+    return RegressionProblem.from_arrays(problem.theta, problem.target[:, [target]], problem.groups)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("fraction", [0.5, 0.2, 0.1])
+@pytest.mark.parametrize("target", [0, 1])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_celer_agrees_on_flights(noise, target, fraction):
+    problem = single(flight_problem(velocity_noise=noise), target)
+    backend = backends.get("group-lasso", alpha_fraction=fraction)
+    found = sf.fit(problem, backend)
+    s, null = problem.statistics, problem.statistics.null_objective
+    penalty = backend.penalty(problem)
+    alpha = fraction * alpha_max(s.cross, penalty)
+    z, y = problem.theta / s.rms, problem.target[:, 0]
+    groups = [np.flatnonzero(problem.groups == g).tolist() for g in range(len(penalty.weights))]
+    peer = GroupLasso(groups, alpha=alpha, fit_intercept=False, tol=1e-9, max_iter=200)
+    scaled = peer.fit(np.asfortranarray(z), y).coef_
+    other = np.sum((y - z @ scaled) ** 2) / (2 * len(y)) + alpha * penalty.norm(scaled[:, None])
+    assert (found.status, found.repaired) == ("ok", False)
+    assert found.certificate.primal <= other + 1e-12 * null
+    assert other - found.certificate.primal <= 1e-6 * null
+
+
+@pytest.mark.parametrize("joint", [True, False])
+@pytest.mark.parametrize("group_weights", ["unit", "sqrt-size"])
+def test_a_naive_model_of_the_rows_agrees(joint, group_weights):
+    problem = regular(2)
+    problem = RegressionProblem.from_arrays(
+        problem.theta, problem.target, [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
+    )
+    rms = np.sqrt(np.mean(problem.theta**2, axis=0))
+    z, y, m = problem.theta / rms, problem.target, 60
+    omega = [1.0, 1.0, 1.0, 1.0] if group_weights == "unit" else [1.0, 2**0.5, 3**0.5, 6**0.5]
+    rows = [np.flatnonzero(problem.groups == g) for g in range(4)]
+    parts = [slice(None)] if joint else [slice(0, 1), slice(1, 2)]
+    top = max(
+        np.linalg.norm(z[:, on].T @ y[:, part] / m) / w
+        for on, w in zip(rows, omega, strict=True)
+        for part in parts
+    )
+    v = cp.Variable((12, 2))
+    size = sum(
+        w * cp.norm(cp.vec(v[on][:, part], order="F"))
+        for on, w in zip(rows, omega, strict=True)
+        for part in parts
+    )
+    model = cp.Problem(cp.Minimize(cp.sum_squares(y - z @ v) / (2 * m) + 0.15 * top * size))
+    model.solve(solver="CLARABEL", tol_gap_abs=1e-11, tol_gap_rel=1e-11)
+    backend = backends.get(
+        "group-lasso", alpha_fraction=0.15, separate=not joint, group_weights=group_weights
+    )
+    found = sf.fit(problem, backend)
+    assert found.certificate.primal == pytest.approx(model.value, rel=1e-8)
+    assert found.weights * rms[:, None] == pytest.approx(v.value, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+@pytest.mark.parametrize("seed", range(11))
+def test_the_exact_path_agrees_with_clarabel_on_degenerate_problems(kind, seed):
+    problem = degenerate(kind, seed)
+    null = problem.statistics.null_objective
+    more = {"separate": bool(seed % 2), "group_weights": ("unit", "sqrt-size")[seed % 3 == 0]}
+    exact = sf.path(problem, backends.get("group-lasso", **more), PENALTIES)
+    reference = backends.get("group-lasso", solver="clarabel-direct", **more)
+    conic = sf.path(problem, reference, PENALTIES)
+    assert exact.repaired == 0
+    for one, other in zip(exact.fits, conic.fits, strict=True):
+        assert one.status == "ok", one.reason
+        assert one.certificate.value <= 1e-9
+        assert other.certificate.value <= 1e-6
+        assert one.certificate.primal <= other.certificate.primal + 1e-9 * null
+        slack = (1e-9 + other.certificate.value) * null
+        assert one.certificate.primal == pytest.approx(other.certificate.primal, abs=slack)
+
+
+@given(seed=st.integers(0, 10**6), fraction=st.floats(1e-4, 1.0), separate=st.booleans())
+@settings(max_examples=80)
+def test_every_fit_is_certified_and_whole_groups_are_in_or_out(seed, fraction, separate):
+    problem = regular(seed, samples=20 + seed % 30)
+    backend = backends.get("group-lasso", alpha_fraction=fraction, separate=separate)
+    found = sf.fit(problem, backend)
+    assert (found.status, found.repaired) == ("ok", False)
+    on = (found.weights != 0).reshape(4, 3, 2)
+    within = (1,) if separate else (1, 2)
+    assert np.array_equal(on.any(axis=within), on.all(axis=within))
+
+
+def test_separate_is_one_problem_per_target_at_a_common_penalty():
+    problem = regular(6)
+    backend = backends.get("group-lasso", alpha_fraction=0.2, separate=True)
+    together = backend.solve(problem).weights
+    top = alpha_max(problem.statistics.cross, backend.penalty(problem))
+    for t in range(2):
+        alone = single(problem, t)
+        own = alpha_max(alone.statistics.cross, backend.penalty(alone))
+        one = backends.get("group-lasso", alpha_fraction=0.2 * top / own).solve(alone)
+        assert together[:, [t]] == pytest.approx(one.weights, abs=1e-5)
+
+
+def test_groups_may_come_in_any_order():
+    problem = regular(7)
+    order = np.random.default_rng(0).permutation(12)
+    labels = np.array(["d", "a", "c", "b"])[problem.groups]
+    mixed = RegressionProblem.from_arrays(problem.theta[:, order], problem.target, labels[order])
+    backend = backends.get("group-lasso", alpha_fraction=0.1)
+    expected = sf.fit(problem, backend).weights[order]
+    assert sf.fit(mixed, backend).weights == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("separate", [True, False])
+def test_a_fit_names_the_kernel_that_ran(monkeypatch, separate):
+    problem, backend = regular(3), backends.get("group-lasso", separate=separate)
+    usual = sf.path(problem, backend).fits[15]
+    assert usual.solver_status == "variational, all columns"
+    monkeypatch.setattr("sparsefit.solvers.kernels.compiled", lambda name: None)
+    found = sf.path(problem, backend).fits[15]
+    assert found.solver_status == "newton, all columns"
+    assert found.weights == pytest.approx(usual.weights, rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"alpha_fraction": 0.0}, "alpha_fraction"),
+        ({"alpha_fraction": 2}, "alpha_fraction"),
+        ({"separate": 1}, "separate"),
+        ({"group_weights": "size"}, 'did you mean "sqrt-size"'),
+        ({"solver": "varational"}, 'did you mean "variational"'),
+        ({"solver": "homotopy"}, "unknown solver of group-lasso"),
+        ({"solver": 3}, "solver must be a name"),
+    ],
+)
+def test_bad_settings_are_refused(change, words):
+    with pytest.raises(InputError, match=words):
+        backends.get("group-lasso", **change)
+
+
+@pytest.mark.parametrize("separate", [False, True])
+@pytest.mark.parametrize("fraction", [1.0, 0.6, 0.3, 0.1, 1e-3])
+@pytest.mark.parametrize("group_weights", ["unit", "sqrt-size"])
+def test_a_point_on_the_groups_that_pull_is_the_point_on_all(separate, fraction, group_weights):
+    """The Gram matrix is not formed for one point alone."""
+    alone, whole = regular(groups=40, samples=400), regular(groups=40, samples=400)
+    setting = {"separate": separate, "group_weights": group_weights}
+    backend = backends.get("group-lasso", alpha_fraction=fraction, **setting)
+    few = sf.fit(alone, backend)
+    assert few.status == "ok"
+    assert not alone.statistics.formed
+    assert whole.statistics.gram.shape == (120, 120)
+    every = sf.fit(whole, backend)
+    np.testing.assert_allclose(few.weights, every.weights, rtol=1e-9, atol=1e-12)
+    assert few.certificate.value < 1e-10

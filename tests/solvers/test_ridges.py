@@ -1,0 +1,147 @@
+"""Elastic net and ridge against scikit-learn, augmented rows and hand values."""
+
+import numpy as np
+import pytest
+import sklearn.linear_model as peers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.regression.certificate import duality_gaps, gram_gaps
+from sparsefit.regression.design import RowDesign
+from sparsefit.regression.penalties import AbsoluteValues, alpha_max
+from sparsefit.regression.problem import RegressionProblem
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
+
+FRACTIONS = [0.7, 0.1, 0.01, 0.001]
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.05])
+@pytest.mark.parametrize("ratio", [0.9, 0.2])
+def test_scikit_learns_elastic_net_agrees(ratio, fraction):
+    problem = regular(4)
+    s = problem.statistics
+    unit = float(np.sqrt(s.target_square.mean()))
+    backend = backends.get("elastic-net", alpha_fraction=fraction, l1_ratio=ratio)
+    alpha = fraction * alpha_max(s.cross, backend.penalty(problem))
+    peer = peers.ElasticNet(
+        alpha / unit, l1_ratio=ratio, fit_intercept=False, tol=1e-12, max_iter=100_000
+    )
+    expected = peer.fit(problem.theta / s.rms, problem.target / unit).coef_.T * unit
+    found = sf.fit(problem, backend)
+    assert found.status == "ok"
+    assert found.weights * s.rms[:, None] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("fraction", [1.0, 1e-3, 1e-6])
+def test_scikit_learns_ridge_agrees(fraction):
+    problem = regular(5)
+    rms, m, k = problem.statistics.rms, problem.samples, problem.columns
+    peer = peers.Ridge(fraction * k * m, fit_intercept=False, solver="svd")
+    expected = peer.fit(problem.theta / rms, problem.target).coef_.T
+    found = sf.fit(problem, backends.get("ridge", alpha_fraction=fraction))
+    assert found.status == "ok"
+    assert found.weights * rms[:, None] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_ridge_that_rounds_away_is_least_squares():
+    found = sf.fit(regular(), backends.get("ridge", alpha_fraction=1e-300))
+    assert found.status == "inaccurate" or found.certificate.proves(1e-8)
+    least = sf.fit(regular(), "least-squares").weights
+    np.testing.assert_allclose(found.weights, least, atol=1e-12)
+
+
+def test_an_elastic_net_of_ratio_one_is_the_lasso():
+    problem = regular(6)
+    net = sf.path(problem, backends.get("elastic-net", l1_ratio=1.0), FRACTIONS)
+    assert np.array_equal(net.weights, sf.path(problem, backends.get("lasso"), FRACTIONS).weights)
+
+
+def test_columns_that_are_equal_share_their_weight():
+    rng = np.random.default_rng(0)
+    theta = rng.normal(size=(30, 3))
+    problem = RegressionProblem.from_arrays(theta[:, [0, 1, 2, 0]], theta[:, 0] + theta[:, 1])
+    weights = sf.fit(problem, backends.get("elastic-net")).weights.ravel()
+    assert weights[0] == pytest.approx(weights[3], rel=1e-12)
+    assert weights[0] > 0.1
+
+
+@pytest.mark.parametrize("name", ["elastic-net", "ridge"])
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+def test_degenerate_problems_are_certified_without_repair(name, kind):
+    along = sf.path(degenerate(kind, 1), backends.get(name), [1.0, 0.1, 0.001])
+    assert [fit.status for fit in along.fits] == ["ok"] * 3
+    assert along.repaired == 0
+
+
+def test_flights_agree_with_clarabel():
+    problem = flight_problem(velocity_noise=0.2)
+    ours = sf.path(problem, backends.get("elastic-net"), FRACTIONS)
+    conic = backends.get("elastic-net", solver="clarabel-working-set")
+    other = sf.path(problem, conic, FRACTIONS)
+    null = problem.statistics.null_objective
+    for one, two in zip(ours.fits, other.fits, strict=True):
+        assert (one.status, two.status, one.repaired) == ("ok", "ok", False)
+        assert one.certificate.primal == pytest.approx(two.certificate.primal, abs=1e-8 * null)
+
+
+@given(seed=st.integers(0, 10**6), ratio=st.floats(0.05, 1.0), size=st.floats(0.0, 2.0))
+@settings(max_examples=12)
+def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, ratio, size):
+    """k more rows sqrt(m mu) I with targets of zero, whatever the weights."""
+    problem, rng = regular(seed), np.random.default_rng(seed)
+    s, backend = problem.statistics, backends.get("elastic-net", l1_ratio=ratio)
+    penalty, m, k = backend.penalty(problem), problem.samples, problem.columns
+    alpha = 0.1 * alpha_max(s.cross, penalty)
+    exact = sf.fit(problem, backend)
+
+    weights = exact.weights + size * rng.normal(size=exact.weights.shape) / s.rms[:, None]
+    lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * s.rms)
+    design = RowDesign(np.vstack([problem.theta, lift]), m)
+    target = np.vstack([problem.target, np.zeros((k, 2))])
+    norms = AbsoluteValues(s.rms / design.rms)  # in columns of the unit that these rows have
+    (expected,) = duality_gaps(design, target, weights[None], np.array([alpha * ratio]), norms)
+    (found,) = gram_gaps(s, weights[None], np.array([alpha]), penalty)
+    assert found.primal == pytest.approx(expected.primal, rel=1e-12)
+    assert found.dual == pytest.approx(expected.dual, rel=1e-10)
+    assert found.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
+
+
+def test_a_ridges_gap_by_hand():
+    # Z = (1, 1), y = (3, 1): G = 1, c = 2, y^2/m = 5. alpha = fraction * k = 1/2, v = 1 in place of
+    # c/(1 + alpha) = 4/3: P = (5 - 2*2 + 1)/2 + 1/4 = 5/4. C = 1, r = 2, q = 3, F = C/alpha = 2,
+    # r' = 2 + 4/2 = 4, s = 3/4, D = 9/4 - 9/8 = 9/8: the gap is 1/8 over 5/2.
+
+    problem = RegressionProblem.from_arrays(np.ones((2, 1)), [3.0, 1.0])
+    penalty = backends.get("ridge").penalty(problem)
+    (gap,) = gram_gaps(problem.statistics, np.ones((1, 1, 1)), np.array([0.5]), penalty)
+    assert (gap.primal, gap.dual) == pytest.approx((1.25, 1.125))
+    assert gap.value == pytest.approx(0.05)
+    found = sf.fit(problem, backends.get("ridge", alpha_fraction=0.5))
+    assert found.weights.item() == pytest.approx(4 / 3)
+
+
+@pytest.mark.parametrize("name", ["elastic-net", "ridge"])
+def test_the_penalty_can_be_chosen(name):
+    problem = regular(7, samples=120)
+    for selection in ("bic", "cross-validation"):
+        backend = backends.get(name, alpha_fraction="auto", selection=selection)
+        found = sf.fit(problem, backend)
+        assert found.status == "ok"
+        assert found.penalty_choice.index > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("elastic-net", {"l1_ratio": 0.0}, "for none of them use ridge"),
+        ("elastic-net", {"solver": "homotpy"}, 'did you mean "homotopy"'),
+        ("ridge", {"alpha_fraction": 0.0}, "alpha_fraction"),
+        ("ridge", {"selection": "ebic"}, "whose weights are never zero"),
+    ],
+)
+def test_bad_settings_are_refused(name, change, words):
+    with pytest.raises(InputError, match=words):
+        backends.get(name, **change)

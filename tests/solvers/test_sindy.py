@@ -1,0 +1,76 @@
+"""PySINDy's optimizers as back-ends: the support they promise, and ours beside theirs."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError, MissingExtra
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers import pysindy_optimizers as sindy
+
+OPTIMIZERS = ("STLSQ", "SR3", "SSR", "FROLS")
+needs = pytest.mark.skipif(importlib.util.find_spec("pysindy") is None, reason="extra peers")
+
+
+@pytest.fixture
+def problem():
+    draw = np.random.default_rng(2)
+    theta = draw.standard_normal((80, 8))
+    weights = np.zeros((8, 2))
+    weights[[0, 3], 0], weights[[1, 3, 5], 1] = [1.5, -1.0], [1.0, 2.0, -1.5]
+    target = theta @ weights + 0.01 * draw.standard_normal((80, 2))
+    return RegressionProblem.from_arrays(theta, target)
+
+
+@needs
+@pytest.mark.parametrize("optimizer", ["STLSQ", "SR3"])
+def test_a_clear_support_is_found_and_a_fixed_point(problem, optimizer):
+    found = sf.fit(problem, backends.get("pysindy", optimizer=optimizer, threshold=0.3))
+    # SR3 stops at a tolerance of its own, which its certificate shows.
+    assert found.status == ("ok" if optimizer == "STLSQ" else "inaccurate"), found.reason
+    assert found.certificate.kind == "fixed_point"
+    assert found.certificate.value < 1e-3
+    assert [np.flatnonzero(w).tolist() for w in found.weights.T] == [[0, 3], [1, 3, 5]]
+
+
+@needs
+def test_stlsq_is_ours(problem):
+    theirs = sf.fit(problem, backends.get("pysindy", threshold=0.3))
+    ours = sf.fit(problem, backends.get("stlsq", mode="pysindy", threshold=0.3))
+    assert np.allclose(theirs.weights, ours.weights, atol=1e-10)
+
+
+@needs
+@pytest.mark.parametrize("optimizer", OPTIMIZERS)
+def test_a_support_that_its_rule_does_not_give_is_no_fixed_point(problem, optimizer):
+    backend = backends.get("pysindy", optimizer=optimizer, threshold=0.3)
+    wrong = np.zeros((8, 2))
+    wrong[[6, 7], :] = 1.0
+    assert np.any((backend.next_weights(problem, wrong) != 0) != (wrong != 0))
+
+
+def test_greedy_rules_by_hand():
+    theta = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.1]])
+    values = np.array([3.0, 1.0, 0.0])
+    # 9 of |y|^2 = 10 by the first column, 1 of what is left by the second, 8 by the third
+    assert sindy._selected(theta, values, 1, 0.0).tolist() == [True, False, False]
+    assert sindy._selected(theta, values, 2, 0.0).tolist() == [True, True, False]
+    # least squares of all three: 3, 1 and 0
+    assert sindy._eliminated(theta, values, 2, 0.0).tolist() == [True, True, False]
+
+
+@needs
+def test_no_column_left_is_no_answer(problem):
+    found = sf.fit(problem, backends.get("pysindy", threshold=100.0))
+    assert found.status == "unidentifiable"
+    with pytest.raises(InputError, match='did you mean "FROLS"'):
+        backends.get("pysindy", optimizer="FROL")
+
+
+def test_without_pysindy_its_extra_is_named(monkeypatch):
+    monkeypatch.setattr(sindy, "find_spec", lambda _: None)
+    with pytest.raises(MissingExtra, match=r"sparsefit\[peers\]"):
+        backends.get("pysindy")

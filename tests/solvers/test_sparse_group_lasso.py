@@ -1,0 +1,163 @@
+"""The sparse-group LASSO against cvxpy, brute force and its two ends."""
+
+import dataclasses
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from sparsefit.regression.penalties import alpha_max
+from sparsefit.regression.problem import RegressionProblem
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
+
+FRACTIONS = [0.7, 0.2, 0.05]
+UNEQUAL = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
+WAVES = [0, 1, 1, 2, 2, 3, 4, 4, 5, 5, 6, 6]  # within the groups above
+
+
+def nested(seed=2, subgroups=WAVES):
+    plain = regular(seed)
+    return RegressionProblem.from_arrays(plain.theta, plain.target, UNEQUAL, subgroups=subgroups)
+
+
+@pytest.mark.parametrize("subgroups", [None, WAVES])
+@pytest.mark.parametrize("separate", [True, False])
+def test_a_naive_model_of_the_rows_agrees(separate, subgroups):
+    problem = nested(subgroups=subgroups)
+    rms = np.sqrt(np.mean(problem.theta**2, axis=0))
+    z, y, m = problem.theta / rms, problem.target, problem.samples
+    backend = backends.get(
+        "sparse-group-lasso", l1_ratio=0.3, separate=separate, group_weights="sqrt-size"
+    )
+    alpha = 0.15 * alpha_max(problem.statistics.cross, backend.penalty(problem))
+    v, size = cp.Variable((12, 2)), 0.0
+    for part in ([0], [1]) if separate else ([0, 1],):
+        for g in range(4):
+            on = np.flatnonzero(np.array(UNEQUAL) == g)
+            size += 0.7 * len(on) ** 0.5 * cp.norm(cp.vec(v[on][:, part], order="F"))
+        for h in range(7 if subgroups else 0):
+            on = np.flatnonzero(np.array(WAVES) == h)
+            size += 0.3 * cp.norm(cp.vec(v[on][:, part], order="F"))
+    if subgroups is None:
+        size += 0.3 * cp.sum(cp.abs(v))
+    model = cp.Problem(cp.Minimize(cp.sum_squares(y - z @ v) / (2 * m) + alpha * size))
+    model.solve(solver="CLARABEL", tol_gap_abs=1e-11, tol_gap_rel=1e-11)
+    found = sf.fit(problem, dataclasses.replace(backend, alpha_fraction=0.15))
+    assert (found.status, found.repaired) == ("ok", False)
+    assert found.certificate.primal == pytest.approx(model.value, rel=1e-8)
+    assert found.weights * rms[:, None] == pytest.approx(v.value, abs=1e-4)
+    for solver in ("clarabel", "clarabel-direct", "clarabel-working-set"):
+        other = sf.fit(problem, dataclasses.replace(found.backend, solver=solver))
+        assert other.status == "ok", other.reason
+        assert other.certificate.primal == pytest.approx(found.certificate.primal, rel=1e-8)
+
+
+@pytest.mark.parametrize(("ratio", "name"), [(0.0, "group-lasso"), (1.0, "lasso")])
+@pytest.mark.parametrize("separate", [True, False])
+def test_its_ends_are_the_group_lasso_and_the_lasso(ratio, name, separate):
+    problem = nested(subgroups=None)
+    more = {"separate": separate} if name == "group-lasso" else {}
+    end = sf.path(problem, backends.get(name, **more), FRACTIONS)
+    for near in (ratio, abs(ratio - 1e-10)):
+        backend = backends.get("sparse-group-lasso", l1_ratio=near, separate=separate)
+        along = sf.path(problem, backend, FRACTIONS)
+        assert [fit.status for fit in along.fits] == ["ok"] * 3
+        assert along.weights == pytest.approx(end.weights, abs=1e-5)
+
+
+def test_orthonormal_columns_are_shrunk_one_by_one_and_then_together():
+    problem = orthonormal(1)
+    backend = backends.get("sparse-group-lasso", alpha_fraction=0.2)
+    s, found = problem.statistics, sf.fit(problem, backend)
+    alpha = 0.2 * alpha_max(s.cross, backend.penalty(problem))
+    for g in range(2):
+        on = problem.groups == g
+        soft = np.sign(s.cross[on]) * np.maximum(np.abs(s.cross[on]) - 0.5 * alpha, 0)
+        expected = soft * max(0.0, 1 - 0.5 * alpha / np.linalg.norm(soft))
+        assert (found.weights * s.rms[:, None])[on] == pytest.approx(expected, abs=1e-6)
+
+
+def test_alpha_max_by_hand():
+    # C = (3, 4): soft(C, tau/2) has the norm tau/2 where (3 - tau/2)^2 + (4 - tau/2)^2 = tau^2/4,
+    # so with t = tau/2: t^2 - 14 t + 25 = 0, t = 7 - sqrt(24).
+    theta = np.array([[1.0, 1.0], [1.0, -1.0]])
+    problem = RegressionProblem.from_arrays(theta, theta @ [3.0, 4.0], [0, 0])
+    penalty = backends.get("sparse-group-lasso").penalty(problem)
+    expected = 2 * (7 - np.sqrt(24))
+    assert alpha_max(problem.statistics.cross, penalty) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+@pytest.mark.parametrize("seed", range(2))
+def test_degenerate_problems_are_solved_without_repair(kind, seed):
+    backend = backends.get("sparse-group-lasso", separate=bool(seed))
+    along = sf.path(degenerate(kind, seed), backend, [0.9, 0.1, 0.01])
+    assert [fit.status for fit in along.fits] == ["ok"] * 3
+    assert along.repaired == 0
+    assert along.gaps.max() <= 1e-8
+
+
+def test_a_flight_agrees_with_clarabel():
+    problem = flight_problem(velocity_noise=0.2)
+    backend = backends.get("sparse-group-lasso", alpha_fraction=0.05)
+    ours = sf.fit(problem, backend)
+    conic = dataclasses.replace(backend, solver="clarabel-working-set")
+    other = sf.fit(problem, conic)
+    assert (ours.status, ours.repaired) == (other.status, False) == ("ok", False)
+    null = problem.statistics.null_objective
+    assert ours.certificate.primal == pytest.approx(other.certificate.primal, abs=1e-9 * null)
+
+
+@given(seed=st.integers(0, 10**6), fraction=st.floats(1e-3, 1.0), ratio=st.floats(0.01, 0.99))
+@settings(max_examples=12)
+def test_every_fit_obeys_the_optimality_conditions_of_its_blocks(seed, fraction, ratio):
+    problem = regular(seed, samples=20 + seed % 30)
+    backend = backends.get("sparse-group-lasso", alpha_fraction=fraction, l1_ratio=ratio)
+    found, s = sf.fit(problem, backend), problem.statistics
+    assert (found.status, found.repaired) == ("ok", False)
+    penalty, values = backend.penalty(problem), found.weights * s.rms[:, None]
+    alpha = fraction * alpha_max(s.cross, penalty)
+    slope = s.cross - s.gram @ values
+    for g in range(4):
+        on = problem.groups == g
+        pull = np.sign(slope[on]) * np.maximum(np.abs(slope[on]) - ratio * alpha, 0.0)
+        norm, limit = np.linalg.norm(values[on]), (1 - ratio) * alpha
+        if norm == 0:
+            assert np.linalg.norm(pull) <= limit + 1e-5 * alpha
+        else:
+            assert pull == pytest.approx(limit * values[on] / norm, abs=2e-3 * alpha)
+
+
+def test_a_path_that_is_cut_short_is_reported_as_incomplete(monkeypatch):
+    monkeypatch.setattr("sparsefit.solvers.newton.OUTER", 1)
+    problem = nested()
+    backend = backends.get("sparse-group-lasso")
+    assert backend.solve(problem).status == "inaccurate"
+    found = sf.fit(problem, backend)  # the referee repairs it
+    assert (found.status, found.repaired) == ("ok", True)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"l1_ratio": 1.5}, "l1_ratio"),
+        ({"separate": 1}, "separate"),
+        ({"group_weights": "size"}, 'did you mean "sqrt-size"'),
+        ({"solver": "block-newtn"}, 'did you mean "block-newton"'),
+    ],
+)
+def test_bad_settings_are_refused(change, words):
+    with pytest.raises(InputError, match=words):
+        backends.get("sparse-group-lasso", **change)
+
+
+def test_subgroups_that_span_groups_are_refused():
+    with pytest.raises(InputError, match="must lie within groups"):
+        nested(subgroups=[0] * 2 + WAVES[2:])
+    with pytest.raises(InputError, match="subgroups must have one label per column"):
+        nested(subgroups=[0, 1])
