@@ -80,6 +80,11 @@ class Looks:
         return {"color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2,
                 "marker": MARKERS[(colour + turn) % len(MARKERS)], "zorder": 3}  # fmt: skip
 
+    def gid(self, name: str) -> str:
+        """Return the name of a line in an SVG; the grey ones share one."""
+        place = self.names.index(name)
+        return f"line-{place}" if place < NAMED_CURVES else "line-others"
+
     def label(self, name: str) -> str:
         """Return what a legend calls a line, and how many coincide with it."""
         if self.names.index(name) >= NAMED_CURVES:
@@ -221,7 +226,7 @@ def _draw(axes: Axes, curves: Sequence[Curve], looks: Looks, each: Measure, case
         x = curve.x + (0.5 * ((order + 0.5) / len(curves) - 0.5) if nominal else 0.0)
         if nominal:
             look |= {"ls": "", "marker": look["marker"] or "."}
-        gid = f"line-{looks.names.index(curve.name)}"
+        gid = looks.gid(curve.name)
         if curve.low is not None and curve.high is not None and (nominal or len(curves) <= 4):
             axes.vlines(x, curve.low, curve.high, color=look["color"], lw=0.8, alpha=0.7, gid=gid)
         axes.plot(x, curve.y, ms=3.5, mew=0, gid=gid, label=looks.label(curve.name), **look)
@@ -301,7 +306,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
         for curve in curves:
             look = looks.of(curve.name) | {"marker": ""}
             axes.plot(curve.x, curve.y, drawstyle="steps-post", label=looks.label(curve.name),
-                      gid=f"line-{looks.names.index(curve.name)}", **look)  # fmt: skip
+                      gid=looks.gid(curve.name), **look)  # fmt: skip
         every_x = np.concatenate([curve.x for curve in curves])
         low = max(float(np.quantile(every_x, 0.01)), each.least)
         high = float(np.quantile(every_x, 0.98))

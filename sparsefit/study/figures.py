@@ -135,7 +135,7 @@ def _scattered(axes: Axes, cases: pd.DataFrame, name: str, looks: Looks) -> None
                 more = {"edgecolor": "white", "linewidth": 0.3, "label": looks.label(condition)}
             y = estimate[chosen] if height is None else np.full(int(chosen.sum()), height)
             axes.scatter(true[chosen], y, s=12, marker=sign, c=ink, alpha=0.85, zorder=3,
-                         gid=f"line-{looks.names.index(condition)}", **more)  # fmt: skip
+                         gid=looks.gid(condition), **more)  # fmt: skip
     words = [text.format(int(mask.sum())) for _, mask, _, text in parts if text and mask.any()]
     axes.set_title("  ".join(words), fontsize=6.5, color=GREY, loc="right", pad=5)
 

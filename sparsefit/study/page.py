@@ -99,8 +99,8 @@ def to_html(name: str, question: str, answers: Sequence[str], sections: Sequence
                            progress=progress, script=script, digest=digest)  # fmt: skip
 
 
-def drawing(name: str, picture: Picture) -> Drawing | str:
-    """Return a picture as a part of a page, its caption alone where nothing was drawn."""
+def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
+    """Return a picture, drawn already as `svg` or not, as a part of a page; or its caption."""
     figure = picture.figure
     if figure is None:
         return picture.caption
@@ -109,7 +109,7 @@ def drawing(name: str, picture: Picture) -> Drawing | str:
         for artist in (*axes.lines, *axes.collections):
             if artist.get_gid() and not str(artist.get_label()).startswith("_"):
                 lines.setdefault(str(artist.get_gid()), str(artist.get_label()))
-    svg = _inline(figure, name)
+    drawn = _inline(svg or encoded(figure, ".svg", name))
     turned = [
         axes for axes in figure.axes if "log" in (axes.get_xscale(), axes.get_yscale())
     ] if lines else []  # fmt: skip
@@ -120,14 +120,14 @@ def drawing(name: str, picture: Picture) -> Drawing | str:
                 set_limits = axes.set_xlim if axis is axes.xaxis else axes.set_ylim
                 set_scale("linear")
                 set_limits(0.0, low_high[1])
-    linear = _inline(figure, f"{name}-linear") if turned else ""
+    linear = _inline(encoded(figure, ".svg", f"{name}-linear")) if turned else ""
     title = name.replace("-", " ").replace("_", " ").capitalize()
-    return Drawing(title, picture.caption, svg, linear, lines)
+    return Drawing(title, picture.caption, drawn, linear, lines)
 
 
-def _inline(figure: Figure, name: str) -> str:
-    """Return a figure as an SVG element whose parts share no name with those of others."""
-    return CLIPPED.sub("", encoded(figure, ".svg", name).decode())
+def _inline(svg: bytes) -> str:
+    """Return the bytes of an SVG file as an element of a page."""
+    return CLIPPED.sub("", svg.decode(), 1)
 
 
 def check_outputs(study: Any) -> None:
@@ -224,7 +224,7 @@ def write(study: Any) -> list[Path]:
         if picture.figure is not None:
             files[f"{name}.svg"] = encoded(picture.figure, ".svg", name)
             files[f"{name}.png"] = encoded(picture.figure, ".png")
-        parts.append(drawing(name, picture))
+        parts.append(drawing(name, picture, files.get(f"{name}.svg", b"")))
     answer, state = headline(study, cases), progress(study, cases)
     lasting = [each for each in made.values() if not each.varies]
     varying = [each for each in made.values() if each.varies]

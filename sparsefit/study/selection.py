@@ -333,19 +333,20 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
         for field in fields(rule.limits)
         if (limit := getattr(rule.limits, field.name)) is not None
     ]
-    keeping = f"; {len(selection.passing)} keep {_listed(limits)} in every regime" if limits else ""
-    split = next(iter(selection.units))
+    keeping = f"; {len(selection.passing)} keep {_listed(limits, 'and')}" if limits else ""
+    split, regimes = next(iter(selection.units)), len(criterion.regimes)
+    kind = "problems" if "objective" in selection.cases else "flights"
     said = [
-        f"{len(selection.ranked)} candidates, {len(criterion.regimes)} regime(s), chosen on "
-        f"{selection.units[split]} units{keeping}; simplest within {100 * rule.margin:g} % of the "
-        "best."
+        f"{len(selection.ranked)} candidates{f' in {regimes} regimes' if regimes > 1 else ''}, "
+        f"chosen on {selection.units[split]} {kind}{keeping}; the simplest within "
+        f"{100 * rule.margin:g} % of the best."
     ]
     if chosen is None:
         return [*said, *_binding(selection)]
     if selection.tied:
         needed = [each.apart.more_units for each in selection.tied if each.apart is not None]
         finite = [count for count in needed if math.isfinite(count)]
-        more = f"; {min(finite):.0f} more flights would tell the easiest" if finite else ""
+        more = f"; {min(finite):.0f} more {kind} would end the easiest" if finite else ""
         said.append(f"A tie with {_listed([each.title for each in selection.tied])}{more}.")
     if selection.hindsight is not None and selection.regret is not None:
         if selection.hindsight is chosen:
@@ -399,12 +400,12 @@ def _binding(selection: Selection) -> Iterator[str]:
         )
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return `a`, `a or b`, `a, b or c`, and of more than four how many more."""
+def _listed(names: Sequence[str], word: str = "or") -> str:
+    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
     names = list(dict.fromkeys(names))
     if len(names) > 5:
         names = [*names[:4], f"{len(names) - 4} more"]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def provenance(study: Any, selection: Selection) -> dict[str, Any]:

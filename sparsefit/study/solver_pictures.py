@@ -36,7 +36,7 @@ def solver_profiles(entry: Entry, cases: pd.DataFrame) -> Figure | None:
                 share = np.arange(len(inside) + 1) / len(ratios)
                 name = times.solvers[place]
                 axes.plot(x, np.append(share, share[-1]), drawstyle="steps-post",
-                          gid=f"line-{looks.names.index(name)}", label=looks.label(name),
+                          gid=looks.gid(name), label=looks.label(name),
                           **(looks.of(name) | {"marker": ""}))  # fmt: skip
             axes.set_xscale("log")
             axes.set_xlim(1.0, end)
@@ -83,7 +83,7 @@ def solver_accuracy(entry: Entry, cases: pd.DataFrame) -> Figure | None:
             axes.plot(
                 here[solver_times.TIME].to_numpy(float)[places],
                 np.clip(here["excess"].to_numpy(float)[places], FLOOR, 1.0), ms=3.0, mew=0,
-                gid=f"line-{looks.names.index(str(name))}", label=looks.label(str(name)), **look,
+                gid=looks.gid(str(name)), label=looks.label(str(name)), **look,
             )  # fmt: skip
         axes.set_ylim(0.3 * FLOOR, 3.0)
         logarithmic(axes.xaxis, *axes.get_xlim())
@@ -109,7 +109,7 @@ def by_shape(entry: Entry, cases: pd.DataFrame) -> Figure | None:
             name = times.solvers[place]
             seconds = np.where(times.solved[:, place], times.seconds[:, place], np.nan)
             axes.plot(np.arange(len(seconds)), seconds, ms=3.0, mew=0, label=looks.label(name),
-                      gid=f"line-{looks.names.index(name)}", **looks.of(name))  # fmt: skip
+                      gid=looks.gid(name), **looks.of(name))  # fmt: skip
         axes.set_yscale("log")
         logarithmic(axes.yaxis, *axes.get_ylim())
         axes.set_ylabel(

@@ -23,6 +23,7 @@ from sparsefit.study.table import Column, Table, Value, significant
 MISSING = "skipped"
 CLOCK = {"accuracies": (1e-4, 1e-6, 1e-8), "limit": 10.0, "shift": 1e-3}  # unless the frame says
 TIME = "wall"
+CHARGED = ", certified"  # ends the name of a solver that is timed with its certificates too
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,11 @@ class Times:
         best = np.min(self.seconds, axis=1, initial=np.inf, keepdims=True)
         with np.errstate(invalid="ignore"):
             return np.where(self.solved, self.seconds / best, np.inf)
+
+    @property
+    def rivals(self) -> list[int]:
+        """The places of the solvers in `order`, without those that stand there twice."""
+        return [at for at in self.order if not self.solvers[at].endswith(CHARGED)]
 
     @property
     def order(self) -> list[int]:
@@ -156,8 +162,9 @@ def winners(cases: pd.DataFrame) -> Table:
         for problem, seconds in zip(times.problems, times.seconds, strict=True):
             samples, columns = (int(shapes[name][problem]) for name in ("samples", "columns"))
             shape = f"{samples} × {columns}"
-            first, *others = np.argsort(seconds, kind="stable").tolist() or [None]
-            if first is None or math.isinf(seconds[first]):
+            rivals = sorted(times.rivals, key=lambda at: float(seconds[at]))
+            first, *others = rivals or [0]
+            if not rivals or math.isinf(seconds[first]):
                 rows.append((objective, problem, shape, "nobody", None, None, None))
                 continue
             second = others[0] if others else None
@@ -222,7 +229,7 @@ def headline(cases: pd.DataFrame) -> Iterator[str]:
         if not times.solved.any():
             yield f"{objective}: no solver solves any problem to a certified {level_text(strict)}."
             continue
-        first, *others = times.order
+        first, *others = times.rivals
         count = f"{int(times.solved[:, first].sum())} of {len(times.problems)}"
         said = f"{objective}: {times.solvers[first]} is fastest to a certified {level_text(strict)}"
         said += f" and solves {count} problems"
