@@ -8,7 +8,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -20,6 +20,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 
 from sparsefit.arrays import Array
 
+Drawn = TypeVar("Drawn", Figure, "Figure | None")
 WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
 # Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
@@ -53,14 +54,16 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def styled(draw: Callable[[], Figure]) -> Figure:
-    """Return a figure drawn in this style, whatever the user's own settings are."""
+def styled(draw: Callable[[], Drawn]) -> Drawn:
+    """Return a figure drawn in this style, whatever the user's own settings are; or nothing."""
     with mpl.rc_context(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
         warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
         mpl.rcdefaults()
         mpl.rcParams.update(STYLE)
         figure = draw()
+        if figure is None:
+            return figure
         if layout := figure.get_layout_engine():  # laid out once: saving twice moves nothing
             layout.execute(figure)
         figure.set_layout_engine(None)

@@ -193,39 +193,21 @@ def _picture(
 ) -> tuple[str, Picture]:
     """Return a picture and the name of its file."""
     if isinstance(entry, str) and entry in script.functions:
-        made: list[object] = []
-        try:
-            drawn = styled(lambda: _made(made, script.call(entry, study, cases)))
-        except TypeError:
-            raise InputError(f"{script.path}: {entry}(cases) returned no figure") from None
-        return entry, Picture(drawn, str(getattr(drawn, "caption", "")))
+
+        def scripted() -> Figure:
+            made = script.call(entry, study, cases)
+            if not isinstance(made, Figure):
+                raise InputError(f"{script.path}: {entry}(cases) returned no figure")
+            return made
+
+        return entry, Picture(styled(scripted), entry.replace("_", " ").capitalize())
     read = read_entry(entry, NAMED, LAYOUTS, "figure", script)
     name = read.file_name
-    marked = styled_or_none(lambda: LAYOUTS[read.compare or "settings"](read, cases))
+    marked = styled(lambda: LAYOUTS[read.compare or "settings"](read, cases))
     if marked is None:
         words = ", ".join(each.words for each in read.measures) or "an answer"
         return name, Picture(None, f"{name}: nothing to draw, no case has {words}.")
     return name, Picture(marked, _caption(read, cases))
-
-
-def _made(_: list[object], value: object) -> Figure:
-    if not isinstance(value, Figure):
-        raise TypeError("no figure")
-    return value
-
-
-def styled_or_none(draw: Callable[[], Figure | None]) -> Figure | None:
-    """Return a figure drawn in this package's style, None where there is nothing to draw."""
-    empty = False
-
-    def drawn() -> Figure:
-        nonlocal empty
-        made = draw()
-        empty = made is None
-        return made or Figure()
-
-    result = styled(drawn)
-    return None if empty else result
 
 
 def _caption(entry: Entry, cases: pd.DataFrame) -> str:
