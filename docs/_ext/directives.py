@@ -138,7 +138,7 @@ class Results(Written):
     def lines(self) -> list[str]:
         listed = {key: _listed(self.options.get(key, "")) for key in ("columns", "names")}
         where = {
-            name.strip(): [value.strip() for value in values.split(",")]
+            name.strip(): [value.strip() for value in values.split("|")]
             for part in _listed(self.options.get("where", ""))
             for name, _, values in [part.partition("=")]
         }
