@@ -12,11 +12,12 @@ Source of the conventions: scikit-learn, "Developing scikit-learn estimators".
 """
 
 import warnings
-from dataclasses import dataclass, field, fields, make_dataclass
-from typing import Any, Self, cast
+from dataclasses import field, fields, make_dataclass
+from typing import Any, Self, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import issparse
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends import BACKENDS, get, load, named
@@ -26,9 +27,10 @@ from sparsefit.errors import (
     SparsefitError,
     flag_setting,
     number_setting,
+    unknown,
 )
 from sparsefit.regression.answer import Fit
-from sparsefit.regression.backend import Backend
+from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import fit as certified
 from sparsefit.regression.problem import RegressionProblem
@@ -81,7 +83,10 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     status_, reason_ : ``ok``, or ``inaccurate`` and why.
     certificate_ : what `sparsefit.fit` verified: its kind, value and rounding.
     solver_status_ : the solver's own word; of ``ensemble`` the inclusion probabilities.
-    alpha_fraction_ : the penalty used, where the back-end has one ("auto" is a number here).
+    alpha_fraction_, alpha_ : the penalty used, where the back-end has one ("auto" is a number
+        here), as a fraction and in the unit of y: that of `sklearn.linear_model.Lasso` on columns
+        of unit standard deviation.
+    n_iter_ : steps that the solver took, or None.
     n_features_in_, feature_names_in_ : of X.
     """
 
@@ -99,7 +104,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         self.certificate_tolerance = certificate_tolerance
 
     def fit(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> Self:  # noqa: N803
-        """Fit X of shape (n_samples, n_features) and y of (n_samples,) or (n_samples, n_targets).
+        """Fit X (n_samples, n_features), dense or sparse, and y (n_samples,) or of several columns.
 
         sample_weight (n_samples,): how much the square of each residual counts, >= 0.
 
@@ -115,75 +120,121 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
             self,
             X,
             y,
+            accept_sparse=["csc", "csr"],
             dtype=np.float64,
             multi_output=True,
             y_numeric=True,
             ensure_min_samples=2 if self.fit_intercept else 1,
         )
-        weight = _checked_weight(sample_weight, len(design))
-        values = target.astype(np.float64).reshape(len(design), -1)
-        rows = _Rows.of(design, values, weight, centred=self.fit_intercept)
-        groups = _checked_groups(self.groups, design.shape[1])[rows.varies]
-        numbered = [f"x{i}" for i in range(design.shape[1])]
-        names = np.array(getattr(self, "feature_names_in_", numbered))[rows.varies].tolist()
-        problem = RegressionProblem.from_arrays(rows.theta, rows.target, groups, names)
+        weight = _checked_weight(sample_weight, design.shape[0])
+        values = target.astype(np.float64).reshape(design.shape[0], -1)
+        groups = _checked_groups(self.groups, design.shape[1])
+        names = np.array(
+            getattr(self, "feature_names_in_", [f"x{i}" for i in range(design.shape[1])])
+        )
+        posed = _sparse if issparse(design) else _dense
+        problem, varies, mean, level = posed(
+            design, values, groups, names, weight, centred=self.fit_intercept
+        )
         fitted = certified(problem, backend, tolerance=tolerance)
         _tell(fitted)
         coefficients = np.zeros((values.shape[1], design.shape[1]))
-        coefficients[:, rows.varies] = fitted.weights.T
-        intercept = rows.level - coefficients @ rows.mean
+        coefficients[:, varies] = fitted.weights.T
+        intercept = level - coefficients @ mean
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
         self.intercept_ = intercept if target.ndim == 2 else float(intercept[0])
         self.status_, self.reason_ = fitted.status, fitted.reason
         self.certificate_, self.solver_status_ = fitted.certificate, fitted.solver_status
+        self.n_iter_ = fitted.iterations
         if hasattr(fitted.backend, "alpha_fraction"):
-            self.alpha_fraction_ = fitted.backend.alpha_fraction
+            # Weights of a sparse X have a mean of 1 inside; the objective above is in these.
+            unit = np.sqrt(weight.sum() / np.count_nonzero(weight)) if issparse(design) else 1.0
+            self.alpha_fraction_, self.alpha_ = fitted.alpha_fraction, fitted.alpha * unit
         return self
 
     def predict(self, X: Any) -> Array:  # noqa: N803
         """X w + b for X (n_samples, n_features), in the shape that y had."""
         check_is_fitted(self)
-        design = validate_data(self, X, dtype=np.float64, reset=False)
+        design = validate_data(self, X, accept_sparse=["csc", "csr"], dtype=np.float64, reset=False)
         predicted: Array = design @ self.coef_.T + self.intercept_
         return predicted
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.sparse = isinstance(self._backend(), PenalisedBackend)
+        return tags
 
     def _backend(self) -> Backend:
         return named(self.backend)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
+Posed: TypeAlias = tuple[RegressionProblem, BoolArray, Array, Array]
+"""A problem of the columns that vary, which these are (k,), means (k,) and levels (n,)."""
+
+
+def _dense(
+    design: Array, values: Array, groups: Any, names: Any, weight: Array, *, centred: bool
+) -> Posed:
     """sqrt(s) (x - mean) and sqrt(s) (y - level) of the samples with a weight s above 0.
 
-    theta (m, c) has the columns that vary, varies (k,) says which; mean (k,), level (n,).
+    Raises FitFailed where no column varies.
     """
+    mean, level = np.zeros(design.shape[1]), np.zeros(values.shape[1])
+    if centred:
+        mean, level = (np.average(part, axis=0, weights=weight) for part in (design, values))
+    counted = weight > 0
+    root = np.sqrt(weight[counted])[:, None]
+    theta, size = (design[counted] - mean) * root, np.abs(design[counted] * root)
+    varies = _varying(np.abs(theta).max(axis=0) > CONSTANT * size.max(axis=0))
+    used = theta if varies.all() else theta[:, varies]
+    target = (values[counted] - level) * root
+    problem = RegressionProblem.from_arrays(used, target, groups[varies], names[varies].tolist())
+    return problem, varies, mean, level
 
-    theta: Array
-    target: Array
-    mean: Array
-    level: Array
-    varies: BoolArray
 
-    @classmethod
-    def of(cls, design: Array, values: Array, weight: Array, *, centred: bool) -> "_Rows":
-        """Raises FitFailed where no column varies."""
-        mean, level = np.zeros(design.shape[1]), np.zeros(values.shape[1])
-        if centred:
-            mean, level = (np.average(part, axis=0, weights=weight) for part in (design, values))
-        counted = weight > 0
-        root = np.sqrt(weight[counted])[:, None]
-        theta, size = (design[counted] - mean) * root, np.abs(design[counted] * root)
-        varies: BoolArray = np.abs(theta).max(axis=0) > CONSTANT * size.max(axis=0)
-        if not varies.any():
-            raise FitFailed("every column of X is constant: there is nothing to choose from")
-        used = theta if varies.all() else theta[:, varies]
-        return cls(used, (values[counted] - level) * root, mean, level, varies)
+def _sparse(
+    design: Any, values: Array, groups: Any, names: Any, weight: Array, *, centred: bool
+) -> Posed:
+    """The problem of a sparse matrix, which stays as it is: means and roots are in its sums."""
+    counted = design[weight > 0]
+    low, high = (getattr(counted, end)(axis=0).toarray().ravel() for end in ("min", "max"))
+    limit = CONSTANT * np.maximum(np.abs(low), np.abs(high)) if centred else 0.0
+    varies = _varying((high - low > limit) if centred else (low != 0) | (high != 0))
+    used = (design if varies.all() else design[:, varies]).tocsc()
+    problem = RegressionProblem.from_arrays(
+        used, values, groups[varies], names[varies].tolist(), sample_weight=weight,
+        intercept=centred,
+    )  # fmt: skip
+    mean, level = np.zeros(len(varies)), np.zeros(values.shape[1])
+    if problem.adjusted is not None and centred:
+        mean[varies], level = problem.adjusted.means, problem.adjusted.levels
+    return problem, varies, mean, level
+
+
+def _varying(varies: BoolArray) -> BoolArray:
+    if not varies.any():
+        raise FitFailed("every column of X is constant: there is nothing to choose from")
+    return varies
 
 
 class _Named(SparseRegressor):
     """Base of the regressors of one back-end, whose parameters are its settings."""
 
     _name: str
+
+    def __new__(cls, *arguments: Any, **settings: Any) -> Self:
+        """Refuse a parameter that is none, with the one that may be meant."""
+        for key in settings:
+            if key in cls._get_param_names():
+                continue
+            if key == "alpha" and "alpha_fraction" in cls._get_param_names():
+                raise InputError(
+                    f"{cls.__name__} takes alpha_fraction, the penalty over the smallest one whose "
+                    "weights are all zero, in (0, 1]; alpha_ tells the penalty after a fit"
+                )
+            raise unknown(f"parameter of {cls.__name__}", key, cls._get_param_names())
+        instance: Self = super().__new__(cls)
+        return instance
 
     def _backend(self) -> Backend:
         settings = {key: value for key, value in self.get_params().items() if key not in SHARED}

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy import sparse
 from sklearn import linear_model
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning, FitFailedWarning
@@ -182,3 +183,46 @@ def test_without_scikit_learn_the_extra_is_named(monkeypatch):
         spec.loader.exec_module(importlib.util.module_from_spec(spec))
     with pytest.raises(AttributeError, match="no attribute 'Lazzo'"):
         _ = regressors.Lazzo
+
+
+@pytest.mark.parametrize("name", ["Lasso", "ElasticNet", "GroupLasso", "SquareRootLasso"])
+@pytest.mark.parametrize("intercept", [True, False])
+@pytest.mark.parametrize("weighted", [True, False])
+def test_a_sparse_matrix_gives_what_the_dense_one_gives(name, intercept, weighted):
+    design, target = data(targets=1)
+    design[np.abs(design) < 3.0] = 0.0
+    design[:, 5] = 0.0
+    weight = np.random.default_rng(2).integers(0, 3, len(design)).astype(float)
+    settings = {"alpha_fraction": 0.05, "fit_intercept": intercept}
+    weights = weight if weighted else None
+    dense = getattr(regressors, name)(**settings).fit(design, target, weights)
+    thin = getattr(regressors, name)(**settings).fit(sparse.csr_matrix(design), target, weights)
+    assert thin.coef_ == pytest.approx(dense.coef_, abs=1e-9)
+    assert thin.intercept_ == pytest.approx(dense.intercept_)
+    assert thin.alpha_ == pytest.approx(dense.alpha_)
+    assert thin.predict(sparse.csc_matrix(design)) == pytest.approx(dense.predict(design))
+
+
+def test_the_penalty_is_told_in_the_unit_of_scikit_learn():
+    design, target = data(targets=1)
+    ours = regressors.Lasso(alpha_fraction=0.05).fit(design, target[:, 0])
+    scale = design.std(axis=0)
+    theirs = linear_model.Lasso(alpha=ours.alpha_, tol=1e-12, max_iter=100_000)
+    assert ours.coef_ * scale == pytest.approx(theirs.fit(design / scale, target[:, 0]).coef_)
+    assert ours.n_iter_ >= 1
+
+
+def test_weights_can_be_kept_from_being_negative():
+    design, target = data(targets=1)
+    free = regressors.Lasso(alpha_fraction=0.01).fit(design, target[:, 0])
+    bound = regressors.Lasso(alpha_fraction=0.01, positive=True).fit(design, target[:, 0])
+    assert free.coef_.min() < 0.0
+    assert bound.coef_.min() == 0.0
+    assert bound.certificate_.value <= 1e-8
+
+
+def test_a_parameter_that_is_none_is_refused_with_the_one_that_is_meant():
+    with pytest.raises(InputError, match="Lasso takes alpha_fraction, the penalty over"):
+        regressors.Lasso(alpha=0.1)
+    with pytest.raises(InputError, match='unknown parameter of Lasso "grups"'):
+        regressors.Lasso(grups=[1, 2])

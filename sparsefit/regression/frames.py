@@ -59,7 +59,7 @@ def plot_path(path: Any, axes: Any = None) -> Any:
 
     axes = pyplot.gca() if axes is None else axes
     problem = path.fits[0].problem
-    scaled = path.weights * problem.statistics.rms[:, None]
+    scaled = path.weights * problem.design.rms[:, None]
     order = np.argsort(path.alpha_fractions)
     curves = [(j, t) for j, t in np.ndindex(scaled.shape[1:]) if np.any(scaled[:, j, t])]
     curves.sort(key=lambda curve: -float(np.nanmax(np.abs(scaled[:, curve[0], curve[1]]))))
@@ -93,7 +93,7 @@ def html_of_fit(fit: Any) -> str:
     )
     if fit.reason:
         words += f"; {fit.reason}"
-    size = np.abs(fit.weights[support] * fit.problem.statistics.rms[support, None]).max(axis=1)
+    size = np.abs(fit.weights[support] * fit.problem.design.rms[support, None]).max(axis=1)
     shown = support[np.argsort(-size)][:ROWS]
     table = frame_of_fit(fit).iloc[shown].to_html(float_format="{:.6g}".format)
     more = f"<p>and {len(support) - ROWS} more</p>" if len(support) > ROWS else ""
@@ -118,7 +118,7 @@ def html_of_path(path: Any) -> str:
 
 
 def predicted(fit: Any, theta: Any) -> Array:
-    """theta W for theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n)."""
+    """theta W and the intercept for theta (r, k): (r,) of one target, (r, n)."""
     values = getattr(theta, "to_numpy", lambda: theta)()
     rows = values if hasattr(values, "tocsr") else np.atleast_2d(np.asarray(values, dtype=float))
     if rows.shape[1] != fit.columns:

@@ -23,7 +23,7 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.design import SparseDesign
 from sparsefit.regression.penalties import AbsoluteValues
 
-ROUGH = 1e-2  # of alpha: the moves at which descent hands over to the polish
+ROUGH = 1e-3  # of alpha: the moves at which descent hands over to the polish
 SHARPER = 0.1  # by how much, where signs were not right
 SWEEPS = 1000  # the most of one descent
 ROUNDS, POLISHES = 40, 40

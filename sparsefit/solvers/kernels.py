@@ -17,6 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
+from sparsefit.solvers.faces import on_a_face
 from sparsefit.solvers.newton import Normal, settled
 
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
@@ -135,9 +136,8 @@ class NewtonKernel:
         penalty = self.penalty.in_units(self.level)
         gaps, steps = np.zeros(len(alphas)), np.zeros(len(alphas), np.intp)
         for i, alpha in enumerate((alphas / self.level).tolist()):
-            values, gaps[i], steps[i] = settled(
-                self.normal, self.cross, penalty, alpha, self.known[-1], self.stop
-            )
+            point = (self.normal, self.cross, penalty, alpha, self.known[-1], self.stop)
+            values, gaps[i], steps[i] = on_a_face(*point) or settled(*point)
             self.known.append(values)
         return Stretch(np.stack(self.known[1:]) * self.level, gaps <= self.stop, steps)
 

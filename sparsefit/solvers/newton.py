@@ -21,6 +21,7 @@ semismooth Newton augmented Lagrangian method for solving Lasso problems", SIAM 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Normal:
         if self.gram is None and self.rows is not None and len(right) > targets * self.samples:
             y = self._solved_in_rows(column, target, factor, right, step, targets)
         else:
-            square = self._block(column)
+            square = self.among(column)
             if targets > 1:
                 square = np.where(target[:, None] == target, square, 0.0)
             if factor is not None:
@@ -68,7 +69,7 @@ class Normal:
         lifted: Array = step * (y if factor is None else factor @ y)  # type: ignore[operator]
         return lifted
 
-    def _block(self, column: IntArray) -> Array:
+    def among(self, column: IntArray) -> Array:
         """G among these columns, which may repeat."""
         if self.gram is not None:
             block: Array = self.gram.take(column, 0).take(column, 1)
@@ -103,15 +104,21 @@ class Normal:
         return y
 
 
-def _definite(matrix: Array, right: Array) -> Array:
-    """The solution of a positive definite system, least squares where rounding made it none."""
+def definite(matrix: Array, right: Array) -> Array | None:
+    """The solution of a positive definite system; None where rounding made it none."""
     from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
 
     _, solution, failed = dposv(matrix.T, right, lower=1)
-    if failed:
-        solution = np.linalg.lstsq(matrix, right, rcond=1e-14)[0]
-    out: Array = solution
-    return out
+    return None if failed else solution
+
+
+def _definite(matrix: Array, right: Array) -> Array:
+    """The solution of a positive definite system, least squares where rounding made it none."""
+    solution = definite(matrix, right)
+    if solution is not None:
+        return solution
+    nearest: Any = np.linalg.lstsq(matrix, right, rcond=1e-14)[0]
+    return np.asarray(nearest, dtype=np.float64)
 
 
 def settled(

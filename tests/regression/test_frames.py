@@ -36,6 +36,13 @@ def test_a_fit_predicts_and_has_a_frame_by_names():
         fit.predict(theta[:, :3])
 
 
+def test_a_fit_with_an_intercept_predicts_with_it():
+    theta, target = arrays(1)
+    posed = sf.RegressionProblem.from_arrays(theta, target + 7.0, intercept=True)
+    fit = sf.fit(posed, "lasso", alpha_fraction=1e-3)
+    assert fit.predict(theta) == pytest.approx(target[:, 0] + 7.0, abs=0.1)
+
+
 def test_alpha_stands_beside_its_fraction():
     path = sf.path(problem(1), "lasso", [0.5, 0.1])
     theta, target = arrays(1)
