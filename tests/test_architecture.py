@@ -26,7 +26,7 @@ ROOMS = (
         "modes",
         "model",
     ),
-    *("likelihood", "uncertainty", "estimator", "onboard", "score", "plot"),
+    *("likelihood", "estimator", "onboard", "score", "plot"),
     *("study", "sklearn", "pysindy", "cli"),
 )
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}

@@ -15,9 +15,9 @@ from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
 from sparsefit.model.grid import extent_of
+from sparsefit.model.regression_bound import Bound, cramer_rao
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
 from sparsefit.study.draw import Draw
-from sparsefit.uncertainty.bound import Bound, cramer_rao
 
 LISTED_DIGITS = 7  # significant, of the numbers in a listed set of scales
 INTERVAL_BITS = 17  # binary digits, of the width of an interval

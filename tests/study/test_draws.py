@@ -9,10 +9,10 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.model.regression_bound import cramer_rao
 from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, Flown
 from sparsefit.study.study import Study
-from sparsefit.uncertainty.bound import cramer_rao
 
 VALUES = {"mean_velocity": 8.0, "length_scale": 4.0, "duration": 2.0, "sample_rate": 50.0}
 PUSH = {"thrust_x": 5.0, "thrust_y": 3.0}

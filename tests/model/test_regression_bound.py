@@ -1,19 +1,18 @@
+"""The bound of rows, by hand, by finite differences and by laws that it obeys."""
+
 import math
 
 import numpy as np
 import pytest
 
-from sparsefit.derivative import Samples
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.library.cells import Cells
-from sparsefit.library.nuisance import Nuisance
-from sparsefit.modes.fitted_rows import Rows
-from sparsefit.uncertainty.assessment import assess
-from sparsefit.uncertainty.bound import cramer_rao, parametric_jacobian, semiparametric
-from sparsefit.uncertainty.reading import cellular
-from tests.fits import located
+from sparsefit.model.regression_bound import (
+    cramer_rao,
+    parametric_jacobian,
+    semiparametric_jacobian,
+)
 
 FLOW = CellularFlow(12.0, 4.0)
 VEHICLE = PointMassVehicle(0.5)
@@ -25,15 +24,6 @@ def wander(seed=0, samples=1200):
     phases = rng.uniform(0, 2 * np.pi, 2)
     loops = np.column_stack([np.sin(2.1 * t + phases[0]), np.cos(1.3 * t + phases[1])])
     return t[:, None] * [2.5, 1.7] + 2.0 * loops
-
-
-def assessed(position, phi):
-    """A Phi of unknown origin: nothing is known of its errors but what the fit leaves."""
-    t = np.arange(len(phi)) * 0.01
-    samples, rows = Samples(t, position, phi, phi, phi), Rows.plain(position, phi)
-    fit = located(rows, [[FLOW.wavenumber]])
-    (mode,) = assess(samples, rows, Cells(), fit, Nuisance((), VEHICLE), correct=True).modes
-    return mode
 
 
 def test_parametric_jacobian_is_the_finite_difference():
@@ -78,15 +68,11 @@ def test_the_bound_under_quadratic_drag_by_hand():
 
 def test_the_bound_is_that_of_the_full_jacobian():
     # By QR and singular values, which square no condition number.
-    model = semiparametric(wander(), FLOW)
-    size = model.jacobian.size
-    jacobian = model.jacobian.times(np.eye(size)).reshape(size, -1).T
-    gradients = cellular(model, Nuisance((), VEHICLE)).gradients
+    jacobian, gradients = semiparametric_jacobian(wander(), FLOW)
     expected = 0.5 * np.linalg.norm(np.linalg.pinv(jacobian).T @ gradients.T, axis=0)
     bound = cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametric")
     found = [bound.mean_velocity, bound.length_scale, bound.timescale]
     np.testing.assert_allclose(found, expected, rtol=1e-8)
-    np.testing.assert_allclose(model.residual, 0.0, atol=1e-12)
 
 
 def test_hand_derived_case():
@@ -135,38 +121,3 @@ def test_refuses_bad_arguments():
         cramer_rao(wander(), FLOW, VEHICLE, process_noise=1.0, model="semiparametrc")
     with pytest.raises(InputError):
         cramer_rao(wander(), FLOW, VEHICLE, process_noise=-1.0)
-
-
-def test_refinement_attains_the_bound_and_its_intervals_cover():
-    sigma, runs = 3.0, 250
-    position = wander(5)
-    phi, rng = FLOW.velocity(*position.T), np.random.default_rng(11)
-    truth = np.array([FLOW.mean_velocity, FLOW.length_scale, FLOW.timescale])
-    errors, spreads, covered = [], [], []
-    for _ in range(runs):
-        noisy = phi + 0.5 * sigma * rng.standard_normal(phi.shape)
-        mode = assessed(position, noisy)
-        found, known = np.array(mode.values), mode.uncertainty
-        intervals = np.array(
-            [known.mean_velocity_interval, known.length_scale_interval, known.timescale_interval]
-        )
-        errors.append(found - truth)
-        spreads.append([known.mean_velocity, known.length_scale, known.timescale])
-        covered.append((intervals[:, 0] < truth) & (truth < intervals[:, 1]))
-    bound = cramer_rao(position, FLOW, VEHICLE, process_noise=sigma, model="semiparametric")
-    least = np.array([bound.mean_velocity, bound.length_scale, bound.timescale])
-    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / least
-    assert (ratio > 0.85).all()
-    assert (ratio < 1.15).all()
-    np.testing.assert_allclose(np.mean(spreads, axis=0), least, rtol=0.12)
-    assert (np.mean(covered, axis=0) > 0.88).all()
-
-
-def test_errors_that_cancel_in_time_are_recognised():
-    # Differenced noise: white variance would overstate the standard error several times.
-    position, rng = wander(), np.random.default_rng(2)
-    phi = FLOW.velocity(*position.T)
-    noise = np.diff(rng.standard_normal((len(phi) + 1, 2)), axis=0)
-    white = math.sqrt(2) * rng.standard_normal(phi.shape)
-    cancelling, plain = (assessed(position, phi + own).uncertainty for own in (noise, white))
-    assert cancelling.length_scale < 0.5 * plain.length_scale
