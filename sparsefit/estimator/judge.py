@@ -55,7 +55,7 @@ def judge(case: Case) -> Verdict | None:
 def refused(prepared: Prepared) -> Verdict | None:
     """The first reason not to search for a flow at all."""
     case = Case(prepared, None, (), math.inf)
-    checks = (_few, _still, _disagreeing, _undersampled)
+    checks = (_few, _still, _disagreeing)
     return next((verdict for check in checks if (verdict := check(case)) is not None), None)
 
 
