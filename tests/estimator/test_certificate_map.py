@@ -9,9 +9,8 @@ import pytest
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from sparsefit.estimator.certificate_map import certificate_map
-from sparsefit.library.plane import PlaneGrid
-from sparsefit.library.waves import WAVE, Waves
+from sparsefit.estimator.certificate_map import STEP, certificate_map
+from sparsefit.model.continuum import PlaneHeights
 from sparsefit.model.waves import APART
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
@@ -25,30 +24,35 @@ ESTIMATOR = sf.Estimator(library=WAVES, backend=backends.get("group-lasso", alph
 
 def heights_by_columns(position, residual, k):
     """|Z(k)'R| / (2 m) at wavevectors (w, 2), one column after the other."""
-    theta = Waves(WAVE).values(position, k)
-    z = theta / np.sqrt(np.mean(theta**2, axis=2))[:, :, None]
-    return np.linalg.norm(z @ residual.T.ravel(), axis=1) / residual.size
+    phase = k @ position.T  # psi = cos or sin of it, and the velocity (psi_y, -psi_x)
+    along = np.stack([k[:, 1], -k[:, 0]], axis=1)
+    theta = np.stack([-np.sin(phase), np.cos(phase)], axis=1)[:, :, None] * along[:, None, :, None]
+    z = theta / np.sqrt(np.mean(theta**2, axis=(2, 3)))[:, :, None, None]
+    return np.linalg.norm(np.einsum("wcdm,md->wc", z, residual), axis=1) / residual.size
+
+
+def plane_of(position):
+    return PlaneHeights(position, (0.5, 1.5), STEP / np.ptp(position, axis=0).max())
 
 
 def test_heights_are_those_of_the_columns_in_unit_rms():
     rng = np.random.default_rng(0)
     position, residual = rng.uniform(-10.0, 20.0, (60, 2)), rng.normal(size=(60, 2))
-    grid = PlaneGrid.of(position, (0.5, 1.5))
-    heights = grid.heights(residual)
-    places = rng.integers(0, len(grid.axis), (200, 2))
-    places = places[grid.radius[tuple(places.T)] > 0.1]
-    expected = heights_by_columns(position, residual, grid.axis[places])
+    plane = plane_of(position)
+    heights = plane.heights(residual.reshape(-1, 1))
+    places = rng.integers(0, len(plane.axis), (200, 2))
+    places = places[np.hypot(*plane.axis[places].T) > 0.1]
+    expected = heights_by_columns(position, residual, plane.axis[places])
     np.testing.assert_allclose(heights[tuple(places.T)], expected, rtol=1e-6)
 
 
 def test_nothing_is_missed_between_the_wavevectors_of_the_map():
     rng = np.random.default_rng(1)
     position, residual = rng.uniform(-10.0, 10.0, (60, 2)), rng.normal(size=(60, 2))
-    grid = PlaneGrid.of(position, (0.5, 1.5))
     angle, size = rng.uniform(0.0, math.pi, 4000), rng.uniform(0.5, 1.5, 4000)
     k = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     highest = heights_by_columns(position, residual, k).max()
-    assert highest <= grid.heights(residual).max() * 1.02
+    assert highest <= plane_of(position).heights(residual.reshape(-1, 1)).max() * 1.02
 
 
 def test_eta_is_one_at_the_waves_chosen_and_at_most_one_on_the_grid():

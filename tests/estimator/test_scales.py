@@ -1,9 +1,7 @@
-"""Sets of scales: what is proposed, what the flight bears out, and what is said of the rest."""
+"""Sets of scales: what the flight bears out of those proposed, and what is said of the rest."""
 
 import json
-import math
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.modes.proposals import Window, proposals
 from sparsefit.score import score_scales
 from tests.problems import flight
 
@@ -25,40 +22,6 @@ def flown(*parts, seed=3, noise=0.05, duration=12.0):
     return sf.simulate_flight(
         flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed, velocity_noise=noise
     )
-
-
-def weighted(scales, strengths):
-    """A fit whose groups have these norms: one column in use, of one target."""
-    weights = np.zeros((8 * len(scales), 2))
-    weights[::8, 1] = strengths
-    groups = np.repeat(np.arange(len(scales)), 8)
-    problem = SimpleNamespace(group_scales=np.array(scales), groups=groups)
-    return SimpleNamespace(problem=problem, weights=weights)
-
-
-def test_peaks_and_windows_of_a_grid():
-    fit = weighted([1.0, 2.0, 3.0, 4.0, 5.0], [0.001, 0.5, 3.0, 0.0, 2.0])
-    limits = (math.pi / 5, math.pi)
-    peaks, windows = proposals(fit, 1e-3, limits, on_grid=True)
-    third = Window(math.pi / 3, math.pi / 4, math.pi / 2)
-    fifth = Window(math.pi / 5, math.pi / 5, math.pi / 4)
-    assert peaks == (third, fifth)  # 2 m is the flank of 3 m; 1 m is below a fiftieth
-    assert set(windows) == {third, fifth, Window(math.pi / 2, math.pi / 3, math.pi)}
-
-
-def test_windows_are_never_narrower_than_a_lobe_either_side():
-    fit = weighted([3.0, 3.01, 3.02], [1.0, 2.0, 1.0])
-    (peak,), _ = proposals(fit, 0.1, (0.1, 3.0), on_grid=True)
-    k = math.pi / 3.01
-    assert (peak.low, peak.high) == pytest.approx((k - 0.1, k + 0.1))
-
-
-def test_scales_a_back_end_placed_are_their_own_windows_and_one_per_lobe():
-    fit = weighted([2.0, 3.0, 3.05], [1.0, 2.0, 1.5])
-    peaks, windows = proposals(fit, 0.1, (0.1, 3.0), on_grid=False)
-    assert [one.wavenumber for one in peaks] == pytest.approx([math.pi / 3, math.pi / 2])
-    assert len(windows) == 3
-    assert peaks[1].high - peaks[1].low == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("backend", ["group-lasso", "lasso", "gridless-group-lasso"])
