@@ -82,6 +82,7 @@ def lines(logs: Sequence[Log], estimate: Estimate, unknown: tuple[str, ...]) -> 
         *_parameters(estimate),
         *_shape(estimate),
         *_estimated(estimate),
+        *([("freed", ", ".join(estimate.freed))] if estimate.freed else []),
         *_constancy(estimate),
         *_goodness(estimate),
         ("", ""),

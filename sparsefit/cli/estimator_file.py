@@ -48,6 +48,9 @@ OPTIONS = {  # (section, key) of an estimator's record: the option that sets it
     ("backend", "name"): Option(
         "--backend", "that picks the candidates; default: group-lasso", "NAME"),
     ("backend", ""): SETTING,
+    ("", "free"): Option(
+        "--free", "measured with the flow, as a misfit names it: latency, velocity_scale, lag ...; "
+        "auto: whatever is found", "NAME", extra={"nargs": "+"}),
 }  # fmt: skip
 ESTIMATOR = Option("--estimator", "estimator.json, as written by sparsefit select", "FILE")
 
@@ -93,11 +96,13 @@ def _built(values: dict[tuple[str, str], Any]) -> Estimator:
     if {("derivative", "window"), ("derivative", "order")} & set(values):
         values.setdefault(("derivative", "method"), "savgol")
     settings = collected(values.pop(("backend", ""), None))
-    record: dict[str, dict[str, Any]] = {"library": {}, "backend": {"name": "group-lasso"}}
+    free = values.pop(("", "free"), [])
+    record: dict[str, Any] = {"library": {}, "backend": {"name": "group-lasso"}}
     for (section, key), value in values.items():
         record.setdefault(section, {})[key] = value
     record["library"]["grid"] = record.pop("library.grid", {})
     record["backend"] |= settings
+    record["free"] = "auto" if free == ["auto"] else free
     return Estimator(**parts_of(record, TypedPlace("")))
 
 
