@@ -246,12 +246,18 @@ def _column(
     rows: Sequence[tuple[int, Row]],
     bodies: Sequence[Mapping[str, Any]],
 ) -> list[Any]:
+    """The values of a column: of the row, of the plan, or of its body, where only those are."""
     name, kind = column.name, column.kind
     if name in ("status", "reason", "version"):
         return [getattr(row, name) for _, row in rows]
     if name in planned:
-        return [kind.of(planned[name][place]) for place in places]
-    return [kind.of(body.get(name)) for body in bodies]
+        values = planned[name]
+        return [values[place] for place in places]
+    empty, numbers = kind.empty, kind.arrow != "string"
+    cells = [body.get(name, empty) for body in bodies]
+    # Infinity is a text in JSON, and what an earlier file had not is None.
+    odd = any(cell is None or (numbers and isinstance(cell, str)) for cell in cells)
+    return [kind.of(cell) for cell in cells] if odd else cells
 
 
 def _weights_table(plan: Plan, rows: Sequence[tuple[int, Row]]) -> pa.Table:

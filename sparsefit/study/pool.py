@@ -11,13 +11,11 @@ import math
 import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field, replace
-from multiprocessing.connection import wait
-from typing import Any
 
 from sparsefit.errors import SparsefitError
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment, Step
-from sparsefit.study.worker import Ask, Lost, Record, Worker, memory_limit
+from sparsefit.study.worker import Ask, Lost, Record, Worker, memory_limit, wait_for
 
 MAX_STILLBORN = 3  # workers in a row that ended while they started
 MAX_KILLED = 30  # or were killed from outside: memory may be free again later
@@ -108,9 +106,7 @@ class Pool:
         """Until a worker says something, ends, or reaches its limit."""
         workers = [slot.working for slot in busy if slot.working]
         until = min(worker.deadline for worker in workers) - time.monotonic()
-        sentinels = [worker.child.process.sentinel for worker in workers]
-        heard: list[Any] = [*(worker.answers for worker in workers), *sentinels]
-        wait(heard, timeout=min(max(until, 0.0), TICK))
+        wait_for(workers, min(until, TICK))
         now = time.monotonic()
         gap, self.looked = now - self.looked, now
         if gap > ASLEEP:

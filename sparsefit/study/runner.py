@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -213,7 +213,7 @@ def _run(
     ):
         for outcome in arriving:
             version = plan.versions[outcome.cell]
-            store.put(replace(outcome, version=version))
+            store.put(outcome, version)
             came[outcome.unit, outcome.cell] = True
             cost = plan.experiment.cost(outcome.unit, outcome.cell)
             seconds = float(outcome.values.get("seconds", 0.0)) - outcome.shared_seconds

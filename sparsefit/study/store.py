@@ -135,12 +135,12 @@ class Store:
         same = made.get("study_hash") == self.plan.experiment.definition.hash
         return same and self.exported and all(self.status)
 
-    def put(self, outcome: Outcome) -> None:
-        """Write a row of the plan, in the place of an earlier one."""
+    def put(self, outcome: Outcome, version: str) -> None:
+        """Write a row of the plan, made by this version, in the place of an earlier one."""
         place = outcome.unit * self.plan.shape[1] + outcome.cell
-        content = (outcome.status, outcome.reason, outcome.version, body_of(outcome))
+        content = (outcome.status, outcome.reason, version, body_of(outcome))
         self.put_row(Row(self.plan.keys[place], *content))
-        self.status[place], self.version[place] = outcome.status, outcome.version
+        self.status[place], self.version[place] = outcome.status, version
 
     def put_row(self, row: Row) -> None:
         """Write a row, planned or not."""

@@ -17,8 +17,9 @@ import json
 import math
 import multiprocessing
 import os
+import select
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
@@ -268,8 +269,7 @@ class Worker:
 
     def _awaited(self) -> Record | Lost:
         while (message := self.receive()) is None:
-            heard: list[Any] = [self.answers, self.child.process.sentinel]
-            wait(heard, timeout=max(self.deadline - time.monotonic(), 0.0))
+            wait_for([self], self.deadline - time.monotonic())
         return message
 
     def peak_memory(self) -> float:
@@ -290,6 +290,18 @@ class Worker:
         self.child.kill()
         self.asks.close()
         self.answers.close()
+
+
+def wait_for(workers: Sequence[Worker], seconds: float) -> None:
+    """Until one of the workers says something or ends, or this many seconds [s] are over."""
+    heard = [w.answers.fileno() for w in workers] + [w.child.process.sentinel for w in workers]
+    if not hasattr(select, "poll"):
+        wait(list(heard), timeout=max(seconds, 0.0))
+        return
+    poll = select.poll()
+    for descriptor in heard:
+        poll.register(descriptor, select.POLLIN)
+    poll.poll(max(seconds, 0.0) * 1e3)
 
 
 def trim_memory() -> None:
