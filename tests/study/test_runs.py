@@ -406,7 +406,6 @@ def test_the_version_is_that_of_every_file_that_can_change_a_number():
     package = Path(sf.__file__).parent
     uncounted = {path.relative_to(package).as_posix() for path in loaded - counted}
     compiled = {name for name in uncounted if name.endswith(".so")}
-    uncounted = {n for n in uncounted if not n.startswith(("study/run/", "study/spec/"))}
     assert uncounted - compiled <= {"study/pool.py", "study/__init__.py"}
     assert len(counted) > 100
 
