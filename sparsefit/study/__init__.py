@@ -1,5 +1,4 @@
-"""Studies: one TOML file, every planned case a row, and results that are written by the program."""
+"""Studies: one TOML file, every planned case a row, and results that are written by the program.
 
-from sparsefit.study.study import Study
-
-__all__ = ["Study"]
+`sparsefit.Study` is the way in; a worker process imports what it computes with, and no more.
+"""
