@@ -394,9 +394,10 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
 def test_the_version_is_that_of_every_file_that_can_change_a_number():
     """Modules that a worker imports, also for all that it computes, are in the version."""
     code = (
-        "import sys, sparsefit.study.flight_desk, sparsefit.study.problem_desk, "
-        "sparsefit.study.flight_experiment, sparsefit.study.problem_experiment, "
-        "sparsefit.estimator.assess, sparsefit.solvers.lassos, sparsefit.solvers.peers\n"
+        "import sys, sparsefit.study.problem_desk, sparsefit.study.flight_experiment, "
+        "sparsefit.study.problem_experiment, sparsefit.solvers.registry\n"
+        "from sparsefit.study.flight_desk import FlightDesk\n"
+        "FlightDesk(None)\n"  # which estimates once
         "print('\\n'.join(m.__file__ for n, m in sys.modules.items() "
         "if n.startswith('sparsefit') and getattr(m, '__file__', None)))"
     )
