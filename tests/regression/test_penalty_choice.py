@@ -22,7 +22,7 @@ from sparsefit.regression.penalty_choice import (
 )
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.lassos import Lasso
-from sparsefit.study import Study
+from sparsefit.study.study import Study
 from tests.problems import SMALL_GRID, degenerate, flight, flight_problem, regular
 from tests.study.small_study import small_study
 
