@@ -2,19 +2,9 @@
 
 import numpy as np
 
-from sparsefit.library.cells import Cells
 from sparsefit.model.cells import candidate_columns
-from sparsefit.modes.fitted_rows import Rows
-from sparsefit.modes.projection import project
 
 CHUNK = 64  # wavenumbers per block of columns
-
-
-def residual_curve(position, flow_velocity, wavenumbers):
-    """RSS(k) (q,) of one mode at any wavenumbers (q,) [1/m], one fit each."""
-    rows = Rows.plain(position, flow_velocity)
-    fits = [project(Cells(), rows, np.array([[k]])) for k in wavenumbers.tolist()]
-    return np.array([fit.residual for fit in fits])
 
 
 def dual_certificate(problem, residual, alpha, wavenumbers):

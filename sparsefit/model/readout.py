@@ -42,6 +42,7 @@ Correction = Literal["none", "first-order"]
 UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
 MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
 PROPOSED = 0.02  # of the largest |W_g|: what is smaller proposes nothing
+OFF_GRID = ("gridless-group-lasso", "parametric-nls")  # back-ends with places of their own
 SLOWEST = 0.05  # of the fastest mode's velocity: systematic errors of a derivative reach 2 %
 Vehicles = tuple[tuple[PointMassVehicle | None, tuple[float, float]], ...]
 Window = tuple[
@@ -138,7 +139,9 @@ class Readout:
             return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
         if self.scales == "several":
             lobe = 2 * math.pi / lookout.extent
-            return Start(self.refine, windows=windows(fit, lobe, lookout.bounds))
+            return Start(
+                self.refine, windows=windows(fit, lobe, lookout.bounds, on_grid=_on_grid(fit))
+            )
         if not len(lookout.lobes):
             return Start(self.refine)
         by_scale = self.by_scale(fit, library)
@@ -147,10 +150,16 @@ class Readout:
         return Start(self.refine, float(nearest))
 
 
-def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
+def _on_grid(fit: Fit) -> bool:
+    """Whether the groups of a fit are the candidates of a grid, between which a mode may lie."""
+    return fit.backend.name not in OFF_GRID
+
+
+def windows(fit: Fit, lobe: float, bounds: Bounds, *, on_grid: bool) -> tuple[Window, ...]:
     """The peaks of |W_g| by group, strongest first, one per lobe: (k, low, high) [1/m] of each.
 
-    A window goes to the neighbouring candidates and at least a ``lobe`` [1/m] wide, within bounds.
+    A window is two lobes [1/m] wide, and on a grid goes to the neighbouring candidates, within
+    bounds; there a peak is no flank of another.
     """
     scales = fit.problem.group_scales
     assert scales is not None
@@ -158,11 +167,15 @@ def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
     order = np.argsort(-scales, kind="stable")
     k, strength = math.pi / scales[order], np.sqrt(squares[order])
     below, above = k - lobe, k + lobe
-    below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
+    top = strength > PROPOSED * strength.max()
+    if on_grid:
+        below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
+        around = np.concatenate([[0.0], strength, [0.0]])
+        top &= (strength >= around[:-2]) & (strength >= around[2:])
     chosen: list[Window] = []
     for i in np.argsort(-strength, kind="stable"):
         apart = all(abs(k[i] - other) > lobe for other, _, _ in chosen)
-        if apart and strength[i] > PROPOSED * strength.max() and len(chosen) < MOST_SCALES:
+        if apart and top[i] and len(chosen) < MOST_SCALES:
             low, high = max(float(below[i]), bounds[0]), min(float(above[i]), bounds[1])
             chosen.append((float(k[i]), low, high))
     return tuple(chosen)
@@ -216,7 +229,7 @@ def read_grid(
         extent = extent_of(position)
         if not extent > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
-        on_grid = windows(fit, 2 * math.pi / extent, (0.0, math.inf))
+        on_grid = windows(fit, 2 * math.pi / extent, (0.0, math.inf), on_grid=_on_grid(fit))
         k = np.array([window[0] for window in on_grid])
         speeds = np.array([readout.velocity(own) for own in rows.cells(k)[0]])
         k = k[speeds >= SLOWEST * speeds.max()]

@@ -1,5 +1,7 @@
 """Length scale and mean velocity from weights on the grid, against values worked by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -127,7 +129,7 @@ def test_several_scales_are_the_peaks_of_the_weights_fitted_together():
     fit, _, _, read = reading(readout=Readout(scales="several", refine="none"))
     assert read.scales[0].length_scale == 4.2
     assert read.scales[0].mean_velocity == pytest.approx(15.0, rel=1e-3)
-    peaks = windows(fit, 0.2, (0.5, 1.5))
+    peaks = windows(fit, 0.2, (0.5, 1.5), on_grid=True)
     assert np.pi / peaks[0][0] == pytest.approx(4.2)
     assert all(low <= k <= high for k, low, high in peaks)
 
@@ -154,6 +156,36 @@ def test_a_start_is_that_of_the_nearest_lobe():
     assert np.pi / start.lobe == pytest.approx(4.2, rel=1e-3)
     several = Readout(scales="several").start(search, fit, library)
     assert several.windows
+
+
+def weighted(scales, strengths):
+    """A fit whose groups have these norms: one column in use, of one target."""
+    weights = np.zeros((8 * len(scales), 2))
+    weights[::8, 1] = strengths
+    groups = np.repeat(np.arange(len(scales)), 8)
+    problem = SimpleNamespace(group_scales=np.array(scales), groups=groups)
+    return SimpleNamespace(problem=problem, weights=weights)
+
+
+def test_peaks_and_windows_of_a_grid():
+    fit = weighted([1.0, 2.0, 3.0, 4.0, 5.0], [0.001, 0.5, 3.0, 0.0, 2.0])
+    peaks = windows(fit, 1e-3, (np.pi / 5, np.pi), on_grid=True)
+    third, fifth = np.pi / np.array([3.0, 4.0, 2.0]), np.pi / np.array([5.0, 5.0, 4.0])
+    # 2 m is the flank of 3 m; 1 m is below a fiftieth
+    np.testing.assert_allclose(peaks, [third, fifth])
+
+
+def test_windows_are_never_narrower_than_a_lobe_either_side():
+    fit = weighted([3.0, 3.01, 3.02], [1.0, 2.0, 1.0])
+    ((_, low, high),) = windows(fit, 0.1, (0.1, 3.0), on_grid=True)
+    assert (low, high) == pytest.approx((np.pi / 3.01 - 0.1, np.pi / 3.01 + 0.1))
+
+
+def test_scales_a_back_end_placed_are_their_own_windows_and_one_per_lobe():
+    fit = weighted([2.0, 3.0, 3.05], [1.0, 2.0, 1.5])
+    peaks = windows(fit, 0.1, (0.1, 3.0), on_grid=False)
+    assert [k for k, _, _ in peaks] == pytest.approx([np.pi / 3, np.pi / 2])
+    assert peaks[1][2] - peaks[1][1] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("key", ["length_scale", "mean_velocity", "eq24"])

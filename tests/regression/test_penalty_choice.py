@@ -10,7 +10,7 @@ import pytest
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from sparsefit.library.builder import Library
+from sparsefit.model.library import Library
 from sparsefit.regression.backend import ChoosingBackend, Solution
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import alpha_max, lasso_penalty

@@ -8,9 +8,10 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.library.plane import MISSED
-from sparsefit.library.wave_continuum import WaveContinuum
+from sparsefit.model import LengthScaleGrid, Library
+from sparsefit.model.continuum import MISSED, WaveContinuum
 from sparsefit.regression.backend import Solution
+from sparsefit.rows import Derivative
 from sparsefit.solvers.continuous_dual import Scanner
 from sparsefit.solvers.gridless import GridlessGroupLasso
 from sparsefit.solvers.group_lassos import GroupLasso
@@ -21,8 +22,8 @@ FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
 FLIGHT = sf.simulate_flight(
     FLOW, VEHICLE, duration=8.0, sample_rate=100.0, seed=7, velocity_noise=0.2, position_noise=0.05
 )
-WAVES = sf.Library(sf.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
-PROBLEM = WAVES.build(sf.Derivative()(FLIGHT), VEHICLE)
+WAVES = Library(LengthScaleGrid(3.0, 8.0), family="waves", every=10)
+PROBLEM = WAVES.build(Derivative()(FLIGHT), VEHICLE)
 PLANE = PROBLEM.continuum
 BOUNDS = PLANE.interval(None, None)
 
@@ -88,7 +89,8 @@ def test_no_wave_of_the_plane_exceeds_the_supremum_found(offset):
     continuum = WaveContinuum(PLANE.position + offset, PLANE.cells)
     scanner = Scanner.of(continuum, BOUNDS)
     on_grid = scanner.scan.heights(PROBLEM.target)
-    places = np.array([[scanner.scan.radii[3], scanner.scan.headings[9]]])
+    k = scanner.scan.axis[[3, 9]]
+    places = np.array([[np.hypot(*k), np.arctan2(k[1], k[0])]])
     assert on_grid[3, 9] == pytest.approx(heights_at(continuum, PROBLEM.target, places)[0])
     for residual in (PROBLEM.target, rng.normal(size=PROBLEM.target.shape)):
         top = scanner.peaks(residual)[0].height
@@ -127,7 +129,7 @@ def test_finer_grids_descend_to_the_gridless_optimum():
     limit = backend.certify(PROBLEM, backend.solve(PROBLEM)).primal
     bounds = PLANE.interval(4.0, 4.4)
     alpha = 0.1 * Scanner.of(PLANE, bounds).peaks(PROBLEM.target)[0].height
-    over, samples = [], sf.Derivative()(FLIGHT)
+    over, samples = [], Derivative()(FLIGHT)
     for step in (1.0, 0.4, 0.16):
         library = replace(WAVES, grid=sf.LengthScaleGrid(4.0, 4.4), waves=sf.WaveGrid(step))
         grid = library.build(samples, VEHICLE)
@@ -142,7 +144,7 @@ def test_finer_grids_descend_to_the_gridless_optimum():
 
 @pytest.mark.parametrize("groups", ["ring", "nested"])
 def test_groups_of_several_waves_are_refused(groups):
-    problem = replace(WAVES, groups=groups).build(sf.Derivative()(FLIGHT), VEHICLE)
+    problem = replace(WAVES, groups=groups).build(Derivative()(FLIGHT), VEHICLE)
     solution = GridlessGroupLasso(0.1).solve(problem)
     assert solution.status == "error"
     assert "in groups by wave" in solution.reason
