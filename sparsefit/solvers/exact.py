@@ -23,7 +23,15 @@ from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 from sparsefit.regression.statistics import Statistics
 from sparsefit.solvers.descent import descent_path
-from sparsefit.solvers.kernels import Kernel, NewtonKernel, Points, Units, compiled, kernel_for
+from sparsefit.solvers.kernels import (
+    HomotopyKernel,
+    Kernel,
+    NewtonKernel,
+    Points,
+    Units,
+    compiled,
+    kernel_for,
+)
 from sparsefit.solvers.newton import Normal
 from sparsefit.solvers.outliers import outlier_path
 
@@ -153,6 +161,8 @@ def _along(
     if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
         normal = Normal(statistics.gram, None, design.samples)
         kernel = kernel_for(penalty, q)(normal, cross, penalty, units)
+        if isinstance(kernel, HomotopyKernel):
+            kernel.resumes = False
         stretch = kernel.advance(alphas)
         return Points(
             stretch.values, stretch.complete, stretch.steps, f"{kernel.name}, all columns"

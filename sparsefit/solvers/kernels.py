@@ -75,6 +75,7 @@ class HomotopyKernel:
 
     name: ClassVar[str] = "homotopy"
     stop: float = STOP
+    resumes: bool = True  # whether it may have to go on from a point that is past
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
         assert isinstance(penalty, AbsoluteValues)
@@ -91,8 +92,9 @@ class HomotopyKernel:
             gram / units.square if units.square != 1.0 else gram
         ), pull / units.height
 
-    def advance(self, alphas: Array, *, states: bool = True) -> Stretch:
+    def advance(self, alphas: Array) -> Stretch:
         """The path at further penalties."""
+        states = self.resumes
         height = self.units.height
         values, complete = np.zeros((len(alphas), len(self.omega))), np.zeros(len(alphas), bool)
         before, self.states = self.walk.steps, [self.walk.state()] if states else []
