@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: study test check docs clean
 
 study: $(VENV)/.installed
-	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/.partial),,--fresh)
+	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/cases.sqlite),,--fresh)
 
 # Bytecode is kept, whatever the environment says: every process of the tests would compile the
 # package anew, and pytest rewrite all tests in each of its workers.
@@ -41,7 +41,7 @@ EXTRAS = $(BIN)/python -c 'import sys, tomllib; \
 	print(*(need for name in sys.argv[1:] for need in extras[name] if "sparsefit[" not in need), sep="\n")'
 
 $(VENV)/.tests: $(VENV)/.installed
-	$(EXTRAS) peers logs test > $@
+	$(EXTRAS) peers logs completion test > $@
 	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
 
 $(VENV)/.dev: $(VENV)/.tests

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from sparsefit.score import score_scales as score_scales
     from sparsefit.study.study import Study as Study
 
-__version__ = "0.3.0"
+__version__ = "0.4.0.dev0"
 
 _HOMES = {
     "CellularFlow": "flight.flow",
