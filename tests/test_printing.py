@@ -47,9 +47,8 @@ def test_an_estimate_is_one_line_with_its_standard_errors(steps):
     number = r"\d+\.\d+ ± 0\.0*\d\d?"
     pattern = rf"ok: U0 = {number} m/s, L_w = {number} m, tau_w = {number} s"
     assert re.fullmatch(pattern, str(answer))
-    assert f"U0 = {answer.mean_velocity:.3f} ± {answer.uncertainty.mean_velocity:.2g} m/s" in str(
-        answer
-    )
+    spread = answer.uncertainty.mean_velocity  # .0060: two digits of it are four decimals
+    assert f"U0 = {answer.mean_velocity:.4f} ± {spread:.2g} m/s" in str(answer)
 
 
 def test_an_estimate_that_is_refused_tells_why():

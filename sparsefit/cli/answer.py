@@ -267,7 +267,8 @@ def _flow(scale: ScaleEstimate) -> str:
         if scale.uncertainty is not None:
             cells.append(f"{_short(getattr(scale.uncertainty, name)):<8}")
     if math.isfinite(scale.heading):
-        cells.append(f"{math.degrees(scale.heading):>9.3f}")
+        degrees = round(math.degrees(scale.heading), 3) + 0.0  # no "-0.000"
+        cells.append(f"{degrees:>9.3f}")
     return " ".join(cells).rstrip()
 
 

@@ -20,9 +20,10 @@ def test_every_flow_has_its_line(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     (head,) = [i for i, line in enumerate(lines) if line.startswith("cellular flows  2")]
     assert lines[head].split()[3:] == [
-        *("U0", "[m/s]", "±", "L_w", "[m]", "±", "tau_w", "[s]", "±")
+        *("U0", "[m/s]", "±", "L_w", "[m]", "±", "tau_w", "[s]", "±", "heading")
     ]
     rows = [lines[head + i].split() for i in (1, 2)]
+    assert [row.pop() for row in rows] == ["0.000", "0.000"]  # degrees: along the axes
     assert all(0 < float(spread) < 0.05 for row in rows for spread in row[2::2])
     (place, speed, scale, time), (other, *second) = ([row[0], *row[1::2]] for row in rows)
     assert (place, other) == ("1", "2")

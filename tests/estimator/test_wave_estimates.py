@@ -112,7 +112,10 @@ def test_off_the_grid_a_stream_function_has_4_amplitudes_for_both_components(met
     assert len(stream.flow.wavevectors) == 2
     assert abs(stream.mean_velocity - 12.0) < 3 * stream.uncertainty.mean_velocity
     assert abs(stream.length_scale - 4.0) < 3 * stream.uncertainty.length_scale
-    assert stream.uncertainty.mean_velocity < 0.9 * free.uncertainty.mean_velocity
+    # Both are measured by one likelihood, whatever columns proposed them.
+    error = free.uncertainty.mean_velocity
+    assert abs(stream.mean_velocity - free.mean_velocity) < 1e-3 * error
+    assert abs(stream.uncertainty.mean_velocity - error) < 1e-3 * error
     assert math.isnan(stream.response_time) == (not unknown)
 
 
