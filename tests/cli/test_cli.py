@@ -378,9 +378,7 @@ def test_a_bug_of_ours_is_not_dressed_up_as_bad_input(flight, monkeypatch):
 def test_backends_are_listed_with_settings_and_certificate(capsys):
     code, out, _ = run(capsys, "backends")
     assert code == 0
-    assert (
-        "group-lasso\n  1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g| (Yuan" in out
-    )
+    assert "group-lasso\n  1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g| (Yuan" in out
     assert "certificate: duality_gap\n  settings: alpha_fraction=0.1" in out
     assert "solvers that cvxpy finds here: clarabel" in out
     assert "osqp-direct" in out.partition("other solvers: ")[2]
