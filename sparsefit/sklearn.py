@@ -120,7 +120,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
             self,
             X,
             y,
-            accept_sparse=["csc", "csr"],
+            accept_sparse=self._formats,
             dtype=np.float64,
             multi_output=True,
             y_numeric=True,
@@ -155,14 +155,19 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     def predict(self, X: Any) -> Array:  # noqa: N803
         """X w + b for X (n_samples, n_features), in the shape that y had."""
         check_is_fitted(self)
-        design = validate_data(self, X, accept_sparse=["csc", "csr"], dtype=np.float64, reset=False)
+        design = validate_data(self, X, accept_sparse=self._formats, dtype=np.float64, reset=False)
         predicted: Array = design @ self.coef_.T + self.intercept_
         return predicted
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
-        tags.input_tags.sparse = isinstance(self._backend(), PenalisedBackend)
+        tags.input_tags.sparse = bool(self._formats)
         return tags
+
+    @property
+    def _formats(self) -> list[str] | bool:
+        """The sparse formats that X may have: searches over supports read dense columns."""
+        return ["csc", "csr"] if isinstance(self._backend(), PenalisedBackend) else False
 
     def _backend(self) -> Backend:
         return named(self.backend)
