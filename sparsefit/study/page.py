@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -44,6 +44,7 @@ from sparsefit.study.selection import Check, Selection, lines
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, significant
 from sparsefit.whole_file import write_files
 
+LARGEST_VECTOR = 1_000_000  # bytes of an SVG that is written beside its PNG
 PAGE, README, EVIDENCE = "report.html", "README.md", "evidence.md"
 WORDS = 700  # of a README: what is longer stands in its files and on the page
 LEAST_ROWS = 6  # of a table in a README, below which only its file is named
@@ -220,11 +221,15 @@ def write(study: Any) -> list[Path]:
     pictures = figures.figures(study, cases)
     files = table_files(study.name, made)
     parts: list[Drawing | str] = []
+    vectors: dict[str, bytes] = {}
     for name, picture in pictures.items():
         if picture.figure is not None:
-            files[f"{name}.svg"] = encoded(picture.figure, ".svg", name)
+            vector = encoded(picture.figure, ".svg", name)
+            vectors[name] = vector
+            if len(vector) <= LARGEST_VECTOR:  # a repository is no place for a larger one
+                files[f"{name}.svg"] = vector
             files[f"{name}.png"] = encoded(picture.figure, ".png")
-        parts.append(drawing(name, picture, files.get(f"{name}.svg", b"")))
+        parts.append(drawing(name, picture, vectors.get(name, b"")))
     answer, state = headline(study, cases), progress(study, cases)
     lasting = [each for each in made.values() if not each.varies]
     varying = [each for each in made.values() if each.varies]
@@ -240,7 +245,8 @@ def write(study: Any) -> list[Path]:
         sections[2] = Section("More tables", sections[2].parts)
     page = to_html(study.name, study.question, [answer], sections, state)
     files[PAGE] = page.encode()
-    files[README] = _readme(study, answer, state, made, pictures).encode()
+    large = {name for name in vectors if f"{name}.svg" not in files}
+    files[README] = _readme(study, answer, state, made, pictures, large).encode()
     return write_files(study.folder, files)
 
 
@@ -277,14 +283,15 @@ def _run(study: Any) -> Iterator[Any]:
 
 
 def _readme(study: Any, answer: str, state: str, made: Mapping[str, Table],
-            pictures: Mapping[str, Picture]) -> str:  # fmt: skip
-    """Return the README: question, headline, pictures, and as many rows as stay readable."""
+            pictures: Mapping[str, Picture], large: Collection[str]) -> str:  # fmt: skip
+    """Return the README: question, headline, pictures (PNG of the large), and readable rows."""
     escaped = [text.translate(MARKDOWN) for text in (study.name, study.question, answer)]
     parts = [f"# {escaped[0]}", f"**{escaped[1]}**", escaped[2],
              f"{state} Written by `sparsefit study report`; do not edit."]  # fmt: skip
     for name, picture in pictures.items():
         caption = picture.caption.translate(MARKDOWN)
-        parts.append(f"![{name}]({name}.svg)\n\n*{caption}*" if picture.figure else caption)
+        file = f"{name}.png" if name in large else f"{name}.svg"
+        parts.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
     room = WORDS - sum(len(part.split()) for part in parts)
     files = []
     for name, each in made.items():
