@@ -143,10 +143,10 @@ def _flight(
     args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
 ) -> Flight:
     """The flight of a table, its vehicle as in the file unless the command line says otherwise."""
-    from sparsefit.logs.settings import vehicle_of
+    from sparsefit.logs.head import vehicle_of
 
     given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
-    settings = table.settings | given
+    settings = dict(table.head.settings) | given
     for law, other in (("response_time", "drag"), ("drag", "response_time")):
         if law in given and other not in given:
             settings.pop(other, None)

@@ -115,22 +115,6 @@ class PointMassVehicle:
         reach: Array = 2.0 * force / np.where(root > 0, self.rate + root, 1.0)
         return reach
 
-    def response(self, force: Array, least: float) -> Array:
-        """dr/dF [s], (2, 2, m), symmetric, where F = force (m, 2) [m/s^2] drags.
-
-        1/(1/tau + 2 c |r|) along r and 1/(1/tau + c |r|) across it. least [m/s^2] > 0 adds to |F|
-        in squares: where noise is larger than F, no error is magnified by more than it allows.
-        """
-        size = _length(force)
-        size[size == 0] = least
-        floored = self.relative_of(force * np.sqrt(1.0 + (least / size) ** 2))
-        speed = _length(floored)[:, 0]
-        along = 1.0 / (self.rate + 2.0 * self.drag * speed)
-        across = 1.0 / (self.rate + self.drag * speed)
-        unit = (force / size).T
-        turned: Array = across * np.eye(2)[:, :, None] + (along - across) * unit[:, None] * unit
-        return turned
-
     def slope(self, relative: Array) -> Array:
         """dF/dr [1/s], (2, 2, m), symmetric, at r = relative (m, 2) [m/s]: 1/tau of linear drag."""
         speed = _length(relative)[:, 0]

@@ -23,33 +23,18 @@ from sparsefit.logs.layout import LENGTHS, SPEEDS, TIMES, named
 GAP = 4.0  # median steps: a polynomial through the samples carries over less
 ONE_STEP = 1e-6  # relative: what is taken for one and the same step
 CLEAN = 1e-9  # of the extent, or the speed: noise below it is rounding
-LONGEST_GAP = 60.0  # s
-LONGEST_STEPS = 20.0  # median steps: of slow logs a gap is longer
-RESTING = 5.0  # s: who goes no farther in that time rests; shorter logs are only short
-EXPLAINED = 0.8  # of the motion, by whatever T fits best
-MORE = 0.05  # of it than the identity explains
-FEWEST = 12  # steps, as many together as may be, that are held against the velocity
-NOTHING = 1e-300
-FRAMES = {  # T, and what it says
-    ((1, 0), (0, 1)): "",
+OPPOSITE = "opposite sign of the position's motion; check the frame"
+FRAMES = (  # T, and what it says
+    (np.eye(2), ""),
     (
-        (0, 1),
-        (1, 0),
-    ): "vx goes with y and vy with x: position and velocity are in different frames, "
-    "NED and ENU, say; exchange vx and vy",
-    ((-1, 0), (0, 1)): "vx has the opposite sign of the position's motion; check the frame",
-    ((1, 0), (0, -1)): "vy has the opposite sign of the position's motion; check the frame",
-    (
-        (-1, 0),
-        (0, -1),
-    ): "vx and vy have the opposite sign of the position's motion; check the frame",
-}
-LEAST, MOST = 0.67, 2.0  # factors between: coarse samples alone do as much
-APART = 20.0  # times what all other steps do: no step of one vehicle
-FAST, SHARP = 5.0, 2.0  # the same of the largest speed, with a turn beyond all others
-BESIDE = (1, 5)  # samples on either side of a turn
-ALTERNATING = (2, 3, 4)  # vehicles whose rows take turns
-CLOSE = 0.1  # of the steps between them: how little each of these moves
+        np.eye(2)[::-1],
+        "vx goes with y and vy with x: position and velocity are in different frames, "
+        "NED and ENU, say; exchange vx and vy",
+    ),
+    (np.diag([-1.0, 1.0]), f"vx has the {OPPOSITE}"),
+    (np.diag([1.0, -1.0]), f"vy has the {OPPOSITE}"),
+    (-np.eye(2), f"vx and vy have the {OPPOSITE}"),
+)
 
 
 class NoiseLevels(Protocol):
@@ -193,7 +178,7 @@ def _check_motion(flight: Flight, smallest: float, largest: float, longest: floa
     """A log without long gaps, of a vehicle that moves, sampled as finely as what is sought."""
     steps = np.diff(flight.time)
     row = int(np.argmax(steps))
-    allowed = max(LONGEST_GAP, LONGEST_STEPS * float(np.median(steps)))
+    allowed = max(60.0, 20.0 * float(np.median(steps)))  # s; of slow logs a gap is longer
     if steps[row] > (allowed if longest is None else longest):
         long = float(steps[row])
         words = f"{long:.4g} s" if long < 120.0 else f"{long / 60.0:.4g} minutes"
@@ -201,7 +186,8 @@ def _check_motion(flight: Flight, smallest: float, largest: float, longest: floa
             f"a gap of {words} after t={flight.time[row]:.10g} s (row {row}): what flew there is "
             f"not known; cut the log, or allow a longest gap of {math.ceil(long)} s"
         )
-    if not flight.extent or (flight.duration >= RESTING and flight.extent < smallest):
+    # Who goes no farther in 5 s rests; shorter logs are only short.
+    if not flight.extent or (flight.duration >= 5.0 and flight.extent < smallest):
         where = "never leaves its place"
         if flight.extent:
             where = f"stays within {flight.extent:.3g} m in {flight.duration:.3g} s"
@@ -222,8 +208,8 @@ def _median_step(position: Array, lag: int) -> float:
 def _check_tracks(flight: Flight) -> None:
     """Rows of one vehicle in one flight: none that take turns, no sudden place and velocity."""
     position, apart = flight.position, _median_step(flight.position, 1)
-    for count in ALTERNATING:
-        if count < len(position) - 1 and _median_step(position, count) < CLOSE * apart:
+    for count in (2, 3, 4):  # vehicles whose rows take turns move little, and are far apart
+        if count < len(position) - 1 and _median_step(position, count) < 0.1 * apart:
             raise InputError(
                 f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "
                 "one vehicle; give the rows of one"
@@ -236,10 +222,10 @@ def _check_tracks(flight: Flight) -> None:
         return
     if flight.velocity_measured:
         fastest = float(np.hypot(*flight.velocity.T).max())
-        turns = any(_turns(flight.velocity, row, width) for width in BESIDE)
-        elsewhere = speeds[row] > FAST * fastest and turns
+        turns = any(_turns(flight.velocity, row, width) for width in (1, 5))
+        elsewhere = speeds[row] > 5.0 * fastest and turns
     else:
-        elsewhere = speeds[row] > APART * others.max()
+        elsewhere = speeds[row] > 20.0 * others.max()  # no step of one vehicle
     if elsewhere:
         raise InputError(
             f"between rows {row} and {row + 1} (t={flight.time[row]:.10g} s) the vehicle jumps by "
@@ -258,7 +244,7 @@ def _turns(velocity: Array, row: int, width: int) -> bool:
     if not 0 <= place < len(changes):
         return False
     far = np.abs(np.arange(len(changes)) - place) >= width
-    return bool(changes[place] > SHARP * changes[far].max(initial=0.0))
+    return bool(changes[place] > 2.0 * changes[far].max(initial=0.0))
 
 
 def _check_units(flight: Flight) -> None:
@@ -272,21 +258,21 @@ def _check_units(flight: Flight) -> None:
     if not meant.any():
         raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
     shares, factor, together = [0.0] * len(FRAMES), 1.0, 1
-    while together * FEWEST <= len(moved):
+    while together * 12 <= len(moved):  # steps at least that are held against the velocity
         whole = len(moved) // together * together
         d, m = (part[:whole].reshape(-1, together, 2).sum(axis=1) for part in (moved, meant))
-        along = [float(np.sum(m @ np.array(frame, dtype=np.float64) * d)) for frame in FRAMES]
-        own, square = float(np.sum(m * m)), float(np.sum(d * d))
-        explained = [max(part, 0.0) ** 2 / max(own * square, NOTHING) for part in along]
+        along = [float(np.sum(m @ frame * d)) for frame, _ in FRAMES]
+        own, square = max(float(np.sum(m * m)), 1e-300), float(np.sum(d * d))
+        explained = [max(part, 0.0) ** 2 / max(own * square, 1e-300) for part in along]
         if max(explained) > max(shares):
-            shares, factor = explained, along[0] / max(own, NOTHING)
+            shares, factor = explained, along[0] / own
         together *= 2
     best = int(np.argmax(shares))
-    if shares[best] < EXPLAINED:
+    if shares[best] < 0.8:
         return
-    if shares[best] > shares[0] + MORE:
-        raise InputError(list(FRAMES.values())[best])
-    if not LEAST < factor < MOST:
+    if shares[best] > shares[0] + 0.05:
+        raise InputError(FRAMES[best][1])
+    if not 0.67 < factor < 2.0:  # coarse samples alone do as much
         units = (
             ("position", named(1.0 / factor, LENGTHS)),
             ("velocity", named(factor, SPEEDS)),

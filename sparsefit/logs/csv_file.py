@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import BinaryIO
 
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable
+from sparsefit.logs.head import Head
 from sparsefit.logs.layout import Layout
-from sparsefit.logs.settings import KEYS, frame_of, is_key, number
 from sparsefit.logs.sheet import Cells, Sheet, check_size
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
@@ -30,8 +30,7 @@ _MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 def encode(table: FlightTable) -> bytes:
     """Return the file's content, in UTF-8; its numbers read back to the same floats."""
     # The shortest digits that do are those of repr.
-    lines = [f"# {key}={value!r}" for key, value in table.settings.items()]
-    lines += [f"# frame={table.frame}"] if table.frame else []
+    lines = [f"# {key}={text}" for key, text in table.head.texts().items()]
     lines.append(",".join(table.columns))
     rows = zip(*(column.tolist() for column in table.columns.values()), strict=True)
     lines.extend(",".join(map(repr, row)) for row in rows)
@@ -45,7 +44,14 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
     text = _Text(file, _encoding(file))
-    settings, frame = _settings(text, foreign=layout.foreign)
+    matches = (
+        (f"line {count}", match)
+        for count, line in enumerate(text.lines(), start=1)
+        if "#" in line and (match := _SETTING.fullmatch(line.strip()))
+    )  # other comments, and a foreign table's, are text
+    head = Head.parsed(
+        ((at, match[1], match[2]) for at, match in matches), strict=not layout.foreign
+    )
     header = next(filter(None, map(str.strip, text.plain())), "")
     best = max(",;\t", key=header.count)
     delimiter = best if best in header or " " not in header else " "
@@ -67,7 +73,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
                     append(items[place])
             return dict(cells)
 
-        sheet = Sheet(names, read, row, settings, frame, commas=delimiter != ",")
+        sheet = Sheet(names, read, row, head, commas=delimiter != ",")
         return sheet.flight_table(layout)
     except csv.Error as error:
         raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
@@ -134,23 +140,3 @@ def _encoding(file: BinaryIO) -> str:
     if _BINARY.search(head) or (not utf8 and "\ufffd" in head.decode(encoding, "replace")):
         raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
     return encoding
-
-
-def _settings(text: _Text, *, foreign: bool) -> tuple[dict[str, float], str]:
-    """The ``# key=value`` lines and the frame; other comments, and a foreign table's, are text."""
-    settings: dict[str, float] = {}
-    frame = ""
-    for count, line in enumerate(text.lines(), start=1):
-        match = _SETTING.fullmatch(line.strip()) if "#" in line else None
-        if match is None:
-            continue
-        key, value = match.groups()
-        if key in settings or (key == "frame" and frame):
-            raise InputError(f"line {count}: {key} is given twice; keep one")
-        if key == "frame":
-            frame = frame_of(value, f"line {count}")
-        elif is_key(key):
-            settings[key] = number(value, f"line {count}, {key}")
-        elif not foreign:
-            raise InputError(f"line {count}: {unknown('key', key, KEYS)}")
-    return settings, frame

@@ -42,9 +42,8 @@ def read_flight(
     ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
     not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet; likewise
     ``frame``, ``ENU`` or ``NED``. Columns ``ax`` and ``ay`` [m/s^2] are a measured thrust
-    (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or those
-    of shaped cells and of turbulence, numbered ``_1``, ``_2``, ... when superposed
-    (`sparsefit.logs.settings`).
+    (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or
+    ``flow``, the JSON object that `write_flight` writes of any other.
 
     Args:
         path: the file.
@@ -102,7 +101,7 @@ def read_table(
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write ``flight`` to a ``.csv`` or ``.parquet`` file; `read_flight` returns it exactly.
 
-    A true flow that holds a `WaveFlow` is left out. The file appears whole or not at all.
+    A true flow of a user's own is left out. The file appears whole or not at all.
 
     Raises:
         InputError: if the file exists and ``overwrite`` is false, or cannot be written.

@@ -12,7 +12,7 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, pair
 from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.logs.settings import flow_of, settings_of, vehicle_of
+from sparsefit.logs.head import Head, vehicle_of
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
 VELOCITY = ("vx", "vy")  # m/s
@@ -69,19 +69,17 @@ class Anchor:
 
 @dataclass(frozen=True)
 class FlightTable:
-    """The columns of a flight, its vehicle and its true flow, which may be missing.
+    """The columns of a flight and the head of its file.
 
     Args:
         columns: `COLUMNS` and `THRUST` by name, (m,) each, in SI units.
-        settings: the numbers of the vehicle and the flow by name (`sparsefit.logs.settings`).
-        frame: the axes, a key of `FRAMES`.
+        head: the vehicle, the true flow and the axes, which may be missing.
         notes: how a foreign log was read, in words.
         anchor: where and when the zeros are, as far as the log says.
     """
 
     columns: dict[str, Array]
-    settings: dict[str, float]
-    frame: str = ""
+    head: Head = Head()
     notes: tuple[str, ...] = ()
     anchor: Anchor = Anchor()
 
@@ -93,7 +91,7 @@ class FlightTable:
         columns = {name: values[:, place] for place, name in enumerate(names)}
         if flight.thrust is not None:
             columns |= dict(zip(THRUST, flight.thrust.T, strict=True))
-        return cls(columns, settings_of(flight.vehicle, flight.flow), flight.frame)
+        return cls(columns, Head.of(flight))
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
         """Return the flight; a ``vehicle`` given here replaces the one in the settings.
@@ -106,12 +104,12 @@ class FlightTable:
             for names in (("x", "y"), VELOCITY, THRUST)
             if names[0] in self.columns
         }
-        flown = vehicle_of(self.settings) if vehicle is None else vehicle
-        first = (self.columns["time"], vectors["x", "y"])
-        flow, thrust = flow_of(self.settings), vectors.get(THRUST)
+        flown = vehicle_of(self.head.settings) if vehicle is None else vehicle
+        first, thrust = (self.columns["time"], vectors["x", "y"]), vectors.get(THRUST)
+        flow, frame = self.head.flow, self.head.frame
         if VELOCITY not in vectors:
-            return Flight.from_positions(*first, flown, flow, thrust, self.frame)
-        return Flight(*first, vectors[VELOCITY], flown, flow, True, thrust, self.frame)
+            return Flight.from_positions(*first, flown, flow, thrust, frame)
+        return Flight(*first, vectors[VELOCITY], flown, flow, True, thrust, frame)
 
     def since(self, epoch: datetime | None) -> FlightTable:
         """Return the same rows by a clock that is 0 at ``epoch``, where the log has a calendar."""

@@ -18,6 +18,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.logs.flight_table import POSITIONS, Anchor, FlightTable
+from sparsefit.logs.head import Head
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.plane import plane_of
 
@@ -65,7 +66,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     values = (time - first, *plane.position.T)
     columns = dict(zip(POSITIONS, values, strict=True))
     anchor = Anchor(plane.origin, start + timedelta(seconds=first))
-    return FlightTable(columns, {}, "ENU", tuple(notes), anchor)
+    return FlightTable(columns, Head(frame="ENU"), tuple(notes), anchor)
 
 
 def _fixes(text: str, *, fine: bool) -> tuple[list[dict[str, Any]], bool]:

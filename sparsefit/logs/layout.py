@@ -1,10 +1,10 @@
 """Which columns of a foreign table are a flight, and in which units: ``time=t,x=lon,vx=u[cm/s]``.
 
 A field (``time``, ``x``, ``y``, ``vx``, ``vy``, ``ax``, ``ay``) is read from the column that a map
-names, else from the one of its own name, whatever its case; ``ax`` and ``ay``, a measured thrust,
-beside a map only where it says so. The unit is that of the map, else the one that stands behind the
-name in the header, ``u [cm/s]`` or ``u (cm/s)``, else the SI unit. Columns that a map names and
-that begin with ``lon`` and ``lat`` are degrees.
+names, else from the one of its own name, whatever its case; ``ax`` and ``ay``, a measured
+acceleration of the propulsion, beside a map only where it says so. The unit is that of the map,
+else the one behind the name in the header, ``u [cm/s]`` or ``u (cm/s)``, else the SI unit. Columns
+that a map names and that begin with ``lon`` and ``lat`` are degrees.
 """
 
 from __future__ import annotations

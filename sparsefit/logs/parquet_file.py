@@ -6,14 +6,14 @@ import io
 from collections.abc import Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.logs.flight_table import FlightTable
+from sparsefit.logs.head import Head
 from sparsefit.logs.layout import Layout
-from sparsefit.logs.settings import frame_of, is_key, number
 from sparsefit.logs.sheet import Cells, Sheet, check_size
 
 _WIDEST = 64  # bytes of a cell, in the mean, that a column of a flight may unpack to
@@ -27,10 +27,8 @@ def encode(table: FlightTable) -> bytes:
         MissingExtra: without pyarrow.
     """
     arrow, parquet = _arrow()
-    metadata = {key: repr(value) for key, value in table.settings.items()}
-    metadata |= {"frame": table.frame} if table.frame else {}
     buffer = io.BytesIO()
-    parquet.write_table(arrow.table(table.columns, metadata=metadata), buffer)
+    parquet.write_table(arrow.table(table.columns, metadata=table.head.texts()), buffer)
     return buffer.getvalue()
 
 
@@ -47,15 +45,16 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         source = parquet.ParquetFile(file)
         schema, rows = source.schema_arrow, source.metadata.num_rows
         check_size(rows)
-        texts = {_text(key): _text(value) for key, value in (schema.metadata or {}).items()}
-        frame = frame_of(texts["frame"], "metadata frame") if "frame" in texts else ""
+        entries = (
+            ("metadata", key.decode(errors="replace"), text.decode(errors="replace"))
+            for key, text in (schema.metadata or {}).items()
+        )
 
         def read(wanted: list[str]) -> Mapping[str, Cells]:
             return {name: _cells(arrow, parquet, file, name) for name in wanted}
 
-        settings = {key: number(text, f"metadata {key}") for key, text in texts.items()
-                    if is_key(key)}  # fmt: skip
-        sheet = Sheet(schema.names, read, "row {}".format, settings, frame)
+        head = Head.parsed(entries, strict=False)
+        sheet = Sheet(schema.names, read, "row {}".format, head)
         return sheet.flight_table(layout)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
@@ -96,8 +95,3 @@ def _cells(arrow: ModuleType, parquet: ModuleType, file: BinaryIO, name: str) ->
     words = ["" if cell is None else str(cell) for cell in column.dictionary.to_pylist()]
     places = np.asarray(column.indices.fill_null(len(words)).to_numpy(zero_copy_only=False))
     return [*map([*words, ""].__getitem__, places.tolist())]
-
-
-def _text(raw: Any) -> str:
-    text: str = raw.decode(errors="replace")
-    return text

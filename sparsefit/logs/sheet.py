@@ -10,7 +10,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from datetime import datetime
 from shlex import quote
 from typing import Any, TypeAlias
@@ -21,9 +21,9 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, suggestion
 from sparsefit.flight.record import MOST_SAMPLES
 from sparsefit.logs.flight_table import THRUST, VELOCITY, Anchor, FlightTable, moment_at, moment_of
+from sparsefit.logs.head import Head, finite_in, number
 from sparsefit.logs.layout import DEGREES, Layout, factor_of, is_number
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.settings import finite_in, number
 
 Cells: TypeAlias = "list[str] | np.ndarray[Any, Any]"
 """Texts, or an array of numbers or of moments (``datetime64``)."""
@@ -131,16 +131,14 @@ class Sheet:
         names: of the columns.
         read: the function that reads the cells of columns, by name.
         row: the words for a row, counted from 0, in the file: ``line 7``.
-        settings: as of `FlightTable`.
-        frame: as of `FlightTable`.
+        head: as of `FlightTable`.
         commas: whether a comma in a number is a decimal mark, as between semicolons.
     """
 
     names: list[str]
     read: Callable[[list[str]], Mapping[str, Cells]]
     row: Callable[[int], str]
-    settings: dict[str, float] = field(default_factory=dict)
-    frame: str = ""
+    head: Head = Head()
     commas: bool = False
 
     def flight_table(self, layout: Layout) -> FlightTable:
@@ -172,7 +170,7 @@ class Sheet:
         for name in naming:
             _check_one_vehicle(name, Counter(columns[name].words()))
         values: dict[str, Array] = {}
-        epoch, origin, frame = None, None, self.frame
+        epoch, origin, head = None, None, self.head
         for name, source in sources.items():
             column = columns[source.column]
             if name == "time" and not source.unit and column.has_moments:
@@ -183,7 +181,7 @@ class Sheet:
         reading = ", ".join(f"{name} = {source}" for name, source in sources.items())
         notes = () if plain and not layout.foreign else (reading,)
         if sources["x"].unit == DEGREES:
-            frame = "ENU"
+            head = replace(head, frame="ENU")
             if len(values["x"]):
                 headings = sources["x"].column, sources["y"].column
                 plane = plane_of(values["x"], values["y"], headings, layout.anchor.origin)
@@ -193,7 +191,7 @@ class Sheet:
                     if x in values:
                         eastward = np.column_stack([values[x], values[y]])
                         values[x], values[y] = plane.turned(eastward).T
-        return FlightTable(values, self.settings, frame, notes, Anchor(origin, epoch))
+        return FlightTable(values, head, notes, Anchor(origin, epoch))
 
 
 def check_size(rows: int) -> None:

@@ -20,6 +20,7 @@ from sparsefit.arrays import BoolArray, IntArray
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.flight.record import MOST_SAMPLES
 from sparsefit.logs.flight_table import COLUMNS, Anchor, FlightTable, moment_at
+from sparsefit.logs.head import Head
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.plane import plane_of
 
@@ -83,7 +84,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     columns = dict(zip(COLUMNS, values, strict=True))
     notes = _notes(log, local, valid)
     anchor = Anchor(_origin(local, valid), _epoch(log, local, valid))
-    return _at(FlightTable(columns, {}, "NED", notes, anchor), layout.anchor.origin)
+    return _at(FlightTable(columns, Head(frame="NED"), notes, anchor), layout.anchor.origin)
 
 
 def _parsed(content: bytes) -> Any:

@@ -1,6 +1,8 @@
+import dataclasses
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -90,10 +92,9 @@ def test_csv_is_as_documented(tmp_path):
         "# response_time=0.5",
         "# thrust_ax=5.0",
         "# thrust_ay=3.0",
-        "# mean_velocity_1=15.43",
-        "# length_scale_1=4.21",
-        "# mean_velocity_2=3.0",
-        "# length_scale_2=1.7",
+        '# flow={"kind": "sum", "components": '
+        '[{"kind": "cells", "mean_velocity": 15.43, "length_scale": 4.21}, '
+        '{"kind": "cells", "mean_velocity": 3.0, "length_scale": 1.7}], "wind": [0.0, 0.0]}',
         "time,x,y,vx,vy",
         "0.0,0.0,1.0,0.0,1.0",
         "0.1,2.0,3.0,2.0,3.0",
@@ -172,9 +173,10 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
         ("# thrust_ax=fast\n" + HEADER + ROWS, "line 1, thrust_ax: 'fast' is not a finite"),
         ("# response_time=-1\ntime,x,y,vx,vy\n" + ROWS, "response_time must be .* above 0"),
         ("# mean_velocity=1\n" + HEADER + ROWS, "mean_velocity is given without length_scale"),
-        ("# length_scale_1=1\n" + HEADER + ROWS, "given without mean_velocity_1"),
-        ("# length_scale_2=1\n" + HEADER + ROWS, "numbered _1, _2"),
-        ("# length_scale=1\n# mean_velocity_1=1\n" + HEADER + ROWS, "numbered _1, _2"),
+        ("# length_scale=1\n" + HEADER + ROWS, "length_scale is given without mean_velocity"),
+        ("# flow={}\n# mean_velocity=1\n# length_scale=1\n" + HEADER + ROWS, "unknown kind None"),
+        ("# flow=" + "[" * 5000 + "\n" + HEADER + ROWS, "line 1: .*no JSON object of a flow"),
+        ('# flow={"kind": "wave"}\n' + HEADER + ROWS, 'line 1: .*did you mean "waves"'),
         ("# length_scale=0\n# mean_velocity=1\n" + HEADER + ROWS, "length_scale must be"),
         (bytes(range(256)) * 4, "not a text file"),
         ("\x00\x01\x02" * 50, "not a text file"),
@@ -213,7 +215,7 @@ def test_bad_csv_is_one_line_that_names_the_place(csv_of, text, message):
         ),
         (lambda t: t.slice(0, 2), "at least 3 samples"),
         (lambda t: t.replace_schema_metadata({"pandas": "{}"}), "no vehicle"),
-        (lambda t: t.replace_schema_metadata({"response_time": "a"}), "metadata response_time"),
+        (lambda t: t.replace_schema_metadata({"response_time": "a"}), "metadata, response_time"),
     ],
 )
 def test_bad_parquet_is_named(tmp_path, change, message):
@@ -338,20 +340,28 @@ def test_files_keep_the_true_flow(tmp_path, suffix, flow):
     assert read_flight(tmp_path / f"flight.{suffix}").flow == flow
 
 
-def test_files_leave_out_a_flow_of_waves(tmp_path):
-    waves = WaveFlow([[1.0, 0.5]], [0.4], [0.2])
-    flight = simulate_flight(waves, PointMassVehicle(0.5), duration=0.1, sample_rate=50.0, seed=3)
-    write_flight(flight, tmp_path / "flight.csv")
-    assert read_flight(tmp_path / "flight.csv").flow is None
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_files_keep_waves_and_leave_out_a_flow_of_a_users_own(tmp_path, suffix):
+    waves = WaveFlow([[1.0, 0.5]], [0.4], [0.2], [0.1])
+    vehicle, path = PointMassVehicle(0.5), tmp_path / f"flight.{suffix}"
+    flight = simulate_flight(waves, vehicle, duration=0.1, sample_rate=50.0, seed=3)
+    write_flight(flight, path)
+    read = read_flight(path).flow
+    for name in ("wavevectors", "cosine", "sine", "frequencies"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(waves, name))
+    own = dataclasses.replace(flight, flow=SimpleNamespace(velocity=waves.velocity))
+    write_flight(own, path, overwrite=True)
+    assert read_flight(path).flow is None
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("# heading=0.3\n", "", "is given without heading"),
-        ("# swell=0.2", "# swell=2.0", "swell is a share"),
-        ("# swell=0.2", "# swel=0.2", "unknown key"),
-        ("# length_scale_x=4.0", "# turbulence_intensity=1.0", "without turbulence_length"),
+        ('"heading": 0.3, ', "", None),  # a default
+        ('"mean_velocity": 6.0, ', "", 'key "mean_velocity" missing'),
+        ('"swell": 0.2', '"swell": 2.0', "swell is a share"),
+        ('"swell": 0.2', '"swel": 0.2', 'did you mean "swell"'),
+        ('"shaped-cells"', '"turbulence"', "unknown"),
     ],
 )
 def test_half_a_flow_in_a_file_is_refused(tmp_path, old, new, message):
@@ -361,5 +371,8 @@ def test_half_a_flow_in_a_file_is_refused(tmp_path, old, new, message):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
+    if message is None:
+        assert read_flight(path).flow.heading == 0.0
+        return
     with pytest.raises(InputError, match=message):
         read_flight(path)

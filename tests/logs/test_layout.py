@@ -121,7 +121,7 @@ def test_a_drifter_whose_header_has_latitude_and_longitude_swapped():
     with pytest.raises(InputError, match=r"latitude and longitude look swapped: .* x=Lat, y=Long"):
         read_table(DRIFTER, columns="time=Date,x=Long,y=Lat")
     table = read_table(DRIFTER, columns="time=Date,x=Lat,y=Long")
-    assert (table.frame, table.columns["time"][:2].tolist()) == ("ENU", [0.0, 900.0])
+    assert (table.head.frame, table.columns["time"][:2].tolist()) == ("ENU", [0.0, 900.0])
     assert table.notes[0] == "time = Date, x = Lat [deg], y = Long [deg]"
     flight = table.flight(VEHICLE)
     assert 0.2 < np.hypot(*flight.velocity.T).mean() < 1.0  # m/s, of the Gulf of Mexico
