@@ -37,6 +37,11 @@ class Squares:
         """The largest |u| (n,) for targets of rms ``level`` (n,)."""
         return np.where(level > 0, self.clip * np.where(level > 0, level, 1.0), np.inf)
 
+    def pull(self, residual: Array, level: Array, samples: int) -> Array:
+        """The u (m, n) of a residual R (m, n), with targets of rms ``level`` (n,)."""
+        reach = self.bound(level)
+        return np.clip(residual, -reach, reach)
+
     def primal(self, square: Array, overlap: Array, level: Array) -> Array:
         """P (p,) from r, f (p, n) and y (n,)."""
         total: Array = (overlap - 0.5 * square).sum(axis=1)
@@ -60,6 +65,12 @@ class RootSquares(Squares):
     """The root of the mean square over all targets, y |R|_F/sqrt(m)."""
 
     coupled: ClassVar[bool] = True
+
+    def pull(self, residual: Array, level: Array, samples: int) -> Array:
+        """The u (m, n): R by the ratio of the rms of the targets and its own."""
+        size = float(np.linalg.norm(residual)) / np.sqrt(samples) or 1.0
+        scaled: Array = residual * (np.sqrt(np.sum(level**2)) / size)
+        return scaled
 
     def primal(self, square: Array, overlap: Array, level: Array) -> Array:
         """P (p,)."""

@@ -15,8 +15,7 @@ Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. 
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,6 +30,18 @@ from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 from sparsefit.solvers.peers import matrix_of
 
 VIOLATION = 1e-10  # relative: below it a block outside the working set is optimal at zero
+EPS = ("eps_abs", "eps_rel")
+BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "clarabel": (("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1}),
+    "osqp": (EPS, {"max_iter": 50_000, "polishing": True}),
+    "scs": (EPS, {"max_iters": 50_000}),
+    "piqp": (EPS, {}),
+    "proxqp": (EPS, {}),
+    "ecos": (("abstol", "reltol", "feastol"), {}),
+    **dict.fromkeys(("highs", "daqp", "qoco", "cvxopt", "mosek", "gurobi"), ((), {})),
+}
+"""Solver of cvxpy -> the settings that hold its tolerance, and what asks it for accuracy."""
+QUADRATIC = ("osqp", "highs", "piqp", "daqp", "proxqp")  # solvers of quadratic programs only
 
 
 @dataclass(frozen=True)
@@ -69,44 +80,32 @@ class Clarabel:
         if reason := self.takes(penalty):
             raise InputError(reason)
         weights = np.zeros((len(alphas), penalty.columns, target.shape[1]))
+        level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
         whole = not self.working or isinstance(penalty, SquaredNorm)
         whole = whole or penalty.restricted(np.arange(penalty.columns)) is None
         in_play = np.full(penalty.columns, whole)
         for point, alpha in enumerate(alphas.tolist()):
-            program = _Point(design, target, penalty, alpha, tolerance or 1e-12)
-            values, status = np.zeros(weights.shape[1:]), "Solved"
+            values, status = weights[point], "Solved"
             if in_play.any():
-                values, status = program.solved(np.flatnonzero(in_play))
+                status = _solve_on(in_play, design, target, penalty, alpha, tolerance, values)
             for _ in range(0 if in_play.all() else self.rounds):
                 if not np.isfinite(values).all():
                     break
-                excess = np.where(in_play, -1.0, program.objections(values))
-                count = max(self.batch, int(in_play.sum()) // 2)
-                worst = np.argsort(-excess)[:count]
+                pull = design.correlate(
+                    penalty.loss.pull(target - design.predict(values), level, design.samples)
+                )
+                excess = np.where(in_play, -1.0, penalty.objections(pull, values, alpha))
+                worst = np.argsort(-excess)[: max(self.batch, int(in_play.sum()) // 2)]
                 joining = worst[excess[worst] > VIOLATION]
                 if not len(joining):
                     break
-                in_play |= np.isin(penalty.blocks, penalty.blocks[joining]) & _whole(penalty)
                 in_play[joining] = True
-                values, status = program.solved(np.flatnonzero(in_play))
-            weights[point] = values
+                if isinstance(penalty, GroupNorms | NestedNorms):  # whole blocks join
+                    in_play |= np.isin(penalty.blocks, penalty.blocks[joining])
+                status = _solve_on(in_play, design, target, penalty, alpha, tolerance, values)
             if status != "Solved":
                 warnings.warn(f"clarabel: {status}", RuntimeWarning, stacklevel=2)
         return weights
-
-
-@dataclass(frozen=True)
-class ClarabelDirect(Clarabel):
-    """Clarabel itself on Z'Z of all columns."""
-
-    name: ClassVar[str] = "clarabel-direct"
-    form: ClassVar[str] = "Clarabel itself on Z'Z, all columns"
-    working: bool = False
-
-
-def _whole(penalty: Penalty) -> bool:
-    """Whether columns join in whole blocks: groups do, columns of one order join by themselves."""
-    return isinstance(penalty, GroupNorms | NestedNorms)
 
 
 def _no_conic_form(penalty: Penalty) -> str:
@@ -114,46 +113,31 @@ def _no_conic_form(penalty: Penalty) -> str:
     return "" if stated else f"{type(penalty).__name__} states no conic form"
 
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """One point of a path, at an absolute alpha."""
-
-    design: Design
-    target: Array
-    penalty: Penalty
-    alpha: float
-    tolerance: float
-
-    def objections(self, values: Array) -> Array:
-        """By how much each column (k,) at zero objects, at V (k, n)."""
-        residual = self.target - self.design.predict(values)
-        level = np.sqrt(np.mean(np.square(self.target), axis=0))
-        if isinstance(self.penalty.loss, RootSquares):
-            size = math.sqrt(float(np.mean(np.square(residual).sum(axis=1)))) or 1.0
-            residual = residual * (math.sqrt(float(np.sum(level**2))) / size)
-        else:
-            reach = self.penalty.loss.bound(level)
-            residual = np.clip(residual, -reach, reach)
-        return self.penalty.objections(self.design.correlate(residual), values, self.alpha)
-
-    def solved(self, index: IntArray) -> tuple[Array, str]:
-        """V (k, n) with the columns ``index`` in play, NaN where it has none, and a status."""
-        every = len(index) == self.penalty.columns
-        inner = self.penalty if every else self.penalty.restricted(index)
-        assert inner is not None  # a penalty that cannot be restricted has all columns in play
-        if _layers(inner) is not None:
-            cross = self.design.columns(index).T @ self.target / self.design.samples
-            gram = self.design.products(index) + self.alpha * inner.ridge * np.eye(len(index))
-            values, status = _cone_program(gram, cross / self.alpha, inner, self.tolerance)
-            values = values * self.alpha
-        else:
-            rows = self.design.columns(index)
-            program = _Stated.of(rows, self.target, inner, self.alpha, self.design.samples)
-            values, status = program.solved("clarabel", self.tolerance)
-            status = {"optimal": "Solved"}.get(status, status)
-        weights = np.zeros((self.penalty.columns, self.target.shape[1]))
-        weights[index] = values
-        return weights, status
+def _solve_on(
+    in_play: Any,
+    design: Design,
+    target: Array,
+    penalty: Penalty,
+    alpha: float,
+    tolerance: float | None,
+    into: Array,
+) -> str:
+    """Write V (k, n) with these columns in play, NaN where there is none; Clarabel's status."""
+    index, stop = np.flatnonzero(in_play), tolerance or 1e-12
+    inner = penalty if in_play.all() else penalty.restricted(index)
+    assert inner is not None  # a penalty that cannot be restricted has all columns in play
+    columns = design.columns(index)
+    if _layers(inner) is not None:
+        gram = design.products(index) + alpha * inner.ridge * np.eye(len(index))
+        cross = columns.T @ target / design.samples
+        values, status = _cone_program(gram, cross / alpha, inner, stop)
+        values = values * alpha
+    else:
+        program = _Program.of(columns, target, inner, alpha, design.samples, rows=False)
+        values, status = program.solved("clarabel", stop)
+    into[...] = 0.0
+    into[index] = values
+    return "Solved" if status == "optimal" else status
 
 
 def _layers(penalty: Penalty) -> list[Any] | None:
@@ -173,10 +157,13 @@ def _cone_program(
     """Clarabel's V (j, n), NaN where it has none, and its status; x = (V.T.ravel(), the bounds)."""
     import clarabel
 
-    (size, targets), linear, rows = cross.shape, [-cross.T.ravel()], [np.zeros(0, np.intp)]
+    (size, targets), linear = cross.shape, [-cross.T.ravel()]
+    rows: list[IntArray] = [np.zeros(0, np.intp)]
     cones: list[Any] = []
     for layer in _layers(penalty) or []:
-        block, weights = _blocks(layer, targets)
+        apart = 0 if layer.coupled else len(layer.weights)
+        block = (layer.blocks[None, :] + apart * np.arange(targets)[:, None]).ravel()
+        weights = np.tile(layer.weights, 1 if layer.coupled else targets)
         bound = sum(map(len, linear)) + np.arange(len(weights))
         linear.append(weights)
         # Rows of A: for each block its bound, then its coefficients; the cone is (t_g, V_g).
@@ -201,55 +188,32 @@ def _cone_program(
     return (values if usable else np.full_like(cross, np.nan)), status
 
 
-def _blocks(layer: Any, targets: int) -> tuple[IntArray, Array]:
-    """The block of each coefficient, target by target, and the weight of each block."""
-    apart = 0 if layer.coupled else len(layer.weights)
-    block = (layer.blocks[None, :] + apart * np.arange(targets)[:, None]).ravel()
-    return block, np.tile(layer.weights, 1 if layer.coupled else targets)
-
-
-STOPS: dict[str, Sequence[str]] = {
-    "clarabel": ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
-    "osqp": ("eps_abs", "eps_rel"),
-    "scs": ("eps_abs", "eps_rel"),
-    "piqp": ("eps_abs", "eps_rel"),
-    "ecos": ("abstol", "reltol", "feastol"),
-    "proxqp": ("eps_abs", "eps_rel"),
-}
-"""Solver of cvxpy -> the settings that hold its stopping tolerance."""
-MORE: dict[str, dict[str, Any]] = {
-    "clarabel": {"max_threads": 1},
-    "osqp": {"max_iter": 50_000, "polishing": True},
-    "scs": {"max_iters": 50_000},
-}
-"""Settings with which a solver of cvxpy is asked for high accuracy."""
-QUADRATIC = ("osqp", "highs", "piqp", "daqp", "proxqp")  # solvers of quadratic programs only
-
-
 @dataclass(frozen=True)
 class Cvxpy:
     """Any solver that cvxpy finds, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
 
-    solver: its name in cvxpy, in lower case.
+    solver: its name in cvxpy, in lower case; rows: the sum over the m rows, as users of cvxpy write
+    it, a problem per penalty.
     """
 
     name: ClassVar[str] = "cvxpy"
     package: ClassVar[str] = "cvxpy"
     form: ClassVar[str] = "through cvxpy, in Z'Z, compiled once"
     solver: str = "clarabel"
+    rows: bool = False
 
     def __post_init__(self) -> None:
-
         installed = installed_solvers()
         if self.solver in installed:
             return
-        if self.solver in (*STOPS, *QUADRATIC, "qoco", "cvxopt", "mosek", "gurobi"):
+        if self.solver in BEHIND_CVXPY:
             raise MissingExtra(f"{self.solver} is not installed: pip install {self.solver}")
         raise unknown("solver of cvxpy", self.solver, installed)
 
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
-        if self.solver in QUADRATIC and (_whole(penalty) or penalty.loss != SQUARES):
+        groups = isinstance(penalty, GroupNorms | NestedNorms)
+        if self.solver in QUADRATIC and (groups or penalty.loss != SQUARES):
             return f"{self.solver} solves quadratic programs, and group norms are cones"
         return _no_conic_form(penalty)
 
@@ -261,51 +225,27 @@ class Cvxpy:
         alphas: Array,
         tolerance: float | None,
     ) -> Array:
-        """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for."""
-        rows, stop = design.columns(np.arange(penalty.columns)), tolerance or 1e-9
-        program = _Stated.of(rows, target, penalty, float(alphas[0]), design.samples)
-        return self._along(alphas, lambda alpha: program.solved(self.solver, stop, alpha))
+        """Weights (p, k, n); tolerance: the solver's own.
 
-    def _along(self, alphas: Array, solve: Any) -> Array:
-        found = []
+        Where none is asked for, it is 1e-9, and with ``rows`` the solver's default.
+        """
+        matrix = matrix_of(design) if self.rows else design.columns(np.arange(penalty.columns))
+        stop = tolerance if self.rows else tolerance or 1e-9
+        weights, program = [], None
         for alpha in alphas.tolist():
-            values, status = solve(alpha)
+            if program is None or self.rows:
+                program = _Program.of(
+                    matrix, target, penalty, alpha, design.samples, rows=self.rows
+                )
+            values, status = program.solved(self.solver, stop, alpha)
             if status != "optimal":
-                warnings.warn(f"{self.solver}: {status}", RuntimeWarning, stacklevel=3)
-            found.append(values)
-        return np.stack(found)
-
-
-@dataclass(frozen=True)
-class CvxpyRows(Cvxpy):
-    """Any solver that cvxpy finds, on the sum over the m rows, a problem per penalty.
-
-    solver: its name in cvxpy, in lower case.
-    """
-
-    name: ClassVar[str] = "cvxpy-rows"
-    form: ClassVar[str] = "through cvxpy, as written: m rows"
-
-    def path(
-        self,
-        design: Design,
-        target: Array,
-        penalty: Penalty,
-        alphas: Array,
-        tolerance: float | None,
-    ) -> Array:
-        """Weights (p, k, n); tolerance: the solver's own, and its default where none is asked."""
-        matrix = matrix_of(design)
-
-        def solve(alpha: float) -> tuple[Array, str]:
-            program = _Stated.of(matrix, target, penalty, alpha, design.samples, written=True)
-            return program.solved(self.solver, tolerance)
-
-        return self._along(alphas, solve)
+                warnings.warn(f"{self.solver}: {status}", RuntimeWarning, stacklevel=2)
+            weights.append(values)
+        return np.stack(weights)
 
 
 @dataclass(frozen=True, eq=False)
-class _Stated:
+class _Program:
     """A program of cvxpy: its variable V (k, n) over ``unit``, and alpha over ``unit``."""
 
     program: Any
@@ -315,16 +255,9 @@ class _Stated:
 
     @classmethod
     def of(
-        cls,
-        matrix: Any,
-        target: Array,
-        penalty: Penalty,
-        unit: float,
-        samples: int,
-        *,
-        written: bool = False,
-    ) -> "_Stated":
-        """State loss and penalty; compressed to k x k, or by the rows of Z (m, k) as ``written``.
+        cls, matrix: Any, target: Array, penalty: Penalty, unit: float, samples: int, *, rows: bool
+    ) -> "_Program":
+        """State loss and penalty; compressed to k x k, or by the ``rows`` of Z (m, k).
 
         Half the mean square is 1/2 v'Gv - <C, V>; its root, and what is compressed of it, has the
         rows of a QR of [Z, Y]; Huber's has all rows.
@@ -334,16 +267,16 @@ class _Stated:
         loss, scaled = penalty.loss, target / unit
         variable, fraction = cvxpy.Variable((matrix.shape[1], target.shape[1])), 1.0
         level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
-        if not written:
+        if not rows:
             fraction = cvxpy.Parameter(nonneg=True, value=1.0)
-        if loss == SQUARES and not written:
+        if loss == SQUARES and not rows:
             gram = matrix.T @ matrix / samples
             root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
             objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
             for t in range(target.shape[1]):
                 objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
         elif isinstance(loss, RootSquares):
-            if not written and len(target) > matrix.shape[1] + target.shape[1]:
+            if not rows and len(target) > matrix.shape[1] + target.shape[1]:
                 triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
                 matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
             size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
@@ -358,7 +291,7 @@ class _Stated:
             ]
             objective = cvxpy.sum(cvxpy.hstack(parts))
         if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
-            penalty = _in_units(penalty, unit)
+            penalty = penalty.in_units(unit)
         norm, constraints = penalty.conic(variable, cvxpy)
         if penalty.ridge:
             norm = norm + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
@@ -372,11 +305,11 @@ class _Stated:
         import cvxpy
 
         settings: dict[str, Any] = {}
-        if alpha is not None:
+        if alpha is not None and alpha != self.unit:
             self.fraction.value = alpha / self.unit
         if tolerance is not None:
-            stops = dict.fromkeys(STOPS.get(solver, ()), tolerance)
-            settings = {**MORE.get(solver, {}), **stops}
+            stops, more = BEHIND_CVXPY.get(solver, ((), {}))
+            settings = {**more, **dict.fromkeys(stops, tolerance)}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": the status says so
             try:
@@ -388,15 +321,6 @@ class _Stated:
         if values is None or status not in ("optimal", "optimal_inaccurate", "user_limit"):
             return np.full(self.variable.shape, np.nan), status
         return self.unit * np.asarray(values), status
-
-
-def _in_units(penalty: Penalty, unit: float) -> Penalty:
-    """The penalty of V / unit, over the unit: norms stay, a ridge grows, bounds shrink."""
-    changed: dict[str, Any] = {"ridge": penalty.ridge * unit}
-    for name in ("lower", "upper"):
-        if hasattr(penalty, name):
-            changed[name] = getattr(penalty, name) / unit
-    return replace(penalty, **changed)
 
 
 def installed_solvers() -> list[str]:

@@ -13,65 +13,37 @@ is imported and its classes of that kind are solvers; a command is a `Command`.
 """
 
 import importlib.util
+import json
+import os
+import shutil
+import subprocess
 import sys
+import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache, partial
-from importlib import import_module
 from pathlib import Path
 from time import perf_counter, process_time
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
+from scipy import sparse
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, described, one_line, unknown
 from sparsefit.regression.backend import Solution, quiet
-from sparsefit.regression.design import RowDesign
-from sparsefit.regression.penalties import alpha_max
+from sparsefit.regression.design import Design
+from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.peers import Timed
+from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel, Cvxpy
+from sparsefit.solvers.peers import PACKAGES, Part, Peer, Timed, kind_of, solved_in_parts
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = [
-    "SOLVERS",
-    "Answers",
-    "Recipe",
-    "Solver",
-    "answers",
-    "solver",
-    "solver_names",
-    "solver_type",
-]
-
-PEERS, CONIC = "sparsefit.solvers.peers", "sparsefit.solvers.conic"
-SOLVERS: Mapping[str, str] = MappingProxyType(
-    {
-        "clarabel": f"{CONIC}:Clarabel",
-        "clarabel-direct": f"{CONIC}:ClarabelDirect",
-        "cvxpy": f"{CONIC}:Cvxpy",
-        "cvxpy-rows": f"{CONIC}:CvxpyRows",
-        "scikit-learn-lars": f"{PEERS}_paths:ScikitLars",
-        "spams": f"{PEERS}_paths:Spams",
-        "scikit-learn-cd": f"{PEERS}_descent:ScikitDescent",
-        "celer": f"{PEERS}_descent:Celer",
-        "skglm": f"{PEERS}_skglm:Skglm",
-        "glum": f"{PEERS}_descent:Glum",
-        "sortedl1": f"{PEERS}_descent:SortedL1",
-        "group-lasso-fista": f"{PEERS}_descent:Fista",
-        "asgl": f"{PEERS}_descent:Asgl",
-        "osqp-direct": f"{PEERS}_quadratic:OsqpDual",
-        "piqp-direct": f"{PEERS}_quadratic:PiqpDual",
-        "daqp-direct": f"{PEERS}_quadratic:DaqpDual",
-    }
-)
-"""The solvers that ship beside sparsefit's own: name -> class, imported when first asked for."""
-BEHIND_CVXPY = ("osqp", "scs", "highs", "piqp", "daqp", "ecos", "proxqp", "qoco", "cvxopt")
-"""Names that stand for ``cvxpy`` with this solver; `cvxpy-NAME` and `cvxpy-rows-NAME` for any."""
+__all__ = ["Answers", "Recipe", "Solver", "answers", "shipped_solvers", "solver", "solver_names"]
 
 
 class Solver(Protocol):
@@ -92,13 +64,99 @@ class Solver(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Solutions of a path, with the seconds of wall and CPU [s] that the solver took."""
+@dataclass(frozen=True)
+class Registered:
+    """A solver before it is made: how, the names of its settings, and the texts of its class."""
 
-    solutions: tuple[Solution, ...]
-    wall: float
-    cpu: float
+    make: Callable[..., Any]
+    settings: tuple[str, ...]
+    form: str
+    package: str = ""
+    extra: str = ""
+    stops: bool = True
+
+    @classmethod
+    def of(cls, owner: Any, **preset: Any) -> "Registered":
+        """What a class tells of itself, with some of its settings made already."""
+        settings = tuple(f.name for f in fields(owner) if f.init and f.name not in preset)
+        form = preset.pop("form", "") or getattr(owner, "form", "")
+        form = form or (owner.__doc__ or "").strip().split("\n")[0]
+        texts = (str(getattr(owner, "package", "")), str(getattr(owner, "extra", "")))
+        make = partial(owner, **preset) if preset else owner
+        return cls(make, settings, form, *texts, getattr(owner, "stops", True))
+
+
+@cache
+def _shipped() -> Mapping[str, Registered]:
+    rows = "through cvxpy, as written: m rows"
+    direct = "Clarabel itself on Z'Z, all columns"
+    known = {
+        "clarabel": Registered.of(Clarabel),
+        "clarabel-direct": Registered.of(Clarabel, working=False, form=direct),
+        "cvxpy": Registered.of(Cvxpy),
+        "cvxpy-rows": Registered.of(Cvxpy, rows=True, form=rows),
+    }
+    for name, package in PACKAGES.items():
+        texts = (package.form, package.package, package.extra, package.stops)
+        known[name] = Registered(partial(Peer, name), ("iterations",), *texts)
+    return known
+
+
+@cache
+def _presets() -> Mapping[str, Registered]:
+    """Names that stand for a solver with settings, beside the names that are listed."""
+    rows = _shipped()["cvxpy-rows"].form
+    presets = {"clarabel-working-set": _shipped()["clarabel"]}
+    for name in BEHIND_CVXPY:
+        presets[f"cvxpy-{name}"] = Registered.of(Cvxpy, solver=name)
+        presets[f"cvxpy-rows-{name}"] = Registered.of(Cvxpy, solver=name, rows=True, form=rows)
+        presets.setdefault(name, presets[f"cvxpy-{name}"])
+    return {**presets, **_shipped()}
+
+
+@cache
+def _plugins() -> "Mapping[str, EntryPoint]":
+    from importlib.metadata import entry_points
+
+    listed = entry_points(group="sparsefit.solvers")
+    return {entry.name: entry for entry in listed if entry.name not in _shipped()}
+
+
+def solver_names() -> tuple[str, ...]:
+    """Names of the solvers that ship, installed or not, then those of other packages."""
+    return (*_shipped(), *sorted(_plugins()))
+
+
+def shipped_solvers() -> set[str]:
+    """All names of solvers that ship, with those that stand for one with a setting."""
+    return set(_presets())
+
+
+def registered(name: str, file: str | Path = "") -> Registered:
+    """The record of a solver, of ``file`` where one is named.
+
+    Raises InputError on an unknown name, and on a plug-in or file that cannot be imported.
+    """
+    if file:
+        classes = _classes_of(str(Path(file).resolve()))
+        if name not in classes:
+            raise unknown(f"solver of {Path(file).name}", name, classes)
+        return Registered.of(classes[name])
+    if name in _presets():
+        return _presets()[name]
+    if name not in _plugins():
+        raise unknown("solver", name, solver_names())
+    owner = _imported(f"solver {name!r} (plug-in)", _plugins()[name].load)
+    return Registered.of(_checked(name, owner))
+
+
+def solver(name: str, **settings: Any) -> Solver:
+    """The solver of that name with these settings.
+
+    Raises InputError on an unknown name or setting or a value out of range, MissingExtra where a
+    package that it needs is not installed.
+    """
+    return Recipe(name, settings).make()
 
 
 @dataclass(frozen=True)
@@ -115,12 +173,23 @@ class Recipe:
 
     def make(self) -> Solver:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
-        if not self.command:
-            return _made(self.name, solver_type(self.name, self.file), self.settings)
-        from sparsefit.solvers.command import Command
-
-        folder = str(Path(self.file or ".").parent if self.file else Path())
-        return Command(self.name, self.command, folder, dict(self.settings))
+        if self.command:
+            folder = str(Path(self.file).parent) if self.file else "."
+            return Command(self.name, self.command, folder, dict(self.settings))
+        record = registered(self.name, self.file)
+        for key in self.settings:
+            if key not in record.settings:
+                raise unknown(f"setting of solver {self.name}", key, record.settings)
+        if record.package and importlib.util.find_spec(record.package) is None:
+            extra = record.extra or record.package
+            raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
+        try:
+            with quiet():
+                return cast(Solver, record.make(**self.settings))
+        except SparsefitError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(f"solver {self.name!r} refuses these settings: {error}") from None
 
     @property
     def missing(self) -> str:
@@ -134,56 +203,27 @@ class Recipe:
     @property
     def form(self) -> str:
         """Words for how the problem is handed over."""
-        if self.command:
-            return f"the command {' '.join(self.command)}"
-        cls = solver_type(self.name, self.file)
-        return str(getattr(cls, "form", "")) or (cls.__doc__ or "").strip().split("\n")[0]
+        command = f"the command {' '.join(self.command)}"
+        return command if self.command else registered(self.name, self.file).form
 
     @property
     def stops(self) -> bool:
         """Whether a tolerance can be set."""
-        return bool(self.command) or getattr(solver_type(self.name, self.file), "stops", True)
+        return bool(self.command) or registered(self.name, self.file).stops
+
+    @property
+    def package(self) -> str:
+        """The package that must be importable; empty of a command, and where none is needed."""
+        return "" if self.command else registered(self.name, self.file).package
 
 
-@cache
-def _plugins() -> "Mapping[str, EntryPoint]":
-    from importlib.metadata import entry_points
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Solutions of a path, with the seconds of wall and CPU [s] that the solver took."""
 
-    found = entry_points(group="sparsefit.solvers")
-    return MappingProxyType({e.name: e for e in found if e.name not in SOLVERS})
-
-
-def solver_names() -> tuple[str, ...]:
-    """Names of the solvers that ship, installed or not, then those of other packages."""
-    return (*SOLVERS, *sorted(_plugins()))
-
-
-def solver_type(name: str, file: str | Path = "") -> type[Solver]:
-    """The class of a solver, of ``file`` where one is named.
-
-    Raises InputError on an unknown name, and on a plug-in or file that cannot be imported.
-    """
-    if file:
-        classes = _classes_of(str(Path(file).resolve()))
-        if name not in classes:
-            raise unknown(f"solver of {Path(file).name}", name, classes)
-        return classes[name]
-    name = _preset(name)[0]
-    if name in SOLVERS:
-        module, _, attribute = SOLVERS[name].partition(":")
-        return cast(type[Solver], getattr(import_module(module), attribute))
-    if name not in _plugins():
-        raise unknown("solver", name, solver_names())
-    return _checked(name, _imported(f"solver {name!r} (plug-in)", _plugins()[name].load))
-
-
-def solver(name: str, **settings: Any) -> Solver:
-    """The solver of that name with these settings.
-
-    Raises InputError on an unknown name or setting or a value out of range, MissingExtra where a
-    package that it needs is not installed.
-    """
-    return _made(name, solver_type(name), settings)
+    solutions: tuple[Solution, ...]
+    wall: float
+    cpu: float
 
 
 def answers(
@@ -199,10 +239,9 @@ def answers(
     solver is not trusted to be silent.
     """
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
-    design = RowDesign(problem.theta, problem.samples)
-    cross = design.correlate(problem.target)
-    shape, alphas = cross.shape, alpha_max(cross, penalty) * fractions
-    if not cross.any():
+    design, shape = problem.design, (problem.columns, problem.targets)
+    alphas = problem.alpha_max(penalty) * fractions
+    if not problem.statistics.cross.any():
         zero = Solution(np.zeros(shape), solver_status="target is zero", iterations=0)
         return Answers((zero,) * count, 0.0, 0.0)
     wall, cpu = perf_counter(), process_time()
@@ -220,47 +259,17 @@ def answers(
     wall, cpu = perf_counter() - wall, process_time() - cpu
     if isinstance(raw, Timed):
         wall, cpu = raw.wall, raw.cpu
-    doubts = [f"{w.category.__name__}: {w.message}" for w in caught if _matters(w)]
+    future = DeprecationWarning | FutureWarning | PendingDeprecationWarning  # a library's, not ours
+    doubts = [
+        f"{each.category.__name__}: {each.message}"
+        for each in caught
+        if not issubclass(each.category, future) and "deprecated" not in str(each.message)
+    ]
     words = one_line(doubts[0], 120) if doubts else "returned"
-    status, reason = ("inaccurate", f"{solver.name}: {words}") if doubts else ("ok", "")
+    reason = f"{solver.name}: {words}" if doubts else ""
     weights /= design.rms[:, None]
-    found = tuple(Solution(each, status, reason, words) for each in weights)  # type: ignore[arg-type]
-    return Answers(found, wall, cpu)
-
-
-def _matters(warning: warnings.WarningMessage) -> bool:
-    """Whether a warning is about the solution, and not about a library's future."""
-    future = DeprecationWarning | FutureWarning | PendingDeprecationWarning
-    return not issubclass(warning.category, future) and "deprecated" not in str(warning.message)
-
-
-def _preset(name: str) -> tuple[str, dict[str, Any]]:
-    """The registered name that a name stands for, and the settings that it implies."""
-    if name in BEHIND_CVXPY:
-        return "cvxpy", {"solver": name}
-    for base in ("cvxpy-rows", "cvxpy"):
-        if name.startswith(f"{base}-") and name not in SOLVERS:
-            return base, {"solver": name.removeprefix(f"{base}-")}
-    return {"clarabel-working-set": "clarabel"}.get(name, name), {}
-
-
-def _made(name: str, cls: type[Solver], settings: Mapping[str, Any]) -> Solver:
-    settings = {**_preset(name)[1], **settings}
-    valid = [item.name for item in fields(cast(Any, cls)) if item.init]
-    for key in settings:
-        if key not in valid:
-            raise unknown(f"setting of solver {name}", key, valid)
-    package = str(getattr(cls, "package", ""))
-    if package and importlib.util.find_spec(package) is None:
-        extra = getattr(cls, "extra", "") or package
-        raise MissingExtra(f"{name} is not installed: pip install {extra}")
-    try:
-        with quiet():
-            return cast(Solver, cast(Any, cls)(**settings))
-    except SparsefitError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise InputError(f"solver {name!r} refuses these settings: {error}") from None
+    status: Any = "inaccurate" if doubts else "ok"
+    return Answers(tuple(Solution(each, status, reason, words) for each in weights), wall, cpu)
 
 
 @cache
@@ -300,3 +309,106 @@ def _checked(name: str, cls: Any) -> type[Solver]:
             f"solver {name!r} is not a frozen dataclass with a text `name` and a `path` method"
         )
     return cast(type[Solver], cls)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A solver that is a command: any program that reads and writes files, ``COMMAND... FOLDER``.
+
+    It is started once for a path of each target, or of all where a penalty couples these. FOLDER
+    holds the problem in the form of `peers`: ``problem.json`` (kind, fractions f (p,), ridge rho,
+    tolerance, settings), ``target.npy`` y (m, b), ``groups.npy`` (k,), from 0, ``lambdas.npy`` (k,)
+    where the kind has them (of SLOPE its sequence), and X as ``design.npy`` (m, k) or, where it is
+    sparse, ``design.npz`` of scipy. The program reads them, prints a line, reads a line, solves,
+    prints a line, and writes ``answer.npy`` (p, b, k). Its time is the one between its two lines:
+    neither its start nor files are in it.
+
+    name: what tables call it; command: the program and its arguments, relative to ``folder``;
+    settings: what problem.json tells it of them.
+    """
+
+    name: str
+    command: tuple[str, ...]
+    folder: str = "."
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.command or not all(isinstance(word, str) for word in self.command):
+            raise InputError(f"{self.name}: command must be a list of words, a program first")
+        program = self.command[0]
+        path = Path(self.folder, program)
+        if not (path.is_file() if "/" in program else shutil.which(program)):
+            raise MissingExtra(f"{self.name}: there is no program {program!r}; install it")
+
+    def takes(self, penalty: Penalty) -> str:
+        """The families of penalties that a problem.json can name."""
+        return "" if kind_of(penalty) else f"{self.name}: a command is handed no such penalty"
+
+    def path(
+        self,
+        design: Design,
+        target: Array,
+        penalty: Penalty,
+        alphas: Array,
+        tolerance: float | None,
+    ) -> Array | Timed:
+        """Weights (p, k, n) of the program, and its time. Raises InputError as it fails."""
+        if reason := self.takes(penalty):
+            raise InputError(reason)
+        call = partial(self._solved, tolerance=tolerance)
+        return solved_in_parts(call, design, target, penalty, alphas)
+
+    def _solved(self, part: Part, tolerance: float | None) -> Timed:
+        with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
+            folder, matrix = Path(name), part.whole.design
+            if isinstance(matrix, np.ndarray):
+                np.save(folder / "design.npy", matrix)
+            else:
+                sparse.save_npz(folder / "design.npz", matrix, compressed=False)
+            np.save(folder / "target.npy", part.target)
+            np.save(folder / "groups.npy", part.groups)
+            if part.lambdas is not None:
+                np.save(folder / "lambdas.npy", part.lambdas)
+            words: dict[str, Any] = {"kind": part.kind, "ridge": part.ridge, "tolerance": tolerance}
+            words |= {"fractions": part.fractions.tolist(), "settings": dict(self.settings)}
+            (folder / "problem.json").write_text(json.dumps(words), encoding="utf-8")
+            wall, cpu = self._run(folder)
+            try:
+                return Timed(np.load(folder / "answer.npy"), wall, cpu)
+            except (OSError, ValueError) as error:
+                raise InputError(f"{self.name} wrote no answer.npy ({error})") from None
+
+    def _run(self, folder: Path) -> tuple[float, float]:
+        """Seconds of wall and CPU [s] between the two lines of the program."""
+        program, *rest = self.command
+        first = str(Path(self.folder, program).absolute()) if "/" in program else program
+        pipe: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        words = [first, *rest, str(folder)]
+        process = subprocess.Popen(words, cwd=self.folder or None, **pipe, text=True)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            ready = process.stdout.readline()
+            wall, cpu = perf_counter(), _cpu_seconds(process.pid)
+            if ready:
+                process.stdin.write("go\n")
+                process.stdin.flush()
+            done = process.stdout.readline() if ready else ""
+            wall, cpu = perf_counter() - wall, _cpu_seconds(process.pid) - cpu
+            _, printed = process.communicate()
+        finally:
+            process.kill()
+            process.wait()
+        if not done or process.returncode:
+            last = one_line(printed.strip().splitlines()[-1] if printed.strip() else "", 200)
+            raise SparsefitError(f"{self.name} ended with code {process.returncode}: {last}")
+        return wall, cpu
+
+
+def _cpu_seconds(pid: int) -> float:
+    """CPU seconds that a process has used, by /proc; NaN where there is none."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return float("nan")
+    return sum(map(int, words[11:13])) / os.sysconf("SC_CLK_TCK")

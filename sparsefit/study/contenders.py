@@ -30,13 +30,7 @@ from sparsefit import RegressionProblem, backends
 from sparsefit.child import in_child
 from sparsefit.codec import Place, build, integer, only, shown, text
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
-from sparsefit.solvers.registry import (
-    BEHIND_CVXPY,
-    SOLVERS,
-    Recipe,
-    solver_names,
-    solver_type,
-)
+from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
 from sparsefit.study.crossing import Setting, read_settings
 from sparsefit.study.holdout import Holdout
 from sparsefit.study.problem_sources import ProblemSource, read_problems
@@ -387,7 +381,7 @@ def _several(key: str, recipes: Sequence[Recipe]) -> bool:
 
 def _described(contenders: Sequence[Contender], clock: Clock, place: Place) -> list[Contender]:
     """The contenders with what their recipes tell; code of others tells it in another process."""
-    shipped, registered = shipped_names(), solver_names()
+    shipped, registered = shipped_solvers(), solver_names()
     foreign = [
         c
         for c in contenders
@@ -431,12 +425,6 @@ def _asked_of(contender: Contender) -> tuple[Any, str, dict[str, Any]]:
     return contender.recipe, contender.backend, dict(contender.settings)
 
 
-def shipped_names() -> set[str]:
-    """The names of the solvers that ship with sparsefit."""
-    cvxpy = {f"{base}-{name}" for base in ("cvxpy", "cvxpy-rows") for name in BEHIND_CVXPY}
-    return {*SOLVERS, *BEHIND_CVXPY, *cvxpy, "clarabel-working-set"}
-
-
 def about_solvers(requested: Sequence[tuple[Recipe, str, dict[str, Any]]]) -> list[dict[str, Any]]:
     """Of each (recipe, back-end, its settings): form, package, whether a tolerance stops it.
 
@@ -449,8 +437,7 @@ def _about(recipe: Recipe, backend: str, settings: dict[str, Any]) -> dict[str, 
     about: dict[str, Any] = {"missing": "", "refused": "", "package": ""}
     try:
         about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
-        if not recipe.command:
-            about["package"] = str(getattr(solver_type(recipe.name, recipe.file), "package", ""))
+        about["package"] = recipe.package
         if not about["missing"]:
             takes = getattr(recipe.make(), "takes", None)
             penalty = penalty_of(backends.get(backend, **settings), small_problem())

@@ -13,15 +13,13 @@ from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import RootSquares, Squares
 from sparsefit.regression.ordered_penalties import FusedNorm, SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, BoundedValues, SquaredNorm, alpha_max
-from sparsefit.solvers.peers import kind_of, parts_of
-from sparsefit.solvers.registry import SOLVERS, Recipe, solver
+from sparsefit.solvers.peers import kind_of, solved_in_parts
+from sparsefit.solvers.registry import Recipe, solver, solver_names
 
 K = 18
 GROUPS = np.arange(K) // 3
 LASSO = AbsoluteValues(np.ones(K))
 EXACT = {  # what a peer reaches here of the objective at zero, where it is not 1e-9
-    "group-lasso-fista": 1e-3,
-    "asgl": 1e-7,
     "celer": 1e-5,  # its own dual point is worse than ours where samples are few
     "glum": 1e-8,
 }
@@ -62,16 +60,16 @@ def objective(design, target, penalty, weights, alphas):
     return half + alphas * penalty.value(weights)
 
 
-SLOW = ("skglm", "group-lasso-fista")  # half a minute to compile, or to converge
+SLOW = ("skglm",)  # half a minute to compile
 
 
-INSTALLED = [name for name in SOLVERS if not Recipe(name).missing]
+INSTALLED = [name for name in solver_names() if not Recipe(name).missing]
 
 
 def kinds_and_solvers():
     for kind, penalty in PENALTIES.items():
         takers = [name for name in INSTALLED if not solver(name).takes(penalty)]
-        assert len(takers) >= 4, kind
+        assert len(takers) >= 3, kind
         yield kind, 12, [name for name in takers if name not in SLOW]
         yield kind, 60, [name for name in takers if name not in SLOW]
         slow = [name for name in takers if name in SLOW]
@@ -92,7 +90,7 @@ def test_every_solver_reaches_the_objective_of_the_referee(kind, rows, names):
         assert excess.min() > -1e-9, name
 
 
-@pytest.mark.parametrize("name", ["celer", "scikit-learn-cd", "glum", "sortedl1", "osqp-direct"])
+@pytest.mark.parametrize("name", ["celer", "scikit-learn-cd", "glum", "sortedl1"])
 def test_a_sparse_design_gives_the_weights_of_the_dense_one(name):
     theta, target = problem()
     theta[np.abs(theta) < 0.8] = 0.0
@@ -113,7 +111,7 @@ def test_conic_solvers_take_every_penalty_in_three_forms(kind):
     assert np.isfinite(weights).all()
     for each in weights[1:]:
         np.testing.assert_allclose(each, weights[0], atol=1e-4 * np.abs(weights[0]).max())
-    assert kind_of(OTHERS[kind]) == ""
+    assert not kind_of(OTHERS[kind])
     assert "only" in solver("celer").takes(OTHERS[kind])
 
 
@@ -131,14 +129,19 @@ def test_working_sets_of_the_referee_leave_out_what_does_not_object():
 
 def test_a_tall_problem_is_handed_over_as_the_triangle_of_a_qr():
     theta, target = problem()
-    design, penalty = RowDesign(theta, 60), PENALTIES["joint"]
-    part = parts_of(design, target, penalty, np.array([0.5])).parts[0]
-    rows = part.rows()
-    assert rows.design.shape == (2 * (K + 2), 2 * K)
-    assert rows.design.flags.f_contiguous
-    residual = part.target - part.design @ np.ones((K, 2))
-    held = rows.target - rows.design @ np.ones(2 * K)
-    assert np.square(held).mean() == pytest.approx(np.square(residual).sum() / 60)
+    parts = []
+
+    def call(part):
+        parts.append(part)
+        return np.zeros((1, 2 * K))
+
+    solved_in_parts(call, RowDesign(theta, 60), target, PENALTIES["joint"], np.array([0.5]))
+    design, values = parts[0].rows()
+    assert design.shape == (2 * (K + 2), 2 * K)
+    assert design.flags.f_contiguous
+    residual = parts[0].target - parts[0].whole.design @ np.ones((K, 2))
+    short = values - design @ np.ones(2 * K)
+    assert np.square(short).mean() == pytest.approx(np.square(residual).sum() / 60)
 
 
 def test_what_a_solver_does_not_take_is_refused_in_a_line():
