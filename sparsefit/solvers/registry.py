@@ -371,7 +371,8 @@ class Command:
                 np.save(folder / "lambdas.npy", part.lambdas)
             words: dict[str, Any] = {"kind": part.kind, "ridge": part.ridge, "tolerance": tolerance}
             words |= {"fractions": part.fractions.tolist(), "settings": dict(self.settings)}
-            (folder / "problem.json").write_text(json.dumps(words), encoding="utf-8")
+            with (folder / "problem.json").open("w", encoding="utf-8") as file:
+                json.dump(words, file)
             wall, cpu = self._run(folder)
             try:
                 return Timed(np.load(folder / "answer.npy"), wall, cpu)
