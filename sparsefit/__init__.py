@@ -94,10 +94,14 @@ _HOMES = {
     "InputError": "errors",
     "SparsefitError": "errors",
 }
+_ROOMS = ("backends", "estimator", "flows", "logs", "model", "penalties", "plot", "regression",
+          "solvers", "study")  # fmt: skip
 __all__ = ["__version__", *_HOMES]
 
 
 def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -14,7 +14,18 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 ROOMS = (
-    *("errors", "arrays", "cached", "codec", "records", "whole_file", "child", "flight", "logs"),
+    *(
+        "errors",
+        "arrays",
+        "cached",
+        "codec",
+        "records",
+        "whole_file",
+        "child",
+        "flight",
+        "flows",
+        "logs",
+    ),
     *(
         "regression",
         "penalties",
