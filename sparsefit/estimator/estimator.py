@@ -171,11 +171,13 @@ class Estimator:
         start = self.readout.start(search, fit, self.library)
         shapes = self.readout.refine == "ladder" or self.library.family == "waves"
 
-        def measured() -> Any:
-            proposals = search.propose(start)
-            return measure_flow(prepared, proposals, self.free, shapes=shapes)
-
-        result = prepared.once((start, self.free), measured)
+        proposals = prepared.once(start, lambda: search.propose(start))
+        # Starts that end in the same lobes share one measurement, which is most of an estimate.
+        lobes = (own.lobe(search.lookout.extent) for own in proposals)
+        result = prepared.once(
+            (*lobes, self.free, shapes),
+            lambda: measure_flow(prepared, proposals, self.free, shapes=shapes),
+        )
         used = [scale for scale, own in parts["weights_by_scale"].items() if own]
         scales = scales_of(result, used) if result else ()
         if result is not None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.estimator.intervals import read_with_errors
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.likelihood.causes import (
@@ -79,7 +80,7 @@ class Measured:
         """The velocity of the pattern [m/s]."""
         return self.posterior.model.pattern.drift
 
-    @property
+    @cached_property
     def flows(self) -> list[tuple[Array, Array]]:
         """The values of `intervals.read_waves` of each flow, and their standard errors."""
         every = []

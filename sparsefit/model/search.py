@@ -84,6 +84,11 @@ class Proposal:
         """The flow that is proposed."""
         return WaveFlow(self.wavevectors, self.cosine, self.sine, self.wavevectors @ self.drift)
 
+    def lobe(self, extent: float) -> tuple[str, bool, bytes]:
+        """A key that proposals share whose phases differ by some 1e-6 over an extent [m]."""
+        phases = np.append(self.wavevectors * extent, self.drift)
+        return self.shape, self.drifting, (np.round(phases, 6) + 0.0).tobytes()
+
     @property
     def mean_velocity(self) -> float:
         """U0 [m/s]."""
