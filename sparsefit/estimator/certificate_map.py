@@ -65,7 +65,7 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
             f"{library.unknown!r}"
         )
     prepared = estimator.prepare(flight)
-    if prepared.samples.weak is not None:
+    if prepared.samples.averages is not None:
         raise InputError("a certificate over the plane needs samples, not the weak form")
     fit = estimator.fit(prepared)
     backend = fit.backend

@@ -25,8 +25,7 @@ from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out, refuse_spanned
 from sparsefit.model.waves import wave_theta
 from sparsefit.regression.problem import RegressionProblem, compressed
-from sparsefit.regression.statistics import row_blocks
-from sparsefit.rows import Samples, WeakRows
+from sparsefit.rows import Samples
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
 FamilyName = Literal["cells", "stream", "waves"]
@@ -73,19 +72,14 @@ class GridColumns:
             return candidate_columns(position, self.scales)
         return wave_theta(position, self.wavevectors)
 
-    def blocks(self, source: Samples | WeakRows) -> Iterator[tuple[slice, Array]]:
+    def blocks(self, source: Samples) -> Iterator[tuple[slice, Array]]:
         """Rows of theta in blocks, of samples or of averages of them, and which they are."""
         per, size = self.components, len(self.names)
-        if isinstance(source, WeakRows):
-            for rows, weights, position in source.blocks():
-                values = self.at(position).reshape(len(position), -1)
-                yield slice(per * rows.start, per * rows.stop), (weights @ values).reshape(-1, size)
-            return
-        start = 0
-        for (position,) in row_blocks(source.position):
+        for rows, psi, position in source.blocks():
             values = self.at(position)
-            yield slice(start, start + len(values)), values
-            start += len(values)
+            if psi is not None:
+                values = (psi @ values.reshape(len(position), -1)).reshape(-1, size)
+            yield slice(per * rows.start, per * rows.stop), values
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,7 @@ class Library:
         """The bounds of the wavenumber k = pi/L [1/m]."""
         return math.pi / self.grid.upper, math.pi / self.grid.lower
 
-    def response(self, samples: Samples | WeakRows, vehicle: PointMassVehicle) -> Array:
+    def response(self, samples: Samples, vehicle: PointMassVehicle) -> Array:
         """The target of the regression (m, n), one row per sample."""
         if self.target == "flow-velocity":
             return samples.flow_velocity(vehicle)
@@ -221,7 +215,7 @@ class Library:
                 part[0] if len(part) == 1 else np.concatenate(part)
                 for part in zip(*blocks(), strict=True)
             )
-            places = [source.position for source in sources if isinstance(source, Samples)]
+            places = [source.position for source in sources if source.operator is None]
             count = len(target) if self.family == "cells" and not self.unknown and places else None
             if not self.unknown and places:
                 weight = np.repeat(weights, list(map(len, places))) if len(places) > 1 else None
@@ -240,11 +234,11 @@ class Library:
             columns.parameters,
         )
 
-    def _rows(self, samples: Samples) -> Samples | WeakRows:
+    def _rows(self, samples: Samples) -> Samples:
         """The rows of the regression: averages, or every so many-th sample."""
         if self.every == 1:
             return samples.source
-        if samples.weak:
+        if samples.averages:
             raise InputError(
                 "library: 'every' thins samples, but the weak form has averages of its own; leave "
                 "it out, or use a larger window"
@@ -253,15 +247,14 @@ class Library:
 
     def _blocks(
         self,
-        source: Samples | WeakRows,
+        source: Samples,
         vehicle: PointMassVehicle,
         target: Array,
         columns: GridColumns,
         large: bool,
     ) -> Iterator[tuple[Array, Array]]:
         """Rows of theta and of the target of a flight, less what its unknowns explain."""
-        weak = isinstance(source, WeakRows)
-        if not self.unknown and not weak and not large:
+        if not self.unknown and source.operator is None and not large:
             yield columns.at(source.position), target
             return
         pieces = ((block, target[rows]) for rows, block in columns.blocks(source))

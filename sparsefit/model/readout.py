@@ -30,7 +30,7 @@ from sparsefit.model.unknowns import UnknownColumns
 from sparsefit.model.waves import strengths, wave_peaks, wave_theta
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.rows import Samples, WeakRows
+from sparsefit.rows import Samples
 
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
 MeanVelocityReadout = Literal["paper", "rms", "peak"]
@@ -289,7 +289,7 @@ def _velocity(
     weights (1, 8, 2): fitted to the rows of the regression. Known vehicles on plain samples, and
     the paper's readout, take a refit on all samples.
     """
-    plain = not refitted and not any(samples.weak for samples in rows.flights)
+    plain = not refitted and not any(samples.averages for samples in rows.flights)
     if not plain and readout.mean_velocity != "paper":
         possible = all(vehicle is not None for vehicle, _ in refitted)
         return readout.velocity(weights[0]) if possible else math.nan
@@ -389,7 +389,7 @@ class _GridRows:
         ends = np.cumsum([0, *(part.shape[2] for part in unknowns)]).tolist()
         for number, (columns, samples) in enumerate(zip(theta, self.flights, strict=True)):
             source = samples.source
-            if isinstance(source, WeakRows):
+            if source.operator is not None:
                 flat = columns.reshape(len(source.position), -1)
                 columns = (source.operator @ flat).reshape(-1, columns.shape[1])
             both = columns if shared else np.kron(np.eye(2), columns)

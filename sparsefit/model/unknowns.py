@@ -24,7 +24,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.rows import Samples, WeakRows
+from sparsefit.rows import Samples
 
 UNKNOWNS = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
 RANK = 1e-10  # singular values of N below this, relative, are dropped
@@ -89,7 +89,7 @@ class UnknownColumns:
         """Whether v has a column: tau or c is unknown."""
         return bool({"response_time", "drag"} & set(self.unknown))
 
-    def columns(self, source: Samples | WeakRows) -> Array:
+    def columns(self, source: Samples) -> Array:
         """N (m, 2, p) of rows with velocities (m, 2): of v, of m, then of a constant in x and in y.
 
         Raises InputError where the scale of a thrust is unknown that was not measured.
@@ -108,7 +108,7 @@ class UnknownColumns:
             return np.zeros((*source.velocity.shape, 0))
         return np.stack(columns, axis=2)
 
-    def basis(self, source: Samples | WeakRows, *, shared: bool) -> Array:
+    def basis(self, source: Samples, *, shared: bool) -> Array:
         """An orthonormal basis (2 m, r) of the span of N, or (m, r) of its series.
 
         shared: whether both components share their coefficients, rows x before y of each sample.

@@ -2,7 +2,7 @@
 
 from sparsefit.rows.clean import Repairs
 from sparsefit.rows.derivative import METHODS, Derivative
-from sparsefit.rows.samples import Samples, WeakRows
+from sparsefit.rows.samples import Samples
 from sparsefit.rows.smoothing import Smoothing
 
-__all__ = ["METHODS", "Derivative", "Repairs", "Samples", "Smoothing", "WeakRows"]
+__all__ = ["METHODS", "Derivative", "Repairs", "Samples", "Smoothing"]

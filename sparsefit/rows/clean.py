@@ -22,8 +22,6 @@ from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.logs.checks import GAP, ONE_STEP, clock_rounding
 
-RAYLEIGH = math.sqrt(2.0 * math.log(2.0))  # median of the length of a pair of unit normals
-
 
 @dataclass(frozen=True)
 class CleaningRules:
@@ -92,23 +90,21 @@ class Pieces:
 
     Args:
         time: [s], (m,).
-        position: [m], (m, 2).
-        velocity: [m/s], (m, 2).
+        state: x, y [m], vx, vy [m/s], (m, 4).
         starts: the first rows of all pieces but the first, (pieces - 1,).
         velocity_measured: whether the velocity tells more than the position.
     """
 
     time: Array
-    position: Array
-    velocity: Array
+    state: Array
     starts: IntArray
     velocity_measured: bool = True
 
     @classmethod
     def of(cls, flight: Flight) -> Pieces:
         """The samples of a flight as they are, in one piece."""
-        starts = np.empty(0, dtype=np.intp)
-        return cls(flight.time, flight.position, flight.velocity, starts, flight.velocity_measured)
+        state = np.hstack([flight.position, flight.velocity])
+        return cls(flight.time, state, np.empty(0, dtype=np.intp), flight.velocity_measured)
 
     @cached_property
     def slices(self) -> list[slice]:
@@ -118,7 +114,7 @@ class Pieces:
     @property
     def lengths(self) -> IntArray:
         """The samples of each piece."""
-        return np.diff(np.concatenate([[0], self.starts, [len(self.time)]]))
+        return np.array([piece.stop - piece.start for piece in self.slices], dtype=np.intp)
 
     @cached_property
     def step(self) -> float:
@@ -128,16 +124,10 @@ class Pieces:
 
     @cached_property
     def even(self) -> bool:
-        """Tell whether the steps within the pieces are one and the same."""
+        """Whether the steps within the pieces are one and the same."""
         away = np.abs(np.diff(self.time) - self.step)
         away[self.starts - 1] = 0.0
         return bool(away.max() <= ONE_STEP * self.step + clock_rounding(self.time))
-
-    def at(self, rows: IntArray | BoolArray) -> Pieces:
-        """Some samples of a log in one piece."""
-        return replace(
-            self, time=self.time[rows], position=self.position[rows], velocity=self.velocity[rows]
-        )
 
     def cut(self, shortest: int) -> Pieces:
         """The samples cut at their gaps, without pieces of fewer samples if there are longer."""
@@ -148,9 +138,7 @@ class Pieces:
         long = [piece for piece in whole.slices if piece.stop - piece.start >= shortest]
         if len(long) in (0, len(whole.slices)):
             return whole
-        rows = np.concatenate([np.arange(piece.start, piece.stop) for piece in long])
-        starts = np.cumsum([piece.stop - piece.start for piece in long[:-1]], dtype=np.intp)
-        return replace(self.at(rows), starts=starts)
+        return self._joined([(self.time[piece], self.state[piece]) for piece in long])
 
     def resampled(self) -> Pieces:
         """The pieces on even steps, the mean one; each begins with its own first sample.
@@ -158,19 +146,21 @@ class Pieces:
         By the cubic Hermite polynomial of two neighbours; the slopes of the velocity are those of
         the parabola through three.
         """
-        grids, step = [], self.step
+        from scipy.interpolate import CubicHermiteSpline  # slow to import, rarely needed
+
+        parts = []
         for piece in self.slices:
-            first, last = self.time[piece.start], self.time[piece.stop - 1]
-            steps = np.arange(int((last - first) / step + 1e-6) + 1)
-            grids.append(np.minimum(first + step * steps, last))
-        time = np.concatenate(grids)
-        position = hermite(self.time, self.position, self.velocity, time)
-        starts = np.cumsum([len(grid) for grid in grids[:-1]], dtype=np.intp)
-        slopes = np.vstack(
-            [np.gradient(self.velocity[p], self.time[p], axis=0) for p in self.slices]
-        )
-        arrays = time, position, hermite(self.time, self.velocity, slopes, time)
-        return Pieces(*arrays, starts, self.velocity_measured)
+            time, state = self.time[piece], self.state[piece]
+            count = int((time[-1] - time[0]) / self.step + 1e-6) + 1
+            even = np.minimum(time[0] + self.step * np.arange(count), time[-1])
+            slopes = np.hstack([state[:, 2:], np.gradient(state[:, 2:], time, axis=0)])
+            parts.append((even, CubicHermiteSpline(time, state, slopes)(even)))
+        return self._joined(parts)
+
+    def _joined(self, parts: list[tuple[Array, Array]]) -> Pieces:
+        times, states = zip(*parts, strict=True)
+        starts = np.cumsum([len(time) for time in times[:-1]], dtype=np.intp)
+        return replace(self, time=np.concatenate(times), state=np.vstack(states), starts=starts)
 
 
 def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repairs]:
@@ -179,7 +169,8 @@ def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repa
     even: whether uneven time steps are made even; shortest: samples that a piece needs.
     """
     log = Pieces.of(flight)
-    fresh = _fresh(log)
+    rows = _fresh(log)
+    fresh = replace(log, time=log.time[rows], state=log.state[rows])
     pieces = fresh.cut(shortest)
     steps = np.diff(pieces.time)[pieces.starts - 1]
     repairs = Repairs(
@@ -195,17 +186,17 @@ def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repa
         repairs = replace(repairs, resampled=len(pieces.time))
     if not flight.velocity_measured:
         return pieces, repairs
-    velocity, position = pieces.velocity.copy(), pieces.position.copy()
+    clean = pieces.state.copy()
     for piece in pieces.slices:
-        velocity[piece] = clean_velocity(pieces.velocity[piece])
-        position[piece] = clean_position(pieces.position[piece], velocity[piece], pieces.step)
-    off = _length(velocity - pieces.velocity)
-    moved = _length(np.diff(position - pieces.position, axis=0))
-    jumps = moved > 1e-12 * np.abs(position).max()
+        clean[piece, 2:] = clean_velocity(pieces.state[piece, 2:])
+        clean[piece, :2] = clean_position(pieces.state[piece, :2], clean[piece, 2:], pieces.step)
+    change = clean - pieces.state
+    off, moved = np.hypot(*change[:, 2:].T), np.hypot(*np.diff(change[:, :2], axis=0).T)
+    jumps = moved > 1e-12 * np.abs(clean[:, :2]).max()
     jumps[pieces.starts - 1] = False
     if not off.any() and not jumps.any():
         return pieces, repairs
-    return replace(pieces, position=position, velocity=velocity), replace(
+    return replace(pieces, state=clean), replace(
         repairs,
         outliers=int(np.count_nonzero(off)),
         jumps=int(jumps.sum()),
@@ -214,17 +205,17 @@ def repaired(flight: Flight, *, even: bool, shortest: int) -> tuple[Pieces, Repa
     )
 
 
-def _fresh(log: Pieces) -> Pieces:
-    """The log without rows that repeat a position, if the vehicle moved on at most of these."""
-    moved = np.abs(np.diff(log.position, axis=0))
+def _fresh(log: Pieces) -> BoolArray:
+    """The rows (m,) that repeat no position, if the vehicle moved on at most of those that do."""
+    moved, every = np.abs(np.diff(log.state[:, :2], axis=0)), np.ones(len(log.time), dtype=bool)
     repeats = ~moved.any(axis=1)
     if not repeats.any() or not moved.any():
-        return log
-    way = np.abs(log.velocity[1:]).max(axis=1) * np.diff(log.time)
+        return every
+    way = np.abs(log.state[1:, 2:]).max(axis=1) * np.diff(log.time)
     flown = repeats & (way > RULES.rest * float(moved[moved > 0].min()))
     rows = np.concatenate([[True], ~repeats])
     few = 2 * flown.sum() <= repeats.sum() or rows.sum() < MINIMUM_SAMPLES
-    return log if few else log.at(rows)
+    return every if few else rows
 
 
 def clean_velocity(velocity: Array) -> Array:
@@ -233,18 +224,19 @@ def clean_velocity(velocity: Array) -> Array:
     The residual of a sample is that of a polynomial through the others: its own weight h in the
     fit taken out, the residual over 1 - h.
     """
-    window, degree = RULES.window, RULES.degree
+    window = RULES.window
     if len(velocity) < 3 * window:
         return velocity
-    powers = np.vander(np.linspace(-1.0, 1.0, window), degree + 1, increasing=True)
+    powers = np.vander(np.linspace(-1.0, 1.0, window), RULES.degree + 1, increasing=True)
     hat, half = powers @ np.linalg.pinv(powers), window // 2
     weight = np.full((len(velocity), 1), hat[half, half])
     weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
+    scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
     least = RULES.felt * math.sqrt(float(np.mean(velocity**2)))
     # The first look is by medians, which neighbours that are off too do not move.
     padded = np.pad(velocity, ((2, 2), (0, 0)), mode="edge")
     predicted = np.median(sliding_window_view(padded, 5, axis=0), axis=-1)
-    size = _length(velocity - predicted)
+    size = np.hypot(*(velocity - predicted).T)
     outliers = _isolated(size, np.ones_like(size), least)
     cleaned = np.where(outliers[:, None], predicted, velocity)
     for _ in range(RULES.rounds):
@@ -252,9 +244,8 @@ def clean_velocity(velocity: Array) -> Array:
         ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
         fitted = np.vstack([ends[0], np.column_stack(inner), ends[1]])
         predicted = (fitted - weight * cleaned) / (1.0 - weight)
-        scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
         before = outliers
-        outliers = _isolated(_length(velocity - predicted), scale, least)
+        outliers = _isolated(np.hypot(*(velocity - predicted).T), scale, least)
         if not outliers.any() or outliers.mean() > RULES.most_outliers:
             return velocity
         cleaned = np.where(outliers[:, None], predicted, velocity)
@@ -275,7 +266,7 @@ def clean_position(position: Array, velocity: Array, step: float) -> Array:
     mean[1:-1] = (13.0 * (velocity[1:-2] + velocity[2:-1]) - velocity[:-3] - velocity[3:]) / 24.0
     apart = np.diff(position, axis=0) - step * mean
     least = RULES.felt_step * step * math.sqrt(float(np.mean(velocity**2)))
-    size = _length(apart)
+    size = np.hypot(*apart.T)
     jumps = np.flatnonzero(_isolated(size, np.ones_like(size), least)).tolist()
     if not 0 < len(jumps) <= RULES.most_jumps * len(position):
         return position
@@ -290,8 +281,8 @@ def clean_position(position: Array, velocity: Array, step: float) -> Array:
 
 def _isolated(size: Array, scale: Array, least: float) -> BoolArray:
     """Which errors (m,) stand out from all others, and from those around them, beyond ``least``."""
-    scaled = scale * size
-    spread = max(float(np.median(scaled)) / RAYLEIGH, 1e-300)
+    scaled, rayleigh = scale * size, math.sqrt(2.0 * math.log(2.0))  # median of a pair's length
+    spread = max(float(np.median(scaled)) / rayleigh, 1e-300)
     outstanding: BoolArray = (scaled > RULES.sure * spread) & (size > least)
     rows = np.flatnonzero(outstanding)
     first = np.clip(rows - RULES.around, 0, len(size) - 2 * RULES.around - 1)
@@ -306,25 +297,3 @@ def straddling(starts: IntArray, width: int, rows: int) -> BoolArray:
     for start in starts:
         crossing[max(start - width + 1, 0) : start] = True
     return crossing
-
-
-def hermite(time: Array, position: Array, velocity: Array, at: Array) -> Array:
-    """Positions (q, 2) at the times (q,) by the cubic through position and velocity beside them."""
-    low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
-    width = (time[low + 1] - time[low])[:, None]
-    s = (at - time[low])[:, None] / width
-    rest = 1.0 - s
-    before = (1.0 + 2.0 * s) * position[low] + s * width * velocity[low]
-    after = (1.0 + 2.0 * rest) * position[low + 1] - rest * width * velocity[low + 1]
-    between: Array = rest**2 * before + s**2 * after
-    return between
-
-
-def interpolated(time: Array, values: Array, at: Array) -> Array:
-    """Values (q, 2) at the times (q,) on the straight lines between those (m, 2) at times (m,)."""
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
-
-
-def _length(pairs: Array) -> Array:
-    length: Array = np.hypot(pairs[:, 0], pairs[:, 1])
-    return length

@@ -11,15 +11,13 @@ from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.logs.checks import ONE_STEP, clock_rounding
-from sparsefit.rows.clean import Pieces, Repairs, interpolated, repaired
-from sparsefit.rows.samples import ORDER, Samples, WeakRows
-from sparsefit.rows.smoothing import FEWEST, Smoothing, polynomial_kernels, smooth
+from sparsefit.rows.clean import Pieces, Repairs, repaired
+from sparsefit.rows.samples import ORDER, Samples, averaged
+from sparsefit.rows.smoothing import FEWEST, Rates, Smoothing, polynomial_kernels, smooth
 
 METHODS = ("forward", "central", "midpoint", "savgol", "auto", "weak")
 SMOOTHED = ("auto", "weak")
 DEFAULTS = {"savgol": (5, 4), "weak": (None, ORDER)}  # window and order
-WEAK_ORDERS = (2, 32)  # of the test functions: smoother than a corner, wider than a spike
-Rates = tuple[Array, Array, Array, Smoothing]  # time (q,), state (q, 4), rate (q, 4), the filter
 
 
 @dataclass(frozen=True)
@@ -83,10 +81,8 @@ class Derivative:
             return
         if self.window is not None:
             integer("weak window", self.window, 5, odd=True)
-        if not is_integer(self.order, *WEAK_ORDERS):
-            raise InputError(
-                f"weak order must be an integer from 2 to {WEAK_ORDERS[1]}; got {self.order!r}"
-            )
+        if not is_integer(self.order, 2, 32):  # smoother than a corner, wider than a spike
+            raise InputError(f"weak order must be an integer from 2 to 32; got {self.order!r}")
 
     def __call__(self, flight: Flight) -> Samples:
         """Return states and derivatives of ``flight``.
@@ -101,19 +97,21 @@ class Derivative:
             shortest = FEWEST if smoothed else self.window or MINIMUM_SAMPLES
             log, repairs = repaired(flight, even=smoothed, shortest=shortest)
         time, state, rate, smoothing = self._rates(log)
-        thrust = weak = None
-        if flight.thrust is not None:
-            thrust = interpolated(flight.time, flight.thrust, time)
-        if self.method == "weak" and smoothing.method == "auto":
-            width = self.window, self.order or ORDER
-            weak = WeakRows.of(time, state, *width, thrust, smoothed=smoothing.window)
-        elif self.method == "weak":
-            raw, pushed = np.hstack([log.position, log.velocity]), None
-            if flight.thrust is not None:
-                pushed = interpolated(flight.time, flight.thrust, log.time)
-            weak = WeakRows.of(log.time, raw, self.window, self.order or ORDER, pushed)
+
+        def thrust_at(times: Array) -> Array | None:
+            if flight.thrust is None:
+                return None
+            return np.stack([np.interp(times, flight.time, a) for a in flight.thrust.T], axis=1)
+
+        averages = None
+        if self.method == "weak":
+            smooth_ = smoothing.method == "auto"
+            times, states = (time, state) if smooth_ else (log.time, log.state)
+            width = smoothing.window if smooth_ else 1
+            settings = self.window, self.order or ORDER
+            averages = averaged(times, states, *settings, thrust_at(times), smoothed=width)
         halves = state[:, :2], state[:, 2:], rate[:, :2], rate[:, 2:]
-        return Samples(time, *halves, smoothing, weak, repairs, thrust)
+        return Samples(time, *halves, smoothing, averages, repairs, thrust_at(time))
 
     def _rates(self, log: Pieces) -> Rates:
         """States and rates of a log in pieces, none of which a difference crosses."""
@@ -127,19 +125,23 @@ class Derivative:
                 reason = "time steps are not uniform"
             else:
                 return smooth(log)
-        parts = [
-            self._differences(log.time[piece], np.hstack([log.position, log.velocity])[piece])
-            for piece in log.slices
-        ]
+        parts = [self._differences(log.time[piece], log.state[piece]) for piece in log.slices]
         times, states, rates, filters = zip(*parts, strict=True)
         smoothing = replace(filters[0], reason=reason)
         return np.concatenate(times), np.vstack(states), np.vstack(rates), smoothing
 
     def _differences(self, time: Array, state: Array) -> Rates:
         """States and rates of one piece, states (m, 4) at times (m,), by the fixed filters."""
-        if self.method == "savgol":
-            return self._polynomial(time, state)
         steps = np.diff(time)[:, None]
+        if self.method == "savgol":  # in full windows only: at an edge a polynomial extrapolates
+            window, order, mean = self._savgol(time, steps[:, 0])
+            full = slice(window // 2, len(time) - window // 2)
+            value, slope = (
+                np.stack([np.correlate(column, kernel, "valid") for column in state.T], axis=1)
+                for kernel in polynomial_kernels(window, order, 1.0)[:2]
+            )
+            own = Smoothing("savgol", window=window, rate_window=window, order=order)
+            return time[full], value, slope / mean, own
         quotient = np.diff(state, axis=0) / steps
         if self.method == "forward":
             return time[:-1], state[:-1], quotient, Smoothing("forward", rate_window=2)
@@ -147,29 +149,21 @@ class Derivative:
             before, after = steps[:-1], steps[1:]
             rate = (after * quotient[:-1] + before * quotient[1:]) / (before + after)
             return time[1:-1], state[1:-1], rate, Smoothing("central", rate_window=3)
-        middle, mean = time[:-1] + np.diff(time) / 2.0, (state[:-1] + state[1:]) / 2.0
-        return middle, mean, quotient, Smoothing("midpoint", window=2, rate_window=2)
+        middle, mean_state = time[:-1] + np.diff(time) / 2.0, (state[:-1] + state[1:]) / 2.0
+        return middle, mean_state, quotient, Smoothing("midpoint", window=2, rate_window=2)
 
-    def _polynomial(self, time: Array, state: Array) -> Rates:
-        """The polynomial in full windows only: at an edge it extrapolates."""
-        window, order = self.window or 0, self.order or 0
+    def _savgol(self, time: Array, steps: Array) -> tuple[int, int, float]:
+        """Window, order and mean step [s]; InputError where times (m,) do not suit a polynomial."""
+        window, mean = self.window or 0, float(time[-1] - time[0]) / len(steps)
         if len(time) < window:
             raise InputError(
                 f"savgol window {window} is longer than the flight of {len(time)} samples: "
                 "use a smaller window, or central"
             )
-        steps = np.diff(time)
-        mean = float(time[-1] - time[0]) / len(steps)
         row = int(np.argmax(np.abs(steps - mean)))
         if abs(steps[row] - mean) > ONE_STEP * mean + clock_rounding(time):
             raise InputError(
                 f"savgol needs uniform time steps; the step after row {row} is {steps[row]:.6g} s, "
                 f"the mean {mean:.6g} s: use central or midpoint"
             )
-        full = slice(window // 2, len(time) - window // 2)
-        value, slope = (
-            np.stack([np.correlate(column, kernel, "valid") for column in state.T], axis=1)
-            for kernel in polynomial_kernels(window, order, 1.0)[:2]
-        )
-        smoothing = Smoothing("savgol", window=window, rate_window=window, order=order)
-        return time[full], value, slope / mean, smoothing
+        return window, self.order or 0, mean

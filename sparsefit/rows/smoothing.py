@@ -31,16 +31,12 @@ SHORTEST, LONGEST = ORDER + 1, 1001  # samples; either channel alone determines 
 GROWTH = 1.25  # from window to window
 SIDE_BY_SIDE = 5  # windows in a flight: longer ones lose more at the ends than they gain
 FEWEST = SIDE_BY_SIDE * SHORTEST  # samples of a flight that can be smoothed
-PATIENCE = 2  # windows of rising risk before the search ends
 # v' may be noisy, as regression averages it, but what a window takes from it is missing from U0:
 # its window is shorter. 1 costs twice the mean error of tau_w at 0.5 m/s, 0.35 to 0.6 agree.
 RATE_SHARE = 0.6
-DIFFERENCES = (2, 4, 6, 8, 10, 12)
-# Of the largest sample: with less, rounding would choose the window, on each machine another.
-ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
-SMALLEST = 1e-60  # of a noise level: its square must divide
 LONG = 40  # samples of a window that a Fourier transform sums faster, where
 NOISY = 1e-10  # of the largest sample is noise: below it the transform's rounding would count
+Rates = tuple[Array, Array, Array, "Smoothing"]  # time (q,), state (q, 4), rate (q, 4), the filter
 
 
 @dataclass(frozen=True)
@@ -55,9 +51,7 @@ class Smoothing:
         order: degree of the velocity's polynomial; 0 where there is none.
         coupled: whether position and velocity share one polynomial.
         sigma_position: standard deviation of the measured position's noise [m], NaN if not sought.
-        sigma_velocity: of the measured velocity's [m/s].
-        acceleration_error: standard deviation of the acceleration [m/s^2], from that noise alone.
-        positions_only: whether velocity, too, is that of the polynomial through the position.
+        sigma_velocity: of the measured velocity's [m/s], 0 where it was not measured.
     """
 
     method: str
@@ -68,8 +62,6 @@ class Smoothing:
     coupled: bool = False
     sigma_position: float = math.nan
     sigma_velocity: float = math.nan
-    acceleration_error: float = math.nan
-    positions_only: bool = False
 
     @property
     def correlation(self) -> float:
@@ -118,11 +110,11 @@ class Channels:
     @classmethod
     def of(cls, log: Pieces) -> Channels:
         """The channels of a log on even steps, positions from their mean to keep their digits."""
-        position = log.position - log.position.mean(axis=0)
-        of_velocity = noise_level(log.velocity, log) if log.velocity_measured else 0.0
+        position, velocity = log.state[:, :2] - log.state[:, :2].mean(axis=0), log.state[:, 2:]
+        of_velocity = noise_level(velocity, log) if log.velocity_measured else 0.0
         # Kernels of a limited ratio cannot use positions that are better than this.
         of_position = max(noise_level(position, log), of_velocity * log.step / LONGEST)
-        rows = np.ascontiguousarray(np.stack([position.T, log.velocity.T]))
+        rows = np.ascontiguousarray(np.stack([position.T, velocity.T]))
         return cls(log, rows, (of_position, of_velocity))
 
     def kernels(self, window: int, *, coupled: bool) -> Array:
@@ -139,27 +131,25 @@ class Channels:
         return kernels
 
     @cached_property
-    def _length(self) -> int:
+    def _spectra(self) -> tuple[ComplexArray, int] | None:
+        """Transforms of the rows (2, 2, f) and their length; None where noise is too low."""
         from scipy.fft import next_fast_len
 
-        return int(next_fast_len(self.rows.shape[2], real=True))
-
-    @cached_property
-    def _spectra(self) -> ComplexArray | None:
-        """The transforms of the rows (2, 2, f), for long windows; None where noise is too low."""
         levels = NOISY * np.abs(self.rows).max(axis=(1, 2))
         if not np.all(np.array(self.sigma) > levels):
             return None
-        return np.fft.rfft(self.rows, self._length)
+        length = int(next_fast_len(self.rows.shape[2], real=True))
+        return np.fft.rfft(self.rows, length), length
 
     def filtered(self, kernel: Array) -> Array:
         """The weighted sums (2, m - n + 1) of a kernel (2 n,), of x and of y."""
         halves, size = kernel.reshape(2, -1), self.rows.shape[2]
         window, used = halves.shape[1], [c for c in range(2) if halves[c].any()]
         if window >= LONG and self._spectra is not None:
-            weights = np.fft.rfft(halves[used], self._length).conj()
-            product = np.einsum("cq,crq->rq", weights, self._spectra[used])
-            return np.fft.irfft(product, self._length)[:, : size - window + 1]
+            spectra, length = self._spectra
+            weights = np.fft.rfft(halves[used], length).conj()
+            product = np.einsum("cq,crq->rq", weights, spectra[used])
+            return np.fft.irfft(product, length)[:, : size - window + 1]
         sums = [
             np.stack([np.correlate(row, halves[c], "valid") for row in self.rows[c]]) for c in used
         ]
@@ -184,7 +174,7 @@ class Channels:
         """
         least, rising, window = (math.inf, SHORTEST), 0, SHORTEST
         count, lengths = self.rows.shape[2], self.log.lengths
-        while window <= LONGEST and rising < PATIENCE:
+        while window <= LONGEST and rising < 2:
             whole = int(np.maximum(lengths - window, 0).sum())
             if SIDE_BY_SIDE * whole < (SIDE_BY_SIDE - 1) * count:
                 break
@@ -220,15 +210,18 @@ def noise_level(values: Array, log: Pieces) -> float:
     Jennen-Steinmetz, 1986).
     """
     variances = []
-    for order in (q for q in DIFFERENCES if q < len(values)):
+    for order in range(2, min(13, len(values)), 2):
         differences = np.diff(values, order, axis=0)
         if len(log.starts):
             differences = differences[~straddling(log.starts, order + 1, len(differences))]
         variances.append(float(np.mean(differences**2)) / math.comb(2 * order, order))
-    return max(math.sqrt(min(variances)), ROUNDING * float(np.abs(values).max()), SMALLEST)
+    # With less than rounding, that would choose the window, on each machine another; the square
+    # of a level must divide.
+    rounding = 64.0 * float(np.finfo(np.float64).eps) * float(np.abs(values).max())
+    return max(math.sqrt(min(variances)), rounding, 1e-60)
 
 
-def smooth(log: Pieces) -> tuple[Array, Array, Array, Smoothing]:
+def smooth(log: Pieces) -> Rates:
     """Smooth a log on even steps by the window of least risk, where whole windows are there.
 
     Returns the times (q,) [s], the states x, y, vx, vy (q, 4) [m, m/s], their rates (q, 4)
@@ -243,7 +236,6 @@ def smooth(log: Pieces) -> tuple[Array, Array, Array, Smoothing]:
     states = np.vstack([channels.filtered(kernel) for kernel in state[[0, 2]]])
     rates = np.vstack([channels.filtered(kernel) for kernel in rate[[1, 3]]])
     rates = rates[:, trim : rates.shape[1] - trim]
-    by_channel = np.linalg.norm(rate[3].reshape(2, -1), axis=1)
     smoothing = Smoothing(
         "auto",
         window=window,
@@ -252,12 +244,10 @@ def smooth(log: Pieces) -> tuple[Array, Array, Array, Smoothing]:
         coupled=coupled,
         sigma_position=channels.sigma[0],
         sigma_velocity=channels.sigma[1],
-        acceleration_error=math.hypot(*(by_channel * channels.sigma)),
-        positions_only=not log.velocity_measured,
     )
     whole = half + np.flatnonzero(~straddling(log.starts, window, states.shape[1]))
     if len(log.starts):
         states, rates = states[:, whole - half], rates[:, whole - half]
     states, rates = np.ascontiguousarray(states.T), np.ascontiguousarray(rates.T)
-    states[:, :2] += log.position.mean(axis=0)
+    states[:, :2] += log.state[:, :2].mean(axis=0)
     return log.time[whole], states, rates, smoothing

@@ -53,7 +53,7 @@ def test_positions_alone_tell_a_cellular_flow():
     assert estimate.length_scale == pytest.approx(4.0, rel=5e-3)
     assert estimate.mean_velocity == pytest.approx(6.0, rel=3e-2)
     samples = sf.Derivative()(flight)
-    assert samples.smoothing.positions_only
+    assert samples.smoothing.sigma_velocity == 0.0
     assert np.sqrt(np.mean((samples.velocity - _at(logged, samples.time)) ** 2)) < 0.1
 
 

@@ -178,9 +178,9 @@ def test_rows_of_several_flights_have_their_weights():
 def test_weak_rows_average_the_columns():
     samples = Derivative("weak", window=31)(flight())
     problem = Library(SMALL_GRID).build(samples, VEHICLE)
-    expected = samples.weak.operator @ columns_of(samples.weak.position, SMALL_GRID.scales)
+    expected = samples.averages.operator @ columns_of(samples.averages.position, SMALL_GRID.scales)
     np.testing.assert_allclose(problem.theta, expected, atol=1e-13)
-    np.testing.assert_array_equal(problem.target, samples.weak.flow_velocity(VEHICLE))
+    np.testing.assert_array_equal(problem.target, samples.averages.flow_velocity(VEHICLE))
 
 
 def test_a_flight_on_an_axis_is_refused():

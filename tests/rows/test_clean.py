@@ -125,8 +125,8 @@ def test_no_window_crosses_a_gap(exact):
 def test_windows_that_cross_a_gap_by_hand():
     found = straddling(np.array([3]), 3, 5)  # of samples 0-2, 1-3, 2-4, 3-5, 4-6
     np.testing.assert_array_equal(found, [False, True, True, False, False])
-    time, plane = np.array([0.0, 1.0, 2.0, 9.0, 10.0]), np.zeros((5, 2))
-    pieces = Pieces(time, plane, plane, np.empty(0, dtype=np.intp)).cut(2)
+    time = np.array([0.0, 1.0, 2.0, 9.0, 10.0])
+    pieces = Pieces(time, np.zeros((5, 4)), np.empty(0, dtype=np.intp)).cut(2)
     assert pieces.slices == [slice(0, 3), slice(3, 5)]
     assert pieces.step == 1.0
 

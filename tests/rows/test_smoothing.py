@@ -37,7 +37,7 @@ def fly(seed, timescale, duration=10.0, **noise):
 
 def log_of(position, velocity, step=0.01):
     time = step * np.arange(len(position))
-    return Pieces(time, position, velocity, np.empty(0, dtype=np.intp))
+    return Pieces(time, np.hstack([position, velocity]), np.empty(0, dtype=np.intp))
 
 
 @pytest.mark.parametrize("window", [11, 21, 101])
@@ -133,8 +133,7 @@ def test_the_filter_and_the_noise_are_reported():
     truth = fly(4, 0.5, 30.0)
     rows = slice(smoothing.window // 2, len(truth.time) - smoothing.window // 2)
     exact = VEHICLE.acceleration(truth.velocity, truth.flow.velocity(*truth.position.T))[rows]
-    error = np.std(samples.acceleration - exact)
-    assert error == pytest.approx(smoothing.acceleration_error, rel=0.4)
+    assert np.std(samples.acceleration - exact) < 0.1 * np.std(exact)
     np.testing.assert_array_equal(samples.time, flight.time[rows])
 
 
@@ -209,7 +208,7 @@ def test_a_flight_is_smoothed_alike_with_and_without_the_transform(noise, monkey
     rng, t = np.random.default_rng(4), np.linspace(0, 4, 400)
     path = np.column_stack([np.sin(t), np.cos(2 * t)])
     log = log_of(path, path + noise * rng.normal(size=path.shape))
-    channels = Channels(log, np.stack([log.position.T, log.velocity.T]), (noise, noise))
+    channels = Channels(log, log.state.T.reshape(2, 2, -1), (noise, noise))
     kernel = channels.kernels(2 * LONG + 1, coupled=True)[2]
     assert (channels._spectra is None) is (noise < 1e-9)
     smoothed = channels.filtered(kernel)
@@ -221,7 +220,7 @@ def test_a_flight_is_smoothed_alike_with_and_without_the_transform(noise, monkey
 def test_positions_alone_are_smoothed_by_their_own_polynomial():
     flight = fly(8, 0.5, position_noise=0.02)
     samples = AUTO(Flight.from_positions(flight.time, flight.position, VEHICLE))
-    assert samples.smoothing.positions_only
+    assert samples.smoothing.sigma_velocity == 0.0
     truth = fly(8, 0.5)
     velocity = np.interp(samples.time, truth.time, truth.velocity[:, 0])
     assert np.std(samples.velocity[:, 0] - velocity) < 0.03 * np.std(velocity)
@@ -234,6 +233,6 @@ def test_a_measured_thrust_is_that_at_the_rows():
     samples = AUTO(flight)
     error = samples.flow_velocity(vehicle) - flow.velocity(*samples.position.T)
     assert np.abs(error).max() < 5e-4
-    weak = Derivative("weak")(flight).weak
+    weak = Derivative("weak")(flight).averages
     averaged = weak.operator @ flow.velocity(*weak.position.T)
     assert np.abs(weak.flow_velocity(vehicle) - averaged).max() < 1e-3

@@ -7,7 +7,8 @@ from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.rows import Derivative, WeakRows
+from sparsefit.rows import Derivative
+from sparsefit.rows.samples import averaged
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = CellularFlow(15.0, 4.21)
@@ -15,7 +16,7 @@ FLOW = CellularFlow(15.0, 4.21)
 
 def rows_of(time, values, window, order=8):
     """Weak rows whose position and velocity are both ``values`` (m,)."""
-    return WeakRows.of(time, np.column_stack([values] * 4), window, order)
+    return averaged(time, np.column_stack([values] * 4), window, order)
 
 
 def uneven(count=400, seed=1):
@@ -63,7 +64,7 @@ def test_no_row_spans_a_gap_in_the_log():
     rows = rows_of(time, time, 41)
     for row in rows.operator:
         inside = time[row.indices]
-        assert np.ptp(inside) <= rows.window * np.ptp(time) / 399
+        assert np.ptp(inside) <= rows.smoothing.window * np.ptp(time) / 399
         assert len(inside) >= 20
 
 
@@ -72,8 +73,8 @@ def test_no_row_spans_a_gap_in_the_log():
 )
 def test_the_window_is_the_smoothers_if_none_is_given(samples, smoothed, window):
     time = np.arange(float(samples))
-    rows = WeakRows.of(time, np.zeros((samples, 4)), None, smoothed=smoothed)
-    assert rows.window == window
+    rows = averaged(time, np.zeros((samples, 4)), None, smoothed=smoothed)
+    assert rows.smoothing.window == window
 
 
 def test_rows_of_the_flow_velocity_are_its_averages():
@@ -81,7 +82,7 @@ def test_rows_of_the_flow_velocity_are_its_averages():
     rows = np.sort(np.random.default_rng(4).choice(1001, 700, replace=False))
     part = Flight(flight.time[rows], flight.position[rows], flight.velocity[rows], VEHICLE)
     for log, accuracy in ((flight, 1e-7), (part, 5e-2)):
-        weak = Derivative("weak", repair=log is flight)(log).weak
+        weak = Derivative("weak", repair=log is flight)(log).averages
         truth = weak.operator @ FLOW.velocity(*weak.position.T)
         error = weak.flow_velocity(VEHICLE) - truth
         assert np.abs(error).max() < accuracy * FLOW.mean_velocity
@@ -106,6 +107,6 @@ def test_refuses_windows_longer_than_the_flight_and_quadratic_drag():
     flight = simulate_flight(FLOW, VEHICLE, duration=10.0, sample_rate=100.0, seed=7)
     with pytest.raises(InputError, match="no weak test function of 1201 samples"):
         Derivative("weak", 1201)(flight)
-    weak = Derivative("weak")(flight).weak
+    weak = Derivative("weak")(flight).averages
     with pytest.raises(InputError, match="quadratic drag does not allow"):
         weak.flow_velocity(PointMassVehicle(0.5, drag=0.1))
