@@ -104,7 +104,10 @@ class Samples:
         """The samples of several flights one after another."""
         parts = [flight._arrays() for flight in flights]
         names = [name for name in parts[0] if all(name in part for part in parts)]
-        return cls(**{name: np.concatenate([part[name] for part in parts]) for name in names})
+        both: dict[str, Any] = {
+            name: np.concatenate([part[name] for part in parts]) for name in names
+        }
+        return cls(**both)
 
 
 def averaged(
