@@ -64,6 +64,11 @@ class PointMassVehicle:
         """1/tau [1/s], 0 where drag is quadratic only."""
         return 1.0 / self.response_time
 
+    @property
+    def parameters(self) -> tuple[float, float, float, float, float]:
+        """tau [s], c [1/m], a_0 (x, y) [m/s^2] and s, as the equation of motion has them."""
+        return (self.response_time, self.drag, *self.thrust_acceleration, self.thrust_scale)
+
     def thrust(self, measured: ArrayLike | None = None) -> Array:
         """a = a_0 + s m [m/s^2], (..., 2), from a measured m (..., 2), or a_0 (2,) without one."""
         constant: Array = np.array(self.thrust_acceleration)

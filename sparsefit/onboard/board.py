@@ -84,7 +84,7 @@ class Board:
         self.time_ns = self.suspect_ns = 0
         self.sweep = Sweep(settings)
         self.step = self.counted = 0.0
-        self.origin, self.thrust, self.noise = np.zeros(2), np.zeros(2), np.zeros(2)
+        self.origin, self.measured, self.noise = np.zeros(2), np.zeros(2), np.zeros(2)
         self.history: list[Array] = []
         self.anchor, self.remaining = np.zeros(2), np.zeros(2)
         self.following = False
@@ -101,11 +101,11 @@ class Board:
         return self.sweep.memory.nbytes + filters + PEAKS * 8 * 64
 
     def update(
-        self, time_ns: int, x: float, y: float, vx: float, vy: float, thrust: Pair | None = None
+        self, time_ns: int, x: float, y: float, vx: float, vy: float, measured: Pair | None = None
     ) -> int:
         """Take a sample at a time [ns]; the status, as `sf_update` of the C."""
         z = np.array([x, y, vx, vy], dtype=np.float64)
-        given = z if thrust is None else np.concatenate([z, thrust])
+        given = z if measured is None else np.concatenate([z, measured])
         if not (np.abs(given) <= LARGEST).all():
             return BAD_SAMPLE
         if not self.samples:
@@ -125,11 +125,11 @@ class Board:
         settings = self.settings
         push = np.array([settings.thrust_x, settings.thrust_y])
         z[:2] -= self.origin
-        if thrust is not None:
-            measured = np.array(thrust, dtype=np.float64)
-            before = self.thrust if self.samples > 1 else measured
-            push = push + settings.thrust_scale * (before + measured) / 2
-            self.thrust = measured
+        if measured is not None:
+            latest = np.array(measured, dtype=np.float64)
+            before = self.measured if self.samples > 1 else latest
+            push = push + settings.thrust_scale * (before + latest) / 2
+            self.measured = latest
         if h > 1.5 * self.step:
             self.history = []
         if status == GAP_TAKEN:
@@ -187,13 +187,13 @@ class Board:
     # ---- the filters
 
     def _acceleration(self, z: Array, push: Array) -> tuple[Array, Array, Array]:
-        """v' (2, l) of the states z (12, l), its drag's slope (2, 2, l) and gradient (2, 12, l)."""
+        """v' (2, l) at states z (12, l), its slope by r (2, 2, l) and gradient (2, 12, l)."""
         settings = self.settings
         w, place, by_flow = waves(z[FLOW], z[0], z[1])
         r = w + z[4:6] - z[2:4]
         speed = np.hypot(*r)
-        own = 1.0 / settings.response_time + settings.drag * speed
-        bend = settings.drag / np.where(speed > 0, speed, 1.0)
+        own = 1.0 / settings.response_time + settings.drag_coefficient * speed
+        bend = settings.drag_coefficient / np.where(speed > 0, speed, 1.0)
         slope = own * np.eye(2)[:, :, None] + bend * r[:, None] * r
         minus = -np.broadcast_to(np.eye(2)[:, :, None], slope.shape)
         inner = np.concatenate([place, minus, -minus, by_flow], axis=1)
@@ -253,7 +253,7 @@ class Board:
         """Follow the flow with one sample z (4,), h seconds after the last."""
         settings = self.settings
         speed = speed_of(self.state[int(np.argmax(self.log_likelihood)), FLOW])
-        rate = 1.0 / settings.response_time + 2.0 * settings.drag * speed
+        rate = 1.0 / settings.response_time + 2.0 * settings.drag_coefficient * speed
         parts = 1 + math.floor(min(2 * h * rate, 15.0))
         for _ in range(parts):
             self._predict(h / parts, push, speed)

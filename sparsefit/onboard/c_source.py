@@ -16,8 +16,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
-import numpy as np
-
 from sparsefit import __version__
 from sparsefit.errors import InputError, one_line, one_of
 from sparsefit.estimator import Estimator
@@ -27,7 +25,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file
 from sparsefit.logs.flight_table import FlightTable
 from sparsefit.onboard.board import LEVELS, answer_of, board_of
-from sparsefit.onboard.online import board_settings, refusal
+from sparsefit.onboard.online import board_settings, refusal, samples_of
 from sparsefit.onboard.sweep import PEAKS, ROWS
 from sparsefit.whole_file import write_whole
 
@@ -37,7 +35,7 @@ EVERY = 50  # samples between the answers of the reference
 CLOCK = 400e6  # Hz of the processor that the example has in mind
 CYCLES = {"float": (3, 20, 120), "double": (6, 40, 400)}  # of a sum or product, a quotient, a sine
 FILES = ("sf_flow.h", "sf_flow.c", "CMakeLists.txt", "README.md", "test/replay.c")
-_NAMES = ("response_time", "drag", "thrust_x", "thrust_y", "thrust_scale")
+_NAMES = ("response_time", "drag_coefficient", "thrust_x", "thrust_y", "thrust_scale")
 
 
 @dataclass(frozen=True)
@@ -160,15 +158,13 @@ def example_flight(estimator: Estimator, seed: int = 7) -> Flight:
 def reference(estimator: Estimator, flight: Flight) -> list[str]:
     """Return the lines of the test's reference: every 50th answer of the recurrence in Python."""
     board = board_of(board_settings(estimator, flight.vehicle), compiled=False)
-    clock = np.floor((flight.time - flight.time[0]) * 1e9 + 0.5).astype(np.int64).tolist()
     lines = [
         "sample,doubt,mean_velocity,length_scale,timescale,heading,mean_velocity_error,"
         "length_scale_error,innovation,unexplained"
     ]
-    samples = np.column_stack([flight.position, flight.velocity]).tolist()
-    thrust = [None] * flight.samples if flight.thrust is None else flight.thrust.tolist()
-    for number, (time, sample, push) in enumerate(zip(clock, samples, thrust, strict=True), 1):
-        board.update(time, *sample, push)
+    for number, (time, place, speed, *push) in enumerate(samples_of(flight), 1):
+        clock = math.floor((time - float(flight.time[0])) * 1e9 + 0.5)
+        board.update(clock, *place, *speed, *push)
         if number % EVERY == 0:
             answer = answer_of(board)
             values = (*answer.value, *answer.error[:2], answer.innovation, answer.unexplained)

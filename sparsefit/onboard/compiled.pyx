@@ -10,7 +10,7 @@ cdef extern from "sf_flow.h":
     ctypedef int sf_status
     ctypedef int sf_doubt
     ctypedef struct sf_config:
-        sf_real response_time, drag, thrust_x, thrust_y, thrust_scale
+        sf_real response_time, drag_coefficient, thrust_x, thrust_y, thrust_scale
         sf_real lower, upper, precision, memory
         uint32_t any_heading, candidates
     ctypedef struct sf_answer:
@@ -25,7 +25,7 @@ cdef extern from "sf_flow.h":
         uint32_t samples, restarts, following
     sf_status sf_init(sf_flow *flow, const sf_config *config)
     sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real *position,
-                        const sf_real *velocity, const sf_real *thrust)
+                        const sf_real *velocity, const sf_real *measured)
     sf_status sf_estimate(const sf_flow *flow, sf_answer *answer)
 
 
@@ -37,21 +37,21 @@ cdef class CompiledFlow:
     def __init__(self, settings):
         """Begin with the fields of `BoardSettings`, in their order."""
         cdef sf_config config
-        (config.response_time, config.drag, config.thrust_x, config.thrust_y, config.thrust_scale,
-         config.lower, config.upper, config.precision, config.memory, config.any_heading,
+        (config.response_time, config.drag_coefficient, config.thrust_x, config.thrust_y,
+         config.thrust_scale, config.lower, config.upper, config.precision, config.memory, config.any_heading,
          config.candidates) = settings
         if sf_init(&self.flow, &config):
             raise ValueError("a setting of the board is out of its range")
 
-    def update(self, uint64_t time_ns, double x, double y, double vx, double vy, thrust=None):
+    def update(self, uint64_t time_ns, double x, double y, double vx, double vy, measured=None):
         """Take a sample; the status of `sf_update`."""
         cdef sf_real position[2]
         cdef sf_real velocity[2]
         cdef sf_real push[2]
         position[0], position[1], velocity[0], velocity[1] = x, y, vx, vy
-        if thrust is None:
+        if measured is None:
             return sf_update(&self.flow, time_ns, position, velocity, NULL)
-        push[0], push[1] = thrust
+        push[0], push[1] = measured
         return sf_update(&self.flow, time_ns, position, velocity, push)
 
     def estimate(self):

@@ -10,7 +10,7 @@ from sparsefit.errors import InputError, positive
 from sparsefit.estimator import Estimate, Estimator
 from sparsefit.flight import Flight
 from sparsefit.onboard.board import BoardAnswer, answer_of
-from sparsefit.onboard.online import OnlineEstimator, estimate_of, refusal
+from sparsefit.onboard.online import OnlineEstimator, estimate_of, refusal, samples_of
 from sparsefit.regression import Fit
 
 if TYPE_CHECKING:
@@ -87,9 +87,7 @@ class Stream:
         online = OnlineEstimator(
             estimator, vehicle=flight.vehicle, window=self.window, memory=self.memory
         )
-        series = [flight.time, flight.position, flight.velocity]
-        series += [] if flight.thrust is None else [flight.thrust]
-        for sample in zip(*(column.tolist() for column in series), strict=True):
+        for sample in samples_of(flight):
             online.update(*sample)
         return online
 

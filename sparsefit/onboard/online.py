@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -74,10 +75,7 @@ def board_settings(
     grid, readout = estimator.library.grid, estimator.readout
     turned = readout.refine == "ladder" or estimator.library.family == "waves"
     return BoardSettings(
-        float(vehicle.response_time),
-        float(vehicle.drag),
-        *vehicle.thrust_acceleration,
-        float(vehicle.thrust_scale),
+        *vehicle.parameters,
         float(grid.lower),
         float(grid.upper),
         float(readout.precision),
@@ -251,6 +249,13 @@ class OnlineEstimator:
         with self._lock:
             answer = answer_of(self._board)
         return estimate_of(self.estimator, answer)
+
+
+def samples_of(flight: Flight) -> Iterator[tuple[Any, ...]]:
+    """Yield the arguments of `OnlineEstimator.update` for every sample of a flight."""
+    series = [flight.time, flight.position, flight.velocity]
+    series += [] if flight.thrust is None else [flight.thrust]
+    yield from zip(*(column.tolist() for column in series), strict=True)
 
 
 def _plain(vector: Any) -> tuple[float, float] | None:

@@ -40,11 +40,11 @@ class BoardSettings:
     """The vehicle and the search, as `sf_config` of the C.
 
     Args:
-        response_time: tau [s], infinite for quadratic drag alone.
-        drag: c [1/m].
+        response_time: tau [s], infinite where resistance is quadratic alone.
+        drag_coefficient: c [1/m], of the quadratic law.
         thrust_x: a0 [m/s^2], along x.
         thrust_y: a0 [m/s^2], along y.
-        thrust_scale: s, of a measured thrust.
+        thrust_scale: s, of the measured acceleration.
         lower: the least length scale that is sought [m].
         upper: the largest length scale [m].
         precision: half-width of the 95 % intervals over the value, of an answer that is ok.
@@ -54,7 +54,7 @@ class BoardSettings:
     """
 
     response_time: float
-    drag: float
+    drag_coefficient: float
     thrust_x: float
     thrust_y: float
     thrust_scale: float
@@ -109,7 +109,7 @@ class Sweep:
         time = block[:, 0] - mean[0]
         force = time @ block[:, 3:5] / (time @ time) - mean[5:]
         rate = 1.0 / settings.response_time
-        reach = rate + math.sqrt(rate**2 + 4 * settings.drag * math.hypot(*force))
+        reach = rate + math.sqrt(rate**2 + 4 * settings.drag_coefficient * math.hypot(*force))
         row = np.concatenate([mean[1:3], mean[3:5] + (2 * force / reach if reach > 0 else 0.0)])
         self.memory[self.place] = row
         self.block, self.place = [], (self.place + 1) % ROWS

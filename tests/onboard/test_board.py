@@ -75,7 +75,7 @@ def test_another_anchor_is_the_same_flow():
 
 
 def test_a_step_is_the_motion_and_its_covariance_the_linear_one():
-    board = Board(replace(SETTINGS, drag=0.05))
+    board = Board(replace(SETTINGS, drag_coefficient=0.05))
     start = np.array([0.3, -0.4, 2.0, 1.0, 0.1, 0.2, *FLOW])
 
     def stepped(state):
@@ -118,7 +118,7 @@ WORLDS = {
             velocity_noise=0.1,
             thrust=turning(14.0, 50.0, constant=(1.0, 0.5), size=4.0, period=4.0, phase=0.3),
         ),
-        {"response_time": 0.5, "drag": 0.05, "thrust_scale": 1.1},
+        {"response_time": 0.5, "drag_coefficient": 0.05, "thrust_scale": 1.1},
     ),
     "turbulence": (lambda: flown(flow=sf.Turbulence(3.0, 5.0, seed=1)), {}),
 }
@@ -150,7 +150,7 @@ def test_c_and_numpy_are_one_recurrence(name):
 
 @compiled
 def test_settings_out_of_range_are_refused():
-    for change in ({"response_time": 0.0}, {"lower": 9.0}, {"drag": math.nan}, {"candidates": 0}):
+    for change in ({"response_time": 0.0}, {"lower": 9.0}, {"drag_coefficient": math.nan}, {"candidates": 0}):
         with pytest.raises(ValueError, match="out of its range"):
             module.CompiledFlow(astuple(replace(SETTINGS, **change)))
 

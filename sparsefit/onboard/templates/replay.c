@@ -95,7 +95,7 @@ int main(int count, char **names)
             }
             thrust = strstr(line, ",ax,ay") != NULL;
             config.response_time = (sf_real)setting(head, "\nresponse_time=", HUGE_VAL);
-            config.drag = (sf_real)setting(head, "\ndrag=", 0);
+            config.drag_coefficient = (sf_real)setting(head, "\ndrag=", 0);
             config.thrust_x = (sf_real)setting(head, "\nthrust_ax=", 0);
             config.thrust_y = (sf_real)setting(head, "\nthrust_ay=", 0);
             config.thrust_scale = (sf_real)setting(head, "\nthrust_scale=", 1);

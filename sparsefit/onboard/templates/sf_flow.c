@@ -213,11 +213,11 @@ static void acceleration(const sf_config *vehicle, const sf_real *z, const sf_re
     r[0] = w[0] + z[UX] - z[VX];
     r[1] = w[1] + z[UY] - z[VY];
     speed = sqrt(square(r[0]) + square(r[1]));
-    own = 1 / vehicle->response_time + vehicle->drag * speed;
+    own = 1 / vehicle->response_time + vehicle->drag_coefficient * speed;
     rate[0] = own * r[0] + push[0];
     rate[1] = own * r[1] + push[1];
     if (slope) {
-        const sf_real bend = speed > 0 ? vehicle->drag / speed : 0;
+        const sf_real bend = speed > 0 ? vehicle->drag_coefficient / speed : 0;
         slope[0][0] = own + bend * r[0] * r[0];
         slope[1][1] = own + bend * r[1] * r[1];
         slope[0][1] = slope[1][0] = bend * r[0] * r[1];
@@ -440,7 +440,7 @@ static void forget(const sf_config *config, sf_filter *filter, sf_real h)
 static void follow(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real push[2])
 {
     const sf_real speed = sqrt(speed_squared(likeliest(flow)->state + A1));
-    const sf_real rate = 1 / flow->config.response_time + 2 * flow->config.drag * speed;
+    const sf_real rate = 1 / flow->config.response_time + 2 * flow->config.drag_coefficient * speed;
     const sf_real anneal = 1 + ANNEAL * exp(-flow->age / 50);
     const sf_real fade = 1 / (flow->age < HORIZON ? flow->age + 2 : HORIZON + 2);
     const sf_real away[2] = {z[0] - flow->anchor[0], z[1] - flow->anchor[1]};
@@ -521,7 +521,7 @@ static void take_row(sf_flow *flow, const sf_real z[4], const sf_real push[2])
         force[j] = slope - b[9u + j] / b[0];
     }
     reach = sqrt(square(force[0]) + square(force[1]));
-    reach = rate + sqrt(rate * rate + 4 * flow->config.drag * reach);
+    reach = rate + sqrt(rate * rate + 4 * flow->config.drag_coefficient * reach);
     for (j = 0; j < 2u; j++) {
         row[j] = b[3u + j] / b[0];
         row[2u + j] = b[5u + j] / b[0] + (reach > 0 ? 2 * force[j] / reach : 0);
@@ -897,8 +897,8 @@ sf_status sf_init(sf_flow *flow, const sf_config *config)
         return SF_BAD_ARGUMENT;
     }
     memset(flow, 0, sizeof *flow);
-    if (!(config->response_time > 0) || !within(config->drag, 0, LARGEST) ||
-        !(1 / config->response_time + config->drag > 0) ||
+    if (!(config->response_time > 0) || !within(config->drag_coefficient, 0, LARGEST) ||
+        !(1 / config->response_time + config->drag_coefficient > 0) ||
         !within(config->thrust_x, -LARGEST, LARGEST) ||
         !within(config->thrust_y, -LARGEST, LARGEST) ||
         !within(config->thrust_scale, -LARGEST, LARGEST) || !(config->lower > 0) ||

@@ -70,7 +70,7 @@ typedef enum {
 
 typedef struct {
     sf_real response_time; /* tau [s], > 0; INFINITY for quadratic drag alone */
-    sf_real drag;          /* c [1/m], >= 0 */
+    sf_real drag_coefficient; /* c [1/m], >= 0 */
     sf_real thrust_x;      /* a0 [m/s^2] */
     sf_real thrust_y;
     sf_real thrust_scale;  /* s, of a measured thrust */
