@@ -150,7 +150,12 @@ def test_c_and_numpy_are_one_recurrence(name):
 
 @compiled
 def test_settings_out_of_range_are_refused():
-    for change in ({"response_time": 0.0}, {"lower": 9.0}, {"drag_coefficient": math.nan}, {"candidates": 0}):
+    for change in (
+        {"response_time": 0.0},
+        {"lower": 9.0},
+        {"drag_coefficient": math.nan},
+        {"candidates": 0},
+    ):
         with pytest.raises(ValueError, match="out of its range"):
             module.CompiledFlow(astuple(replace(SETTINGS, **change)))
 
