@@ -46,12 +46,12 @@ FEWEST_CLASSES = 20  # samples of 0 and 1 from which these are taken for classes
 BACKENDS: Mapping[str, str] = MappingProxyType(
     {
         "least-squares": "sparsefit.solvers.least_squares:LeastSquares",
-        "stlsq": "sparsefit.solvers.stlsq:STLSQ",
+        "stlsq": "sparsefit.solvers.least_squares:STLSQ",
         "lasso": "sparsefit.solvers.lassos:Lasso",
-        "group-lasso": "sparsefit.solvers.group_lassos:GroupLasso",
-        "sparse-group-lasso": "sparsefit.solvers.group_lassos:SparseGroupLasso",
+        "group-lasso": "sparsefit.solvers.lassos:GroupLasso",
+        "sparse-group-lasso": "sparsefit.solvers.lassos:SparseGroupLasso",
         "adaptive-lasso": "sparsefit.solvers.lassos:AdaptiveLasso",
-        "adaptive-group-lasso": "sparsefit.solvers.group_lassos:AdaptiveGroupLasso",
+        "adaptive-group-lasso": "sparsefit.solvers.lassos:AdaptiveGroupLasso",
         "group-mcp": "sparsefit.solvers.group_mcp:GroupMCP",
         "square-root-lasso": "sparsefit.solvers.lassos:SquareRootLasso",
         "huber-lasso": "sparsefit.solvers.lassos:HuberLasso",
@@ -60,10 +60,10 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "elastic-net": "sparsefit.solvers.lassos:ElasticNet",
         "ridge": "sparsefit.solvers.lassos:Ridge",
         "gridless-group-lasso": "sparsefit.solvers.gridless:GridlessGroupLasso",
-        "group-omp": "sparsefit.solvers.group_search:GroupOMP",
-        "ensemble": "sparsefit.solvers.ensemble:Ensemble",
+        "group-omp": "sparsefit.solvers.searches:GroupOMP",
+        "ensemble": "sparsefit.solvers.searches:Ensemble",
         "best-subset": "sparsefit.solvers.best_subset:BestSubset",
-        "best-scale": "sparsefit.solvers.group_search:BestScale",
+        "best-scale": "sparsefit.solvers.searches:BestScale",
         "parametric-nls": "sparsefit.solvers.parametric_nls:ParametricNLS",
     }
 )

@@ -23,7 +23,7 @@ from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.continuous_dual import continuous_alpha_max
 from sparsefit.solvers.gridless import GridlessGroupLasso
-from sparsefit.solvers.group_lassos import GroupLasso
+from sparsefit.solvers.lassos import GroupLasso
 
 STEP = 0.4  # between wavevectors, in 1/extent: eta between them is at most 1 % higher
 

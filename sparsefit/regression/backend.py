@@ -3,12 +3,12 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol, get_args, runtime_checkable
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Literal, Protocol, get_args, get_origin, runtime_checkable
 
 from sparsefit.arrays import Array
 from sparsefit.codec import plain
-from sparsefit.errors import InputError, number_setting, one_of
+from sparsefit.errors import InputError, flag_setting, integer_setting, number_setting, one_of
 from sparsefit.regression.certificate import Certificate, CertificateKind
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -129,9 +129,37 @@ def numeric_fraction(owner: str, value: AlphaFraction) -> float:
     return value
 
 
-def checked_selection(owner: str, value: Any) -> None:
-    """Raise InputError unless value is a rule that chooses a penalty."""
-    one_of(f"selection of {owner}", value, get_args(Selection))
+def setting(default: Any, **limits: Any) -> Any:
+    """The field of a `Checked` number: ``least`` of an integer, else as in `number_setting`."""
+    return field(default=default, metadata=limits)
+
+
+class Checked:
+    """Base of frozen back-ends whose settings are checked as their fields are declared.
+
+    Flags and literals are checked by their types, numbers by the limits of `setting`; None passes
+    where the type has it. Raises InputError.
+    """
+
+    name: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        settings = fields(self)  # type: ignore[arg-type]
+        chosen = any(item.name == "selection" for item in settings)
+        for item in settings:
+            value, kind, limits = getattr(self, item.name), item.type, item.metadata
+            if value is None and type(None) in get_args(kind):
+                continue
+            if item.name == "alpha_fraction":
+                checked_alpha_fraction(self.name, value, auto=chosen)
+            elif kind is bool:
+                flag_setting(self.name, item.name, value)
+            elif get_origin(kind) is Literal:
+                one_of(f"{item.name} of {self.name}", value, get_args(kind))
+            elif "least" in limits:
+                integer_setting(self.name, item.name, value, least=limits["least"])
+            elif limits:
+                number_setting(self.name, item.name, value, **limits)
 
 
 def settings_of(backend: Any) -> dict[str, Any]:

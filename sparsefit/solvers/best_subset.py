@@ -26,16 +26,22 @@ King and Mazumder, Ann. Statist. 44 (2016) 813-852, for what they are worth.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import comb
-from typing import ClassVar, get_args
+from typing import ClassVar
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import flag_setting, integer_setting, number_setting, one_of
-from sparsefit.regression.backend import Solution
-from sparsefit.regression.certificate import CertificateKind
+from sparsefit.errors import number_setting
+from sparsefit.regression.backend import Solution, setting
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.group_search import DOUBT, Stop, fit_on, is_worth, residual_square
+from sparsefit.solvers.searches import (
+    DOUBT,
+    Search,
+    Stop,
+    is_worth,
+    least_residual,
+    residual_square,
+)
 
 DAMPING = 1e-9
 RANK = 1e-9  # singular values of a group's scaled columns below it, relative, count as zero
@@ -45,7 +51,7 @@ MOST = 2_000_000  # sets of one size: of three groups of 8 columns, 20 us each
 
 
 @dataclass(frozen=True)
-class BestSubset:
+class BestSubset(Search):
     """Least squares on the set of at most ``scales`` groups that leaves the smallest residual.
 
     scales: 1, 2 or 3. stop and tolerance: whether s + 1 groups are worth it, as in `GroupOMP`;
@@ -54,38 +60,32 @@ class BestSubset:
     """
 
     name: ClassVar[str] = "best-subset"
-    certificate_kind: ClassVar[CertificateKind] = "fixed_point"
-    scales: int = 3
-    tolerance: float = 0.01
+    scales: int = setting(3, least=1)
+    tolerance: float = setting(0.01, low=0.0, high=1.0)
     stop: Stop = "decrease"
     separate: bool = False
 
     def __post_init__(self) -> None:
-        integer_setting(self.name, "scales", self.scales, least=1)
+        super().__post_init__()
         number_setting(self.name, "scales", self.scales, low=1, high=3, meaning="all are tried")
-        number_setting(self.name, "tolerance", self.tolerance, low=0.0, high=1.0)
-        one_of(f"stop of {self.name}", self.stop, get_args(Stop))
-        flag_setting(self.name, "separate", self.separate)
 
-    def solve(self, problem: RegressionProblem) -> Solution:
+    def searched(self, problem: RegressionProblem) -> Solution:
         """Weights on the best set; ``solver_status`` says of how many, and how many were fitted."""
-        groups, size = int(problem.groups.max()) + 1, self._largest(problem)
-        if (many := comb(groups, size)) > MOST:
-            reason = f"{many} sets of {size} of {groups} groups are too many; lower scales"
+        groups = int(problem.groups.max()) + 1
+        largest = min(self.scales, groups)
+        if (many := comb(groups, largest)) > MOST:
+            reason = f"{many} sets of {largest} of {groups} groups are too many; lower scales"
             return Solution(None, "error", f"{self.name}: {reason}")
-        if not problem.target.any():
-            return Solution(None, "unidentifiable", f"{self.name}: the target is zero throughout")
-        solved = [self._solved(part) for part in self._parts(problem)]
-        weights = np.concatenate([values for values, _, _ in solved], axis=1)
-        tried, worked = sum(count for _, count, _ in solved), sum(count for *_, count in solved)
+        parts = [self._searched(part, largest) for part in self._parts(problem)]
+        weights = np.concatenate([values for values, _, _ in parts], axis=1)
+        tried, worked = sum(count for _, count, _ in parts), sum(count for *_, count in parts)
         words = f"the best of {tried} sets, {tried - worked} excluded by their bound"
         return Solution(weights, solver_status=words, iterations=worked)
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
         """Weights (k, n) after the best exchange of one group of these, if any betters them."""
         pairs = zip(self._parts(problem), problem.together(not self.separate), strict=True)
-        solved = [_exchanged(part, weights[:, targets]) for part, targets in pairs]
-        return np.concatenate(solved, axis=1)
+        return np.concatenate([_exchanged(part, weights[:, t]) for part, t in pairs], axis=1)
 
     def _parts(self, problem: RegressionProblem) -> list[RegressionProblem]:
         """The targets that share a set."""
@@ -95,37 +95,25 @@ class BestSubset:
         each = enumerate(problem.target_names)
         return [replace(alone, target=problem.target[:, [t]], target_names=(n,)) for t, n in each]
 
-    def _largest(self, problem: RegressionProblem) -> int:
-        return min(self.scales, int(problem.groups.max()) + 1)
-
-    def _solved(self, problem: RegressionProblem) -> tuple[Array, int, int]:
+    def _searched(self, problem: RegressionProblem, largest: int) -> tuple[Array, int, int]:
         """Weights (k, n), the sets there were and those that were worked out."""
-        weights = np.zeros((problem.columns, problem.targets))
+        weights, sets, worked = np.zeros((problem.columns, problem.targets)), 0, 0
         if not problem.target.any():
             return weights, 0, 0
-        spans, sets, worked = GroupSpans.of(problem), 0, 0
-        for size in range(1, self._largest(problem) + 1):
-            if size > 1 and self._done(problem, weights):
-                break
+        spans, total = GroupSpans.of(problem), float(problem.statistics.target_square.sum())
+        for size in range(1, largest + 1):
+            if size > 1:  # no group more can be worth it, or leaves any freedom to the next fit
+                close = residual_square(problem, weights) <= self.tolerance * total
+                least = np.bincount(problem.groups).min() + np.count_nonzero(weights.any(axis=1))
+                if (self.stop == "decrease" and close) or least >= problem.samples:
+                    break
             best, count = spans.best(size, DOUBT)
-            larger = _settled(problem, best)
+            larger = least_residual(problem, list(best[:FEW]))
             sets, worked = sets + comb(len(spans.alone), size), worked + count
             if size > 1 and not is_worth(problem, weights, larger, self.stop, self.tolerance):
                 break
             weights = larger
         return weights, sets, worked
-
-    def _done(self, problem: RegressionProblem, weights: Array) -> bool:
-        """Whether no group more can be worth it, or leaves any freedom to the next fit."""
-        left = residual_square(problem, weights) / float(problem.statistics.target_square.sum())
-        least = np.bincount(problem.groups).min() + np.count_nonzero(weights.any(axis=1))
-        return (self.stop == "decrease" and left <= self.tolerance) or least >= problem.samples
-
-
-def _settled(problem: RegressionProblem, sets: IntArray) -> Array:
-    """The weights (k, n) of the set (c, s), of the first few, of the smallest residual by rows."""
-    fits = (fit_on(problem, np.flatnonzero(np.isin(problem.groups, one))) for one in sets[:FEW])
-    return min(fits, key=lambda weights: residual_square(problem, weights))
 
 
 def _exchanged(problem: RegressionProblem, weights: Array) -> Array:
@@ -139,7 +127,7 @@ def _exchanged(problem: RegressionProblem, weights: Array) -> Array:
     explained = spans.explained(sets)
     order = np.argsort(-explained, kind="stable")
     near = explained[order] >= explained.max() - DOUBT * spans.total
-    return _settled(problem, sets[order[near]])
+    return least_residual(problem, list(sets[order[near]][:FEW]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +153,8 @@ class GroupSpans:
         bases = np.zeros((len(sizes), len(rows), int(sizes.max())))
         for group in range(len(sizes)):
             left, size, _ = np.linalg.svd(scaled[:, problem.groups == group], full_matrices=False)
-            kept = left[:, size > RANK * size[0]]
-            bases[group, :, : kept.shape[1]] = kept
+            spanned = left[:, size > RANK * size[0]]
+            bases[group, :, : spanned.shape[1]] = spanned
         flat = bases.transpose(1, 0, 2).reshape(len(rows), -1)
         shape = (len(sizes), bases.shape[2])
         products = (flat.T @ flat).reshape(shape * 2).transpose(0, 2, 1, 3).copy()
@@ -187,13 +175,13 @@ class GroupSpans:
             bounds = self._bounds(sets)
             for chunk in np.array_split(np.argsort(-bounds), -(-len(sets) // CHUNK)):
                 open_ones = sets[chunk[bounds[chunk] >= least]]
-                found = self.explained(open_ones)
+                gains = self.explained(open_ones)
                 worked += len(open_ones)
-                least = max(least, float(found.max(initial=-np.inf)) - doubt * self.total)
-                near.append((open_ones[found >= least], found[found >= least]))
-        sets, known = (np.concatenate(part) for part in zip(*near, strict=True))
-        sets, known = sets[known >= least], known[known >= least]
-        return sets[np.argsort(-known, kind="stable")], worked
+                least = max(least, float(gains.max(initial=-np.inf)) - doubt * self.total)
+                near.append((open_ones[gains >= least], gains[gains >= least]))
+        sets, gains = (np.concatenate(part) for part in zip(*near, strict=True))
+        sets, gains = sets[gains >= least], gains[gains >= least]
+        return sets[np.argsort(-gains, kind="stable")], worked
 
     def explained(self, sets: IntArray) -> Array:
         """The damped e (c,) of sets of groups (c, s)."""

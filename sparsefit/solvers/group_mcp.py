@@ -13,25 +13,24 @@ Sources: Zhang, Ann. Statist. 38 (2010) 894-942, for p; Breheny and Huang, Stat.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import number_setting, one_of
 from sparsefit.regression.backend import (
     AlphaFraction,
-    Selection,
+    Checked,
     Solution,
-    checked_alpha_fraction,
     numeric_fraction,
+    setting,
 )
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.kernels import path_on_gram
-from sparsefit.solvers.penalised import GroupWeights, check_grouping, size_weights
+from sparsefit.solvers.lassos import GroupLasso, GroupWeights
 
 ROUNDS = 100
 SETTLED = 1e-10  # change of the weights p', relative to alpha omega_g, that ends the iteration
@@ -39,34 +38,28 @@ RANK = 1e-10  # eigenvalues of Z'Z/m of free groups below it, relative, count as
 
 
 @dataclass(frozen=True)
-class GroupMCP:
+class GroupMCP(Checked):
     """Group MCP at alpha = alpha_fraction * alpha_max, that of the group-LASSO.
 
     gamma > 1: how soon the penalty lets go, at |V_g| = gamma alpha omega_g; large, it is the
     group-LASSO. A group spans all targets, or each target has groups of its own (``separate``).
     group_weights: omega_g = 1 (``unit``) or the root of the number of columns (``sqrt-size``).
-    alpha_fraction ``auto``: chosen by `fit` from the data, by the rule ``selection``.
+    alpha_fraction ``auto``: chosen by `fit` from the data, by the rule ``selection``; information
+    criteria do not apply, as they count degrees of freedom of convex penalties.
     """
 
     name: ClassVar[str] = "group-mcp"
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
     alpha_fraction: AlphaFraction = 0.1
-    gamma: float = 3.0
+    gamma: float = setting(3.0, low=1.0, open_low=True)
     separate: bool = False
     group_weights: GroupWeights = "unit"
-    selection: Selection = "cross-validation"
-
-    def __post_init__(self) -> None:
-        checked_alpha_fraction(self.name, self.alpha_fraction, auto=True)
-        number_setting(self.name, "gamma", self.gamma, low=1.0, open_low=True)
-        check_grouping(self.name, self.separate, self.group_weights)
-        # The information criteria count degrees of freedom of convex penalties.
-        one_of(f"selection of {self.name}", self.selection, ("cross-validation", "stability"))
+    selection: Literal["cross-validation", "stability"] = "cross-validation"
 
     def penalty(self, problem: RegressionProblem) -> GroupNorms:
         """The group-LASSO's penalty, whose alpha_max is the unit of alpha_fraction."""
-        omega = size_weights(problem, self.group_weights)
-        return GroupNorms(problem.groups, omega, not self.separate)
+        convex = GroupLasso(separate=self.separate, group_weights=self.group_weights)
+        return convex.norms(problem)
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """The fixed point at ``alpha_fraction``. Raises InputError where that is "auto"."""
@@ -76,14 +69,15 @@ class GroupMCP:
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
     ) -> tuple[Solution, ...]:
         """Fixed points at alpha_fractions, which descend, each from the group-LASSO's there."""
-        unit = alpha_max(problem.statistics.cross, self.penalty(problem))
-        systems = self._systems(problem)
-        solutions = []
+        penalty, solutions = self.penalty(problem), []
+        unit = alpha_max(problem.statistics.cross, penalty)
         for fraction in alpha_fractions:
-            solved = [system.fixed_point(fraction * unit) for system in systems]
+            solved = [
+                self._fixed_point(problem, penalty, targets, fraction * unit)
+                for targets in problem.together(not self.separate)
+            ]
             weights = np.concatenate([values for values, _ in solved], axis=1)
-            rounds = max(count for _, count in solved)
-            scaled = weights / problem.statistics.rms[:, None]
+            scaled, rounds = weights / problem.design.rms[:, None], max(n for _, n in solved)
             solution = Solution(scaled, solver_status="fixed point", iterations=rounds)
             if rounds == ROUNDS:
                 reason = f"the weights still move after {ROUNDS} approximations"
@@ -97,77 +91,59 @@ class GroupMCP:
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
         """The weights (k, n) that one more approximation makes of these."""
-        statistics, fraction = problem.statistics, numeric_fraction(self.name, self.alpha_fraction)
-        alpha = fraction * alpha_max(statistics.cross, self.penalty(problem))
+        penalty, rms = self.penalty(problem), problem.design.rms[:, None]
+        fraction = numeric_fraction(self.name, self.alpha_fraction)
+        alpha = fraction * alpha_max(problem.statistics.cross, penalty)
         following = np.zeros(weights.shape)
-        for system in self._systems(problem) if alpha else []:
-            scaled = weights[:, system.targets] * statistics.rms[:, None]
-            slopes = system.slopes(scaled, alpha)
-            following[:, system.targets] = system.weighted(slopes, alpha)
-        return following / statistics.rms[:, None]
+        for targets in problem.together(not self.separate) if alpha else []:
+            slopes = self._slopes(penalty, weights[:, targets] * rms, alpha)
+            following[:, targets] = _weighted(problem, penalty, targets, slopes, alpha)
+        return following / rms
 
-    def _systems(self, problem: RegressionProblem) -> "list[_System]":
-        """All targets together, or one by one."""
-        penalty, together = self.penalty(problem), problem.together(not self.separate)
-        return [_System(problem, penalty, targets, self.gamma) for targets in together]
-
-
-@dataclass(frozen=True, eq=False)
-class _System:
-    """The targets that share the norm of each group."""
-
-    problem: RegressionProblem
-    penalty: GroupNorms
-    targets: slice
-    gamma: float
-
-    def slopes(self, values: Array, alpha: float) -> Array:
+    def _slopes(self, penalty: GroupNorms, values: Array, alpha: float) -> Array:
         """p'(|V_g|) / alpha (g,): the weights of the next group-LASSO."""
-        joint = GroupNorms(self.penalty.groups, self.penalty.weights)
-        norms = joint.block_norms(values)[:, 0]
-        slopes: Array = np.maximum(self.penalty.weights - norms / (self.gamma * alpha), 0.0)
+        norms = GroupNorms(penalty.groups, penalty.weights).block_norms(values)[:, 0]
+        slopes: Array = np.maximum(penalty.weights - norms / (self.gamma * alpha), 0.0)
         return slopes
 
-    def fixed_point(self, alpha: float) -> tuple[Array, int]:
+    def _fixed_point(
+        self, problem: RegressionProblem, penalty: GroupNorms, targets: slice, alpha: float
+    ) -> tuple[Array, int]:
         """Weights (k, n) whose slopes give them again, and the approximations it took."""
-        slopes = self.penalty.weights
-        values = self.weighted(slopes, alpha)
+        slopes = penalty.weights
+        values = _weighted(problem, penalty, targets, slopes, alpha)
         if not values.any():
             return values, 0
         for count in range(1, ROUNDS):
-            following = self.slopes(values, alpha)
-            if np.all(np.abs(following - slopes) <= SETTLED * self.penalty.weights):
+            following = self._slopes(penalty, values, alpha)
+            if np.all(np.abs(following - slopes) <= SETTLED * penalty.weights):
                 return values, count
-            slopes, values = following, self.weighted(following, alpha)
+            slopes, values = following, _weighted(problem, penalty, targets, following, alpha)
         return values, ROUNDS
 
-    def weighted(self, slopes: Array, alpha: float) -> Array:
-        """The group-LASSO (k, n) with these weights, which may be zero."""
-        statistics, groups = self.problem.statistics, self.penalty.groups
-        gram, cross = statistics.gram, statistics.cross[:, self.targets]
-        free = slopes[groups] == 0.0
-        loose, kept = np.flatnonzero(free), np.flatnonzero(~free)
-        half = _whitened(gram[np.ix_(loose, loose)])
-        shared, known = half.T @ gram[np.ix_(loose, kept)], half.T @ cross[loose]
-        square = float(statistics.target_square[self.targets].sum() - np.sum(known**2))
-        values = np.zeros(cross.shape)
-        if len(kept) and square > 0.0 and alpha > 0.0:
-            groups_left = np.unique(groups[kept], return_inverse=True)[1]
-            path = path_on_gram(
-                gram[np.ix_(kept, kept)] - shared.T @ shared,
-                cross[kept] - shared.T @ known,
-                GroupNorms(groups_left, slopes[slopes > 0.0]),
-                np.array([alpha]),
-                square,
-            )
-            values[kept] = path.values[0]
-        values[loose] = half @ (known - shared @ values[kept])
-        return values
 
-
-def _whitened(gram: Array) -> Array:
-    """H (k, r) with H'GH = I on the range of G (k, k), which may be empty."""
-    roots, vectors = np.linalg.eigh(gram)
+def _weighted(
+    problem: RegressionProblem, penalty: GroupNorms, targets: slice, slopes: Array, alpha: float
+) -> Array:
+    """The group-LASSO (k, n) of these targets with weights (g,) that may be zero."""
+    statistics, groups = problem.statistics, penalty.groups
+    gram, cross = statistics.gram, statistics.cross[:, targets]
+    free = slopes[groups] == 0.0
+    loose, bound = np.flatnonzero(free), np.flatnonzero(~free)
+    roots, vectors = np.linalg.eigh(gram[np.ix_(loose, loose)])
     on = roots > RANK * roots.max(initial=0.0)
-    half: Array = vectors[:, on] / np.sqrt(roots[on])
-    return half
+    half = vectors[:, on] / np.sqrt(roots[on])  # H'GH = I on the range of the free groups' G
+    shared, load = half.T @ gram[np.ix_(loose, bound)], half.T @ cross[loose]
+    square = float(statistics.target_square[targets].sum() - np.sum(load**2))
+    values = np.zeros(cross.shape)
+    if len(bound) and square > 0.0 and alpha > 0.0:
+        path = path_on_gram(
+            gram[np.ix_(bound, bound)] - shared.T @ shared,
+            cross[bound] - shared.T @ load,
+            GroupNorms(np.unique(groups[bound], return_inverse=True)[1], slopes[slopes > 0.0]),
+            np.array([alpha]),
+            square,
+        )
+        values[bound] = path.values[0]
+    values[loose] = half @ (load - shared @ values[bound])
+    return values

@@ -1,16 +1,20 @@
-"""Back-ends whose penalties are of single coefficients: LASSO and its kin.
+"""Back-ends of one convex penalty, of single coefficients or of groups of columns: LASSO and kin.
 
-In all of them alpha = alpha_fraction * alpha_max, and with ``auto`` it is chosen by `fit` from the
-data, by the rule ``selection``; solver: ``exact`` or ``clarabel``, the referee.
+Each is a penalty with its settings, on V in columns of unit rms; `PenalisedPath` has what all of
+them share. A group spans all targets (joint), for a flight its velocity components, or each target
+has groups of its own (``separate``, the paper's n problems). group_weights: omega_g = 1 (``unit``)
+or the root of the number of columns (``sqrt-size``).
 """
 
+from abc import ABC
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from sparsefit.errors import flag_setting, number_setting, one_of
-from sparsefit.regression.backend import AlphaFraction, Selection
+from sparsefit.arrays import Array, IntArray
+from sparsefit.regression.backend import setting
+from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import RootSquares, Squares
 from sparsefit.regression.ordered_penalties import FusedNorm, SortedNorm
 from sparsefit.regression.penalties import (
@@ -21,7 +25,12 @@ from sparsefit.regression.penalties import (
     lasso_penalty,
 )
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.penalised import PenalisedPath, adapted, check_pilot, check_ratio
+from sparsefit.solvers.exact import exact_path
+from sparsefit.solvers.penalised import PenalisedPath, without_small
+
+GroupWeights = Literal["unit", "sqrt-size"]
+RATIO = "it is the share of the absolute values in the penalty"
+NO_RIDGE = f"{RATIO}; for none of them use ridge"
 
 
 @dataclass(frozen=True)
@@ -29,25 +38,12 @@ class Lasso(PenalisedPath):
     """1/(2m) |Y - ZV|^2 + alpha sum |V_jt| (Tibshirani 1996), V >= 0 where ``positive``."""
 
     name: ClassVar[str] = "lasso"
-    exact: ClassVar[str] = "homotopy"
-    alpha_fraction: AlphaFraction = 0.1
     solver: str = "homotopy"
-    selection: Selection = "cross-validation"
     positive: bool = False
-
-    def check_settings(self) -> None:
-        """Raise InputError on a flag that is none."""
-        flag_setting(self.name, "positive", self.positive)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Every coefficient a block of its own."""
-        plain = lasso_penalty(problem.columns)
-        return _positive(plain) if self.positive else plain
-
-
-def _positive(penalty: AbsoluteValues) -> BoundedValues:
-    k = penalty.columns
-    return BoundedValues(penalty.weights, np.zeros(k), np.full(k, np.inf), ridge=penalty.ridge)
+        return _signed(lasso_penalty(problem.columns), self.positive)
 
 
 @dataclass(frozen=True)
@@ -59,24 +55,21 @@ class ElasticNet(PenalisedPath):
     """
 
     name: ClassVar[str] = "elastic-net"
-    exact: ClassVar[str] = "homotopy"
-    alpha_fraction: AlphaFraction = 0.1
-    l1_ratio: float = 0.5
     solver: str = "homotopy"
-    selection: Selection = "cross-validation"
+    l1_ratio: float = setting(0.5, low=0.0, high=1.0, open_low=True, meaning=NO_RIDGE)
     positive: bool = False
-
-    def check_settings(self) -> None:
-        """Raise InputError on an l1_ratio outside (0, 1]."""
-        check_ratio(self.name, self.l1_ratio, open_low=True)
-        flag_setting(self.name, "positive", self.positive)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Every coefficient a block of its own, and a ridge."""
         rms = float(np.sqrt(problem.statistics.target_square.mean())) or 1.0
         weights = np.full(problem.columns, self.l1_ratio)
         plain = AbsoluteValues(weights, ridge=(1.0 - self.l1_ratio) / rms)
-        return _positive(plain) if self.positive else plain
+        return _signed(plain, self.positive)
+
+
+def _signed(plain: AbsoluteValues, positive: bool) -> AbsoluteValues:
+    lower, upper = np.zeros(plain.columns), np.full(plain.columns, np.inf)
+    return BoundedValues(plain.weights, lower, upper, ridge=plain.ridge) if positive else plain
 
 
 @dataclass(frozen=True)
@@ -88,50 +81,13 @@ class Ridge(PenalisedPath):
     """
 
     name: ClassVar[str] = "ridge"
-    exact: ClassVar[str] = "cholesky"
-    alpha_fraction: AlphaFraction = 0.001
+    alpha_fraction: float | Literal["auto"] = 0.001
     solver: str = "cholesky"
-    selection: Selection = "cross-validation"
-
-    def check_settings(self) -> None:
-        """Raise InputError on a rule that chooses by which weights are zero."""
-        if self.selection in ("ebic", "stability"):
-            one_of(
-                "selection of ridge, whose weights are never zero,",
-                self.selection,
-                ("bic", "cross-validation"),
-            )
+    selection: Literal["bic", "cross-validation"] = "cross-validation"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """A ridge alone."""
         return SquaredNorm(problem.columns)
-
-
-@dataclass(frozen=True)
-class AdaptiveLasso(PenalisedPath):
-    """1/(2m) |Y - ZV|^2 + alpha sum_j omega_j sum_t |V_jt| (Zou 2006).
-
-    omega_j = (|V0_j| / max |V0_j|)^-power, V0 the ridge fit (Z'Z/m + pilot_ridge I)^-1 Z'Y/m over
-    all targets together, whose norms below 1e-3 of the largest count as that. power 0 is the
-    LASSO. Where alpha_fraction is chosen, the weights are learned in each fold.
-    """
-
-    name: ClassVar[str] = "adaptive-lasso"
-    exact: ClassVar[str] = "homotopy"
-    alpha_fraction: AlphaFraction = 0.1
-    power: float = 1.0
-    pilot_ridge: float = 0.05
-    solver: str = "homotopy"
-    selection: Selection = "cross-validation"
-
-    def check_settings(self) -> None:
-        """Raise InputError on a setting of the first fit that is out of range."""
-        check_pilot(self.name, self.pilot_ridge, self.power)
-
-    def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Every coefficient a block of its own, weighted by the first fit."""
-        each = np.arange(problem.columns)
-        return AbsoluteValues(adapted(problem, each, self.pilot_ridge, self.power))
 
 
 @dataclass(frozen=True)
@@ -142,10 +98,7 @@ class SquareRootLasso(PenalisedPath):
     """
 
     name: ClassVar[str] = "square-root-lasso"
-    exact: ClassVar[str] = "scaled-homotopy"
-    alpha_fraction: AlphaFraction = 0.1
     solver: str = "scaled-homotopy"
-    selection: Selection = "cross-validation"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Every coefficient a block of its own, added to a root."""
@@ -156,20 +109,13 @@ class SquareRootLasso(PenalisedPath):
 class HuberLasso(PenalisedPath):
     """Huber's loss of Y - ZV plus alpha sum |V_jt|: outliers beyond clip * y count linearly.
 
-    clip: in units of the rms y of each target.
+    clip: in units of the rms y of each target. Rules ``selection`` that count squares do not apply.
     """
 
     name: ClassVar[str] = "huber-lasso"
-    exact: ClassVar[str] = "newton"
-    alpha_fraction: AlphaFraction = 0.1
-    clip: float = 1.0
     solver: str = "newton"
-    selection: Selection = "cross-validation"
-
-    def check_settings(self) -> None:
-        """Raise InputError on a clip that is not above 0, and on rules that count squares."""
-        number_setting(self.name, "clip", self.clip, low=0.0, open_low=True)
-        one_of(f"selection of {self.name}", self.selection, ("cross-validation", "stability"))
+    selection: Literal["cross-validation", "stability"] = "cross-validation"
+    clip: float = setting(1.0, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Every coefficient a block of its own, added to Huber's loss."""
@@ -185,15 +131,8 @@ class Slope(PenalisedPath):
     """
 
     name: ClassVar[str] = "slope"
-    exact: ClassVar[str] = "newton"
-    alpha_fraction: AlphaFraction = 0.1
-    rate: float = 0.1
     solver: str = "newton"
-    selection: Selection = "cross-validation"
-
-    def check_settings(self) -> None:
-        """Raise InputError on a rate that is none."""
-        number_setting(self.name, "rate", self.rate, low=1e-6, high=1.0 - 1e-6)
+    rate: float = setting(0.1, low=1e-6, high=1.0 - 1e-6)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Weights by rank."""
@@ -212,16 +151,108 @@ class FusedLasso(PenalisedPath):
     """
 
     name: ClassVar[str] = "fused-lasso"
-    exact: ClassVar[str] = "newton"
-    alpha_fraction: AlphaFraction = 0.1
-    l1_ratio: float = 0.1
     solver: str = "newton"
-    selection: Selection = "cross-validation"
-
-    def check_settings(self) -> None:
-        """Raise InputError on an l1_ratio outside (0, 1]."""
-        check_ratio(self.name, self.l1_ratio, open_low=True)
+    l1_ratio: float = setting(0.1, low=0.0, high=1.0, open_low=True, meaning=NO_RIDGE)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """Absolute values and differences of neighbours."""
         return FusedNorm(problem.columns, self.l1_ratio)
+
+
+@dataclass(frozen=True)
+class Grouped(PenalisedPath, ABC):
+    """Base of the penalties of groups of columns; separate, group_weights: see the file's head."""
+
+    solver: str = "variational"
+    separate: bool = False
+    group_weights: GroupWeights = "unit"
+
+    def norms(self, problem: RegressionProblem, factors: Array | float = 1.0) -> GroupNorms:
+        """The norms of the problem's groups, whose weights omega are multiplied by ``factors``."""
+        sizes = np.bincount(problem.groups)
+        omega = np.ones(len(sizes)) if self.group_weights == "unit" else np.sqrt(sizes)
+        return GroupNorms(problem.groups, omega * factors, not self.separate)
+
+
+@dataclass(frozen=True)
+class GroupLasso(Grouped):
+    """1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g| (Yuan and Lin 2006)."""
+
+    name: ClassVar[str] = "group-lasso"
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Blocks of the problem's groups."""
+        return self.norms(problem)
+
+
+@dataclass(frozen=True)
+class SparseGroupLasso(Grouped):
+    """1/(2m) |Y - ZV|^2 + alpha [(1 - r) sum_g omega_g |V_g| + r sum_h |V_h|] (Simon et al. 2013).
+
+    h are the problem's subgroups within its groups g (the waves of a ring), where it has them, and
+    single coefficients elsewhere. l1_ratio: r in [0, 1]; 0 is the group-LASSO, 1 the LASSO.
+    """
+
+    name: ClassVar[str] = "sparse-group-lasso"
+    solver: str = "block-newton"
+    l1_ratio: float = setting(0.5, low=0.0, high=1.0, meaning=RATIO)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Blocks of the problem's groups, and those within them."""
+        ratio = self.l1_ratio
+        inner: AbsoluteValues | GroupNorms = AbsoluteValues(np.full(problem.columns, ratio))
+        if problem.subgroups is not None:
+            weights = np.full(int(problem.subgroups.max()) + 1, ratio)
+            inner = GroupNorms(problem.subgroups, weights, not self.separate)
+        if ratio in (0.0, 1.0):
+            return inner if ratio else self.norms(problem)
+        return NestedNorms(self.norms(problem, 1.0 - ratio), inner)
+
+
+@dataclass(frozen=True)
+class AdaptiveLasso(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha sum_j omega_j sum_t |V_jt| (Zou 2006).
+
+    omega_j = (|V0_j| / max |V0_j|)^-power, V0 the ridge fit (Z'Z/m + pilot_ridge I)^-1 Z'Y/m over
+    all targets together, whose norms below 1e-3 of the largest count as that. power 0 is the
+    LASSO. Where alpha_fraction is chosen, the weights are learned in each fold.
+    """
+
+    name: ClassVar[str] = "adaptive-lasso"
+    solver: str = "homotopy"
+    power: float = setting(1.0, low=0.0, high=4.0)
+    pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Every coefficient a block of its own, weighted by the first fit."""
+        norms = _pilot_norms(problem, np.arange(problem.columns), self.pilot_ridge)
+        return AbsoluteValues(without_small(norms, self.power))
+
+
+@dataclass(frozen=True)
+class AdaptiveGroupLasso(Grouped):
+    """The group-LASSO with omega_g = (|V0_g| / max |V0_g|)^-power (Wang and Leng 2008).
+
+    V0 is the ridge fit of the adaptive LASSO; with group_weights ``sqrt-size`` omega_g is larger by
+    the root of the number of columns. power 0 is the group-LASSO. Where alpha_fraction is chosen,
+    the weights are learned in each fold.
+    """
+
+    name: ClassVar[str] = "adaptive-group-lasso"
+    power: float = setting(1.0, low=0.0, high=4.0)
+    pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Blocks of the problem's groups, weighted by the first fit."""
+        norms = _pilot_norms(problem, problem.groups, self.pilot_ridge)
+        return self.norms(problem, without_small(norms, self.power))
+
+
+def _pilot_norms(problem: RegressionProblem, groups: IntArray, ridge: float) -> Array:
+    """|V0_g| (g,) over all targets, V0 = (Z'Z/m + ridge I)^-1 Z'Y/m."""
+    penalty, statistics = SquaredNorm(problem.columns), problem.statistics
+    points = exact_path(
+        problem.design, problem.target, penalty, np.array([ridge]), statistics=statistics
+    )
+    norms: Array = np.sqrt(np.bincount(groups, np.square(points.weights[0]).sum(axis=1)))
+    return norms

@@ -1,9 +1,12 @@
 """PySINDy's optimizers beside ours: STLSQ, SR3, SSR and FROLS, as PySINDy runs them (extra peers).
 
-Each chooses a support of its own and fits it by least squares. None minimises what our convex
-back-ends do, so each is held to its own rule, worked out here again: a fixed point is a support
-that one more step of STLSQ or SR3 keeps, or that the greedy rule of SSR or FROLS finds for as many
-terms. Settings act on the columns as they are, in PySINDy's conventions.
+None minimises what our convex back-ends do, so each is held to its own rule, worked out here again:
+STLSQ, SSR and FROLS fit a support by least squares, which one more thresholding keeps, or which the
+greedy rule finds for as many terms; the weights U of SR3 are those that one more of its steps
+
+    U <- U' where |U'| > threshold, else 0,   U' = (X'X + I/nu)^-1 (X'Y + U/nu)
+
+gives again. Settings act on the columns as they are, in PySINDy's conventions.
 
 Sources: Brunton, Proctor and Kutz (PNAS 2016), STLSQ; Zheng et al. (IEEE Access 2019), SR3;
 Boninsegna, Nueske and Clementi (J. Chem. Phys. 2018), SSR; Billings (2013), FROLS.
@@ -13,28 +16,19 @@ import warnings
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import (
-    MissingExtra,
-    described,
-    integer_setting,
-    number_setting,
-    one_line,
-    one_of,
-)
-from sparsefit.regression.backend import Solution
+from sparsefit.arrays import Array, IntArray
+from sparsefit.errors import MissingExtra, described, one_line
+from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-Optimizer = Literal["STLSQ", "SR3", "SSR", "FROLS"]
-
 
 @dataclass(frozen=True)
-class PySindy:
+class PySindy(Checked):
     """An optimizer of PySINDy.
 
     threshold: of the weights, STLSQ and SR3; ridge: PySINDy's alpha, all but SR3; relaxation: nu
@@ -44,124 +38,88 @@ class PySindy:
 
     name: ClassVar[str] = "pysindy"
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
-    optimizer: Optimizer = "STLSQ"
-    threshold: float = 0.1
-    ridge: float = 0.05
-    max_iterations: int = 20
-    relaxation: float = 1.0
+    optimizer: Literal["STLSQ", "SR3", "SSR", "FROLS"] = "STLSQ"
+    threshold: float = setting(0.1, low=0.0)
+    ridge: float = setting(0.05, low=0.0)
+    max_iterations: int = setting(20, least=1)
+    relaxation: float = setting(1.0, low=0.0, open_low=True)
 
     def __post_init__(self) -> None:
-        one_of("optimizer of pysindy", self.optimizer, get_args(Optimizer))
-        number_setting(self.name, "threshold", self.threshold, low=0.0)
-        number_setting(self.name, "ridge", self.ridge, low=0.0)
-        number_setting(self.name, "relaxation", self.relaxation, low=0.0, open_low=True)
-        integer_setting(self.name, "max_iterations", self.max_iterations, least=1)
+        super().__post_init__()
         if find_spec("pysindy") is None:
             raise MissingExtra("pysindy is not installed: pip install 'sparsefit[peers]'")
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """The optimizer's weights; what it warns of is its status."""
-        optimizer = self._made()
-        with warnings.catch_warnings(record=True) as told:
+        package: Any = import_module("pysindy")  # seconds: not before it is needed
+        settings: dict[str, Any] = {"alpha": self.ridge}
+        if self.optimizer == "STLSQ":
+            settings["threshold"] = self.threshold
+        elif self.optimizer == "SR3":
+            weight = self.threshold**2 / (2.0 * self.relaxation)
+            # Its tolerance of 1e-5 is looser than what a certificate is asked for.
+            settings = {"reg_weight_lam": weight, "relax_coeff_nu": self.relaxation, "tol": 1e-12}
+        optimizer = getattr(package, self.optimizer)(max_iter=self.max_iterations, **settings)
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
                 optimizer.fit(problem.rows.copy(), problem.target.copy())
             except Exception as error:  # a public package may raise anything
                 return Solution(None, "error", f"pysindy: {described(error)}", type(error).__name__)
         weights = np.asarray(optimizer.coef_, dtype=float).T
-        doubts = [str(w.message) for w in told if not issubclass(w.category, DeprecationWarning)]
+        doubts = [str(w.message) for w in caught if not issubclass(w.category, DeprecationWarning)]
         words = one_line(doubts[0], 120) if doubts else "returned"
         if not weights.any():
             reason = f"pysindy: {self.optimizer} left no column: change its settings"
             return Solution(None, "unidentifiable", reason, words)
         return Solution(weights, solver_status=words)
 
-    def next_support(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """The support (k, n) that the optimizer's own rule gives, from weights (k, n)."""
-        if self.optimizer == "STLSQ":
-            return self._thresholded(problem, weights)
-        if self.optimizer == "SR3":
-            return self._relaxed(problem, weights)
-        rule = _eliminated if self.optimizer == "SSR" else _selected
-        counts = np.count_nonzero(weights, axis=0).tolist()
-        supports = [
-            rule(problem.rows, values, count, self.ridge)
-            for values, count in zip(problem.target.T, counts, strict=True)
-        ]
-        return np.stack(supports, axis=1)
-
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
-        """The fit (k, n) on the support that the rule gives: of a ridge, or of least squares.
-
-        PySINDy's optimizers end with one or the other: the one that is nearer to these weights.
-        """
-        support, theta = self.next_support(problem, weights), problem.rows
-        following = np.zeros(weights.shape)
-        for target, on in enumerate(map(np.flatnonzero, support.T)):
-            part, values = theta[:, on], problem.target[:, target]
-            normal = part.T @ part + self.ridge * np.eye(len(on))
-            fits = [np.linalg.lstsq(part, values)[0], np.linalg.solve(normal, part.T @ values)]
-            near = [float(np.linalg.norm(part @ (fit - weights[on, target]))) for fit in fits]
-            following[on, target] = fits[int(np.argmin(near))]
+        """The weights (k, n) that the optimizer's own rule makes of these."""
+        theta, following = problem.rows, np.zeros(weights.shape)
+        if self.optimizer == "SR3":
+            damping = 1.0 / self.relaxation
+            normal = theta.T @ theta + damping * np.eye(problem.columns)
+            step = np.linalg.solve(normal, theta.T @ problem.target + damping * weights)
+            return np.where(np.abs(step) > self.threshold, step, 0.0)
+        for target, values in enumerate(problem.target.T):
+            on = np.flatnonzero(weights[:, target])
+            if self.optimizer == "STLSQ":
+                fitted = _ridge_fit(theta[:, on], values, self.ridge)
+                on = on[np.abs(fitted) >= self.threshold]
+            elif self.optimizer == "SSR":
+                on = _eliminated(theta, values, len(on), self.ridge)
+            else:
+                on = _selected(theta, values, len(on))
+            following[on, target] = np.linalg.lstsq(theta[:, on], values)[0]
         return following
 
-    def _made(self) -> Any:
-        package: Any = import_module("pysindy")  # seconds: not before it is needed
-        if self.optimizer == "STLSQ":
-            return package.STLSQ(
-                threshold=self.threshold, alpha=self.ridge, max_iter=self.max_iterations
-            )
-        if self.optimizer == "SR3":
-            return package.SR3(
-                reg_weight_lam=self.threshold**2 / (2.0 * self.relaxation),
-                relax_coeff_nu=self.relaxation,
-                max_iter=self.max_iterations,
-            )
-        if self.optimizer == "SSR":
-            return package.SSR(alpha=self.ridge, max_iter=self.max_iterations)
-        return package.FROLS(alpha=self.ridge, max_iter=self.max_iterations)
 
-    def _thresholded(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """Where a ridge fit on the support is at least the threshold."""
-        support: BoolArray = weights != 0
-        for target, on in enumerate(map(np.flatnonzero, support.T.copy())):
-            kept = problem.rows[:, on]
-            normal = kept.T @ kept + self.ridge * np.eye(len(on))
-            fitted = np.linalg.solve(normal, kept.T @ problem.target[:, target])
-            support[on, target] = np.abs(fitted) >= self.threshold
-        return support
-
-    def _relaxed(self, problem: RegressionProblem, weights: Array) -> BoolArray:
-        """Where (X'X + I/nu)^-1 (X'Y + W/nu) is above the threshold of the L0 penalty."""
-        theta, damping = problem.rows, 1.0 / self.relaxation
-        normal = theta.T @ theta + damping * np.eye(problem.columns)
-        step = np.linalg.solve(normal, theta.T @ problem.target + damping * weights)
-        support: BoolArray = np.abs(step) > self.threshold
-        return support
+def _ridge_fit(theta: Array, values: Array, ridge: float) -> Any:
+    normal = theta.T @ theta + ridge * np.eye(theta.shape[1])
+    return np.linalg.solve(normal, theta.T @ values)
 
 
-def _eliminated(theta: Array, values: Array, count: int, ridge: float) -> BoolArray:
-    """Backward: the smallest weight of a ridge fit leaves, until ``count`` columns are left."""
-    gram, cross = theta.T @ theta, theta.T @ values
-    support = np.ones(theta.shape[1], dtype=bool)
-    while support.sum() > count:
-        on = np.flatnonzero(support)
-        fitted = np.linalg.solve(gram[np.ix_(on, on)] + ridge * np.eye(len(on)), cross[on])
-        support[on[np.argmin(np.abs(fitted))]] = False
-    return support
+def _eliminated(theta: Array, values: Array, count: int, ridge: float) -> IntArray:
+    """Backward: the smallest weight of a ridge fit leaves, until ``count`` columns remain."""
+    on = np.arange(theta.shape[1])
+    while len(on) > count:
+        fitted = _ridge_fit(theta[:, on], values, ridge)
+        on = np.delete(on, np.argmin(np.abs(fitted)))
+    return on
 
 
-def _selected(theta: Array, values: Array, count: int, _: float) -> BoolArray:
+def _selected(theta: Array, values: Array, count: int) -> IntArray:
     """Forward: the column that takes most of the residual, orthogonal to those before it."""
-    left, residual = theta.copy(), values.copy()
-    support = np.zeros(theta.shape[1], dtype=bool)
-    for _step in range(count):
-        squares = np.einsum("ij,ij->j", left, left)
-        usable = (squares > 0.0) & ~support
-        taken = np.where(usable, (left.T @ residual) ** 2 / np.where(usable, squares, 1.0), -1.0)
+    rest, residual, on = theta.copy(), values.copy(), np.zeros(0, dtype=np.intp)
+    for _ in range(count):
+        squares = np.einsum("ij,ij->j", rest, rest)
+        usable = squares > 0.0
+        usable[on] = False
+        taken = np.where(usable, (rest.T @ residual) ** 2 / np.where(usable, squares, 1.0), -1.0)
         best = int(np.argmax(taken))
-        support[best] = True
-        direction = left[:, best] / np.sqrt(squares[best])
+        on = np.sort(np.append(on, best))
+        direction = rest[:, best] / np.sqrt(squares[best])
         residual = residual - direction * (direction @ residual)
-        left = left - np.outer(direction, direction @ left)
-    return support
+        rest = rest - np.outer(direction, direction @ rest)
+    return on

@@ -10,8 +10,8 @@ import sparsefit as sf
 from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative
-from sparsefit.solvers.group_search import BestScale, GroupOMP, explained
 from sparsefit.solvers.parametric_nls import ParametricNLS
+from sparsefit.solvers.searches import BestScale, GroupOMP, explained
 from tests.problems import (
     DEGENERATE_KINDS,
     VEHICLE,

@@ -21,7 +21,7 @@ from sparsefit.solvers.continuous_dual import (
     continuous_gap,
 )
 from sparsefit.solvers.gridless import GridlessGroupLasso
-from sparsefit.solvers.group_lassos import GroupLasso
+from sparsefit.solvers.lassos import GroupLasso
 from sparsefit.solvers.sliding import Atoms, derivatives
 from tests.problems import VEHICLE, flight, flight_problem
 from tests.references import dual_certificate

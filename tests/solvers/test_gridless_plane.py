@@ -14,7 +14,7 @@ from sparsefit.regression.backend import Solution
 from sparsefit.rows import Derivative
 from sparsefit.solvers.continuous_dual import Scanner
 from sparsefit.solvers.gridless import GridlessGroupLasso
-from sparsefit.solvers.group_lassos import GroupLasso
+from sparsefit.solvers.lassos import GroupLasso
 from sparsefit.solvers.sliding import Atoms, derivatives
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))

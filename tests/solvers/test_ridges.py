@@ -139,7 +139,7 @@ def test_the_penalty_can_be_chosen(name):
         ("elastic-net", {"l1_ratio": 0.0}, "for none of them use ridge"),
         ("elastic-net", {"solver": "homotpy"}, 'did you mean "homotopy"'),
         ("ridge", {"alpha_fraction": 0.0}, "alpha_fraction"),
-        ("ridge", {"selection": "ebic"}, "whose weights are never zero"),
+        ("ridge", {"selection": "ebic"}, "known: bic, cross-validation"),
     ],
 )
 def test_bad_settings_are_refused(name, change, words):

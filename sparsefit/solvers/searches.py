@@ -1,0 +1,304 @@
+"""Least squares on a few groups of columns, and the searches that find them.
+
+    best-scale:  min over groups g of min over W_g of |Y - theta_g W_g|^2
+    group-omp:   g* = argmax over g of |P_g R|^2,  W = least squares on all groups so far
+    ensemble:    what at least a share of fits to halves of the samples chooses
+
+P_g projects on the span of a group's columns, so neither their scale nor their correlation counts.
+Best-scale is the baseline that sparse back-ends have to justify themselves against: on one cellular
+flow nothing sparse is needed; on several superposed ones the best single scale is not the answer.
+
+The ensemble cuts Z and Y into blocks of consecutive samples. Half of them, drawn at random, are
+fitted by the LASSO or the group-LASSO at one penalty; so is the other half; and so on. Blocks stay
+whole since neighbours resemble each other: fits to samples drawn one by one would all be alike.
+Gram matrices of blocks add up, so that a draw costs no more than its path. Of G groups, of which a
+fit chooses q on average, at most q^2 / ((2 threshold - 1) G) are expected to be kept falsely, where
+those that do not belong are exchangeable; by the LASSO, so many for each target.
+
+Sources: Lozano, Swirszcz and Abe, "Group orthogonal matching pursuit for variable selection and
+prediction" (NeurIPS 2009); Meinshausen and Buehlmann, J. R. Stat. Soc. B 72 (2010) 417-473,
+stability selection; Shah and Samworth, J. R. Stat. Soc. B 75 (2013) 55-80, complementary halves;
+Fasel, Kutz, Brunton and Brunton, Proc. R. Soc. A 478 (2022) 20210904, ensembles for dynamics.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.regression.backend import Checked, Solution, setting
+from sparsefit.regression.certificate import CertificateKind
+from sparsefit.regression.group_penalties import GroupNorms
+from sparsefit.regression.penalties import Penalty, alpha_max, lasso_penalty
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.regression.statistics import Statistics
+from sparsefit.solvers.kernels import path_on_gram
+
+UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
+DOUBT = 1e-6  # of |Y|^2: residuals this close in Gram space are settled on the rows
+MOST = 64  # groups that are taken one by one, whatever the rule says
+Stop = Literal["decrease", "bic"]
+"""The rules by which one more group is worth its weights."""
+
+
+def explained(
+    problem: RegressionProblem, weights: Array | None = None, rcond: float | None = None
+) -> Array:
+    """|P_g R|^2 / m (g,): what each group alone explains of R = Y - theta W (W = 0 without).
+
+    From Z'Z/m and Z'R/m, groups of one size in one batch; from the rows where Z'Z has lost a
+    group's rank. rcond: relative to the largest singular value of the group's scaled columns.
+    """
+    statistics, residual = problem.statistics, problem.target
+    cross = statistics.cross
+    if weights is not None:
+        cross = cross - statistics.gram @ (weights * statistics.rms[:, None])
+        residual = residual - problem.design.raw_predict(weights)
+    order = np.argsort(problem.groups, kind="stable")
+    sizes = np.bincount(problem.groups)
+    starts = np.cumsum(sizes) - sizes
+    gains = np.zeros(len(sizes))
+    floor = max(rcond or 0.0, 0.0) ** 2
+    for size in np.unique(sizes[sizes > 0]):
+        chosen = np.flatnonzero(sizes == size)
+        index = order[starts[chosen][:, None] + np.arange(size)]
+        roots, vectors = np.linalg.eigh(statistics.gram[index[:, :, None], index[:, None, :]])
+        load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
+        sound = roots > max(floor, UNSAFE) * roots[:, -1:]
+        gains[chosen] = np.sum(np.where(sound, load / np.where(sound, roots, 1.0), 0.0), axis=1)
+        # A coarser rcond drops what rounding could have touched.
+        for i in np.flatnonzero(~sound.all(axis=1)) if floor < UNSAFE else []:
+            z = problem.design.columns(index[i])
+            left, values, _ = np.linalg.svd(z, full_matrices=False)
+            least = float(np.finfo(float).eps) * max(z.shape) if rcond is None else rcond
+            spanned = left[:, values > least * values[0]].T @ residual
+            gains[chosen[i]] = float(np.sum(spanned**2)) / problem.samples
+    return gains
+
+
+def fit_on(problem: RegressionProblem, columns: IntArray, rcond: float | None = None) -> Array:
+    """Weights (k, n), the minimum-norm least squares on these columns in unit rms, by the rows."""
+    values = np.linalg.lstsq(problem.design.columns(columns), problem.target, rcond=rcond)[0]
+    weights = np.zeros((problem.columns, problem.targets))
+    weights[columns] = values / problem.design.rms[columns, None]
+    return weights
+
+
+def residual_square(problem: RegressionProblem, weights: Array) -> float:
+    """|R|^2 / m of weights (k, n)."""
+    residual = problem.target - problem.design.raw_predict(weights)
+    return float(np.sum(residual * residual)) / problem.samples
+
+
+def least_residual(
+    problem: RegressionProblem, sets: list[IntArray], rcond: float | None = None
+) -> Array:
+    """The weights (k, n) of the set of groups that leaves the smallest residual, by the rows."""
+    fits = (fit_on(problem, np.flatnonzero(np.isin(problem.groups, s)), rcond) for s in sets)
+    return min(fits, key=lambda weights: residual_square(problem, weights))
+
+
+def is_worth(
+    problem: RegressionProblem, weights: Array, larger: Array, stop: Stop, tolerance: float
+) -> bool:
+    """Whether ``larger`` weights lower the residual sum of squares by more than they cost.
+
+    ``decrease``: by tolerance * |Y|^2; ``bic``: m n ln(RSS) by ln(m n) for each weight more.
+    """
+    before, after = residual_square(problem, weights), residual_square(problem, larger)
+    total = float(problem.statistics.target_square.sum())
+    if stop == "decrease":
+        return before - after > tolerance * total
+    if before <= 1e-28 * total:
+        return False  # rounding
+    added = int(np.sum(larger != 0) - np.sum(weights != 0))
+    count = problem.samples * problem.targets
+    return count * math.log(before / max(after, 1e-300)) > added * math.log(count)
+
+
+class Search(Checked, ABC):
+    """Base of the back-ends that find a support and fit it by least squares: a fixed point."""
+
+    certificate_kind: ClassVar[CertificateKind] = "fixed_point"
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """Weights on the support that the search finds; a target of zeros has none."""
+        if not problem.target.any():
+            return Solution(None, "unidentifiable", f"{self.name}: the target is zero throughout")
+        return self.searched(problem)
+
+    @abstractmethod
+    def searched(self, problem: RegressionProblem) -> Solution:
+        """The solution for a target that is not zero."""
+
+    @abstractmethod
+    def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """The weights (k, n) that one more step, or the choice made again, makes of these."""
+
+
+@dataclass(frozen=True)
+class BestScale(Search):
+    """The least squares of the one group of columns that leaves the smallest residual.
+
+    rcond: singular values of a group's columns, in unit rms, below rcond times the largest count
+    as zero; None is the rounding level.
+    """
+
+    name: ClassVar[str] = "best-scale"
+    rcond: float | None = setting(None, low=0.0, high=1.0)
+
+    def searched(self, problem: RegressionProblem) -> Solution:
+        """Weights on the chosen group alone."""
+        return Solution(self.next_weights(problem, np.empty(0)))
+
+    def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """The weights (k, n) of the choice made again, whatever these are."""
+        gains = explained(problem, rcond=self.rcond)
+        # Z'Z loses what nearly exact fits differ by: those in doubt are compared on the rows.
+        close = gains >= gains.max() - DOUBT * problem.statistics.target_square.sum()
+        return least_residual(problem, [np.array([g]) for g in np.flatnonzero(close)], self.rcond)
+
+
+@dataclass(frozen=True)
+class GroupOMP(Search):
+    """Greedy groups until one more is not worth it.
+
+    stop: ``decrease``: a group must lower the residual sum of squares by ``tolerance`` * |Y|^2;
+    ``bic``: it must lower m n ln(RSS) + parameters ln(m n). ``scales``: stop at so many groups at
+    the latest; None has no such limit but 64 groups. The first group is always taken.
+    """
+
+    name: ClassVar[str] = "group-omp"
+    scales: int | None = setting(None, least=1)
+    tolerance: float = setting(0.01, low=0.0, high=1.0)
+    stop: Stop = "decrease"
+
+    def searched(self, problem: RegressionProblem) -> Solution:
+        """Weights on the groups that the greedy choice takes."""
+        weights, steps = np.zeros((problem.columns, problem.targets)), 0
+        while (larger := self._step(problem, weights)) is not None:
+            weights, steps = larger, steps + 1
+        return Solution(weights, iterations=steps)
+
+    def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """Weights (k, n) after one more step from these, or fitted again where there is none."""
+        following = self._step(problem, weights)
+        used = np.isin(problem.groups, problem.groups[np.any(weights != 0, axis=1)])
+        return fit_on(problem, np.flatnonzero(used)) if following is None else following
+
+    def _step(self, problem: RegressionProblem, weights: Array) -> Array | None:
+        """Weights with one more group, or None where the rule says stop."""
+        used = np.unique(problem.groups[np.any(weights != 0, axis=1)])
+        if len(used) >= min(self.scales or MOST, int(problem.groups.max()) + 1):
+            return None
+        gains = explained(problem, weights)
+        gains[used] = -1.0
+        taken = np.flatnonzero(np.isin(problem.groups, [*used, int(np.argmax(gains))]))
+        if len(used) and len(taken) >= problem.samples:
+            return None  # no freedom is left: the next fit would be exact
+        larger = fit_on(problem, taken)
+        if not len(used):
+            return larger if larger.any() else None  # the target may be orthogonal to all columns
+        worth = is_worth(problem, weights, larger, self.stop, self.tolerance)
+        return larger if worth else None
+
+
+@dataclass(frozen=True)
+class Ensemble(Search):
+    """Least squares on what most fits to halves of the samples choose.
+
+    base: what chooses, ``group-lasso`` (groups span all targets) or ``lasso`` (each target's own
+    columns), at alpha_fraction of its alpha_max. draws: fits, in pairs of complementary halves.
+    blocks: pieces that the samples are cut into. threshold: inclusion probability, above 1/2, that
+    keeps. seed: of the draws.
+    """
+
+    name: ClassVar[str] = "ensemble"
+    base: Literal["group-lasso", "lasso"] = "group-lasso"
+    alpha_fraction: float = 0.1
+    draws: int = setting(50, least=2)
+    blocks: int = setting(10, least=2)
+    threshold: float = setting(0.6, low=0.5, high=1.0, open_low=True)
+    seed: int = setting(0, least=0)
+
+    def searched(self, problem: RegressionProblem) -> Solution:
+        """Weights on what is kept; ``solver_status`` tells the largest inclusion probabilities."""
+        if problem.sample_count is not None and problem.continuum is None:
+            reason = f"{self.name} needs samples to draw from, and these are compressed"
+            return Solution(None, "error", reason)
+        if problem.samples < 2:
+            return Solution(None, "error", f"{self.name} needs at least 2 samples")
+        shares = self.inclusion(problem)
+        words, chosen = self._described(problem, shares), shares >= self.threshold
+        if not chosen.any():
+            reason = f"nothing is chosen by {self.threshold:g} of the fits; {words}"
+            return Solution(None, "unidentifiable", reason, words)
+        weights = self._refitted(problem, chosen)
+        return Solution(weights, solver_status=words, iterations=2 * self._pairs)
+
+    def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """The weights (k, n) of the inclusion probabilities worked out again."""
+        return self._refitted(problem, self.inclusion(problem) >= self.threshold)
+
+    @property
+    def _pairs(self) -> int:
+        return (self.draws + 1) // 2
+
+    def _refitted(self, problem: RegressionProblem, chosen: BoolArray) -> Array:
+        """Least squares (k, n) of each target on the columns that are chosen for it."""
+        weights = np.zeros(chosen.shape)
+        for target in np.flatnonzero(chosen.any(axis=0)):
+            weights[:, target] = fit_on(problem, np.flatnonzero(chosen[:, target]))[:, target]
+        return weights
+
+    def inclusion(self, problem: RegressionProblem) -> Array:
+        """The inclusion probability of every weight (k, n)."""
+        pieces = np.array_split(np.arange(problem.samples), min(self.blocks, problem.samples))
+        rms, blocks = problem.design.rms, []
+        for rows in pieces:  # the sums of each block, in columns of unit rms over all samples
+            z, y = problem.rows[rows] / rms, problem.target[rows]
+            blocks.append((len(rows), z.T @ y, np.einsum("it,it->t", y, y), z.T @ z))
+        rng, half = np.random.default_rng(self.seed), len(blocks) // 2
+        chosen = np.zeros((problem.columns, problem.targets))
+        for _ in range(self._pairs):
+            order = rng.permutation(len(blocks))
+            for part in (order[:half], order[half:]):
+                count, *sums = (sum(each) for each in zip(*(blocks[i] for i in part), strict=True))
+                cross, square, gram = (total / count for total in sums)
+                statistics = Statistics(count, count, rms, cross, square, gram)
+                chosen += self._fitted(problem, statistics) != 0
+        return chosen / (2 * self._pairs)
+
+    def _fitted(self, problem: RegressionProblem, statistics: Statistics) -> Array:
+        """The weights (k, n) of one half, in scaled columns."""
+        grouped, weights = self.base == "group-lasso", np.zeros(statistics.cross.shape)
+        penalty: Penalty = lasso_penalty(problem.columns)
+        if grouped:
+            penalty = GroupNorms(problem.groups, np.ones(int(problem.groups.max()) + 1))
+        alphas = np.array([self.alpha_fraction * alpha_max(statistics.cross, penalty)])
+        for targets in problem.together(grouped) if alphas[0] else []:
+            cross = np.ascontiguousarray(statistics.cross[:, targets])
+            square = float(statistics.target_square[targets].sum())
+            path = path_on_gram(statistics.gram, cross, penalty, alphas, square)
+            weights[:, targets] = path.values[0]
+        return weights
+
+    def _described(self, problem: RegressionProblem, shares: Array) -> str:
+        """The largest inclusion probabilities, and how many of those kept may be false."""
+        items, names = shares, list(problem.names)  # each target chooses by itself
+        if self.base == "group-lasso":
+            groups = range(int(problem.groups.max()) + 1)
+            items = np.array([[shares[problem.groups == g].max()] for g in groups])
+            names, scales = [f"group {g}" for g in groups], problem.group_scales
+            if scales is not None and len(np.unique(scales)) == len(scales):
+                names = [f"{scale:.4g} m" for scale in scales]
+        chosen = float(np.sum(items.sum(axis=0) ** 2))
+        false = chosen / ((2.0 * self.threshold - 1.0) * len(items))
+        false = min(false, float(np.count_nonzero(items >= self.threshold)))
+        most = items.max(axis=1)
+        order = np.argsort(-most, kind="stable")[:5]
+        listed = ", ".join(f"{names[i]} {most[i]:.2f}" for i in order)
+        return f"inclusion: {listed}; falsely kept: at most {false:.2g} expected"
