@@ -189,9 +189,9 @@ solvers = st.one_of(
     st.builds(
         backends.load("group-lasso"),
         fractions,
-        st.booleans(),
-        st.sampled_from(["unit", "sqrt-size"]),
         st.sampled_from(["variational", "clarabel"]),
+        separate=st.booleans(),
+        group_weights=st.sampled_from(["unit", "sqrt-size"]),
     ),
 )
 readouts = st.builds(
