@@ -16,8 +16,8 @@ charged for all that `sparsefit.path` does. With [holdout] each is judged by hel
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -28,53 +28,54 @@ import numpy as np
 
 from sparsefit import RegressionProblem, backends
 from sparsefit.child import in_child
-from sparsefit.codec import Place, build, integer, only, shown, text
+from sparsefit.codec import Place, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
-from sparsefit.study.crossing import Setting, read_settings
+from sparsefit.study.crossing import Setting, points_of, read_grid
 from sparsefit.study.holdout import Holdout
 from sparsefit.study.problem_sources import ProblemSource, read_problems
-from sparsefit.study.toml_file import (
-    Section,
-    canonical_json,
-    digest,
+from sparsefit.study.schema import (
+    INSIDE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Range,
     distinct,
-    items,
-    numbered,
-    positive,
-    read_section,
+    key,
+    read,
     read_sections,
     required,
+    taken,
 )
+from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 
-KEYS = (
-    *("name", "kind", "question", "seed", "accuracies", "tolerances", "path", "clock", "holdout"),
-    *("problems", "backends", "solvers", "flights", "derivative", "library"),
-    *("run", "select", "outputs"),
-)
-RESERVED = ("name", "label", "tolerances", "certified", "limit", "solver")
-ACCURACIES = (1e-4, 1e-6, 1e-8)
-TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 NO_TOLERANCE = (math.nan,)
-MOST_CASES = 20_000
 OURS = "sparsefit"
 EXACT = "sparsefit's exact path"
-CERTIFIED = ", certified"
-FIRST_SECONDS = 120.0  # of imports and compilation, for solvers that ship with sparsefit
+PROBLEM_SECTIONS = (
+    *("name", "kind", "question", "path", "clock", "holdout", "problems", "backends", "solvers"),
+    *("flights", "derivative", "library", "run", "select", "outputs"),
+)
+
+
+@dataclass(frozen=True)
+class ProblemRules:
+    """The keys of a study of problems that are numbers."""
+
+    seed: int = key("Whole number that decides everything random.", 0, NOT_NEGATIVE)
+    accuracies: tuple[float, ...] = key(
+        "Certified accuracies at which success and time are counted.", (1e-4, 1e-6, 1e-8), INSIDE
+    )
+    tolerances: tuple[float, ...] = key(
+        "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
+    )
 
 
 @dataclass(frozen=True)
 class PathRule:
-    """The penalties of [path]: `points` of them, from alpha_max down to `lowest` times it."""
+    """The penalties of [path]."""
 
-    points: int = 30
-    lowest: float = 1e-3
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.points <= 1000:
-            raise InputError(f"points must be 1 to 1000, not {self.points}")
-        if not 0.0 < self.lowest < 1.0:
-            raise InputError(f"lowest must be above 0 and below 1, not {self.lowest:g}")
+    points: int = key("How many, from alpha_max down.", 30, Range(least=1, most=1000))
+    lowest: float = key("The least of them, as a share of alpha_max.", 1e-3, INSIDE)
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -86,30 +87,54 @@ class PathRule:
 
 @dataclass(frozen=True)
 class Clock:
-    """How a solve is timed: [clock].
+    """How a solve is timed: [clock]."""
 
-    limit: seconds [s] on the wall after which a solve is killed; first: those of a first call,
-    which may compile, 0 for `limit`; a case is repeated until the 95 % interval of its median is
-    within `precision` of it, `repeats` are made or they took `seconds` [s]. shift: seconds added in
-    the shifted geometric mean, so that the shortest do not decide it.
-    """
+    limit: float = key("On the wall, after which a solve is killed.", 20.0, POSITIVE, "s")
+    repeats: int = key("Most repeats of a case.", 25, Range(least=1, most=1000))
+    seconds: float = key("Repeats end after so many seconds.", 2.0, NOT_NEGATIVE, "s")
+    precision: float = key(
+        "Or when the 95 % interval of the median is within this share of it.", 0.05, POSITIVE
+    )
+    shift: float = key(
+        "Seconds added in the shifted geometric mean, so that the shortest do not decide it.",
+        0.001, POSITIVE, "s",
+    )  # fmt: skip
+    first: float = key(
+        "Of a first call, which may compile; 0: `limit`, or 120 s of what ships.",
+        0.0, NOT_NEGATIVE, "s",
+    )  # fmt: skip
 
-    limit: float = 20.0
-    repeats: int = 25
-    seconds: float = 2.0
-    precision: float = 0.05
-    shift: float = 0.001
-    first: float = 0.0
 
-    def __post_init__(self) -> None:
-        for name in ("limit", "precision", "shift"):
-            if getattr(self, name) <= 0.0:
-                raise InputError(f"{name} must be above 0, not {getattr(self, name):g}")
-        for name in ("seconds", "first"):
-            if getattr(self, name) < 0.0:
-                raise InputError(f"{name} must be 0 or above, not {getattr(self, name):g}")
-        if not 1 <= self.repeats <= 1000:
-            raise InputError(f"repeats must be 1 to 1000, not {self.repeats}")
+@dataclass(frozen=True)
+class ContenderKeys:
+    """The keys of [[backends]] in a study of problems, beside settings."""
+
+    name: str = key(
+        "A back-end. Its settings are keys as well; of lists every combination takes part."
+    )
+    label: str = key(
+        "The objective, as tables call it: entries of one label are compared. Without it, the "
+        "back-end and its settings.", ""
+    )  # fmt: skip
+    solver: tuple[str, ...] = key("Who solves it, a list; without it, the exact path.", ())
+    tolerances: tuple[float, ...] = key("In place of the file's own.", (), INSIDE)
+    certified: bool = key(
+        "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "
+        "of every point.", False
+    )  # fmt: skip
+    limit: float | None = key(
+        "In place of the clock's, for solvers that have no chance on the larger problems.",
+        None, POSITIVE, "s",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SolverKeys:
+    """The keys of [[solvers]] beside settings."""
+
+    name: str = key("What `solver` calls it.")
+    file: str = key("A Python file with its class, beside the study.", "")
+    command: tuple[str, ...] = key("Or a program and its arguments.", ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,159 +194,111 @@ class ProblemDesign:
     @cached_property
     def cells(self) -> tuple[tuple[int, float], ...]:
         """The number of each contender with each of its tolerances."""
-        return tuple(
-            (number, tolerance)
-            for number, contender in enumerate(self.contenders)
-            for tolerance in contender.tolerances
-        )
+        numbered_contenders = enumerate(self.contenders)
+        return tuple((number, stop) for number, c in numbered_contenders for stop in c.tolerances)
 
     @property
     def at_most(self) -> float:
         """Seconds [s] that solves take if all of them reach all limits."""
-        each = (
-            len(c.tolerances) * (c.limit + self.clock.seconds)
-            for c in self.contenders
-            if not c.missing
-        )
-        return len(self.problems) * sum(each)
+        running = [c for c in self.contenders if not c.missing]
+        each = sum(len(c.tolerances) * (c.limit + self.clock.seconds) for c in running)
+        return len(self.problems) * each
 
     def cell_identities(self) -> list[str]:
         """What determines the rows of each cell: another limit lets others fail."""
         clock = {key: value for key, value in asdict(self.clock).items() if key != "shift"}
         judged = asdict(self.holdout) if self.holdout else None
-        content = [
-            canonical_json([_identity(self.contenders[number]), str(tolerance), self.fractions,
-                            clock, judged])
-            for number, tolerance in self.cells
-        ]  # fmt: skip
+        content = []
+        for number, tolerance in self.cells:
+            c = self.contenders[number]
+            code = ""
+            if c.recipe is not None and Path(c.recipe.file).is_file():
+                code = hashlib.sha256(Path(c.recipe.file).read_bytes()).hexdigest()
+            own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
+            content.append(canonical_json([own, str(tolerance), self.fractions, clock, judged]))
         return numbered(map(digest, content))
 
 
-def _identity(contender: Contender) -> list[object]:
-    content = [contender.objective, contender.backend, contender.content, contender.solver]
-    recipe, code = contender.recipe, ""
-    if recipe is not None and Path(recipe.file).is_file():
-        code = hashlib.sha256(Path(recipe.file).read_bytes()).hexdigest()
-    return [*content, contender.certified, contender.limit, code]
-
-
-def read_problem_design(document: Section, place: Place) -> tuple[ProblemDesign, str]:
-    """The design of a study of problems, and the sha256 of all that its cases depend on."""
-    only(document, KEYS, place)
-    seed = integer(document.get("seed", 0), place.at("seed"), least=0)
-    tolerances = _tolerances(document.get("tolerances", list(TOLERANCES)), place.at("tolerances"))
-    accuracies = _tolerances(document.get("accuracies", list(ACCURACIES)), place.at("accuracies"))
-    fractions: tuple[float, ...] = ()
-    if "path" in document:
-        rules = read_section(document["path"], place.at("path"))
-        fractions = build(PathRule, rules, place.within("path")).fractions
-    clock = build(Clock, read_section(document.get("clock", {}), place.at("clock")),
-                  place.within("clock"))  # fmt: skip
-    holdout = None
+def read_problem_design(document: Section, place: Place) -> tuple[ProblemDesign, object]:
+    """The design of a study of problems, and the content that all its cases depend on."""
+    own, rest = taken(ProblemRules, document, place)
+    for name in ("accuracies", "tolerances"):
+        distinct(getattr(own, name), place.at(name))
+    only(rest, PROBLEM_SECTIONS, place)
+    path = read(PathRule, document, "path", place) if "path" in document else None
+    clock, holdout = read(Clock, document, "clock", place), None
     if "holdout" in document or document.get("kind") == "problems":
-        rules = read_section(document.get("holdout", {}), place.at("holdout"))
-        holdout = build(Holdout, rules, place.within("holdout"))
-    problems = read_problems(document, seed, place)
-    contenders = read_contenders(document, tolerances, clock, place, path=bool(fractions))
-    design = ProblemDesign(problems, contenders, fractions, accuracies, clock, holdout)
+        holdout = read(Holdout, document, "holdout", place)
+    problems = read_problems(document, own.seed, place)
+    design = ProblemDesign(
+        problems,
+        _read_contenders(document, _descending(own.tolerances), clock, place),
+        path.fractions if path else (),
+        _descending(own.accuracies),
+        clock,
+        holdout,
+    )
     planned = len(problems) * len(design.cells)
-    if planned > MOST_CASES:
-        raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}")
+    if planned > 20_000:
+        raise InputError(f"{place.file}: plans {planned} cases, more than 20000")
     shown_only = ("question", "accuracies", "outputs", "select", "kind")
     judged_by = {key: value for key, value in document.items() if key not in shown_only}
-    content = canonical_json([judged_by, [source.identity for source in problems]])
-    return design, hashlib.sha256(content.encode()).hexdigest()
+    return design, [judged_by, [source.identity for source in problems]]
 
 
-def _tolerances(value: object, place: Place) -> tuple[float, ...]:
-    """Numbers between 0 and 1, sorted, the largest first."""
-    numbers = [positive(item, place) for item in items(value, place)]
-    distinct(numbers, place)
-    for number in numbers:
-        if number >= 1.0:
-            raise place.error(f"must be below 1, not {number:g}")
+def _descending(numbers: Sequence[float]) -> tuple[float, ...]:
     return tuple(sorted(numbers, reverse=True))
 
 
-def read_contenders(
-    document: Section, tolerances: tuple[float, ...], clock: Clock, place: Place, *, path: bool
+def _read_contenders(
+    document: Section, tolerances: tuple[float, ...], clock: Clock, place: Place
 ) -> tuple[Contender, ...]:
-    """The contenders of a study file, each accepted by its back-end or noted as missing.
-
-    path: whether whole paths are solved, so that no entry sets a penalty of its own.
-    """
-    here = place.within("backends")
-    recipes = _read_solvers(document, place)
+    """The contenders of a study file, each accepted by its back-end or noted as missing."""
+    here, recipes = place.within("backends"), _read_solvers(document, place)
     contenders: list[Contender] = []
     for entry in read_sections(required(document, "backends", place), here):
-        if path and "alpha_fraction" in entry:
+        if "path" in document and "alpha_fraction" in entry:
             raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
-        contenders += _of_entry(entry, recipes, tolerances, clock, here)
-    contenders = _described(contenders, clock, here)
-    seen: set[tuple[str, str]] = set()
-    for contender in contenders:
-        key = (contender.objective, contender.solver)
-        if key in seen:
+        keys, given = taken(ContenderKeys, entry, here)
+        stops = _descending(keys.tolerances) or tolerances
+        limit = keys.limit or clock.limit
+        for settings in points_of(read_grid(given, here)):
+            words = [f"{name}={shown(value)}" for name, value in settings.items()]
+            label = keys.label or " ".join([keys.name, *words])
+            base = Contender(label, keys.name, settings, keys.name, stops, limit=limit)
+            for solver in keys.solver or ("",):
+                resolved = _resolved(base, solver, recipes, here)
+                if keys.certified:
+                    resolved = (_certified(contender, here) for contender in resolved)
+                contenders += resolved
+    contenders = _described(contenders, here)
+    counts = Counter((contender.objective, contender.solver) for contender in contenders)
+    for (objective, solver), count in counts.items():
+        if count > 1:
             remedy = "one label is one objective, so give each of its settings a label of its own"
-            words = f'lists "{contender.solver}" twice for "{contender.objective}": {remedy}'
-            raise here.error(words)
-        seen.add(key)
-    return tuple(contenders)
+            raise here.error(f'lists "{solver}" twice for "{objective}": {remedy}')
+    return tuple(
+        replace(c, first=clock.first or (max(c.limit, 120.0) if _ships(c) else c.limit))
+        for c in contenders
+    )
 
 
 def _read_solvers(document: Section, place: Place) -> dict[str, list[Recipe]]:
     """The [[solvers]] by name: of each a recipe for every point of the grid of its settings."""
     recipes: dict[str, list[Recipe]] = {}
-    here = place.within("solvers")
-    entries = read_sections(document["solvers"], here) if "solvers" in document else []
-    for entry in entries:
-        name = text(required(entry, "name", here), here.at("name"))
-        folder = Path(place.file).parent
-        file = str(folder / text(entry["file"], here.at("file"))) if "file" in entry else ""
-        command: tuple[str, ...] = ()
-        if "command" in entry:
-            words = items(entry["command"], here.at("command"))
-            command = tuple(text(word, here.at("command")) for word in words)
+    here, folder = place.within("solvers"), Path(place.file).parent
+    for entry in read_sections(document["solvers"], here) if "solvers" in document else []:
+        keys, settings = taken(SolverKeys, entry, here)
+        file = str(folder / keys.file) if keys.file else ""
+        if keys.command:
             file = str(folder / "solver")  # a command is sought beside the study
         elif file and not Path(file).is_file():
-            raise here.at("file").error(f'"{entry["file"]}": no such file beside the study')
-        grid = {
-            key: read_settings(value, here.at(key))
-            for key, value in entry.items()
-            if key not in ("name", "file", "command")
-        }
-        recipes.setdefault(name, []).extend(
-            Recipe(name, dict(zip(grid, values, strict=True)), file, command)
-            for values in itertools.product(*grid.values())
+            raise here.at("file").error(f'"{keys.file}": no such file beside the study')
+        recipes.setdefault(keys.name, []).extend(
+            Recipe(keys.name, point, file, keys.command)
+            for point in points_of(read_grid(settings, here))
         )
     return recipes
-
-
-def _of_entry(
-    entry: Section,
-    recipes: Mapping[str, list[Recipe]],
-    tolerances: tuple[float, ...],
-    clock: Clock,
-    place: Place,
-) -> Iterator[Contender]:
-    """Every solver of one [[backends]] entry, at every point of the grid of its settings."""
-    name = text(required(entry, "name", place), place.at("name"))
-    if "tolerances" in entry:
-        tolerances = _tolerances(entry["tolerances"], place.at("tolerances"))
-    limit = positive(entry["limit"], place.at("limit")) if "limit" in entry else clock.limit
-    certified = entry.get("certified", False)
-    if not isinstance(certified, bool):
-        raise place.at("certified").error(f"must be true or false, not {shown(certified)}")
-    solvers = [str(word) for word in read_settings(entry.get("solver", ""), place.at("solver"))]
-    grid = {k: read_settings(v, place.at(k)) for k, v in entry.items() if k not in RESERVED}
-    for values in itertools.product(*grid.values()):
-        settings = dict(zip(grid, values, strict=True))
-        words = [f"{key}={shown(value)}" for key, value in settings.items()]
-        label = text(entry.get("label", " ".join([name, *words])), place.at("label"))
-        base = Contender(label, name, settings, name, tolerances, limit=limit)
-        for solver in solvers:
-            contenders = _resolved(base, solver, recipes, clock, place)
-            yield from (_certified(c, place) if certified else c for c in contenders)
 
 
 def _certified(contender: Contender, place: Place) -> Contender:
@@ -330,18 +307,14 @@ def _certified(contender: Contender, place: Place) -> Contender:
         words = "is for an exact path of sparsefit: no other solver certifies its answers"
         raise place.at("certified").error(words)
     form = f"{EXACT}, the checks of the data and every certificate"
-    return replace(contender, solver=contender.solver + CERTIFIED, form=form, certified=True)
+    return replace(contender, solver=f"{contender.solver}, certified", form=form, certified=True)
 
 
 def _resolved(
-    base: Contender,
-    solver: str,
-    recipes: Mapping[str, list[Recipe]],
-    clock: Clock,
-    place: Place,
+    base: Contender, solver: str, recipes: Mapping[str, list[Recipe]], place: Place
 ) -> Iterator[Contender]:
-    """The contenders of a solver by its name, with form and limits, or why it is missing."""
-    name, ours = base.backend, clock.first or max(base.limit, FIRST_SECONDS)
+    """The contenders of a solver by its name, or why it is missing."""
+    name = base.backend
     try:
         backend: Any = backends.get(name, **base.settings)
     except MissingExtra as error:
@@ -353,98 +326,83 @@ def _resolved(
     exact = getattr(getattr(backend, "exact", None), "name", getattr(backend, "exact", ""))
     if not exact:
         if solver:
-            raise place.at("solver").error(
-                f'{name} has no penalty, so "{solver}" is none of its own'
-            )
+            words = f'{name} has no penalty, so "{solver}" is none of its own'
+            raise place.at("solver").error(words)
         form = (backends.load(name).__doc__ or "").strip().split("\n")[0]
-        first = ours if name in backends.BACKENDS else clock.first or base.limit
         family = OURS if name in backends.BACKENDS else name
-        content = {"tolerances": NO_TOLERANCE, "form": form, "family": family, "first": first}
-        yield replace(base, **content)  # type: ignore[arg-type]
+        yield replace(base, tolerances=NO_TOLERANCE, form=form, family=family)
         return
     if backend.alpha_fraction == "auto":
         raise place.at("alpha_fraction").error('"auto" is many fits: give a number')
     if solver in ("", exact):
-        content = {"tolerances": NO_TOLERANCE, "form": EXACT, "solver": exact, "first": ours}
-        yield replace(base, **content)  # type: ignore[arg-type]
+        yield replace(base, tolerances=NO_TOLERANCE, form=EXACT, solver=exact)
         return
     chosen = recipes.get(solver) or [Recipe(solver)]
-    varied = {key for r in chosen for key in r.settings if _several(key, chosen)}
     for recipe in chosen:
-        titled = [solver, *(f"{k}={shown(v)}" for k, v in recipe.settings.items() if k in varied)]
-        yield replace(base, solver=" ".join(titled), recipe=recipe)
+        varied = [
+            f"{name}={shown(value)}"
+            for name, value in recipe.settings.items()
+            if any(repr(other.settings.get(name)) != repr(value) for other in chosen)
+        ]
+        yield replace(base, solver=" ".join([solver, *varied]), recipe=recipe)
 
 
-def _several(key: str, recipes: Sequence[Recipe]) -> bool:
-    return len({repr(recipe.settings.get(key)) for recipe in recipes}) > 1
+def _ships(contender: Contender) -> bool:
+    """Whether its code is of sparsefit or of the packages that sparsefit knows."""
+    recipe = contender.recipe
+    if recipe is None:
+        return contender.backend in backends.BACKENDS
+    return not recipe.file and not recipe.command and recipe.name in shipped_solvers()
 
 
-def _described(contenders: Sequence[Contender], clock: Clock, place: Place) -> list[Contender]:
+def _described(contenders: Sequence[Contender], place: Place) -> list[Contender]:
     """The contenders with what their recipes tell; code of others tells it in another process."""
-    shipped, registered = shipped_solvers(), solver_names()
+    solved = [(c, (c.recipe, c.backend, dict(c.settings))) for c in contenders if c.recipe]
+    plugged = set(solver_names()) - set(shipped_solvers())
     foreign = [
-        c
-        for c in contenders
-        if c.recipe
-        and not c.recipe.command
-        and (c.recipe.file or (c.recipe.name in registered and c.recipe.name not in shipped))
+        (c, question)
+        for c, question in solved
+        if c.recipe and not c.recipe.command and (c.recipe.file or c.recipe.name in plugged)
     ]
-    content: list[dict[str, Any]] = []
-    if foreign:
-        try:
-            content = in_child(about_solvers, [_asked_of(c) for c in foreign], seconds=120.0)
-        except InputError as error:
-            raise place.at("solver").error(str(error)) from None
-    abouts = {id(contender): about for contender, about in zip(foreign, content, strict=True)}
-    described = []
-    for contender in contenders:
-        recipe = contender.recipe
-        if recipe is None:
-            described.append(contender)
-            continue
-        about = abouts.get(id(contender)) or about_solvers([_asked_of(contender)])[0]
+    try:
+        questions = [question for _, question in foreign]
+        told = in_child(about_solvers, questions, seconds=120.0) if foreign else []
+    except InputError as error:
+        raise place.at("solver").error(str(error)) from None
+    abouts = {id(c): about for (c, _), about in zip(foreign, told, strict=True)}
+    for contender, question in solved:
+        about = abouts.setdefault(id(contender), None) or about_solvers([question])[0]
         if about["refused"]:
             raise place.at("solver").error(about["refused"])
-        ours = clock.first or max(contender.limit, FIRST_SECONDS)
-        about_it = {
+        abouts[id(contender)] = {
             "tolerances": contender.tolerances if about["stops"] else NO_TOLERANCE,
             "form": about["form"],
             "missing": about["missing"],
-            "family": about["package"] or f"{recipe.name}{dict(recipe.settings) or ''}",
-            "first": ours if _ships(recipe, shipped) else clock.first or contender.limit,
+            "family": about["package"] or f"{question[0].name}{dict(question[0].settings) or ''}",
         }
-        described.append(replace(contender, **about_it))
-    return described
+    return [replace(c, **abouts[id(c)]) if id(c) in abouts else c for c in contenders]
 
 
-def _ships(recipe: Recipe, shipped: set[str]) -> bool:
-    return not recipe.file and not recipe.command and recipe.name in shipped
-
-
-def _asked_of(contender: Contender) -> tuple[Any, str, dict[str, Any]]:
-    return contender.recipe, contender.backend, dict(contender.settings)
-
-
-def about_solvers(requested: Sequence[tuple[Recipe, str, dict[str, Any]]]) -> list[dict[str, Any]]:
+def about_solvers(requested: Sequence[tuple[Any, str, dict[str, Any]]]) -> list[dict[str, Any]]:
     """Of each (recipe, back-end, its settings): form, package, whether a tolerance stops it.
 
     missing: why it cannot run here; refused: why it is none, or does not take the penalty.
     """
-    return [_about(*content) for content in requested]
-
-
-def _about(recipe: Recipe, backend: str, settings: dict[str, Any]) -> dict[str, Any]:
-    about: dict[str, Any] = {"missing": "", "refused": "", "package": ""}
-    try:
-        about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
-        about["package"] = recipe.package
-        if not about["missing"]:
-            takes = getattr(recipe.make(), "takes", None)
-            penalty = penalty_of(backends.get(backend, **settings), small_problem())
-            about["refused"] = str(takes(penalty) or "") if callable(takes) else ""
-    except InputError as error:
-        about["refused"] = str(error)
-    return about
+    content = []
+    for recipe, backend, settings in requested:
+        about: dict[str, Any] = {"missing": "", "refused": "", "package": ""}
+        try:
+            about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
+            about["package"] = recipe.package
+            if not about["missing"]:
+                takes = getattr(recipe.make(), "takes", None)
+                penalised: Any = backends.get(backend, **settings)
+                penalty = penalised.penalty(small_problem())
+                about["refused"] = str(takes(penalty) or "") if callable(takes) else ""
+        except InputError as error:
+            about["refused"] = str(error)
+        content.append(about)
+    return content
 
 
 def small_problem() -> RegressionProblem:
@@ -453,8 +411,3 @@ def small_problem() -> RegressionProblem:
     theta = draw.standard_normal((40, 12))
     target = theta[:, :2] @ draw.standard_normal((2, 2)) + 0.1 * draw.standard_normal((40, 2))
     return RegressionProblem.from_arrays(theta, target, np.arange(12) // 3)
-
-
-def penalty_of(backend: Any, problem: RegressionProblem) -> Any:
-    """The penalty of a back-end on a problem."""
-    return backend.penalty(problem)

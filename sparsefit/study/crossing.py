@@ -15,46 +15,42 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, LengthScaleGrid, Library, Readout, backends
-from sparsefit.codec import Place, build, made, number, only, shown, text
+from sparsefit.codec import Place, build, made, number, only, shown
 from sparsefit.errors import SparsefitError, suggestion, told_with
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, nearest, read_flight_rules
 from sparsefit.study.logged import FILES, Logs, read_logs
-from sparsefit.study.toml_file import (
-    Section,
+from sparsefit.study.schema import (
+    Named,
     as_items,
-    canonical_json,
     distinct,
     items,
+    key,
+    names_of,
     read_section,
     read_sections,
     required,
+    taken,
 )
+from sparsefit.study.toml_file import Section, canonical_json
 
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
-MOST_SETTINGS = 100_000  # of one [[backends]] entry
-
-
-def _names(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind))
-
-
-GRID_KEYS = _names(LengthScaleGrid)
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
-    "derivative": _names(Derivative),
-    "library": GRID_KEYS + tuple(name for name in _names(Library) if name != "grid"),
-    "readout": _names(Readout),
-    "online": _names(Stream),
+    "derivative": names_of(Derivative),
+    "library": (*names_of(LengthScaleGrid), *(n for n in names_of(Library) if n != "grid")),
+    "readout": names_of(Readout),
+    "online": names_of(Stream),
 }
 
 
@@ -69,12 +65,26 @@ class Setup:
     online: Stream = Stream()
 
 
+@dataclass(frozen=True)
+class ProtocolWords:
+    """What tables call a protocol."""
+
+    name: str = key("What tables call it. Needed.")
+    world: str = key("What they call all protocols that change the flights as this one does.", "")
+    reading: str = key("What they call all that change the estimator as this one does.", "")
+
+
 @dataclass(frozen=True, eq=False)
 class Protocol:
     """A named alternative: values for dotted keys."""
 
-    name: str
+    words: ProtocolWords
     overrides: Mapping[str, object]
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.words.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +110,7 @@ class BackendChoice:
 
     def settings(self) -> Iterator[dict[str, Setting]]:
         """Every point of the grid, the last key fastest."""
-        for chosen in itertools.product(*self.grid.values()):
-            yield dict(zip(self.grid, chosen, strict=True))
+        return points_of(self.grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,40 +137,31 @@ class Cell:
         return (self.choice.name, self.choice.label, self.protocol)
 
 
-def read_setup(sections: Sections, place: Place) -> Setup:
-    """The setup of the sections; `InputError` names the section and the key."""
-    return _SetupReader(sections).read(sections, place)
+def points_of(grid: Mapping[str, tuple[Any, ...]]) -> Iterator[dict[str, Any]]:
+    """Every point of a grid, the last key fastest; one empty point where it has no keys."""
+    for chosen in itertools.product(*grid.values()):
+        yield dict(zip(grid, chosen, strict=True))
 
 
-class _SetupReader:
-    """Reads setups that differ from ``sections`` in some; sections they share are read once."""
+def read_setup(sections: Sections, place: Place, parts: dict[object, Any] | None = None) -> Setup:
+    """The setup of the sections; `InputError` names the section and the key.
 
-    def __init__(self, sections: Sections) -> None:
-        self._shared = sections
-        self._parts: dict[str, Any] = {}
-        self._combined = False
-
-    def read(self, sections: Sections, place: Place) -> Setup:
-        """The setup of these sections; `InputError` names the section and the key."""
-        parts = {name: self._part(name, sections, place) for name in SECTION_KEYS}
-        setup = Setup(**parts)
-        combined = ("derivative", "library", "readout", "online")
-        shared = all(sections.get(name) is self._shared.get(name) for name in combined)
-        if not (shared and self._combined):
-            # What no estimator can combine is refused here, not in the first case.
-            estimator = made(Estimator, {name: parts[name] for name in combined[:3]}, place)
-            with told_with(place.within("online")):
-                setup.online.refuse_unfit(estimator)
-            self._combined = self._combined or shared
-        return setup
-
-    def _part(self, name: str, sections: Sections, place: Place) -> Any:
-        section: Section = sections.get(name, {})
-        if sections.get(name) is not self._shared.get(name):
-            return _read_part(name, section, place.within(name))
-        if name not in self._parts:
-            self._parts[name] = _read_part(name, section, place.within(name))
-        return self._parts[name]
+    parts: what was read before, by content, so that setups share what is equal.
+    """
+    parts = {} if parts is None else parts
+    texts = [json.dumps([name, sections.get(name, {})], default=repr) for name in SECTION_KEYS]
+    for name, text in zip(SECTION_KEYS, texts, strict=True):
+        if text not in parts:
+            parts[text] = _read_part(name, sections.get(name, {}), place.within(name))
+    setup = Setup(*(parts[text] for text in texts))
+    combined = tuple(texts[1:])
+    if combined not in parts:
+        # What no estimator can combine is refused here, not in the first case.
+        content = {name: getattr(setup, name) for name in ("derivative", "library", "readout")}
+        with told_with(place.within("online")):
+            setup.online.refuse_unfit(made(Estimator, content, place))
+        parts[combined] = True
+    return setup
 
 
 def _read_part(name: str, section: Section, place: Place) -> Any:
@@ -169,24 +169,22 @@ def _read_part(name: str, section: Section, place: Place) -> Any:
         read = read_logs if FILES in section else read_flight_rules
         return read(section, place)
     if name == "library":
-        only(section, SECTION_KEYS["library"], place)
-        grid = {key: value for key, value in section.items() if key in GRID_KEYS}
-        rest = {key: value for key, value in section.items() if key not in GRID_KEYS}
+        only(section, SECTION_KEYS[name], place)
+        grid, rest = taken(LengthScaleGrid, section, place)
         # Without a word about the grid, the library keeps the default that is its own.
-        parts = {"grid": build(LengthScaleGrid, grid, place)} if grid else {}
-        return build(Library, parts | rest, place)
+        return build(Library, ({"grid": grid} if len(rest) < len(section) else {}) | rest, place)
     if name == "readout":
         return build(Readout, {"refine": UNNAMED, **section}, place)
     return build(Derivative if name == "derivative" else Stream, section, place)
 
 
 def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:
-    """The sections with dotted keys (`library.target`) replaced; the others are the same ones."""
-    changed: dict[str, dict[str, object]] = {}
+    """The sections with dotted keys (`library.target`) replaced."""
+    changed = {name: dict(section) for name, section in sections.items()}
     for dotted, value in overrides.items():
-        section, key = dotted.split(".", 1)
-        changed.setdefault(section, dict(sections.get(section, {})))[key] = value
-    return {**sections, **changed}
+        section, name = dotted.split(".", 1)
+        changed.setdefault(section, {})[name] = value
+    return changed
 
 
 def cross(
@@ -206,24 +204,23 @@ def cross(
         for choice in choices
         for settings in choice.settings()
     ]
-    setups, index = _SetupReader(sections), itertools.count()
+    parts: dict[object, Any] = {}
+    index = itertools.count()
     for protocol, levels in itertools.product(protocols, level_sets(sweep)):
-        parts = [f'protocol "{protocol.name}"'] if protocol.overrides else []
-        parts += [f"{key} = {shown(value)}" for key, value in levels.items()]
-        within = Place(place.file, via=f"with {', '.join(parts)}: " if parts else "")
-        setup = setups.read(override(sections, {**protocol.overrides, **levels}), within)
+        words = [f'protocol "{protocol.name}"'] if protocol.overrides else []
+        words += [f"{name} = {shown(value)}" for name, value in levels.items()]
+        within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
+        setup = read_setup(override(sections, {**protocol.overrides, **levels}), within, parts)
         for choice, settings, canonical in fitted:
             identity = canonical_json([protocol.name, levels, choice.name, settings])
-            key = hashlib.sha256(identity.encode()).hexdigest()[:16]
-            here = (next(index), key, protocol.name, levels, setup)
+            digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
+            here = (next(index), digest, protocol.name, levels, setup)
             yield Cell(*here, choice, settings, canonical)
 
 
 def level_sets(sweep: tuple[Factor, ...]) -> list[dict[str, object]]:
     """The levels of all factors crossed, by key; one empty set where nothing is swept."""
-    keys = [factor.key for factor in sweep]
-    crossed = itertools.product(*(factor.levels for factor in sweep))
-    return [dict(zip(keys, levels, strict=True)) for levels in crossed]
+    return list(points_of({factor.key: factor.levels for factor in sweep}))
 
 
 def read_protocols(
@@ -231,17 +228,16 @@ def read_protocols(
 ) -> tuple[Protocol, ...]:
     """The [[protocols]], or one called "default" without overrides."""
     if "protocols" not in document:
-        return (Protocol("default", {}),)
+        return (Protocol(ProtocolWords("default"), {}),)
     here, protocols = place.within("protocols"), []
     for entry in read_sections(document["protocols"], here):
-        name = text(required(entry, "name", here), here.at("name"))
-        changes = {key: value for key, value in entry.items() if key != "name"}
-        protocols.append(Protocol(name, _dotted(changes, here)))
+        words, changes = taken(ProtocolWords, entry, here)
+        protocols.append(Protocol(words, _dotted(changes, here)))
     distinct([protocol.name for protocol in protocols], here.at("name"))
     swept = {factor.key for factor in sweep}
     for protocol in protocols:
-        for key in swept & set(protocol.overrides):
-            raise here.at(key).error(f'is in [sweep] too: "{protocol.name}" cannot also set it')
+        for name in swept & set(protocol.overrides):
+            raise here.at(name).error(f'is in [sweep] too: "{protocol.name}" cannot also set it')
     return tuple(protocols)
 
 
@@ -249,70 +245,68 @@ def read_sweep(document: Section, place: Place) -> tuple[Factor, ...]:
     """The factors of [sweep], sorted by key: their order in the file means nothing."""
     here = place.within("sweep")
     dotted = _dotted(read_section(document.get("sweep", {}), place.at("sweep")), here)
-    for key, levels in dotted.items():
-        distinct(items(levels, here.at(key)), here.at(key))
-    return tuple(Factor(key, tuple(items(dotted[key], here.at(key)))) for key in sorted(dotted))
+    for name, levels in dotted.items():
+        distinct(items(levels, here.at(name)), here.at(name))
+    return tuple(Factor(name, tuple(items(dotted[name], here))) for name in sorted(dotted))
 
 
 def _dotted(entries: Section, place: Place) -> dict[str, object]:
     """Flat dotted keys: `"library.target"` in quotes and bare `library.target` are equal."""
     flat: dict[str, object] = {}
-    for key, value in entries.items():
-        if isinstance(value, dict) and key in SECTION_KEYS:
-            flat |= {f"{key}.{name}": inner for name, inner in value.items()}
+    for name, value in entries.items():
+        if isinstance(value, dict) and name in SECTION_KEYS:
+            flat |= {f"{name}.{inner}": item for inner, item in value.items()}
         else:
-            flat[key] = value
+            flat[name] = value
     for dotted in flat:
-        section, _, key = dotted.partition(".")
+        section, _, name = dotted.partition(".")
         here = place.at(dotted)
         if section not in SECTION_KEYS:
             near = suggestion(section, SECTION_KEYS)
             raise here.error(f'unknown: the part before the dot, "{section}"' + near)
-        if key not in SECTION_KEYS[section]:
+        if name not in SECTION_KEYS[section]:
             keys = SECTION_KEYS[section]
-            near = nearest(key) if section == "flights" else suggestion(key, keys)
-            raise here.error(f'unknown: [{section}] has no "{key}"' + near)
+            near = nearest(name, keys) if section == "flights" else suggestion(name, keys)
+            raise here.error(f'unknown: [{section}] has no "{name}"' + near)
     return flat
 
 
-def read_backends(value: object, place: Place) -> tuple[BackendChoice, ...]:
+def read_backends(document: Section, place: Place) -> tuple[BackendChoice, ...]:
     """The [[backends]] of flights, each name and setting accepted by the back-end itself."""
-    choices, seen = [], set()
-    for entry in read_sections(value, place):
-        name = text(required(entry, "name", place), place.at("name"))
-        label = text(entry.get("label", name), place.at("label"))
-        grid = {
-            key: read_settings(given, place.at(key))
-            for key, given in sorted(entry.items())
-            if key not in ("name", "label")
-        }
-        choice = BackendChoice(name, label, grid)
-        if choice.size > MOST_SETTINGS:
-            words = f'"{name}" has a grid of {choice.size} settings: {MOST_SETTINGS} are the most'
-            raise place.error(words)
+    choices, seen, here = [], set(), place.within("backends")
+    for entry in read_sections(required(document, "backends", place), here):
+        names, rest = taken(Named, entry, here)
+        grid = read_grid(dict(sorted(rest.items())), here)
+        choice = BackendChoice(names.name, names.label or names.name, grid)
+        if choice.size > 100_000:
+            words = f'"{choice.name}" has a grid of {choice.size} settings: 100000 are the most'
+            raise here.error(words)
         for settings in choice.settings():
             try:
-                _backend(name, settings)
+                _backend(choice.name, settings)
             except (SparsefitError, TypeError, ValueError) as error:
-                raise place.error(str(error)) from None
-            identity = canonical_json([name, settings])
+                raise here.error(str(error)) from None
+            identity = canonical_json([choice.name, settings])
             if identity in seen:
-                raise place.error(f'"{name}" is listed twice with {shown(settings)}')
+                raise here.error(f'"{choice.name}" is listed twice with {shown(settings)}')
             seen.add(identity)
         choices.append(choice)
     return tuple(choices)
 
 
-def read_settings(value: object, place: Place) -> tuple[Setting, ...]:
-    """The values that one setting takes: a number, a text or true/false, or a list of these."""
-    listed = as_items(value, place)
-    for item in listed:
-        if isinstance(item, int | float) and not isinstance(item, bool):
-            number(item, place)
-        elif not isinstance(item, bool | str):
-            words = "must be a number, text or true/false, or a list of them"
-            raise place.error(f"{words}, not {shown(item)}")
-    return tuple(item for item in listed if isinstance(item, bool | str | int | float))
+def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]:
+    """The values that each setting takes: a number, a text or true/false, or a list of these."""
+    grid: dict[str, tuple[Setting, ...]] = {}
+    for name, value in settings.items():
+        listed = as_items(value, place.at(name))
+        for item in listed:
+            if isinstance(item, int | float) and not isinstance(item, bool):
+                number(item, place.at(name))
+            elif not isinstance(item, bool | str):
+                words = "must be a number, text or true/false, or a list of them"
+                raise place.at(name).error(f"{words}, not {shown(item)}")
+        grid[name] = tuple(item for item in listed if isinstance(item, bool | str | int | float))
+    return grid
 
 
 def _backend(name: str, settings: Mapping[str, Any]) -> backends.Backend:

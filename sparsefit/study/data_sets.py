@@ -23,22 +23,22 @@ import itertools
 import math
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, MissingExtra, one_of
+from sparsefit.study.schema import POSITIVE, Range, key
 
 MOST_VALUES = 64_000_000  # numbers in a problem: half a gigabyte
 MOST_BYTES = 1 << 30  # of a file
 LONGEST_LINE = 1 << 22  # bytes of the line of names of a .csv
-SUFFIXES = (".npz", ".parquet", ".csv")
-WIDEST = 256  # bytes of a label of a group
 TARGET = "target"
 DATASETS = (
     *("diabetes", "diabetes-quadratic", "linnerud", "digits", "iris", "wine", "breast-cancer"),
@@ -59,6 +59,12 @@ class Data:
     truth: BoolArray | None = None
     samples: int | None = None
     test: tuple[Array, Array] | None = None
+
+    def real(self) -> Data:
+        """The arrays as real numbers, the target as columns (m, n); a sparse theta stays one."""
+        theta = self.theta if issparse(self.theta) else np.asarray(self.theta, float)
+        target = np.asarray(self.target, float).reshape(theta.shape[0], -1)
+        return replace(self, theta=theta, target=target)
 
 
 def read_data(path: Path) -> Data:
@@ -87,8 +93,8 @@ def digest_of(path: Path) -> str:
 
 def check_file(path: Path) -> None:
     """Raise `InputError` unless there is a regular data file of a size to read."""
-    if path.suffix not in SUFFIXES:
-        raise InputError(f"{path}: must be a file of kind {', '.join(SUFFIXES)}")
+    if path.suffix not in (".npz", ".parquet", ".csv"):
+        raise InputError(f"{path}: must be a file of kind .npz, .parquet, .csv")
     if not path.is_file():
         cause = "is no regular file" if path.exists() else "no such file"
         raise InputError(f"{path}: {cause}: it is sought beside the study file")
@@ -97,38 +103,27 @@ def check_file(path: Path) -> None:
 
 
 def _read_npz(path: Path) -> Data:
+    """Arrays of plain numbers, whose shapes are read from their headers before they are."""
+    shapes = {}
     with zipfile.ZipFile(path) as archive:
-        shapes = {
-            member.filename.removesuffix(".npy"): _shape(archive, member)
-            for member in archive.infolist()
-            if member.filename.endswith(".npy")
-        }
-    _check_names(path, list(shapes))
-    _check_size(path, sum(math.prod(shape) for shape in shapes.values()))
+        for member in archive.infolist():
+            if member.filename.endswith(".npy"):
+                with archive.open(member) as stream:
+                    first = np.lib.format.read_magic(stream) == (1, 0)  # type: ignore[arg-type]
+                    headers = np.lib.format
+                    read = headers.read_array_header_1_0 if first else headers.read_array_header_2_0
+                    shape, _, kind = read(stream)  # type: ignore[arg-type]
+                name = member.filename.removesuffix(".npy")
+                if kind.hasobject or kind.itemsize > 256:  # bytes, of a label of a group
+                    raise ValueError(f"it holds {kind}, and only numbers are read")
+                if name in ("theta", TARGET) and kind.kind not in "fiub":
+                    raise InputError(f"{path}: {name} holds {kind}, not real numbers")
+                shapes[name] = shape
+    _check(path, list(shapes), sum(math.prod(shape) for shape in shapes.values()))
     with np.load(path, allow_pickle=False) as arrays:
         groups = np.asarray(arrays["groups"]) if "groups" in arrays else None
         truth = np.asarray(arrays["truth"]).astype(bool) if "truth" in arrays else None
-        theta, target = np.asarray(arrays["theta"]), np.asarray(arrays[TARGET])
-    for name, values in (("theta", theta), (TARGET, target)):
-        if values.dtype.kind not in "fiub":
-            raise InputError(f"{path}: {name} holds {values.dtype}, not real numbers")
-    return Data(theta, target, groups, truth)
-
-
-def _shape(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[int, ...]:
-    """The shape in the header of an array, before its numbers are unpacked."""
-    with archive.open(member) as stream:
-        file: IO[bytes] = stream
-        version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0
-        if version != (1, 0):
-            read = np.lib.format.read_array_header_2_0
-        shape, _, kind = read(file)
-    if kind.hasobject:
-        raise ValueError("it holds Python objects, and only numbers are read")
-    if kind.itemsize > WIDEST:
-        raise ValueError(f"it holds {kind}, and only numbers are read")
-    return tuple(int(length) for length in shape)
+        return Data(np.asarray(arrays["theta"]), np.asarray(arrays[TARGET]), groups, truth)
 
 
 def _read_table(path: Path) -> Data:
@@ -140,28 +135,29 @@ def _read_table(path: Path) -> Data:
     try:
         if path.suffix == ".parquet":
             file = pq.ParquetFile(path)
-            _check_size(path, file.metadata.num_rows * len(file.schema_arrow.names))
-            _check_columns(path, file.schema_arrow)
+            _check_columns(path, file.schema_arrow, file.metadata.num_rows)
             table = file.read()
         else:
             with path.open("rb") as text:
                 if b"\n" not in text.read(LONGEST_LINE):
                     raise InputError(f"{path}: a first line of more than {LONGEST_LINE >> 20} MB")
             table = pyarrow.csv.read_csv(path)
-            _check_columns(path, table.schema)
+            _check_columns(path, table.schema, table.num_rows)
     except pa.ArrowException as error:
         raise ValueError(str(error)) from None
-    names = table.column_names
-    targets = [name for name in names if name.startswith(TARGET)]
-    columns = [name for name in names if name not in targets]
     theta, target = (
-        np.column_stack([table[name].to_numpy().astype(np.float64) for name in part])
-        for part in (columns, targets)
-    )
+        np.column_stack([
+            table[name].to_numpy().astype(np.float64)
+            for name in table.column_names
+            if name.startswith(TARGET) == wanted
+        ])
+        for wanted in (False, True)
+    )  # fmt: skip
     return Data(theta, target)
 
 
-def _check_columns(path: Path, schema: Any) -> None:
+def _check_columns(path: Path, schema: Any, rows: int) -> None:
+    """Refuse columns that are not numbers or have one name, and a table without a target."""
     import pyarrow as pa
 
     for field in schema:
@@ -174,17 +170,16 @@ def _check_columns(path: Path, schema: Any) -> None:
         last = schema.names[-1] if schema.names else "y"
         words = f'no column is a target: rename that column ("{last}") to {TARGET}'
         raise InputError(f"{path}: {words}")
-    _check_names(path, [TARGET, *(["theta"] if len(targets) < len(schema.names) else [])])
+    names = [TARGET, *(["theta"] if len(targets) < len(schema.names) else [])]
+    _check(path, names, rows * len(schema.names))
 
 
-def _check_names(path: Path, names: list[str]) -> None:
+def _check(path: Path, names: list[str], values: int) -> None:
+    """Refuse a file without theta or target, or with too many numbers."""
     for name in ("theta", TARGET):
         if name not in names:
             there = ", ".join(sorted(names)[:8]) or "nothing"
             raise InputError(f"{path}: holds no {name} (found: {there}): it needs theta and target")
-
-
-def _check_size(path: Path, values: int) -> None:
     if values > MOST_VALUES:
         words = f"holds {values} numbers, more than {MOST_VALUES}"
         raise InputError(f"{path}: {words}: take fewer samples or columns")
@@ -229,42 +224,33 @@ def read_public(name: str) -> Data:
 class Generator:
     """A problem that is drawn: y = Z w + noise, w of ones with random signs on its support.
 
-    samples m, columns k, targets n; support: how many columns (groups, where it is grouped) the
-    target is made of; snr: |Z w|² over that of the noise; correlation: of neighbouring columns, rho
-    to the power of their distance; group: columns of a group; density: share of entries that are
-    not zero, of a sparse design.
+    Neighbouring columns correlate by rho to the power of their distance.
     """
 
-    samples: int = 200
-    columns: int = 100
-    targets: int = 1
-    support: int = 5
-    snr: float = 5.0
-    correlation: float = 0.0
-    group: int = 1
-    density: float = 1.0
+    samples: int = key("Rows of a drawn problem.", 200, Range(least=2))
+    columns: int = key("Columns of a drawn problem.", 100, Range(least=1))
+    targets: int = key("Targets of a drawn problem.", 1, Range(least=1))
+    support: int = key("Columns, or groups, that the target is made of.", 5, Range(least=1))
+    snr: float = key("Squares of the signal over those of the noise.", 5.0, POSITIVE)
+    correlation: float = key("Of neighbouring columns.", 0.0, Range(least=0.0, below=1.0))
+    group: int = key("Columns of a group.", 1, Range(least=1))
+    density: float = key("Share of the entries that are not zero.", 1.0, Range(above=0.0, most=1.0))
 
     def __post_init__(self) -> None:
-        if self.samples < 2 or self.columns < 1 or self.targets < 1 or self.group < 1:
-            raise InputError("samples must be at least 2, columns, targets and group at least 1")
-        if self.samples * self.columns > MOST_VALUES:
+        if self.samples * self.columns * self.density > MOST_VALUES:
             raise InputError(f"samples times columns must be at most {MOST_VALUES}")
-        if not 1 <= self.support * self.group <= self.columns:
-            raise InputError("support must be at least 1, and lie within the columns")
-        if self.snr <= 0.0 or not 0.0 <= self.correlation < 1.0 or not 0.0 < self.density <= 1.0:
-            words = "snr must be above 0, correlation in [0, 1), density in (0, 1]"
-            raise InputError(words)
+        if self.support * self.group > self.columns:
+            raise InputError("support must lie within the columns")
+        if self.correlation and self.density < 1.0:
+            raise InputError("correlation is of dense columns: drop it, or density")
 
     def draw(self, random: np.random.Generator) -> Data:
         """Arrays with their truth, equal for equal random numbers."""
         m, k, rho = self.samples, self.columns, self.correlation
-        theta = random.standard_normal((m, k))
+        theta = self._sparse(random) if self.density < 1.0 else random.standard_normal((m, k))
         if rho:  # a first-order autoregression along the columns
             for j in range(1, k):
                 theta[:, j] = rho * theta[:, j - 1] + math.sqrt(1.0 - rho**2) * theta[:, j]
-        if self.density < 1.0:
-            theta *= random.random((m, k)) < self.density
-            theta[random.integers(m, size=k), np.arange(k)] = 1.0
         groups = np.arange(k) // self.group
         chosen = random.choice(k // self.group, self.support, replace=False)
         truth = np.isin(groups, chosen)
@@ -273,6 +259,15 @@ class Generator:
         level = np.sqrt((clean**2).mean(axis=0) / self.snr)
         target = clean + level * random.standard_normal(clean.shape)
         return Data(theta, target, groups, truth)
+
+    def _sparse(self, random: np.random.Generator) -> Any:
+        """Columns (m, k) with normal entries at random rows, at least one in each, as CSC."""
+        m, k = self.samples, self.columns
+        counts = np.maximum(random.binomial(m, self.density, k), 1)
+        rows = [np.sort(random.choice(m, count, replace=False)) for count in counts]
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        values = random.standard_normal(ends[-1])
+        return csc_array((values, np.concatenate(rows), ends), shape=(m, k))
 
 
 GENERATORS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
@@ -289,7 +284,7 @@ Alter: TypeAlias = Callable[[Array, Array, np.random.Generator], tuple[Array, Ar
 AS_IT_IS = "as it is"
 
 
-def _duplicated(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+def _copied(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
     """A fifth of the columns replaced by copies, negatives and multiples of others."""
     theta, k = theta.copy(), theta.shape[1]
     count = max(1, k // 5)
@@ -323,26 +318,19 @@ def _units(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Arra
 
 def _few(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
     """Fewer samples than columns."""
-    keep = draw.integers(4, max(5, min(theta.shape) // 2))
-    return theta[:keep], target[:keep]
-
-
-def _last_zero(theta: Array, target: Array, _: np.random.Generator) -> tuple[Array, Array]:
-    """A last target of zeros."""
-    target = target.copy()
-    target[:, -1] = 0.0
-    return theta, target
+    rows = draw.integers(4, max(5, min(theta.shape) // 2))
+    return theta[:rows], target[:rows]
 
 
 ALTERATIONS: Mapping[str, Alter] = MappingProxyType(
     {
         AS_IT_IS: lambda theta, target, _: (theta, target),
-        "duplicated columns": _duplicated,
+        "duplicated columns": _copied,
         "nearly dependent columns": _dependent,
         "dead columns": _dead,
         "units 1e-12 to 1e12": _units,
         "fewer samples than columns": _few,
-        "a target of zeros": _last_zero,
+        "a target of zeros": lambda t, y, _: (t, np.column_stack([y[:, :-1], 0.0 * y[:, -1]])),
         "a target of noise": lambda t, y, draw: (t, draw.standard_normal(y.shape)),
     }
 )

@@ -17,46 +17,35 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.codec import Place, text
-from sparsefit.errors import suggestion
+from sparsefit.codec import Place
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, Flow, ShapedCells, SuperposedFlow
 from sparsefit.flight.record import MOST_SAMPLES
-from sparsefit.flight.turbulence import SPECTRA, Turbulence
-from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries, turning
+from sparsefit.flight.turbulence import Turbulence
+from sparsefit.flight.vehicle import PointMassVehicle, turning
 from sparsefit.study.quantities import (
-    COUNTS,
-    DRAG_KEYS,
-    FAULTS,
     FLOW_KEYS,
     LAW_KEYS,
-    NEEDS,
-    OF_FLOW,
     QUANTITIES,
     RATIO_KEYS,
-    REQUIRED,
-    SHAPING,
     STREAMS,
     SUPERPOSED,
-    SUPERPOSED_KEYS,
-    SYNONYMS,
     TURBULENCE_FIELD,
-    TURBULENCE_KEYS,
-    Entry,
+    DrawRule,
+    FlightWords,
+    nearest,
     read_entry,
 )
+from sparsefit.study.schema import names_of, taken
 from sparsefit.study.toml_file import Section
 
 SIMULATION = 0
 FAULTY = 100  # the child of a flight's stream that its faults are drawn from
 OTHERS = 200  # the first child that other flights through the same flow start from
 TOGETHER = 1000  # the first child of the flights that are estimated with it
-# none: still air; turbulence: no cells in it. Any flow that is found in these is a false alarm.
-FLOWS = ("cellular", "none", "turbulence")
-THRUST_LOGS = ("measured", "none")  # none: of a thrust that turns only its constant part is known
-WORDS = {"flow": FLOWS, "turbulence_spectrum": tuple(SPECTRA), "thrust_log": THRUST_LOGS}
-KEYS = (*WORDS, *QUANTITIES)
+NOISES = ("process_noise", "position_noise", "velocity_noise", "time_jitter", "thrust_noise")
+KEYS = (*names_of(FlightWords), *QUANTITIES)
 
 
 def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
@@ -101,7 +90,7 @@ class Draw:
     def _cells(self, speed: float, scale: float, heading: float) -> Cells:
         """Cells of side `scale` along x and `aspect` times it along y; all drift alike."""
         values = self.values
-        if not any(key in values for key in SHAPING):
+        if not any(row.shapes and row.streams[0] in values for row in QUANTITIES.values()):
             return CellularFlow(speed, scale)
         return ShapedCells(
             speed,
@@ -160,7 +149,14 @@ class Draw:
         """The simulated flight, with its faults and the vehicle that its pilot believes in."""
         values, thrust = self.values, None
         if "thrust_turn" in values:
-            thrust = self._turning()
+            thrust = turning(
+                values["duration"],
+                values["sample_rate"],
+                constant=self._pair("thrust"),
+                size=values["thrust_turn"],
+                period=values["thrust_period"],
+                phase=values.get("thrust_phase", 0.0),
+            )
         flight = simulate_flight(
             self.flown,
             self.vehicle,
@@ -169,34 +165,20 @@ class Draw:
             seed=seed,
             initial_position=self._pair("position") if "position_x" in values else None,
             initial_velocity=self._pair("velocity"),
-            process_noise=values.get("process_noise", 0.0),
-            position_noise=values.get("position_noise", 0.0),
-            velocity_noise=values.get("velocity_noise", 0.0),
-            time_jitter=values.get("time_jitter", 0.0),
+            **{name: values.get(name, 0.0) for name in NOISES},
             thrust=thrust,
-            thrust_noise=values.get("thrust_noise", 0.0),
         )
         if not self.thrust_logged:
             flight = replace(flight, thrust=None)
         given: dict[str, Any] = {
-            name: round(values[key]) if key in COUNTS else values[key]
-            for key, name in FAULTS.items()
-            if key in values
+            row.fault: round(values[key]) if key in ("jumps", "gaps") else values[key]
+            for key, row in QUANTITIES.items()
+            if row.fault and key in values
         }
         faults = LogFaults(**given)
         if faults != LogFaults():
             flight = faults.spoil(flight, _child(seed, FAULTY))
         return flight if self.believed is None else replace(flight, vehicle=self.believed)
-
-    def _turning(self) -> ThrustSeries:
-        return turning(
-            self.values["duration"],
-            self.values["sample_rate"],
-            constant=self._pair("thrust"),
-            size=self.values["thrust_turn"],
-            period=self.values["thrust_period"],
-            phase=self.values.get("thrust_phase", 0.0),
-        )
 
     def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight, ...]:
         """The flights that are estimated together: this one, and others from other places."""
@@ -207,8 +189,8 @@ class Draw:
 
     def others(self, seed: np.random.SeedSequence, count: int) -> tuple[Flight, ...]:
         """Other flights through the same flow: from other places, without noise or faults."""
-        noise = ("process_noise", "position_noise", "velocity_noise", "time_jitter", "thrust_noise")
-        content = (*RATIO_KEYS, *LAW_KEYS, *FAULTS, *noise, "position_x", "position_y")
+        faults = (key for key, row in QUANTITIES.items() if row.fault)
+        content = (*RATIO_KEYS, *LAW_KEYS, *faults, *NOISES, "position_x", "position_y")
         clean = self._without(*content)
         flights = (clean.fly(_child(seed, OTHERS + number)) for number in range(count))
         return tuple(replace(flight, vehicle=clean.vehicle) for flight in flights)
@@ -234,7 +216,7 @@ class FlightRules:
     cells: whether there are any; without them, shares of mean_velocity still refer to it.
     """
 
-    entries: tuple[tuple[str, Entry], ...]
+    entries: tuple[tuple[str, DrawRule], ...]
     cells: bool = True
     spectrum: str = "dryden"
     thrust_log: str = "measured"
@@ -257,91 +239,61 @@ class FlightRules:
 
 def read_flight_rules(section: Section, place: Place) -> FlightRules:
     """The rules from the [flights] section without `count`; `InputError` names the bad key."""
-    for key in section:
-        if key not in KEYS:
-            raise place.at(key).error(f"unknown{nearest(key)}")
-    words = {key: _word(section, key, place) for key in WORDS}
-    calm = words["flow"] == "none"
+    for name in section:
+        if name not in KEYS:
+            raise place.at(name).error(f"unknown{nearest(name, KEYS)}")
+    words, given = taken(FlightWords, section, place)
+    calm = words.flow == "none"
     _check_keys(section, place, calm=calm)
-    entries: dict[str, Entry] = {}
-    for key, value in section.items():
-        if key in WORDS:
-            continue
-        quantity, here = QUANTITIES[key], place.at(key)
-        values = [value]
-        if len(quantity.streams) == 2:
-            if not isinstance(value, list) or len(value) != 2:
-                raise here.error("must be a pair [x, y]")
-            values = value
-        for name, item in zip(quantity.streams, values, strict=True):
-            entries[name] = read_entry(item, quantity, here)
-    _check_entries(entries, place, calm=calm)
+    entries: dict[str, DrawRule] = {}
+    for name, value in given.items():
+        quantity, here = QUANTITIES[name], place.at(name)
+        pair = value if len(quantity.streams) == 2 else [value]
+        if not isinstance(pair, list) or len(pair) != len(quantity.streams):
+            raise here.error("must be a pair [x, y]")
+        for stream_name, item in zip(quantity.streams, pair, strict=True):
+            entries[stream_name] = read_entry(item, quantity, here)
+    samples = max(entries["duration"].values) * max(entries["sample_rate"].values)
+    if samples > MOST_SAMPLES:
+        many = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
+        raise place.at("duration").error(many)
+    if not calm:  # at all extremes, before the first is flown
+        first, second = (entries[name].values for name in FLOW_KEYS if name in entries)
+        for a in (min(first), max(first)):
+            for b in (min(second), max(second)):
+                if not all(1e-150 < third < 1e150 for third in (a * b, a / b)):
+                    raise place.error(f"{a:g} and {b:g} give no flow that can be flown")
     # A protocol without a flow cannot remove the keys of the others: they are left out here.
-    dropped = OF_FLOW if calm else ()
+    rows = QUANTITIES.values()
+    dropped = [name for row in rows if row.of_flow for name in row.streams] if calm else []
     named = [name for name in STREAMS if name in entries and name not in dropped]
     return FlightRules(
         tuple((name, entries[name]) for name in named),
-        cells=words["flow"] == "cellular",
-        spectrum=words["turbulence_spectrum"],
-        thrust_log=words["thrust_log"],
+        cells=words.flow == "cellular",
+        spectrum=words.turbulence_spectrum,
+        thrust_log=words.thrust_log,
     )
-
-
-def nearest(key: str) -> str:
-    """The nearest key of [flights] for a message, and not all of the sixty."""
-    if key in SYNONYMS:
-        return f': did you mean "{SYNONYMS[key]}"?'
-    near = suggestion(key, KEYS)
-    return near if "did you mean" in near else ": see `sparsefit study check --help` for the keys"
-
-
-def _word(section: Section, key: str, place: Place) -> str:
-    """The value of a key that is a word, by default the first of those allowed."""
-    allowed = WORDS[key]
-    word = text(section.get(key, allowed[0]), place.at(key))
-    if word not in allowed:
-        raise place.at(key).error(f'has unknown value "{word}"{suggestion(word, allowed)}')
-    return word
 
 
 def _check_keys(section: Section, place: Place, *, calm: bool) -> None:
     """Refuse keys that are missing, or exclude each other."""
-    given = [key for key in FLOW_KEYS if key in section]
+    given = [name for name in FLOW_KEYS if name in section]
     if len(given) != 2 and not calm:
         have = ", ".join(given) or "none"
         raise place.error(f"needs exactly two of {', '.join(FLOW_KEYS)}, has {have}")
-    for key in REQUIRED:
-        if key not in section:
-            raise place.at(key).error("missing: every flight needs it")
-    if not set(DRAG_KEYS) & set(section):
-        raise place.at(DRAG_KEYS[0]).error("missing: every flight needs it, or drag")
+    for name in ("duration", "sample_rate"):
+        if name not in section:
+            raise place.at(name).error("missing: every flight needs it")
+    if not {"response_time", "drag"} & set(section):
+        raise place.at("response_time").error("missing: every flight needs it, or drag")
     if "measurement_noise" in section and {"velocity_noise", "position_noise"} & set(section):
         words = "is [velocity_noise, position_noise]: drop those two"
         raise place.at("measurement_noise").error(words)
     if "wind" in section and "wind_ratio" in section:
         raise place.at("wind_ratio").error("is the wind as a share of U0: drop wind, or this")
-    if section.get("flow") == "turbulence" and TURBULENCE_KEYS[0] not in section:
-        raise place.at(TURBULENCE_KEYS[0]).error('missing: flow = "turbulence" is made of it')
-
-
-def _check_entries(entries: Mapping[str, Entry], place: Place, *, calm: bool) -> None:
-    """Refuse what no flight can be drawn from: at all extremes, before the first is flown."""
-    superposed = [key for key in SUPERPOSED_KEYS if key in entries]
-    needed = SUPERPOSED_KEYS if set(superposed) & set(SUPERPOSED[1]) else SUPERPOSED[0]
-    for key in needed if superposed else ():
-        if key not in entries:
-            raise place.at(key).error(f"missing: {superposed[0]} needs it too")
-    for key, needs in NEEDS.items():
-        if key in entries and needs not in entries:
-            raise place.at(needs).error(f"missing: {key} needs it too")
-    samples = max(entries["duration"].values) * max(entries["sample_rate"].values)
-    if samples > MOST_SAMPLES:
-        words = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
-        raise place.at("duration").error(words)
-    if calm:
-        return
-    first, second = (entries[key].values for key in FLOW_KEYS if key in entries)
-    for a in (min(first), max(first)):
-        for b in (min(second), max(second)):
-            if not all(1e-150 < third < 1e150 for third in (a * b, a / b)):
-                raise place.error(f"{a:g} and {b:g} give no flow that can be flown")
+    if section.get("flow") == "turbulence" and "turbulence_ratio" not in section:
+        raise place.at("turbulence_ratio").error('missing: flow = "turbulence" is made of it')
+    for name in section:
+        for needed in QUANTITIES[name].needs if name in QUANTITIES else ():
+            if needed not in section:
+                raise place.at(needed).error(f"missing: {name} needs it too")

@@ -16,26 +16,25 @@ import numpy as np
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.columns import Value
+from sparsefit.study.schema import Range, key
 
 
 @dataclass(frozen=True)
 class Holdout:
-    """How predictions are judged: [holdout].
+    """How predictions are judged: [holdout]."""
 
-    folds: blocks of neighbouring rows that are held out in turn, 0 for none; support: share of the
-    largest weight (of columns of unit rms) above which a column counts as in use; stability:
-    whether two halves of the rows are compared too.
-    """
-
-    folds: int = 5
-    support: float = 1e-3
-    stability: bool = True
+    folds: int = key(
+        "Blocks of neighbouring rows that are held out in turn; 0: none.", 5, Range(most=100)
+    )
+    support: float = key(
+        "Share of the largest weight (of columns of unit rms) above which a column is in use.",
+        1e-3, Range(least=0.0, below=1.0),
+    )  # fmt: skip
+    stability: bool = key("Whether two halves of the rows are compared too.", True)
 
     def __post_init__(self) -> None:
-        if self.folds == 1 or self.folds > 100:
-            raise InputError(f"folds must be 0 or 2 to 100, not {self.folds}")
-        if not 0.0 <= self.support < 1.0:
-            raise InputError(f"support must be a share, from 0 to below 1, not {self.support:g}")
+        if self.folds == 1:
+            raise InputError("folds must be 0 or 2 to 100, not 1")
 
 
 def missed(theta: Array, target: Array, weights: Array) -> Array:

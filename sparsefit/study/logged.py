@@ -20,20 +20,37 @@ from typing import ClassVar
 
 import numpy as np
 
-from sparsefit.codec import Place, number, only, text
+from sparsefit.codec import Place
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import read_flight
 from sparsefit.logs.files import LARGEST
-from sparsefit.study.toml_file import Section, items, positive
+from sparsefit.study.schema import POSITIVE, key, record_of
+from sparsefit.study.toml_file import Section
 from sparsefit.whole_file import read_whole
 
-FILES, WINDOWS = "files", "windows"
-KEYS = (FILES, WINDOWS, "response_time", "drag", "thrust_acceleration")
+FILES = "files"
 MOST = 1000  # files
-OPEN = 4  # logs that are kept while their pieces are flown
+
+
+@dataclass(frozen=True)
+class LogRules:
+    """The keys of [flights] where the flights come from files."""
+
+    files: tuple[str, ...] = key(
+        "Names or patterns of flight files, relative to the study file, in order of name."
+    )
+    windows: tuple[float, ...] = key(
+        "One length or several: each log in pieces of so long; without it, the whole of it.",
+        (), POSITIVE, "s",
+    )  # fmt: skip
+    response_time: float | None = key("tau, in place of what files say.", None, POSITIVE, "s")
+    drag: float | None = key("c, in place of what the files say.", None, POSITIVE, "1/m")
+    thrust_acceleration: tuple[float, float] | None = key(
+        "In place of what the files say.", None, unit="m/s²"
+    )
 
 
 @dataclass(frozen=True)
@@ -95,7 +112,7 @@ def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:
     return _parsed(file, digest, vehicle), digest
 
 
-@lru_cache(maxsize=OPEN)
+@lru_cache(maxsize=4)  # logs that are kept while their pieces are flown
 def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
     """The flight of a file of this digest, parsed once for all its pieces."""
     return read_flight(file, vehicle=vehicle)
@@ -103,23 +120,20 @@ def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
 
 def read_logs(section: Section, place: Place) -> Logs:
     """The logs of [flights]; `InputError` names the key, the file or the line of a fault."""
-    only(section, KEYS, place)
-    files = [
-        file
-        for pattern in items(section[FILES], place.at(FILES))
-        for file in _matching(text(pattern, place.at(FILES)), place.at(FILES))
-    ]
-    if len(set(files)) < len(files) or len(files) > MOST:
-        why = "are more than 1000" if len(files) > MOST else "name a file twice"
-        raise place.at(FILES).error(why)
-    vehicle, windows = _vehicle(section, place), None
-    if WINDOWS in section:
-        given = section[WINDOWS]
-        listed = items(given, place.at(WINDOWS)) if isinstance(given, list) else [given]
-        windows = tuple(positive(item, place.at(WINDOWS)) for item in listed)
-    pieces = tuple(piece for file in files for piece in _pieces(file, vehicle, windows))
+    rules, here = record_of(LogRules, section, place), place.at(FILES)
+    files = [file for pattern in rules.files for file in _matching(pattern, here)]
+    if not 0 < len(files) <= MOST or len(set(files)) < len(files):
+        many = "are more than 1000" if len(files) > MOST else "name a file twice"
+        raise here.error(many if files else "must not be an empty list")
+    vehicle = None
+    if rules.response_time or rules.drag:
+        thrust = rules.thrust_acceleration or (0.0, 0.0)
+        vehicle = PointMassVehicle(rules.response_time or math.inf, thrust, rules.drag or 0.0)
+    elif rules.thrust_acceleration is not None:
+        raise place.at("response_time").error("missing: a vehicle has it beside its thrust")
+    pieces = tuple(piece for file in files for piece in _pieces(file, vehicle, rules.windows))
     if not pieces:
-        raise place.at(WINDOWS).error("are longer than every log: no flight is left")
+        raise place.at("windows").error("are longer than every log: no flight is left")
     return Logs(pieces, vehicle)
 
 
@@ -135,35 +149,17 @@ def _matching(pattern: str, place: Place) -> list[str]:
     return [str(file) for file in files]
 
 
-def _vehicle(section: Section, place: Place) -> PointMassVehicle | None:
-    """The vehicle of the section, in place of those in the files; None where it names none."""
-    if not {"response_time", "drag"} & set(section):
-        if "thrust_acceleration" in section:
-            raise place.at("response_time").error("missing: a vehicle has it beside its thrust")
-        return None
-    thrust = section.get("thrust_acceleration", [0.0, 0.0])
-    if not isinstance(thrust, list) or len(thrust) != 2:
-        raise place.at("thrust_acceleration").error("must be a pair [x, y]")
-    x, y = (number(item, place.at("thrust_acceleration")) for item in thrust)
-    response, drag = math.inf, 0.0
-    if "response_time" in section:
-        response = positive(section["response_time"], place.at("response_time"))
-    if "drag" in section:
-        drag = positive(section["drag"], place.at("drag"))
-    return PointMassVehicle(response, (x, y), drag)
-
-
 def _pieces(
-    file: str, vehicle: PointMassVehicle | None, windows: tuple[float, ...] | None
+    file: str, vehicle: PointMassVehicle | None, windows: tuple[float, ...]
 ) -> Iterator[Piece]:
     """The log whole, or cut into pieces of each length; the rest at its end is not flown."""
     flight, digest = _read(file, vehicle)
     first, last = float(flight.time[0]), float(flight.time[-1])
     step = float(np.median(np.diff(flight.time)))
     for window in windows or (last - first,):
-        for place in range(int((last - first + step) / window + 1e-9) or (windows is None)):
+        for place in range(int((last - first + step) / window + 1e-9) if windows else 1):
             start = first + place * window
-            end = last if windows is None else min(start + window - 0.5 * step, last)
+            end = min(start + window - 0.5 * step, last) if windows else last
             inside = (flight.time >= start) & (flight.time <= end)
             if np.count_nonzero(inside) >= MINIMUM_SAMPLES:
                 yield Piece(file, digest, start, end)

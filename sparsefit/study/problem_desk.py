@@ -39,7 +39,7 @@ from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import answers
-from sparsefit.study.contenders import Contender, ProblemDesign, penalty_of, small_problem
+from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
 from sparsefit.study.worker import trim_memory
 
 RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
@@ -113,7 +113,7 @@ def solve(
         return [backend.solve(problem)]
     requested = requested or own_fraction(backend)
     if contender.recipe is not None:
-        penalty = penalty_of(backend, problem)
+        penalty = backend.penalty(problem)
         return answers(contender.recipe.make(), problem, penalty, requested, stop).solutions
     if isinstance(backend, PathBackend):
         return backend.solve_path(problem, requested)

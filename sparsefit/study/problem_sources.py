@@ -6,18 +6,26 @@ that are none are refused together.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sparsefit import Estimator, RegressionProblem
-from sparsefit.codec import Place, build, integer, only, shown, text
+from sparsefit.codec import Place, integer, only, shown, text
 from sparsefit.errors import InputError, suggestion
-from sparsefit.study.crossing import Setup, level_sets, override, read_setup, read_sweep
+from sparsefit.study.crossing import (
+    Setup,
+    level_sets,
+    override,
+    points_of,
+    read_grid,
+    read_setup,
+    read_sweep,
+)
 from sparsefit.study.data_sets import (
     ALTERATIONS,
     AS_IT_IS,
@@ -30,24 +38,52 @@ from sparsefit.study.data_sets import (
     read_public,
 )
 from sparsefit.study.draw import SIMULATION, stream
-from sparsefit.study.toml_file import (
-    Section,
-    as_items,
-    canonical_json,
+from sparsefit.study.schema import (
+    Range,
     distinct,
     items,
+    key,
+    names_of,
     read_section,
     read_sections,
+    record_of,
+    taken,
 )
+from sparsefit.study.toml_file import Section, canonical_json
 
 SECTIONS = ("flights", "derivative", "library")
 PROBLEM_KINDS = ("flights", "file", "dataset", "generator")
-PROBLEM_KEYS = (
-    *("name", *PROBLEM_KINDS, "test", "derivative", "library", "sweep", "groups", "alter", "count"),
-    *(item.name for item in fields(Generator)),
-)
 ALTERED = 300  # the child of a flight's stream that an alteration is drawn from
 GENERATED = 301  # the child that a generated problem is drawn from
+
+
+@dataclass(frozen=True)
+class ProblemKeys:
+    """The keys of [[problems]]; those of a generator stand beside them."""
+
+    name: str = key("What tables call it.", "")
+    flights: Mapping[str, object] | None = key(
+        "Keys of `[flights]`: a problem for each flight.", None
+    )
+    file: str = key(
+        "An `.npz` file with `theta`, `target` and, where there are any, `groups`; or a `.parquet` "
+        "or `.csv` file, whose columns that begin with `target` are targets and all others theta.",
+        "",
+    )
+    dataset: str = key(f"A data set that ships inside scikit-learn: {', '.join(DATASETS)}.", "")
+    generator: str = key(
+        "A problem that is drawn, y = Z w + noise, with its true support: "
+        f"{', '.join(GENERATORS)}.", ""
+    )  # fmt: skip
+    test: str = key("A file of rows that are held out, in the form of `file`.", "")
+    derivative: Mapping[str, object] = key("Of a flight, in place of the file's own section.", dict)
+    library: Mapping[str, object] = key("Of a flight, in place of the file's own section.", dict)
+    sweep: Mapping[str, object] = key("Of a flight or generator: a series of problems.", dict)
+    groups: object = key("Labels of groups, or how many neighbouring columns make one.", None)
+    alter: tuple[str, ...] = key(
+        f"Makes it degenerate: {', '.join(ALTERATIONS)}; or a list.", (AS_IT_IS,)
+    )
+    count: int = key("How many problems are drawn.", 1, Range(least=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +95,7 @@ class FlightOrigin:
     count: int
     seed: int
 
-    def data(self) -> Data:
+    def __call__(self) -> Data:
         """The arrays of the flight's regression problem, as a study of flights would pose it."""
         setup = self.setup
         draw = setup.flights.draw(self.flight, self.count, self.seed)
@@ -73,19 +109,19 @@ class FlightOrigin:
 class ProblemSource:
     """One problem: where it comes from, and what is done to it.
 
-    origin: a flight, a data file, the name of a data set, or a generator with its number; groups:
-    labels, the number of neighbouring columns in a group, or None for the origin's own; series: the
-    entry it belongs to, with its swept `level`; identity: what determines its numbers.
+    origin: makes its arrays; groups: labels, the number of neighbouring columns in a group, or None
+    for the origin's own; series: the entry it belongs to, with its swept `level`; identity: what
+    determines its numbers; test: a file of rows that are held out.
     """
 
     name: str
-    origin: FlightOrigin | Path | str | tuple[Generator, int]
+    origin: Callable[[], Data]
+    level: str
+    identity: str
     groups: tuple[object, ...] | int | None
     alter: str
     seed: int
     series: str
-    level: str
-    identity: str
     test: Path | None = None
 
     def build(self) -> Data:
@@ -100,36 +136,24 @@ class ProblemSource:
             if data.test is not None and data.test[0].shape[1:] != data.theta.shape[1:]:
                 raise InputError("the test rows have other columns than the file")
         except InputError as error:
-            in_file = isinstance(self.origin, Path) and str(error).startswith(str(self.origin))
-            where = "" if in_file else f"problem {self.name!r}: "
-            raise InputError(f"{where}{error}") from None
+            raise InputError(f"problem {self.name!r}: {error}") from None
         return data
 
     def _data(self) -> Data:
-        origin = self.origin
-        if isinstance(origin, FlightOrigin):
-            data = origin.data()
-        elif isinstance(origin, tuple):
-            random = stream(self.seed, origin[1], GENERATED)
-            data = origin[0].draw(np.random.default_rng(random))
-        else:
-            data = read_data(origin) if isinstance(origin, Path) else read_public(origin)
-        theta = np.asarray(data.theta, float)
-        target = np.asarray(data.target, float).reshape(len(theta), -1)
-        data = replace(data, theta=theta, target=target)
+        data = self.origin().real()
         if self.test is not None:
-            holdout_rows = read_data(self.test)
-            rows = np.asarray(holdout_rows.theta, float)
-            data = replace(
-                data, test=(rows, np.asarray(holdout_rows.target, float).reshape(len(rows), -1))
-            )
+            rows = read_data(self.test).real()
+            data = replace(data, test=(rows.theta, rows.target))
         if self.alter != AS_IT_IS:
-            random = stream(self.seed, 0, ALTERED)
-            altered = ALTERATIONS[self.alter](theta, target, np.random.default_rng(random))
-            data = Data(*altered, data.groups)
+            random = np.random.default_rng(stream(self.seed, 0, ALTERED))
+            data = Data(*ALTERATIONS[self.alter](data.theta, data.target, random), data.groups)
         if isinstance(self.groups, int):
-            return replace(data, groups=np.arange(theta.shape[1]) // self.groups)
+            return replace(data, groups=np.arange(data.theta.shape[1]) // self.groups)
         return data if self.groups is None else replace(data, groups=np.array(self.groups))
+
+
+def _generated(rules: Generator, number: int, seed: int) -> Data:
+    return rules.draw(np.random.default_rng(stream(seed, number, GENERATED)))
 
 
 def read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSource, ...]:
@@ -154,100 +178,84 @@ def read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSo
 def _read_entry(
     entry: Section, base: Mapping[str, Section], seed: int, place: Place
 ) -> Iterator[ProblemSource]:
-    only(entry, PROBLEM_KEYS, place)
-    given = [key for key in PROBLEM_KINDS if key in entry]
+    only(entry, (*names_of(ProblemKeys), *names_of(Generator)), place)
+    given = [kind for kind in PROBLEM_KINDS if kind in entry]
     if len(given) != 1:
         have = " and ".join(given) or "none"
         raise place.error(f"each needs exactly one of {', '.join(PROBLEM_KINDS)}, one has {have}")
-    groups: tuple[object, ...] | int | None = None
-    if "groups" in entry:
-        labels, here = entry["groups"], place.at("groups")
-        groups = tuple(items(labels, here)) if isinstance(labels, list) else None
-        groups = integer(labels, here, least=1) if groups is None else groups
-    alterations = [
-        text(name, place.at("alter"))
-        for name in as_items(entry.get("alter", AS_IT_IS), place.at("alter"))
-    ]
-    for name in alterations:
-        if name not in ALTERATIONS:
-            near = suggestion(name, ALTERATIONS)
-            raise place.at("alter").error(f"has unknown value {shown(name)}{near}")
-    test = (
-        Path(place.file).parent / text(entry["test"], place.at("test")) if "test" in entry else None
-    )
+    keys, own = taken(ProblemKeys, entry, place)
+    groups = keys.groups
+    if groups is not None:
+        here = place.at("groups")
+        is_list = isinstance(groups, list)
+        groups = tuple(items(groups, here)) if is_list else integer(groups, here, least=1)
+    distinct(keys.alter, place.at("alter"))
+    for name in keys.alter:
+        _known(name, ALTERATIONS, place.at("alter"))
+    test = Path(place.file).parent / keys.test if keys.test else None
+    beside = [entry.get("groups"), digest_of(test) if test else None]
     series = str(entry.get("name", entry[given[0]]))
-    stored = [entry.get("groups"), digest_of(test) if test else None]
-    for name, level, origin, identity in _origins(given[0], entry, base, seed, place):
-        for alter in alterations:
+    for name, origin, level, identity in _origins(given[0], keys, own, base, seed, place):
+        for alter in keys.alter:
             several = f"{name}, {alter}" if alter != AS_IT_IS else name
-            whole = canonical_json([identity, *stored, alter, seed])
-            content = (groups, alter, seed, series, level, whole, test)
-            yield ProblemSource(several, origin, *content)
+            whole = canonical_json([identity, *beside, alter, seed])
+            yield ProblemSource(several, origin, level, whole, groups, alter, seed, series, test)
+
+
+def _known(name: str, valid: Mapping[str, Any] | tuple[str, ...], place: Place) -> None:
+    if name not in valid:
+        raise place.error(f"has unknown value {shown(name)}{suggestion(name, valid)}")
+
+
+Origin = tuple[str, Callable[[], Data], str, object]
 
 
 def _origins(
-    kind: str, entry: Section, base: Mapping[str, Section], seed: int, place: Place
-) -> Iterator[tuple[str, str, Any, object]]:
-    """(name, swept level, origin, what determines it) of each problem of an entry."""
+    kind: str, keys: ProblemKeys, own: Section, base: Mapping[str, Section], seed: int, place: Place
+) -> Iterator[Origin]:
+    """(name, what makes its arrays, swept level, what determines it) of each of an entry."""
     if kind == "flights":
-        yield from _flights(entry, base, seed, place)
+        yield from _flights(keys, base, seed, place)
         return
-    for key in ("derivative", "library"):
-        if key in entry:
-            raise place.at(key).error("is for flights: a file or data set has its columns")
-    word = text(entry[kind], place.at(kind))
-    if kind == "generator":
-        yield from _generated(word, entry, place)
+    for name in ("derivative", "library"):
+        if getattr(keys, name):
+            raise place.at(name).error("is for flights: a file or data set has its columns")
+    if kind == "file":
+        path = Path(place.file).parent / keys.file
+        yield keys.name or path.stem, partial(read_data, path), "", digest_of(path)
         return
+    word = text(getattr(keys, kind), place.at(kind))
+    _known(word, DATASETS if kind == "dataset" else GENERATORS, place.at(kind))
     if kind == "dataset":
-        if word not in DATASETS:
-            near = suggestion(word, DATASETS)
-            raise place.at(kind).error(f"has unknown value {shown(word)}{near}")
-        yield text(entry.get("name", word), place.at("name")), "", word, word
+        yield keys.name or word, partial(read_public, word), "", word
         return
-    path = Path(place.file).parent / word
-    yield text(entry.get("name", path.stem), place.at("name")), "", path, digest_of(path)
+    only(keys.sweep, names_of(Generator), place.at("sweep"))
+    for level in points_of(read_grid(keys.sweep, place)):
+        rules = record_of(Generator, {**GENERATORS[word], **own, **level}, place)
+        for number in range(keys.count):
+            name, words = _numbered(keys.name or word, number, keys.count, level)
+            origin = partial(_generated, rules, number, seed)
+            yield name, origin, words, [word, asdict(rules), number]
 
 
-def _generated(word: str, entry: Section, place: Place) -> Iterator[tuple[str, str, Any, object]]:
-    """The problems of a generator: each level of its sweep, `count` times."""
-    if word not in GENERATORS:
-        near = suggestion(word, GENERATORS)
-        raise place.at("generator").error(f"has unknown value {shown(word)}{near}")
-    name = text(entry.get("name", word), place.at("name"))
-    names = [item.name for item in fields(Generator)]
-    own = {key: entry[key] for key in names if key in entry}
-    sweep = read_section(entry.get("sweep", {}), place.at("sweep"))
-    only(sweep, names, place.at("sweep"))
-    listed = [as_items(values, place.at(key)) for key, values in sweep.items()]
-    for values in itertools.product(*listed):
-        level = dict(zip(sweep, values, strict=True))
-        rules = build(Generator, {**GENERATORS[word], **own, **level}, place)
-        words = ", ".join(f"{key} {shown(value)}" for key, value in level.items())
-        count = integer(entry.get("count", 1), place.at("count"), least=1)
-        for number in range(count):
-            behind = f" {number + 1}" if count > 1 else ""
-            full = f"{name}{behind}{', ' if words else ''}{words}"
-            yield full, words, (rules, number), [word, asdict(rules), number]
+def _numbered(name: str, number: int, count: int, level: Mapping[str, object]) -> tuple[str, str]:
+    """The name of one of `count` problems at a level of a sweep, and the level in words."""
+    words = ", ".join(f"{key} {shown(value)}" for key, value in level.items())
+    return f"{name}{f' {number + 1}' * (count > 1)}{', ' * bool(words)}{words}", words
 
 
 def _flights(
-    entry: Section, base: Mapping[str, Section], seed: int, place: Place
-) -> Iterator[tuple[str, str, Any, object]]:
-    if "name" not in entry:
+    keys: ProblemKeys, base: Mapping[str, Section], seed: int, place: Place
+) -> Iterator[Origin]:
+    if not keys.name:
         raise place.at("name").error("missing: a flight has no other name")
-    name = text(entry["name"], place.at("name"))
-    sections = {
-        key: {**base[key], **read_section(entry.get(key, {}), place.at(key))} for key in SECTIONS
-    }
+    sections = {name: {**base[name], **getattr(keys, name)} for name in SECTIONS}
     count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
-    for level in level_sets(read_sweep(entry, place)):
-        within = Place(place.file, via=f'problem "{name}": ')
+    for level in level_sets(read_sweep({"sweep": keys.sweep}, place)):
+        within = Place(place.file, via=f'problem "{keys.name}": ')
         changed = override({**sections, "readout": {}}, level)
         setup = read_setup(changed, within)
-        words = ", ".join(f"{key} {shown(value)}" for key, value in level.items())
         for flight in range(count):
-            number = f" {flight + 1}" if count > 1 else ""
-            full = f"{name}{number}{', ' if words else ''}{words}"
+            name, words = _numbered(keys.name, flight, count, level)
             origin = FlightOrigin(setup, flight, count, seed)
-            yield full, words, origin, [changed, flight, count, seed]
+            yield name, origin, words, [changed, flight, count, seed]

@@ -1,4 +1,4 @@
-"""The keys of [flights]: the quantity that each is, where it must lie, and its random stream.
+"""The keys of [flights]: the quantity that each is, its range, and its random stream.
 
 length_scale = 4.21                       every flight
 length_scale = { uniform = [2.0, 10.0] }  each flight its own; loguniform, linspace, choice
@@ -8,132 +8,163 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from sparsefit.codec import Place, number, only, shown
-from sparsefit.study.toml_file import items
+from sparsefit.errors import suggestion
+from sparsefit.study.schema import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range, items, key
 
-# Every random quantity has its own stream: adding one at the end changes no other's draws.
-STREAMS = (
-    *("mean_velocity", "length_scale", "timescale", "response_time", "thrust_x", "thrust_y"),
-    *("position_x", "position_y", "velocity_x", "velocity_y", "duration", "sample_rate"),
-    *("process_noise", "position_noise", "velocity_noise", "wind_x", "wind_y"),
-    *("second_scale_ratio", "second_velocity_ratio", "third_scale_ratio", "third_velocity_ratio"),
-    *("believed_response_time_ratio", "believed_thrust_ratio", "heading", "aspect", "angle"),
-    *("offset_x", "offset_y", "drift_ratio", "drift_direction", "swell", "swell_period"),
-    *("swell_phase", "second_heading", "wind_ratio", "wind_direction", "turbulence_ratio"),
-    *("turbulence_length", "turbulence_memory", "turbulence_field", "time_jitter"),
-    *("position_wander", "position_wander_time", "outliers", "outlier_size", "jumps", "jump_size"),
-    *("gaps", "gap_duration", "drag", "thrust_turn", "thrust_period", "thrust_phase"),
-    *("thrust_noise", "believed_drag_ratio", "believed_response_time", "believed_drag"),
-    *("together", "lost_samples"),
-)
-TURBULENCE_FIELD = "turbulence_field"  # the stream of the field of turbulence, which has no key
 FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
-# Believed over true: the vehicle that the estimator is given.
+# Believed over true: the vehicle that the estimator is given; and the law of drag in its place.
 RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio", "believed_drag_ratio")
-LAW_KEYS = ("believed_response_time", "believed_drag")  # the law of drag in its place
+LAW_KEYS = ("believed_response_time", "believed_drag")
 SUPERPOSED = (
     ("second_scale_ratio", "second_velocity_ratio"),
     ("third_scale_ratio", "third_velocity_ratio"),
 )
-SUPERPOSED_KEYS = tuple(key for pair in SUPERPOSED for key in pair)
-# Keys beside others, which make no shape of cells by themselves.
-BESIDE = ("drift_direction", "swell_period", "swell_phase")
-SHAPING = (
-    *("offset_x", "offset_y", "heading", "aspect", "angle", "drift_ratio"),
-    *("swell", "second_heading"),
-)
-TURBULENCE_KEYS = ("turbulence_ratio", "turbulence_length", "turbulence_memory")
-# Of a flight's flow: a protocol without one leaves them out.
-OF_FLOW = (*FLOW_KEYS, *SUPERPOSED_KEYS, *SHAPING, *BESIDE, *TURBULENCE_KEYS, "wind_ratio")
-FAULTS = {
-    "position_wander": "wander",
-    "position_wander_time": "wander_time",
-    "outliers": "outliers",
-    "outlier_size": "outlier_size",
-    "jumps": "jumps",
-    "jump_size": "jump_size",
-    "gaps": "gaps",
-    "gap_duration": "gap_duration",
-    "lost_samples": "lost_samples",
-}  # key: the field of `LogFaults` that it is
-COUNTS = ("jumps", "gaps")
-MOST_TOGETHER = 64.0  # flights that are estimated as one
-REQUIRED = ("duration", "sample_rate")
-DRAG_KEYS = ("response_time", "drag")  # at least one
-# A key, and the key without which it has no meaning.
-NEEDS = {
-    "drift_ratio": "drift_direction",
-    "turbulence_ratio": "turbulence_length",
-    "wind_ratio": "wind_direction",
-    "second_heading": "second_scale_ratio",
-    "thrust_turn": "thrust_period",
-    "thrust_noise": "thrust_turn",
-}
-RATIOS = (0.01, 100.0)
+RATIO = Range(least=0.01, most=100.0)
+TURBULENCE_FIELD = "turbulence_field"  # the stream of the field of turbulence, which has no key
 # Words that people write for a key.
 SYNONYMS = {
-    "dropouts": "lost_samples",
-    "dropout": "lost_samples",
+    **dict.fromkeys(("dropouts", "dropout"), "lost_samples"),
+    **dict.fromkeys(("rate", "frequency"), "sample_rate"),
     "noise": "velocity_noise",
     "speed": "mean_velocity",
     "tau": "response_time",
     "thrust": "thrust_acceleration",
-    "rate": "sample_rate",
-    "frequency": "sample_rate",
 }
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A key of [flights]: the streams it fills (two: a pair [x, y]) and its range.
+    """A key of [flights]: its unit, range and sentence.
 
-    open_end: whether least and most are excluded themselves.
+    streams: the random numbers that it fills, in order of all rows below; two: a pair [x, y];
+    needs: the keys without which it has no meaning; of_flow: whether still air leaves it out;
+    shapes: whether cells with it are other than squares along the axes that stand; fault: the field
+    of `LogFaults` that it is.
     """
 
-    streams: tuple[str, ...]
-    least: float | None = None
-    most: float | None = None
-    open_end: bool = False
+    name: str
+    unit: str
+    range: Range
+    sentence: str
+    streams: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    of_flow: bool = False
+    shapes: bool = False
+    fault: str = ""
 
 
-def _of(*keys: str, least: float | None = None, most: float | None = None,
-        open_end: bool = False) -> dict[str, Quantity]:  # fmt: skip
-    return {key: Quantity((key,), least, most, open_end) for key in keys}
+def _q(name: str, unit: str, range: Range, sentence: str, *needs: str, axes: str = "",
+       of_flow: bool = False, shapes: bool = False, fault: str = "") -> Quantity:  # fmt: skip
+    streams = (f"{axes}_x", f"{axes}_y") if axes else (name,)
+    return Quantity(name, unit, range, sentence, streams, needs, of_flow or shapes, shapes, fault)
 
 
-QUANTITIES = {
-    **_of(*FLOW_KEYS, *REQUIRED, *DRAG_KEYS, RATIO_KEYS[0], RATIO_KEYS[2], *LAW_KEYS,
-          "thrust_period", least=0.0, open_end=True),
-    **_of("process_noise", "position_noise", "velocity_noise", RATIO_KEYS[1], "thrust_turn",
-          "thrust_noise", least=0.0),
-    **_of(*SUPERPOSED_KEYS, "aspect", least=RATIOS[0], most=RATIOS[1]),
-    **_of("heading", "second_heading", "drift_direction", "wind_direction", "swell_phase",
-          "thrust_phase"),
-    **_of("angle", least=0.0, most=math.pi, open_end=True),
-    **_of("swell", least=0.0, most=0.99),
-    **_of("together", least=1.0, most=MOST_TOGETHER),
-    **_of("turbulence_length", "turbulence_memory", "swell_period", "position_wander_time",
-          least=0.0, open_end=True),
-    **_of("drift_ratio", "wind_ratio", "turbulence_ratio", "position_wander", "outlier_size",
-          *COUNTS, "jump_size", "gap_duration", least=0.0),
-    **_of("outliers", "lost_samples", least=0.0, most=1.0),
-    **_of("time_jitter", least=0.0, most=0.49),
-    "thrust_acceleration": Quantity(("thrust_x", "thrust_y")),
-    "initial_position": Quantity(("position_x", "position_y")),
-    "initial_velocity": Quantity(("velocity_x", "velocity_y")),
-    "wind": Quantity(("wind_x", "wind_y")),
-    "offset": Quantity(("offset_x", "offset_y")),
-    "measurement_noise": Quantity(("velocity_noise", "position_noise"), 0.0),
-}  # fmt: skip
-RULES = ("linspace", "uniform", "loguniform", "choice")
+# Every random quantity has its own stream: a row at the end changes no other's draws.
+_ROWS = (
+    _q("mean_velocity", "m/s", POSITIVE, "U0. Give two of this, `length_scale` and `timescale`.",
+       of_flow=True),
+    _q("length_scale", "m", POSITIVE, "L_w.", of_flow=True),
+    _q("timescale", "s", POSITIVE, "tau_w = L_w/U0.", of_flow=True),
+    _q("response_time", "s", POSITIVE, "tau of linear drag; it or `drag` may be left out."),
+    _q("thrust_acceleration", "m/s²", ANY, "Constant thrust.", axes="thrust"),
+    _q("initial_position", "m", ANY, "Without it, anywhere in a cell at random.", axes="position"),
+    _q("initial_velocity", "m/s", ANY, "Without it, at rest.", axes="velocity"),
+    _q("duration", "s", POSITIVE, "Length of a flight. Needed."),
+    _q("sample_rate", "Hz", POSITIVE, "Samples per second. Needed."),
+    _q("process_noise", "m/s²", NOT_NEGATIVE,
+       "Standard deviation of each component of the noise of the acceleration, held for a sample."),
+    _q("position_noise", "m", NOT_NEGATIVE, "Standard deviation of each measured coordinate."),
+    _q("velocity_noise", "m/s", NOT_NEGATIVE, "Standard deviation of each measured component."),
+    _q("wind", "m/s", ANY, "Uniform wind.", axes="wind"),
+    _q("second_scale_ratio", "", RATIO, "Length scale of a second cellular flow over the first's.",
+       "second_velocity_ratio", of_flow=True),
+    _q("second_velocity_ratio", "", RATIO, "Its mean velocity over the first's.",
+       "second_scale_ratio", of_flow=True),
+    _q("third_scale_ratio", "", RATIO, "Length scale of a third flow over the first's.",
+       "second_scale_ratio", "third_velocity_ratio", of_flow=True),
+    _q("third_velocity_ratio", "", RATIO, "Its mean velocity over the first's.",
+       "second_scale_ratio", "third_scale_ratio", of_flow=True),
+    _q("believed_response_time_ratio", "", POSITIVE, "tau that the estimator is told, over tau."),
+    _q("believed_thrust_ratio", "", NOT_NEGATIVE, "Thrust that the estimator is told, over it."),
+    _q("heading", "rad", ANY, "By which the cells are turned counter-clockwise.", shapes=True),
+    _q("aspect", "", RATIO, "Side of a cell in y over that in x.", shapes=True),
+    _q("angle", "rad", Range(above=0.0, below=math.pi),
+       "Between the two families of walls of a cell; pi/2 is a rectangle.", shapes=True),
+    _q("offset", "m", ANY, "Where a corner of the cells is at t = 0.", axes="offset", shapes=True),
+    _q("drift_ratio", "", NOT_NEGATIVE, "Speed at which the pattern drifts, over U0.",
+       "drift_direction", shapes=True),
+    _q("drift_direction", "rad", ANY, "Where the pattern drifts to.", of_flow=True),
+    _q("swell", "", Range(least=0.0, most=0.99), "By which share U0 swells and ebbs.", shapes=True),
+    _q("swell_period", "s", POSITIVE, "Without it, the duration.", of_flow=True),
+    _q("swell_phase", "rad", ANY, "Of the swell at t = 0.", of_flow=True),
+    _q("second_heading", "rad", ANY, "Heading of the second flow; without it, that of the first.",
+       "second_scale_ratio", shapes=True),
+    _q("wind_ratio", "", NOT_NEGATIVE, "Speed of the wind over U0.", "wind_direction",
+       of_flow=True),
+    _q("wind_direction", "rad", ANY, "Where the wind blows to."),
+    _q("turbulence_ratio", "", NOT_NEGATIVE, "Rms of each component of the turbulence over U0.",
+       "turbulence_length", of_flow=True),
+    _q("turbulence_length", "m", POSITIVE, "Longitudinal integral length.", of_flow=True),
+    _q("turbulence_memory", "s", POSITIVE, "Life of an eddy; without it turbulence is frozen.",
+       of_flow=True),
+    Quantity("", "", ANY, "", (TURBULENCE_FIELD,)),
+    _q("time_jitter", "", Range(least=0.0, most=0.49), "Error of a time stamp over the step."),
+    _q("position_wander", "m", NOT_NEGATIVE, "Rms of an error of each coordinate that wanders.",
+       fault="wander"),
+    _q("position_wander_time", "s", POSITIVE, "Correlation time of `position_wander`.",
+       fault="wander_time"),
+    _q("outliers", "", SHARE, "Share of samples with a velocity far off.", fault="outliers"),
+    _q("outlier_size", "m/s", NOT_NEGATIVE, "By how much, in a random direction.",
+       fault="outlier_size"),
+    _q("jumps", "", NOT_NEGATIVE, "How often the position jumps, for good.", fault="jumps"),
+    _q("jump_size", "m", NOT_NEGATIVE, "By how much the position jumps.", fault="jump_size"),
+    _q("gaps", "", NOT_NEGATIVE, "How many gaps the log has.", fault="gaps"),
+    _q("gap_duration", "s", NOT_NEGATIVE, "The longest that a gap may be.", fault="gap_duration"),
+    _q("drag", "1/m", POSITIVE, "c of quadratic drag."),
+    _q("thrust_turn", "m/s²", NOT_NEGATIVE,
+       "Thrust beside the constant one that turns, and is logged with it.", "thrust_period"),
+    _q("thrust_period", "s", POSITIVE, "In which it turns once."),
+    _q("thrust_phase", "rad", ANY, "Where it points at t = 0."),
+    _q("thrust_noise", "m/s²", NOT_NEGATIVE, "Standard deviation of the logged thrust.",
+       "thrust_turn"),
+    _q("believed_drag_ratio", "", POSITIVE, "Quadratic drag that the estimator is told, over it."),
+    _q("believed_response_time", "s", POSITIVE, "tau that it is told in place of the true law."),
+    _q("believed_drag", "1/m", POSITIVE, "c that it is told in place of the true law."),
+    _q("together", "", Range(least=1.0, most=64.0),
+       "How many flights through the same flow are estimated as one, each from its own place."),
+    _q("lost_samples", "", SHARE, "Share of the samples that the log lost, one by one.",
+       fault="lost_samples"),
+)  # fmt: skip
+STREAMS = tuple(stream for row in _ROWS for stream in row.streams)
+BOTH_NOISES = Quantity(
+    "measurement_noise", "m/s, m", NOT_NEGATIVE,
+    "`[velocity_noise, position_noise]` in one key, so that a sweep moves both.",
+    ("velocity_noise", "position_noise"),
+)  # fmt: skip
+QUANTITIES = {row.name: row for row in (*_ROWS, BOTH_NOISES) if row.name}
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A quantity of a flight: `rule` is "constant" or one of `RULES`, `values` its numbers."""
+class FlightWords:
+    """The keys of [flights] that are words."""
+
+    flow: Literal["cellular", "none", "turbulence"] = key(
+        "What is flown through: cells, still air, or turbulence without cells.", "cellular"
+    )
+    turbulence_spectrum: Literal["dryden", "von-karman"] = key("Of the turbulence.", "dryden")
+    thrust_log: Literal["measured", "none"] = key(
+        "Whether a thrust that turns is measured, or its constant part alone is known.", "measured"
+    )
+
+
+@dataclass(frozen=True)
+class DrawRule:
+    """The rule by which a quantity is drawn, "constant" or "uniform" say, and its numbers."""
 
     rule: str
     values: tuple[float, ...]
@@ -158,36 +189,28 @@ class Entry:
         return low + share * (high - low)
 
 
-def read_entry(value: object, quantity: Quantity, place: Place) -> Entry:
+def read_entry(value: object, quantity: Quantity, place: Place) -> DrawRule:
     """An entry from its TOML value; every number in it lies in the range of the quantity."""
-    entry = _rule(value, place) if isinstance(value, dict) else _constant(value, place)
-    least, most, open_end = quantity.least, quantity.most, quantity.open_end
+    entry = _rule(value, place)
     for item in entry.values:
-        if least is not None and most is not None:
-            within = least < item < most if open_end else least <= item <= most
-            if not within:
-                raise place.error(f"must lie between {least:g} and {most:g}, not {item:g}")
-        if least is not None and (item <= least if open_end else item < least):
-            bound = "above" if open_end else "at least"
-            raise place.error(f"must be {bound} {least:g}, not {item:g}")
+        quantity.range.check(item, place, quantity.unit)
     return entry
 
 
-def _constant(value: object, place: Place) -> Entry:
+def _rule(value: object, place: Place) -> DrawRule:
+    rules = ("linspace", "uniform", "loguniform", "choice")
     if isinstance(value, list | str):
-        rules = ", ".join(RULES)
-        raise place.error(f"must be a number or a table with one of {rules}, not {shown(value)}")
-    return Entry("constant", (number(value, place),))
-
-
-def _rule(value: dict[str, object], place: Place) -> Entry:
-    only(value, RULES, place)
+        words = f"must be a number or a table with one of {', '.join(rules)}"
+        raise place.error(f"{words}, not {shown(value)}")
+    if not isinstance(value, dict):
+        return DrawRule("constant", (number(value, place),))
+    only(value, rules, place)
     if len(value) != 1:
-        raise place.error(f"must hold exactly one of {', '.join(RULES)}, not {shown(value)}")
+        raise place.error(f"must hold exactly one of {', '.join(rules)}, not {shown(value)}")
     ((rule, listed),) = value.items()
     values = tuple(number(item, place) for item in items(listed, place))
     if rule == "choice":
-        return Entry(rule, values)
+        return DrawRule(rule, values)
     if len(values) != 2:
         raise place.error(f"{rule} takes two numbers [a, b], not {len(values)}")
     low, high = values
@@ -195,4 +218,12 @@ def _rule(value: dict[str, object], place: Place) -> Entry:
         raise place.error(f"{rule} range [{low:g}, {high:g}] is empty: write the smaller first")
     if rule == "loguniform" and low <= 0.0:
         raise place.error(f"loguniform range must be above 0, not from {low:g}")
-    return Entry(rule, values)
+    return DrawRule(rule, values)
+
+
+def nearest(name: str, names: tuple[str, ...]) -> str:
+    """The nearest key of [flights] for a message, and not all of the sixty."""
+    if name in SYNONYMS:
+        return f': did you mean "{SYNONYMS[name]}"?'
+    near = suggestion(name, names)
+    return near if "did you mean" in near else ": `sparsefit study keys flights` lists them"

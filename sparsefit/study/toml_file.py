@@ -13,11 +13,10 @@ import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
-from sparsefit.codec import Place, number, shown
 from sparsefit.errors import InputError
 from sparsefit.whole_file import read_whole
 
@@ -72,61 +71,6 @@ def _leaves(value: object, depth: int = 0) -> Iterator[tuple[int, object]]:
             yield from _leaves(item, depth + 1)
     else:
         yield depth, value
-
-
-def required(section: Section, key: str, place: Place) -> object:
-    """The value of a key that a study must give."""
-    if key not in section:
-        raise place.at(key).error("missing: a study needs it")
-    return section[key]
-
-
-def positive(value: object, place: Place) -> float:
-    """A finite number above zero."""
-    real = number(value, place)
-    if real <= 0.0:
-        raise place.error(f"must be above 0, not {shown(value)}")
-    return real
-
-
-def items(value: object, place: Place) -> list[object]:
-    """A list of at least one item."""
-    if not isinstance(value, list):
-        raise place.error(f"must be a list, not {shown(value)}")
-    if not value:
-        raise place.error("must not be an empty list: remove the key or give values")
-    return value
-
-
-def as_items(value: object, place: Place) -> list[object]:
-    """A list of distinct items; a value that is no list is a list of one."""
-    listed = items(value, place) if isinstance(value, list) else [value]
-    distinct(listed, place)
-    return listed
-
-
-def distinct(values: Sequence[object], place: Place) -> None:
-    """Refuse a list that holds a value twice."""
-    seen: set[str] = set()
-    for value in values:
-        canonical = canonical_json(value)
-        if canonical in seen:
-            raise place.error(f"lists {shown(value)} twice")
-        seen.add(canonical)
-
-
-def read_section(value: object, place: Place) -> Section:
-    """A TOML table."""
-    if not isinstance(value, dict):
-        raise place.error(f"must be a table, not {shown(value)}")
-    return cast(Section, value)
-
-
-def read_sections(value: object, place: Place) -> list[Section]:
-    """An array of tables, `[[name]]`, of at least one."""
-    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        raise place.error(f"must be written as [[{place.key or place.section}]]")
-    return cast(list[Section], items(value, place))
 
 
 def canonical_json(value: object) -> str:

@@ -1,0 +1,167 @@
+"""Records as the schema of a study file: type, default, range, unit and sentence of every key.
+
+    @dataclass(frozen=True)
+    class RunRule:
+        case_timeout: float = key("Seconds that one case may take.", 60.0, POSITIVE, "s")
+
+`read` makes the record of a section, and refuses by file, section and key, with the nearest name;
+`sentences` are what help texts and the documentation say of each key.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, TypeVar, cast
+
+from sparsefit.codec import Place, build, number, shown
+from sparsefit.study.toml_file import Section, canonical_json
+
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from ``least`` to ``most``, which are in it, or between ``above`` and ``below``."""
+
+    least: float = -math.inf
+    most: float = math.inf
+    above: float = -math.inf
+    below: float = math.inf
+
+    @property
+    def words(self) -> str:
+        """`above 0 and at most 1`; empty for all numbers."""
+        ends = (("above", self.above), ("at least", self.least), ("below", self.below),
+                ("at most", self.most))  # fmt: skip
+        return " and ".join(f"{word} {end:g}" for word, end in ends if math.isfinite(end))
+
+    def check(self, value: float, place: Place, unit: str = "") -> None:
+        """Refuse a number outside."""
+        if not (self.least <= value <= self.most and self.above < value < self.below):
+            raise place.error(f"must be {self.words}{f' [{unit}]' * bool(unit)}, not {value:g}")
+
+
+ANY, POSITIVE, NOT_NEGATIVE = Range(), Range(above=0.0), Range(least=0.0)
+SHARE, INSIDE = Range(least=0.0, most=1.0), Range(above=0.0, below=1.0)
+
+
+@dataclass(frozen=True)
+class Named:
+    """The two names of an entry: of what it is made, and by which tables call it."""
+
+    name: str
+    label: str = ""
+
+
+def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "") -> Any:
+    """A field of a record, what it holds in a sentence, and the range of its numbers."""
+    metadata = {"sentence": sentence, "range": range, "unit": unit}
+    if callable(default):
+        return field(default_factory=default, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def sentences(kind: type[Any]) -> dict[str, str]:
+    """Key -> its sentence, unit, range and default, of every field that `key` declared."""
+    content = {}
+    for item in fields(kind):
+        if item.metadata:
+            unit, words = item.metadata["unit"], item.metadata["range"].words
+            default = (
+                "" if item.default in (MISSING, None, "", ()) else f"Default {item.default!r}."
+            )
+            parts = (
+                item.metadata["sentence"],
+                unit and f"[{unit}]",
+                words and f"({words})",
+                default,
+            )
+            content[item.name] = " ".join(part for part in parts if part)
+    return content
+
+
+def names_of(kind: type[Any]) -> tuple[str, ...]:
+    """The keys of a record."""
+    return tuple(item.name for item in fields(kind))
+
+
+def record_of(kind: type[Record], values: Section, place: Place) -> Record:
+    """The record with these values; `InputError` names the key that does not fit."""
+    record = build(kind, values, place)
+    for item in fields(cast(Any, kind)):
+        value = values.get(item.name)
+        if "range" in item.metadata and value is not None:
+            for each in value if isinstance(value, list | tuple) else [value]:
+                if isinstance(each, int | float):
+                    item.metadata["range"].check(each, place.at(item.name), item.metadata["unit"])
+    return record
+
+
+def read(kind: type[Record], document: Section, name: str, place: Place) -> Record:
+    """The record of the section ``name``, of defaults where there is none."""
+    values = read_section(document.get(name, {}), place.at(name))
+    return record_of(kind, values, place.within(name))
+
+
+def taken(kind: type[Record], values: Section, place: Place) -> tuple[Record, dict[str, object]]:
+    """The record of those keys that are its fields, and the other keys."""
+    names = names_of(kind)
+    own = {name: value for name, value in values.items() if name in names}
+    rest = {name: value for name, value in values.items() if name not in names}
+    return record_of(kind, own, place), rest
+
+
+def required(section: Section, name: str, place: Place) -> object:
+    """The value of a key that a study must give."""
+    if name not in section:
+        raise place.at(name).error("missing: a study needs it")
+    return section[name]
+
+
+def positive(value: object, place: Place) -> float:
+    """A finite number above zero."""
+    real = number(value, place)
+    POSITIVE.check(real, place)
+    return real
+
+
+def items(value: object, place: Place) -> list[object]:
+    """A list of at least one item."""
+    if not isinstance(value, list):
+        raise place.error(f"must be a list, not {shown(value)}")
+    if not value:
+        raise place.error("must not be an empty list: remove the key or give values")
+    return value
+
+
+def as_items(value: object, place: Place) -> list[object]:
+    """A list of distinct items; a value that is no list is a list of one."""
+    listed = items(value, place) if isinstance(value, list) else [value]
+    distinct(listed, place)
+    return listed
+
+
+def distinct(values: Sequence[object], place: Place) -> None:
+    """Refuse a list that holds a value twice."""
+    seen: set[str] = set()
+    for value in values:
+        canonical = canonical_json(value)
+        if canonical in seen:
+            raise place.error(f"lists {shown(value)} twice")
+        seen.add(canonical)
+
+
+def read_section(value: object, place: Place) -> Section:
+    """A TOML table."""
+    if not isinstance(value, Mapping):
+        raise place.error(f"must be a table, not {shown(value)}")
+    return cast(Section, value)
+
+
+def read_sections(value: object, place: Place) -> list[Section]:
+    """An array of tables, `[[name]]`, of at least one."""
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        raise place.error(f"must be written as [[{place.key or place.section}]]")
+    return cast(list[Section], items(value, place))
