@@ -15,7 +15,7 @@ import re
 import runpy
 import tomllib
 from collections import defaultdict
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,8 +30,7 @@ from sphinx.util.docutils import SphinxDirective
 import sparsefit
 from sparsefit import backends
 from sparsefit.cli import parser
-from sparsefit.study import contenders, crossing, definition, figures, logged, measures, tables
-from sparsefit.study.problem_sources import PROBLEM_KEYS
+from sparsefit.study import figures, keys, measures, tables
 from sparsefit.study.statistics import SUMMARY_NAMES
 
 DOCS = Path(__file__).parents[1]
@@ -50,40 +49,26 @@ STYLE = {
     "svg.fonttype": "none", "svg.hashsalt": "sparsefit", "font.family": "sans-serif",
     "figure.constrained_layout.use": True, "savefig.facecolor": "white",
 }  # fmt: skip
-KEYS: dict[str, tuple[str, ...]] = {  # section of a study file: the keys that its reader takes
-    "study": definition.FLIGHT_KEYS,
-    **{name: tuple(keys) for name, keys in crossing.SECTION_KEYS.items()},
-    "logs": logged.KEYS,
-    "run": tuple(item.name for item in fields(definition.RunRule)),
-    "solvers": contenders.KEYS,
-    "contenders": contenders.RESERVED,
-    "problems": PROBLEM_KEYS,
-    "path": tuple(item.name for item in fields(contenders.PathRule)),
-}
-RECORDS: dict[str, type[Any]] = {"run": definition.RunRule, "path": contenders.PathRule}
 
 
-def meanings() -> dict[str, dict[str, str]]:
-    """The words of each key, by section."""
-    return tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8"))
+def meanings(section: str) -> dict[str, str]:
+    """The words of each key of a section: of its records, or of study-keys.toml."""
+    words = keys.keys_of(section) if section in keys.RECORDS else {}
+    return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
 
 
 def key_table(section: str) -> list[str]:
     """A Markdown table of the keys of a section. Raises ValueError where one has no words."""
-    words = meanings().get(section, {})
-    missing = [key for key in KEYS.get(section, ()) if key not in words]
+    words = meanings(section)
+    missing = [key for key, text in words.items() if not text]
     if missing or not words:
         raise ValueError(f"study-keys.toml, [{section}]: no words for {missing}")
-    defaults = {}
-    if is_dataclass(RECORDS.get(section)):
-        defaults = {item.name: item.default for item in fields(RECORDS[section])}
-    rows = []
-    for key, text in words.items():
-        value = defaults.get(key)
-        default = f"<br>*default {value!r}*" if isinstance(value, int | float | str) else ""
-        words_in_cell = f"{text}{default}".replace("|", "\\|")
-        rows.append(f"| `{key}` | {words_in_cell} |")
-    return ["| key | what it holds |", "|---|---|", *rows]
+    cells = ((key, text.replace("|", "\\|")) for key, text in words.items())
+    return [
+        "| key | what it holds |",
+        "|---|---|",
+        *(f"| `{key}` | {text} |" for key, text in cells),
+    ]
 
 
 def result_table(name: str, columns: list[str], heads: list[str], where: dict[str, list[str]]):

@@ -27,8 +27,9 @@ from sparsefit.errors import SparsefitError, suggestion, told_with
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
-from sparsefit.study.draw import FlightRules, nearest, read_flight_rules
+from sparsefit.study.draw import FlightRules, read_flight_rules
 from sparsefit.study.logged import FILES, Logs, read_logs
+from sparsefit.study.quantities import nearest
 from sparsefit.study.schema import (
     Named,
     as_items,

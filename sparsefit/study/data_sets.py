@@ -109,10 +109,10 @@ def _read_npz(path: Path) -> Data:
         for member in archive.infolist():
             if member.filename.endswith(".npy"):
                 with archive.open(member) as stream:
-                    first = np.lib.format.read_magic(stream) == (1, 0)  # type: ignore[arg-type]
+                    first = np.lib.format.read_magic(stream) == (1, 0)
                     headers = np.lib.format
                     read = headers.read_array_header_1_0 if first else headers.read_array_header_2_0
-                    shape, _, kind = read(stream)  # type: ignore[arg-type]
+                    shape, _, kind = read(stream)
                 name = member.filename.removesuffix(".npy")
                 if kind.hasobject or kind.itemsize > 256:  # bytes, of a label of a group
                     raise ValueError(f"it holds {kind}, and only numbers are read")

@@ -410,7 +410,7 @@ def _read_outputs(document: Section, place: Place) -> Outputs:
     if outputs.script and not (Path(place.file).parent / outputs.script).is_file():
         words = f'"{outputs.script}": no such file beside {Path(place.file).name}'
         raise here.at("script").error(words)
-    return Outputs(**{**vars(outputs), **lists})  # type: ignore[arg-type]
+    return Outputs(**{**vars(outputs), **lists})
 
 
 def _read_selection(

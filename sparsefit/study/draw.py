@@ -157,6 +157,7 @@ class Draw:
                 period=values["thrust_period"],
                 phase=values.get("thrust_phase", 0.0),
             )
+        noises: Any = {name: values.get(name, 0.0) for name in NOISES}
         flight = simulate_flight(
             self.flown,
             self.vehicle,
@@ -165,8 +166,8 @@ class Draw:
             seed=seed,
             initial_position=self._pair("position") if "position_x" in values else None,
             initial_velocity=self._pair("velocity"),
-            **{name: values.get(name, 0.0) for name in NOISES},
             thrust=thrust,
+            **noises,
         )
         if not self.thrust_logged:
             flight = replace(flight, thrust=None)

@@ -63,23 +63,20 @@ def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "
     return field(default=default, metadata=metadata)
 
 
+def described(sentence: str, unit: str, range: Range, default: Any = MISSING) -> str:
+    """The words of a key: its sentence, unit, range and default."""
+    words = [sentence, unit and f"[{unit}]", range.words and f"({range.words})"]
+    if default not in (MISSING, None, "", ()):
+        words.append(f"Default {shown(default)}.")
+    return " ".join(word for word in words if word)
+
+
 def sentences(kind: type[Any]) -> dict[str, str]:
-    """Key -> its sentence, unit, range and default, of every field that `key` declared."""
-    content = {}
-    for item in fields(kind):
-        if item.metadata:
-            unit, words = item.metadata["unit"], item.metadata["range"].words
-            default = (
-                "" if item.default in (MISSING, None, "", ()) else f"Default {item.default!r}."
-            )
-            parts = (
-                item.metadata["sentence"],
-                unit and f"[{unit}]",
-                words and f"({words})",
-                default,
-            )
-            content[item.name] = " ".join(part for part in parts if part)
-    return content
+    """Key -> its words, of every field; empty where `key` did not declare it."""
+    return {
+        item.name: described(default=item.default, **item.metadata) if item.metadata else ""
+        for item in fields(kind)
+    }
 
 
 def names_of(kind: type[Any]) -> tuple[str, ...]:

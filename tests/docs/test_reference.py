@@ -24,16 +24,15 @@ def directives(monkeypatch):
 
 
 def test_every_key_of_a_study_file_has_words(directives):
-    for section in directives.KEYS:
+    for section in directives.keys.RECORDS:
         rows = directives.key_table(section)
         assert len(rows) > 2
         assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {3}  # no mark cuts a cell
 
 
 def test_a_key_without_words_is_refused_by_name(directives, monkeypatch):
-    words = {name: dict(keys) for name, keys in directives.meanings().items()}
-    del words["run"]["tolerance"]
-    monkeypatch.setattr(directives, "meanings", lambda: words)
+    words = directives.meanings("run") | {"tolerance": ""}
+    monkeypatch.setattr(directives, "meanings", lambda _: words)
     with pytest.raises(ValueError, match=r"\[run\].*tolerance"):
         directives.key_table("run")
 
