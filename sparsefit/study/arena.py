@@ -91,7 +91,7 @@ class Case:
 
 def size_of(data: Data) -> dict[str, Value]:
     """The columns that tell the size of a problem."""
-    sizes = {"samples": data.samples or len(data.theta), "columns": data.theta.shape[1]}
+    sizes = {"samples": data.samples or data.theta.shape[0], "columns": data.theta.shape[1]}
     return {**sizes, "targets": data.target.shape[1]}
 
 
@@ -302,7 +302,7 @@ class Arena:
         assert weights is not None
         if data.samples is not None:  # compressed rows are no samples
             return
-        m = len(data.theta)
+        m = data.theta.shape[0]
         folds = [part for part in np.array_split(np.arange(m), rules.folds or 1) if len(part)]
         errors, bases = [], []
         for part in folds if rules.folds else []:

@@ -47,13 +47,13 @@ DATASETS = (
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Arrays of a regression problem: theta (m, k), target (m, n), labels of groups (k,) or None.
+    """Arrays of a problem: theta (m, k), dense or CSC, target (m, n), labels of groups (k,).
 
     truth (k,): which columns the target is made of, where that is known; samples: the number of
     rows that ``theta`` stands for, where it is compressed; test: rows held out in a file.
     """
 
-    theta: Array
+    theta: Any
     target: Array
     groups: Any = None
     truth: BoolArray | None = None
@@ -62,7 +62,7 @@ class Data:
 
     def real(self) -> Data:
         """The arrays as real numbers, the target as columns (m, n); a sparse theta stays one."""
-        theta = self.theta if issparse(self.theta) else np.asarray(self.theta, float)
+        theta: Any = self.theta if issparse(self.theta) else np.asarray(self.theta, float)
         target = np.asarray(self.target, float).reshape(theta.shape[0], -1)
         return replace(self, theta=theta, target=target)
 
@@ -267,7 +267,8 @@ class Generator:
         rows = [np.sort(random.choice(m, count, replace=False)) for count in counts]
         ends = np.concatenate([[0], np.cumsum(counts)])
         values = random.standard_normal(ends[-1])
-        return csc_array((values, np.concatenate(rows), ends), shape=(m, k))
+        indices = (np.concatenate(rows).astype(np.int32), ends.astype(np.int32))
+        return csc_array((values, *indices), shape=(m, k))
 
 
 GENERATORS: Mapping[str, Mapping[str, Any]] = MappingProxyType(

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import load_npz
 
 from sparsefit import RegressionProblem, backends
 from sparsefit import path as certified_path
@@ -43,17 +44,17 @@ from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
 from sparsefit.study.worker import trim_memory
 
 RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
-PROBLEM, WEIGHTS = "problem.npz", "weights.npy"
+PROBLEM, THETA, WEIGHTS = "problem.npz", "theta.npz", "weights.npy"
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Arrays of a problem in a folder: theta (m, k), target (m, n), groups (k,) or None.
+    """Arrays of a problem in a folder: theta (m, k), dense or CSC, target (m, n), groups (k,).
 
     samples: the number of rows that theta stands for, where it is compressed.
     """
 
-    theta: Array
+    theta: Any
     target: Array
     groups: Any
     samples: int | None
@@ -61,10 +62,12 @@ class Rows:
     @classmethod
     def load(cls, folder: str) -> Rows:
         """The problem that the parent wrote."""
-        with np.load(Path(folder) / PROBLEM, allow_pickle=False) as arrays:
+        folder_of = Path(folder)
+        with np.load(folder_of / PROBLEM, allow_pickle=False) as arrays:
             groups = arrays.get("groups")
             samples = int(arrays["samples"]) or None
-            return cls(arrays["theta"], arrays["target"], groups, samples)
+            theta = load_npz(folder_of / THETA) if (folder_of / THETA).exists() else arrays["theta"]
+            return cls(theta, arrays["target"], groups, samples)
 
     def problem(self) -> RegressionProblem:
         """The regression problem of these rows."""
@@ -76,11 +79,13 @@ class Rows:
     def part(self, rows: Sequence[int] | None, seed: int) -> Rows:
         """A copy of these rows, of all where None, with signs by a seed, and read-only."""
         chosen = slice(None) if rows is None else np.asarray(rows)
-        theta, target = np.array(self.theta[chosen]), np.array(self.target[chosen])
-        signs, sign = signs_of(len(theta), seed)
-        theta *= signs[:, None]
-        target *= sign * signs[:, None]
-        for array in (theta, target):
+        signs, sign = signs_of(len(self.target[chosen]), seed)
+        theta, target = self.theta[chosen], sign * signs[:, None] * self.target[chosen]
+        numbers = theta = theta * signs[:, None] if isinstance(theta, np.ndarray) else theta.copy()
+        if not isinstance(theta, np.ndarray):
+            theta.data *= signs[theta.indices]
+            numbers = theta.data
+        for array in (numbers, target):
             array.setflags(write=False)
         return Rows(theta, target, self.groups, self.samples if rows is None else None)
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import save_npz
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
@@ -27,7 +28,7 @@ from sparsefit.study.data_sets import Data
 from sparsefit.study.definition import Definition
 from sparsefit.study.manifest import code_version, processor, version_of, versions
 from sparsefit.study.plan import Batch, Step
-from sparsefit.study.problem_desk import PROBLEM, JudgeDesk, SolverDesk
+from sparsefit.study.problem_desk import PROBLEM, THETA, JudgeDesk, SolverDesk
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
@@ -183,10 +184,14 @@ class ProblemExperiment:
         if not folder.exists():
             folder.mkdir()
             data = self._data[unit]
-            content = {"theta": data.theta, "target": data.target, "samples": data.samples or 0}
+            content: dict[str, Any] = {"target": data.target, "samples": data.samples or 0}
+            if isinstance(data.theta, np.ndarray):
+                content["theta"] = data.theta
+            else:
+                save_npz(folder / THETA, data.theta)
             if data.groups is not None:
                 content["groups"] = np.unique(data.groups, return_inverse=True)[1]
-            np.savez(folder / PROBLEM, **content)  # type: ignore[arg-type]
+            np.savez(folder / PROBLEM, **content)
         return folder
 
     def end(self) -> None:
