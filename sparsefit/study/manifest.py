@@ -38,7 +38,7 @@ COMPUTING = (  # files of `study/` that a worker, its questions or its answers p
     "draw",
     *("flight_desk", "flight_experiment", "logged", "plan", "problem_desk", "problem_experiment"),
     *("problem_sources", "holdout"),
-    *("quantities", "reading", "toml_file", "worker", "manifest", "__init__"),
+    *("quantities", "reading", "schema", "toml_file", "worker", "manifest", "__init__"),
 )
 SOURCES = (".py", ".pyx", ".pxd")
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
