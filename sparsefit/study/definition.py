@@ -190,7 +190,8 @@ class SelectionRule:
 
     def changed(self, **options: object) -> SelectionRule:
         """The rule with these options in place of its own; InputError names one that is wrong."""
-        return _rule({**vars(self), **vars(self.limits), **options}, Place("select", "select"))
+        own = {name: value for name, value in vars(self).items() if name != "limits"}
+        return _rule({**own, **vars(self.limits), **options}, Place("select", "select"))
 
 
 @dataclass(frozen=True)

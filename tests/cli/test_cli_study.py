@@ -317,8 +317,8 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
     [
         (("--criterion", "mean"), "criterion =: unknown measure"),
         (("--over", "best"), "unknown regime in over ="),
-        (("--max-failure", "2"), "max_failure must be"),
-        (("--check", "1000000000"), "check must be from 0 to 100000"),
+        (("--max-failure", "2"), '"max_failure" must be at least 0'),
+        (("--check", "1000000000"), '"check" must be at least 0 and at most 100000'),
         (("--max-failure", "2%"), '"2%" is not a number'),
         (("--max-memory", "90"), "max_memory needs it"),
         (("--regime", "world"), 'no "world" varies'),
