@@ -30,6 +30,7 @@ from sparsefit import RegressionProblem, backends
 from sparsefit.child import in_child
 from sparsefit.codec import Place, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
 from sparsefit.study.crossing import Setting, points_of, read_grid
 from sparsefit.study.holdout import Holdout
@@ -323,7 +324,7 @@ def _resolved(
         return
     except (SparsefitError, TypeError, ValueError) as error:
         raise place.error(str(error)) from None
-    exact = getattr(getattr(backend, "exact", None), "name", getattr(backend, "exact", ""))
+    exact = type(backend).solver if isinstance(backend, PenalisedPath) else ""
     if not exact:
         if solver:
             words = f'{name} has no penalty, so "{solver}" is none of its own'
