@@ -64,7 +64,7 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "ensemble": "sparsefit.solvers.searches:Ensemble",
         "best-subset": "sparsefit.solvers.best_subset:BestSubset",
         "best-scale": "sparsefit.solvers.searches:BestScale",
-        "parametric-nls": "sparsefit.solvers.parametric_nls:ParametricNLS",
+        "parametric-nls": "sparsefit.solvers.gridless:ParametricNLS",
     }
 )
 """The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sparsefit.model.cells import candidate_columns
+from sparsefit.model.columns import candidate_columns
 
 CHUNK = 64  # wavenumbers per block of columns
 

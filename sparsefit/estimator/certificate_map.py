@@ -15,9 +15,9 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight import Flight
+from sparsefit.model.columns import strengths
 from sparsefit.model.continuum import PlaneHeights
 from sparsefit.model.grid import extent_of
-from sparsefit.model.waves import strengths
 from sparsefit.regression.continuum import Bounds, Continuum
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem

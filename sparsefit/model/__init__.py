@@ -1,6 +1,6 @@
 """The model: candidate functions, what their weights say, and the search for shapes of flow."""
 
-from sparsefit.model.cells import CANDIDATES, candidate_columns
+from sparsefit.model.columns import CANDIDATES, candidate_columns
 from sparsefit.model.grid import LengthScaleGrid, WaveGrid
 from sparsefit.model.library import TARGET_NAMES, Library
 from sparsefit.model.readout import GridReading, Readout, read_grid

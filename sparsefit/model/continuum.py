@@ -1,8 +1,10 @@
-"""The continua behind a library's grid: the columns at every wavenumber or wavevector.
+"""The continuum behind a library's grid: the columns at every wavenumber or wavevector.
 
-Back-ends that place groups of their own ask a continuum for columns at any q and for a scan of all
-of them (`sparsefit.regression.continuum`). Inner products of columns with a residual are Fourier
-sums over the rows, and so are their mean squares: products of two waves are waves.
+Back-ends that place groups of their own ask it for columns at any q and for a scan of all of them
+(`sparsefit.regression.continuum`). A group is a fixed mixture of cos and sin of k_j.x over the
+waves j of a `Shape`: the 8 candidates of cells over four waves, q = k, or the two columns of one
+wave of a stream function, q = (|k|, heading). Inner products with a residual are Fourier sums over
+the rows, and so are their mean squares: products of two waves are waves.
 
 A scan can miss little: positions lie within D of their middle, so that along any line a sum is
 band-limited by D, and a peak falls by (d D)^2 / 2 of its height within a distance d (Bernstein).
@@ -18,27 +20,37 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.model.cells import CANDIDATES, candidate_columns, candidate_jet
+from sparsefit.model.columns import (
+    CANDIDATES,
+    candidate_columns,
+    sines_and_cosines,
+    wave_names,
+    wave_theta,
+)
 from sparsefit.model.grid import Bounds, extent_of, middle
 from sparsefit.model.scan import FourierSums, peaks
-from sparsefit.model.waves import polar_jet, wave_theta
+from sparsefit.model.shapes import CELLS, QUARTER, WAVE, Shape
 
 EQUATION_1 = np.zeros((8, 2))
 """The weights of Eq. 1 for U0 = 1 m/s."""
 EQUATION_1[CANDIDATES.index("sin x cos y"), 0] = 1.0
 EQUATION_1[CANDIDATES.index("cos x sin y"), 1] = -1.0
-STEP, FEWEST = 0.15, 8  # of a scan of cells, in 1/extent: a thirtieth of a lobe; steps at least
+STEP = 0.15  # of a scan of cells, in 1/extent: a thirtieth of a lobe
 MISSED = 0.02  # of a peak's height: what a scan of waves may not show
-TURNS = 9  # places within a step of a wave that are tried
 ACCURACY = 1e-9  # of the sums, relative to the number of rows
 UNKNOWN = 1e-6  # of a column's mean square: less is lost in the sums' error
 
-# The 8 candidates from cos k s, then sin k s, of s = x, y, x + y, x - y.
-LINES = ((1, 0), (0, 1), (1, 1), (1, -1))
+# The 8 candidates from cos k s, then sin k s, of s = x, y, x + y, x - y, the waves of `CELLS`.
 OF_LINES = np.zeros((8, 8))
 OF_LINES[[0, 1, 2, 3], [4, 5, 0, 1]] = 1.0
 OF_LINES[4, [3, 2]], OF_LINES[5, [6, 7]] = (0.5, -0.5), (0.5, 0.5)
 OF_LINES[6, [6, 7]], OF_LINES[7, [3, 2]] = (0.5, -0.5), (0.5, 0.5)
+# Their mean squares from 1 and the means of cos 2 k s.
+SQUARES = np.zeros((8, 5))
+SQUARES[:4, 0], SQUARES[4:, 0] = 0.5, 0.25
+SQUARES[[0, 1, 2, 3], [1, 2, 1, 2]] = -0.5, -0.5, 0.5, 0.5
+SQUARES[4:, 1], SQUARES[4:, 2] = (-0.25, -0.25, 0.25, 0.25), (-0.25, 0.25, -0.25, 0.25)
+SQUARES[4:, 3] = SQUARES[4:, 4] = 0.125, -0.125, -0.125, 0.125
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,18 +64,18 @@ class CellScan:
         weight: of every row (m,), already in what is scanned; None: all are 1.
     """
 
-    slack: ClassVar[float] = 0.02  # peaks this close to the highest may hold the supremum
+    slack: ClassVar[float] = 0.02
     position: Array
     wavenumbers: Array
     step: float
     weight: Array | None = None
 
     def sums(self, loads: Array, times: int) -> ComplexArray:
-        """Sums (4, j, q) of exp(i k s) over loads (j, m), for s of `LINES`, ``times`` k."""
+        """Sums (4, j, q) of exp(i k s) over loads (j, m), for the four s, ``times`` k."""
         half, origin = len(self.wavenumbers) // 2, middle(self.position)
         centre, step = float(self.wavenumbers[half]), np.array([self.step])
         every = []
-        for line in np.array(LINES, dtype=float):
+        for line in np.array(CELLS.waves)[:, :, 0]:
             along = (self.position - origin) @ line
             line_sums = FourierSums(along[:, None], step, (half,), centre, ACCURACY)
             shift = np.exp(1j * times * float(origin @ line) * self.wavenumbers)
@@ -72,21 +84,11 @@ class CellScan:
 
     @cached_property
     def _squares(self) -> tuple[Array, float]:
-        """Means of cos 2 k s (4, q) of `LINES`, and the sum of the squares of the weights."""
+        """1 and the means of cos 2 k s (5, q), and the sum of the squares of the weights."""
         own = np.ones(len(self.position)) if self.weight is None else self.weight
         mass = float(own @ own)
-        return self.sums((own * own)[None], 2)[:, 0].real / mass, mass
-
-    @cached_property
-    def rms(self) -> Array:
-        """The rms of each candidate (q, 8); a thousandth where the sums cannot tell it from 0."""
-        c_x, c_y, c_plus, c_minus = self._squares[0]
-        pair, cross = c_x + c_y, 0.5 * (c_plus + c_minus)
-        squares = [(1 - c_x) / 2, (1 - c_y) / 2, (1 + c_x) / 2, (1 + c_y) / 2]
-        squares += [(1 - pair + cross) / 4, (1 - c_x + c_y - cross) / 4]
-        squares += [(1 + c_x - c_y - cross) / 4, (1 + pair + cross) / 4]
-        rms: Array = np.sqrt(np.maximum(np.stack(squares, axis=-1), UNKNOWN))
-        return rms
+        means = self.sums((own * own)[None], 2)[:, 0].real / mass
+        return np.vstack([np.ones(means.shape[1]), means]), mass
 
     def cross(self, loads: Array) -> Array:
         """Inner products (8, j, q) of the candidates with loads (j, m)."""
@@ -96,96 +98,28 @@ class CellScan:
 
     def heights(self, residual: Array) -> Array:
         """|Z(k)'R|_F / m (q,) of a residual (m, n), Z the candidates in columns of unit rms."""
-        scaled = self.cross(residual.T) / len(residual) / self.rms.T[:, None]
+        rms = np.sqrt(np.maximum(SQUARES @ self._squares[0], UNKNOWN))
+        scaled = self.cross(residual.T) / len(residual) / rms[:, None]
         heights: Array = np.sqrt(np.sum(scaled**2, axis=(0, 1)))
         return heights
 
-    def tops(self, residual: Array, slack: float) -> tuple[Array, Array]:
-        """k (j, 1) of local maxima of `heights` within slack of the highest, and the step."""
-        heights = self.heights(residual)
+    def tops(
+        self, residual: Array, slack: float, pattern: Array | None = None
+    ) -> tuple[Array, Array]:
+        """k (j, 1) of local maxima of `heights` within slack of the highest, and the step.
+
+        pattern: `EQUATION_1` f = C(k) S, whose <f, R> / |f| is scanned in their place, where > 0.
+        """
+        if pattern is None:
+            heights = self.heights(residual)
+        else:
+            means, mass = self._squares
+            product = np.einsum("ctq,ct->q", self.cross(residual.T), pattern)
+            square = mass * (0.5 - 0.25 * (means[3] + means[4]))
+            heights = np.maximum(product, 0.0) / np.sqrt(np.maximum(square, 1e-6 * len(residual)))
         tops = peaks(heights)[:, 0]
         places = self.wavenumbers[tops[heights[tops] >= (1 - slack) * heights.max()]][:, None]
         return places, np.full(places.shape, self.step)
-
-    def matched(self, pattern: Array, target: Array) -> tuple[Array, Array]:
-        """<f, Y> and <f, f> (q,) of Eq. 1, f = C(k) S, S the pattern (8, n), and Y (m, n)."""
-        product = np.einsum("ctq,ct->q", self.cross(target.T), pattern)
-        means, mass = self._squares
-        return product, mass * (0.5 - 0.25 * (means[2] + means[3]))
-
-
-@dataclass(frozen=True, eq=False)
-class CellContinuum:
-    """The cells of any wavenumber, over the rows of one flight.
-
-    Args:
-        position: of every row (m, 2) [m].
-        bounds: of k where none are asked for: those of the library's grid [1/m].
-        pattern: the weights (8, n) of a target known up to its size, if it is.
-        weight: of every row (m,), with which the target is multiplied; None: all are 1.
-    """
-
-    size: ClassVar[int] = len(CANDIDATES)
-    parameters: ClassVar[int] = 1
-    position: Array
-    bounds: Bounds
-    pattern: Array | None = None
-    weight: Array | None = None
-
-    @property
-    def extent(self) -> float:
-        """The larger side of the flight's bounding box [m]."""
-        return extent_of(self.position)
-
-    def interval(self, lower: float | None, upper: float | None) -> Bounds:
-        """[pi/upper, pi/lower] [1/m] for bounds of the length scale [m]; None: the grid's own."""
-        low = self.bounds[0] if upper is None else math.pi / upper
-        high = self.bounds[1] if lower is None else math.pi / lower
-        return min(low, high), max(low, high)
-
-    def scan_points(self, bounds: Bounds) -> int:
-        """The wavenumbers of a scan: they grow with the extent and the interval."""
-        steps = math.ceil((bounds[1] - bounds[0]) * self.extent / STEP)
-        return 2 * math.ceil(max(steps, FEWEST) / 2) + 1 if bounds[1] > bounds[0] else 1
-
-    def scan(self, bounds: Bounds) -> CellScan:
-        """The scan of an interval of k [1/m]."""
-        count = self.scan_points(bounds)
-        step = (bounds[1] - bounds[0]) / (count - 1) if count > 1 else STEP / self.extent
-        wavenumbers: Array = bounds[0] + step * np.arange(count, dtype=np.float64)
-        return CellScan(self.position, wavenumbers, step, self.weight)
-
-    def columns(self, places: Array) -> tuple[Array, Array, Array]:
-        """The candidates (s, 8, m) and their derivatives by k, at k (s, 1) [1/m]."""
-        value, slope, bend = candidate_jet(self.position, np.ravel(places))
-        own = 1.0 if self.weight is None else self.weight
-        return value * own, slope[:, None] * own, bend[:, None, None] * own
-
-    def spans(self, places: Array) -> Array:
-        """The extent [m], for every k (s, 1)."""
-        return np.full(places.shape, self.extent)
-
-    def images(self, places: Array) -> tuple[Array, Array]:
-        """Every k (s, 1) alone: each means cells of its own."""
-        return places[None], np.ones((1, self.size))
-
-    def design(self, places: Array) -> tuple[Array, Array, Array, tuple[str, ...]]:
-        """Theta (m, 8 s) at k (s, 1) [1/m], k, the length scales (s,) [m] and the names."""
-        scales = math.pi / places[:, 0]
-        names = tuple(f"{name} (L = {scale:.6g} m)" for scale in scales for name in CANDIDATES)
-        columns = candidate_columns(self.position, scales)
-        if self.weight is not None:
-            columns *= self.weight[:, None]
-        return columns, places, scales, names
-
-    def places(self, parameters: Array) -> Array:
-        """k (s, 1) [1/m], the parameter of cells."""
-        return parameters
-
-    def at(self, rows: IntArray) -> CellContinuum:
-        """The continuum of some rows (r,) of the flight."""
-        weight = None if self.weight is None else self.weight[rows]
-        return replace(self, position=self.position[rows], weight=weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,15 +154,14 @@ class PlaneHeights:
     def _rms(self) -> tuple[ComplexArray, Array]:
         """The turn of phases to the flight's own coordinates (q, q), and rms (3, q, q).
 
-        Of psi = cos, of psi = sin, and the least of any phase between them.
+        Of psi = cos, of psi = sin, and the least of any phase between them, over |k|.
         """
         origin, k_x, k_y = middle(self.position), self.axis[:, None], self.axis
         turn = np.exp(1j * (origin[0] * k_x + origin[1] * k_y))
-        square, count = k_x**2 + k_y**2, len(self.position)
-        doubled = self._sums.of(np.ones(count), 2) / count
+        doubled = self._sums.of(np.ones(len(self.position)), 2) / len(self.position)
         share = (doubled * turn * turn).real
         shares = np.stack([-share, share, -np.abs(doubled)])
-        return turn, np.sqrt(np.maximum(square * (1 + shares) / 4, UNKNOWN * square))
+        return turn, np.sqrt(np.maximum((1 + shares) / 4, UNKNOWN))
 
     def heights(self, residual: Array, *, highest: bool = False) -> Array:
         """The heights (q, q), 0 at k = 0, of a residual (2 m, 1) [m/s], u before v of a sample.
@@ -236,15 +169,15 @@ class PlaneHeights:
         highest: an upper bound instead, over all phases of the waves at the origin.
         """
         turn, rms = self._rms
-        of_u, of_v = self._sums.of(np.ascontiguousarray(residual.reshape(-1, 2).T))
-        load = (self.axis * of_u - self.axis[:, None] * of_v) * turn
+        load = self._sums.across(residual.reshape(-1, 2)) * turn
         parts = np.abs(load)[None] if highest else np.stack([load.imag, load.real])
-        least = rms[2:] if highest else rms[:2]
-        scaled = np.divide(parts, least, out=np.zeros_like(parts), where=least > 0)
+        scaled = parts / (rms[2:] if highest else rms[:2])
         heights: Array = np.sqrt(np.sum(scaled**2, axis=0)) / (2 * len(self.position))
         return heights
 
-    def tops(self, residual: Array, slack: float) -> tuple[Array, Array]:
+    def tops(
+        self, residual: Array, slack: float, pattern: Array | None = None
+    ) -> tuple[Array, Array]:
         """(|k|, heading) (j, 2) of local maxima within slack of the highest, and reaches (j, 2).
 
         Highest first; a reach is how far from each the peak may be, a step along and across.
@@ -270,39 +203,66 @@ class PlaneHeights:
         Where a flight is far from its origin, cosine and sine of a wave change places, and with
         them the rms that each is divided by, faster than the step resolves.
         """
-        origin = middle(self.position)
+        origin, turns = middle(self.position), 9
         away = max(float(np.hypot(*origin)), 1e-300)
         half = min(self.step, max(0.5 * self.step, 0.5 * math.pi / away))
-        tried = k[:, None] + half * np.linspace(-1.0, 1.0, TURNS)[:, None] * origin / away
+        tried = k[:, None] + half * np.linspace(-1.0, 1.0, turns)[:, None] * origin / away
         theta = wave_theta(self.position, tried.reshape(-1, 2))
         scale = np.sqrt(np.mean(theta**2, axis=0))
         products = theta.T @ residual / np.where(scale > 0, scale, np.inf)[:, None]
-        heights = np.sum(products.reshape(len(k), TURNS, -1) ** 2, axis=2)
+        heights = np.sum(products.reshape(len(k), turns, -1) ** 2, axis=2)
         best: Array = tried[np.arange(len(k)), heights.argmax(axis=1)]
         return best
 
 
 @dataclass(frozen=True, eq=False)
-class WaveContinuum:
-    """The waves of any wavevector, over the samples of one flight; rows are x before y of each.
-
-    A wave is q = (|k|, its heading), so that bounds of the length scale L = sqrt(2) pi/|k| bound
-    the first number alone.
+class ShapeContinuum:
+    """The columns of a family at any parameters q of its shape, over the rows of one flight.
 
     Args:
+        shape: `CELLS`, q = k = pi/L, with the 8 candidates and a row per sample; or `WAVE`,
+            q = (|k|, heading), with two columns and rows x before y of each sample.
         position: of every sample (m, 2) [m].
-        cells: bounds of pi/L where none are asked for, those of the library's grid [1/m].
+        bounds: of pi/L where none are asked for: those of the library's grid [1/m].
+        pattern: the weights (8, n) of a target known up to its size, if it is.
+        weight: of every row (m,), with which the target is multiplied; None: all are 1.
     """
 
-    size: ClassVar[int] = 2
-    parameters: ClassVar[int] = 2
+    shape: Shape
     position: Array
-    cells: Bounds
+    bounds: Bounds
+    pattern: Array | None = None
+    weight: Array | None = None
+
+    @property
+    def waves(self) -> bool:
+        """Whether the columns are those of a wave of a stream function."""
+        return self.shape == WAVE
+
+    @property
+    def size(self) -> int:
+        """The columns of a group: 8 of cells, 2 of a wave."""
+        return 2 if self.waves else len(CANDIDATES)
+
+    @property
+    def parameters(self) -> int:
+        """The numbers of q."""
+        return self.shape.parameters
 
     @property
     def extent(self) -> float:
         """The larger side of the flight's bounding box [m]."""
         return extent_of(self.position)
+
+    def interval(self, lower: float | None, upper: float | None) -> Bounds:
+        """Bounds of the wavenumber for bounds of the length scale [m]; None: the grid's own.
+
+        k = pi/L of cells, and |k| = sqrt(2) pi/L of waves.
+        """
+        low = self.bounds[0] if upper is None else math.pi / upper
+        high = self.bounds[1] if lower is None else math.pi / lower
+        unit = math.sqrt(2.0) if self.waves else 1.0
+        return unit * min(low, high), unit * max(low, high)
 
     @property
     def _step(self) -> float:
@@ -310,57 +270,93 @@ class WaveContinuum:
         away = self.position - middle(self.position)
         return 2 * math.sqrt(MISSED) / float(np.hypot(*away.T).max())
 
-    def interval(self, lower: float | None, upper: float | None) -> Bounds:
-        """Bounds of |k| [rad/m] for bounds of the length scale [m]; None: the grid's own."""
-        low = self.cells[0] if upper is None else math.pi / upper
-        high = self.cells[1] if lower is None else math.pi / lower
-        return math.sqrt(2.0) * min(low, high), math.sqrt(2.0) * max(low, high)
-
     def scan_points(self, bounds: Bounds) -> int:
-        """The wavevectors of a scan: they grow with the square of the extent."""
-        return (2 * math.ceil(bounds[1] / self._step) + 3) ** 2
+        """The places of a scan: of waves they grow with the square of the extent."""
+        if self.waves:
+            return (2 * math.ceil(bounds[1] / self._step) + 3) ** 2
+        steps = max(math.ceil((bounds[1] - bounds[0]) * self.extent / STEP), 8)
+        return 2 * math.ceil(steps / 2) + 1 if bounds[1] > bounds[0] else 1
 
-    def scan(self, bounds: Bounds) -> PlaneHeights:
-        """The scan of the plane between bounds of |k| [rad/m]."""
-        return PlaneHeights(self.position, bounds, self._step)
+    def scan(self, bounds: Bounds) -> CellScan | PlaneHeights:
+        """The scan between bounds of the wavenumber [rad/m]."""
+        if self.waves:
+            return PlaneHeights(self.position, bounds, self._step)
+        count = self.scan_points(bounds)
+        step = (bounds[1] - bounds[0]) / (count - 1) if count > 1 else STEP / self.extent
+        wavenumbers: Array = bounds[0] + step * np.arange(count, dtype=np.float64)
+        return CellScan(self.position, wavenumbers, step, self.weight)
 
     def columns(self, places: Array) -> tuple[Array, Array, Array]:
-        """The columns (s, 2, 2 m) of waves (s, 2) and their derivatives by |k| and heading."""
-        return polar_jet(self.position, places)
+        """The columns (s, c, m) at q (s, p), and their first and second derivatives by q."""
+        value, slope, bend = zip(*(self._jet(q) for q in places), strict=True)
+        return np.stack(value), np.stack(slope), np.stack(bend)
+
+    def _jet(self, q: Array) -> tuple[Array, ...]:
+        phases, by_q = (part[..., :2] for part in self.shape.phases(q))
+        twice = np.zeros((len(q), *by_q.shape))
+        if self.shape.turned:
+            twice[:, -1] = twice[-1] = by_q @ QUARTER
+        sine, cosine = sines_and_cosines(phases @ self.position.T)
+        turns = np.stack([[cosine, sine], [-sine, cosine], [-cosine, -sine], [sine, -cosine]])
+        wave, late, later = turns[1:] if self.waves else turns[:3]
+        if self.waves:  # each is (k_y, -k_x) of it
+            a, by_a, twice_a = (part[..., ::-1] * (1.0, -1.0) for part in (phases, by_q, twice))
+        else:
+            a, by_a, twice_a = (part[..., :1] * 0.0 for part in (phases, by_q, twice))
+            a = a + 1.0
+        first, second = by_q @ self.position.T, twice @ self.position.T  # of the phases
+        value = np.einsum("jd,hjm->hjmd", a, wave)
+        slope = np.einsum("pjd,hjm->phjmd", by_a, wave)
+        slope += np.einsum("jd,pjm,hjm->phjmd", a, first, late)
+        crossed = np.einsum("pjd,rjm,hjm->prhjmd", by_a, first, late)
+        bend = np.einsum("prjd,hjm->prhjmd", twice_a, wave) + crossed + crossed.swapaxes(0, 1)
+        bend += np.einsum("jd,pjm,rjm,hjm->prhjmd", a, first, first, later)
+        bend += np.einsum("jd,prjm,hjm->prhjmd", a, second, late)
+        jets = []
+        for part in (value, slope, bend):
+            flat = part.reshape(*part.shape[:-4], 2 * len(phases), -1)
+            flat = flat if self.waves else OF_LINES @ flat
+            jets.append(flat if self.weight is None else flat * self.weight)
+        return tuple(jets)
 
     def spans(self, places: Array) -> Array:
-        """The extent [m] for every |k|, and |k| of it for every heading, (s, 2)."""
-        return self.extent * np.column_stack([np.ones(len(places)), places[:, 0]])
+        """The extent [m] for every |k|, and |k| of it for every heading, (s, p)."""
+        return self.extent * np.column_stack([np.ones(len(places)), places[:, :-1]])
 
     def images(self, places: Array) -> tuple[Array, Array]:
-        """Every wave as it is and turned by half a turn either way, (3, s, 2), and signs (3, 2)."""
+        """Every wave as it is and turned by half a turn either way, and signs; cells alone."""
+        if not self.waves:
+            return places[None], np.ones((1, self.size))
         turns = np.array([[0.0, 0.0], [0.0, math.pi], [0.0, -math.pi]])
         return places + turns[:, None], np.array([[1.0, 1.0], [1.0, -1.0], [1.0, -1.0]])
 
     def design(self, places: Array) -> tuple[Array, Array, Array, tuple[str, ...]]:
-        """Theta (2 m, 2 s) of waves (s, 2), k (s, 2) [rad/m], scales (s,) [m] and names."""
-        size, heading = places.T
-        k = size[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
-        scales = math.sqrt(2.0) * math.pi / size
-        return wave_theta(self.position, k), k, scales, wave_names(k)
+        """Theta (m, c s) at q (s, p), k (s, 1 or 2) [rad/m], length scales (s,) [m] and names."""
+        if self.waves:
+            size, heading = places.T
+            k = size[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+            return wave_theta(self.position, k), k, math.sqrt(2.0) * math.pi / size, wave_names(k)
+        scales = math.pi / places[:, 0]
+        names = tuple(f"{name} (L = {scale:.6g} m)" for scale in scales for name in CANDIDATES)
+        theta = candidate_columns(self.position, scales)
+        if self.weight is not None:
+            theta *= self.weight[:, None]
+        return theta, places, scales, names
 
     def places(self, parameters: Array) -> Array:
-        """(|k|, heading) (s, 2) of wavevectors k (s, 2) [rad/m]."""
+        """The q (s, p) of modes with parameters as `design` gives them."""
+        if not self.waves:
+            return parameters
         x, y = parameters.T
         return np.column_stack([np.hypot(x, y), np.arctan2(y, x)])
 
-    def at(self, rows: IntArray) -> WaveContinuum | None:
+    def at(self, rows: IntArray) -> ShapeContinuum | None:
         """The continuum of some rows (r,); None where they are not whole samples."""
-        first, second = rows[::2], rows[1::2]
-        whole = len(first) == len(second) and np.array_equal(first + 1, second)
-        if not whole or np.any(first % 2):
-            return None
-        return replace(self, position=self.position[first // 2])
-
-
-def wave_names(wavevectors: Array) -> tuple[str, ...]:
-    """The names of the two columns of each of waves k (w, 2) [rad/m]."""
-    parts = ("cos", "sin")
-    return tuple(
-        f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in wavevectors for part in parts
-    )
+        if self.waves:
+            first, second = rows[::2], rows[1::2]
+            whole = len(first) == len(second) and np.array_equal(first + 1, second)
+            if not whole or np.any(first % 2):
+                return None
+            rows = first // 2
+        weight = None if self.weight is None else self.weight[rows]
+        return replace(self, position=self.position[rows], weight=weight)

@@ -20,8 +20,8 @@ import numpy as np
 
 from sparsefit.arrays import Array, box
 from sparsefit.cached import cached_property
+from sparsefit.model.columns import across, sines_and_cosines
 from sparsefit.model.shapes import Shape
-from sparsefit.model.waves import wave_columns
 
 RANK = 1e-12  # eigenvalues of a scaled Gram matrix below this, relative, are dropped
 ITERATIONS, HALVINGS = 25, 5  # of a descent, and of one of its moves
@@ -121,15 +121,17 @@ def orthonormal(gram: Array, sizes: Array | None = None) -> Array:
 def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
     """Fit the rows by a shape at parameters q (p,); of pieces what is unknown is left out."""
     phases, by_q = shape.phases(q)
-    across, turned = (part[..., [1, 0]] * (1.0, -1.0) for part in (phases, by_q))
+    clock = np.array([1.0, 1.0, -1.0])  # theta = k.x - omega t
     curvature = np.zeros((len(q), len(q)))
     slope, sizes, rests = np.zeros(len(q)), np.zeros(len(q)), []
     target = rows.target if pieces == 1 else rows.rest
-    for first, last in _cuts(len(target), pieces):
+    ends = np.cumsum([0, *map(len, np.array_split(target, pieces))])
+    for first, last in pairwise(ends.tolist()):
         place, part = rows.place[first:last], target[first:last].ravel()
         own = 1.0 if rows.weight is None else rows.weight[first:last, None]
-        waves = wave_columns(place, phases)
-        columns = (waves * own).reshape(len(waves), 2 * len(place))
+        sine, cosine = sines_and_cosines(phases * clock @ place.T)
+        waves = across(phases, np.stack([-sine, cosine], axis=1)) * own
+        columns = waves.reshape(2 * len(phases), 2 * len(place))
         if pieces == 1 and rows.unknowns.shape[2]:
             unknowns = rows.unknowns.reshape(-1, rows.unknowns.shape[2])
             columns = np.vstack([columns, unknowns.T])
@@ -137,9 +139,11 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
         weights = basis @ (basis.T @ (columns @ part))
         rest = part - weights @ columns
         if len(q):
-            flow, late = _by_phase(waves, across, weights[: len(waves)])
-            moved = (by_q * (1.0, 1.0, -1.0)) @ place.T * late
-            bent = np.einsum("pjd,jm->pmd", turned, flow) + np.einsum("jd,pjm->pmd", across, moved)
+            a, b = weights[: 2 * len(phases)].reshape(-1, 2).T[:, :, None]
+            flow, late = b * cosine - a * sine, -a * cosine - b * sine  # of psi by theta
+            moved = late * (by_q * clock @ place.T)
+            bent = np.stack([across(by, flow).sum(axis=0) for by in by_q])
+            bent += np.stack([across(phases, part).sum(axis=0) for part in moved])
             bent = (bent * own).reshape(len(q), -1)
             inside = bent @ columns.T @ basis
             curvature += bent @ bent.T - inside @ inside.T
@@ -151,30 +155,9 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
     if len(q):
         basis = orthonormal(curvature, sizes)
         move = basis @ (basis.T @ slope)
-    amplitudes, coefficients = weights[: len(waves)], weights[len(waves) :]
+    amplitudes, coefficients = np.split(weights, [2 * len(phases)])
     residual = float(whole @ whole)
     return ShapeFit(shape, q, amplitudes, coefficients, whole.reshape(-1, 2), residual, move)
-
-
-def _cuts(rows: int, pieces: int) -> list[tuple[int, int]]:
-    """The ends of consecutive pieces, as `numpy.array_split` has them."""
-    ends = np.cumsum([0, *(rows // pieces + (i < rows % pieces) for i in range(pieces))]).tolist()
-    return list(pairwise(ends))
-
-
-def _by_phase(waves: Array, across: Array, weights: Array) -> tuple[Array, Array]:
-    """psi's first and second derivative by theta (J, m) of every wave, from its columns."""
-    # The larger of the two components tells g = d/d theta of cos and of sin.
-    axis = np.argmax(np.abs(across), axis=1)
-    number = np.arange(len(across))
-    size = across[number, axis]
-    parts = waves.reshape(len(across), 2, -1, 2)[number, :, :, axis]
-    parts = parts / np.where(size == 0, 1.0, size)[:, None, None]
-    a, b = weights.reshape(-1, 2).T[:, :, None]
-    of_cos, of_sin = parts[:, 0], parts[:, 1]  # -sin theta, cos theta
-    flow: Array = a * of_cos + b * of_sin
-    late: Array = b * of_cos - a * of_sin
-    return flow, late
 
 
 def descended(

@@ -19,11 +19,11 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, integer_setting, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.cells import CANDIDATES, candidate_columns
-from sparsefit.model.continuum import EQUATION_1, CellContinuum, WaveContinuum, wave_names
+from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, wave_theta
+from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
 from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
+from sparsefit.model.shapes import CELLS, WAVE
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out, refuse_spanned
-from sparsefit.model.waves import wave_theta
 from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.rows import Samples
 
@@ -206,7 +206,7 @@ class Library:
                         yield (theta, own) if weight == 1.0 else (weight * theta, weight * own)
 
         count: int | None = rows
-        continuum: CellContinuum | WaveContinuum | None = None
+        continuum: ShapeContinuum | None = None
         if large:
             triangle, _, _ = compressed(blocks())
             theta, target = triangle[:, :size].copy(), triangle[:, size:].copy()
@@ -280,14 +280,14 @@ class Library:
 
     def _continuum(
         self, position: Array, columns: GridColumns, weight: Array | None
-    ) -> CellContinuum | WaveContinuum | None:
+    ) -> ShapeContinuum | None:
         """The columns between those of the grid, at positions (m, 2) [m], where they are known."""
         low, high = (float(np.pi / scale) for scale in (columns.scales.max(), columns.scales.min()))
         if self.family == "cells":
             pattern = EQUATION_1 if self.target == "flow-velocity" else None
-            return CellContinuum(position, (low, high), pattern, weight)
+            return ShapeContinuum(CELLS, position, (low, high), pattern, weight)
         if self.family == "waves" and self.groups == "wave" and weight is None:
-            return WaveContinuum(position, (low, high))
+            return ShapeContinuum(WAVE, position, (low, high))
         return None
 
 

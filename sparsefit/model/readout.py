@@ -16,18 +16,20 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.model.cells import (
+from sparsefit.model.columns import (
     CandidateFlow,
     candidate_columns,
     peak_mean_velocity,
     rms_mean_velocity,
+    strengths,
+    wave_peaks,
+    wave_theta,
 )
 from sparsefit.model.grid import Bounds, extent_of, middle
 from sparsefit.model.library import Library
 from sparsefit.model.search import Search, Start
 from sparsefit.model.shapes import read_cells
 from sparsefit.model.unknowns import UnknownColumns
-from sparsefit.model.waves import strengths, wave_peaks, wave_theta
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples

@@ -18,11 +18,12 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, non_negative, one_of
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.cells import candidate_jet, rms_mean_velocity
+from sparsefit.model.columns import MEAN_SQUARE
+from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
+from sparsefit.model.grid import middle
+from sparsefit.model.shapes import CELLS
 
 FlowModel = Literal["parametric", "semiparametric"]
-RANK = 1e-12  # of the largest eigenvalue: a direction below it is not told
-LOST = 1e-6  # of a gradient: more of it along what is not told, and there is no bound
 
 
 @dataclass(frozen=True)
@@ -64,54 +65,41 @@ def cramer_rao(
         raise InputError("the bound under quadratic drag needs the velocities too: give velocity=")
     if deviation == 0.0:
         return Bound(0.0, 0.0, 0.0)
-    by_speed, by_scale = -flow.timescale / flow.mean_velocity, 1 / flow.mean_velocity
-    if model == "parametric":
-        jacobian = parametric_jacobian(position, flow)
-        gradients = np.array([[1.0, 0.0], [0.0, 1.0], [by_speed, by_scale]])
-    else:
-        jacobian, gradients = semiparametric_jacobian(position, flow)
+    rows, gradients = jacobian(position, flow, model)
     if vehicle.drag and velocity is not None:
         slopes = vehicle.slope(flow.velocity(*position.T) - velocity)
-        halves = jacobian.reshape(2, -1, jacobian.shape[1])
-        jacobian = np.einsum("abm,bmn->amn", slopes, halves).reshape(jacobian.shape)
-    size = np.sqrt(np.sum(jacobian**2, axis=0))
+        halves = rows.reshape(2, -1, rows.shape[1])
+        rows = np.einsum("abm,bmn->amn", slopes, halves).reshape(rows.shape)
+    size = np.sqrt(np.sum(rows**2, axis=0))
     size[size == 0.0] = 1.0
-    roots, axes = np.linalg.eigh((jacobian / size).T @ (jacobian / size))
-    told = roots > RANK * roots[-1]
+    roots, axes = np.linalg.eigh((rows / size).T @ (rows / size))
+    seen = roots > 1e-12 * roots[-1]
     scaled = gradients / size
-    along = (scaled @ axes[:, told]) / np.sqrt(roots[told])
-    lost = np.linalg.norm(scaled @ axes[:, ~told], axis=1) > LOST * np.linalg.norm(scaled, axis=1)
-    spreads = np.where(lost, np.inf, deviation * np.linalg.norm(along, axis=1))
-    return Bound(*spreads.tolist())
+    along = (scaled @ axes[:, seen]) / np.sqrt(roots[seen])
+    # More than a millionth of a gradient along what is not seen, and there is no bound.
+    lost = np.linalg.norm(scaled @ axes[:, ~seen], axis=1) > 1e-6 * np.linalg.norm(scaled, axis=1)
+    return Bound(*np.where(lost, np.inf, deviation * np.linalg.norm(along, axis=1)).tolist())
 
 
-def parametric_jacobian(position: Array, flow: CellularFlow) -> Array:
-    """J (2m, 2) = [f, U0 df/dL], x components first, for positions (m, 2) [m]."""
-    (x, y), k, u0 = position.T, flow.wavenumber, flow.mean_velocity
-    sin_x, cos_x, sin_y, cos_y = np.sin(k * x), np.cos(k * x), np.sin(k * y), np.cos(k * y)
-    shape = np.concatenate([sin_x * cos_y, -cos_x * sin_y])
-    along = (x * cos_x * cos_y - y * sin_x * sin_y, x * sin_x * sin_y - y * cos_x * cos_y)
-    return np.column_stack([shape, -u0 * k / flow.length_scale * np.concatenate(along)])
+def jacobian(position: Array, flow: CellularFlow, model: FlowModel) -> tuple[Array, Array]:
+    """J (2 m, p) of Phi, x components first, and the gradients (3, p) of U0, L and tau_w.
 
-
-def semiparametric_jacobian(position: Array, flow: CellularFlow) -> tuple[Array, Array]:
-    """J (2m, 17) by k and the weights, x components first, and gradients (3, 17) of the values."""
-    period = 2 * flow.length_scale
-    middle = 0.5 * (position.max(axis=0) + position.min(axis=0))
-    near = position - period * np.round(middle / period)  # the same flow, with all its digits
-    weights = np.zeros((8, 2))
-    weights[5, 0], weights[6, 1] = flow.mean_velocity, -flow.mean_velocity
-    values, slopes, _ = candidate_jet(near, np.array([flow.wavenumber]))
-    columns, count = values[0].T, len(near)
-    jacobian = np.zeros((2 * count, 17))
-    jacobian[:, 0] = (slopes[0].T @ weights).T.ravel()
-    jacobian[:count, 1:9], jacobian[count:, 9:] = columns, columns
-    gradients, step = np.zeros((3, 17)), 1e-6 * flow.mean_velocity
-    for place in range(16):
-        push = np.zeros((8, 2))
-        push[place % 8, place // 8] = step
-        ends = rms_mean_velocity(weights + push), rms_mean_velocity(weights - push)
-        gradients[0, 1 + place] = (ends[0] - ends[1]) / (2 * step)
-    gradients[1, 0] = -flow.length_scale / flow.wavenumber
-    gradients[2] = (gradients[1] - flow.timescale * gradients[0]) / flow.mean_velocity
-    return jacobian, gradients
+    By U0 and L, or by k and the 8 weights of x, then of y, where these are free.
+    """
+    speed, k, scale = flow.mean_velocity, flow.wavenumber, flow.length_scale
+    near = position
+    if model == "semiparametric":  # phases are free: the same flow, with all its digits
+        near = position - 2 * scale * np.round(middle(position) / (2 * scale))
+    columns = ShapeContinuum(CELLS, near, (k, k)).columns(np.array([[k]]))
+    value, slope = columns[0][0].T, columns[1][0, 0].T
+    by_k = speed * (slope @ EQUATION_1).T.ravel()
+    if model == "parametric":
+        rows = np.column_stack([(value @ EQUATION_1).T.ravel(), -k / scale * by_k])
+        gradients = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    else:
+        rows = np.column_stack([by_k, np.kron(np.eye(2), value)])
+        gradients = np.zeros((3, 17))
+        gradients[0, 1:] = (2 * MEAN_SQUARE[:, None] * EQUATION_1).T.ravel()  # of the rms
+        gradients[1, 0] = -scale / k
+    gradients[2] = (gradients[1] - flow.timescale * gradients[0]) / speed
+    return rows, gradients

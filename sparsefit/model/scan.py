@@ -79,6 +79,19 @@ class FourierSums:
         )
         return sums
 
+    def across(self, errors: Array) -> ComplexArray:
+        """(k_y, -k_x)/|k| . sum exp(i k.x) Phi (n, n, ...) of errors Phi (m, 2), k = 0 at 0."""
+        both = self.of(errors[:, 0] + 1j * errors[:, 1])
+        back = np.conj(np.flip(both))
+        k_y = self.axes[1].reshape(-1, *[1] * (both.ndim - 2)).astype(both.real.dtype)
+        k_x = k_y[:, None]
+        radius = np.hypot(k_x, k_y)
+        radius[radius == 0] = 1.0
+        # Sums of u are half of both + back, sums of v half of both - back over i.
+        of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
+        load: ComplexArray = (of_u + of_v) * both + (of_u - of_v) * back
+        return load
+
 
 def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: float) -> Array:
     """b'G^-1 b of one wave at every k: the fall of RSS by its two columns, constants projected out.
@@ -222,7 +235,7 @@ class WaveScan:
             count = float(squares.sum())
             constant = np.outer(weight, weight @ errors / count)
             moved = weight[:, None] * (errors - constant)
-            load = self._across(sums.of(moved[:, 0] + 1j * moved[:, 1]))
+            load = sums.across(moved)
             if self.pieces == 1 and dimensions == 2:
                 once, twice = self._means
                 total = gain(load, once, twice, count)
@@ -245,18 +258,6 @@ class WaveScan:
         sums = FourierSums(nodes, self.steps[:2], self.halves)
         loads = own * own
         return sums.of(loads) / loads.sum(), sums.of(loads, 2) / loads.sum()
-
-    def _across(self, both: ComplexArray) -> ComplexArray:
-        """(k_y, -k_x)/|k| . sum exp(i k.x) Phi from the sums (n, n, ...) of u + i v, Phi real."""
-        back = np.conj(np.flip(both))
-        k_y = self.axis.reshape(-1, *[1] * (both.ndim - 2)).astype(both.real.dtype)
-        k_x = k_y[:, None]
-        radius = np.hypot(k_x, k_y)
-        radius[radius == 0] = 1.0
-        # Sums of u are half of both + back, sums of v half of both - back over i.
-        of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
-        load: ComplexArray = (of_u + of_v) * both + (of_u - of_v) * back
-        return load
 
     def waves(self, gains: Array, most: int) -> Array:
         """The wavevectors (p, 2) [rad/m] of the highest peaks of gains, one of k and -k."""

@@ -118,6 +118,12 @@ RECTANGLE = Shape("rectangle", (((1, 0), (0, 1)), ((1, 0), (0, -1))), turned=Tru
 """Rectangular cells at any heading: q = (k_x, k_y, heading), L_x = pi/k_x and L_y = pi/k_y."""
 
 
+CELLS = Shape("cells", (((1,), (0,)), ((0,), (1,)), ((1,), (1,)), ((1,), (-1,))))
+"""The waves that the 8 candidates of Eq. 17 are made of: q = k = pi/L."""
+WAVE = Shape("wave", (((1,), (0,)),), turned=True)
+"""One wave: q = (|k|, heading)."""
+
+
 def free_waves(count: int, *, drifting: bool = False) -> Shape:
     """Any waves, q = (k_x, k_y) of each: two are a ``pair``, others ``several``."""
     unit = np.eye(2 * count).reshape(count, 2, 2 * count).tolist()

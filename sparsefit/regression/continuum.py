@@ -7,53 +7,11 @@ The first number of q is a wavenumber between bounds; others, such as a heading,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
-
-import numpy as np
+from typing import Protocol
 
 from sparsefit.arrays import Array, IntArray
 
 Bounds = tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Jet:
-    """Z(q)' (s, c, m), its first and second derivatives by q, and the rms (s, c) of its columns.
-
-    The derivatives are (s, p, c, m) and (s, p, p, c, m). Columns are of unit rms. One that is zero
-    in every row stays zero, with rms 1.
-    """
-
-    value: Array
-    slope: Array
-    bend: Array
-    rms: Array
-
-    @classmethod
-    def of(cls, value: Array, slope: Array, bend: Array) -> Jet:
-        """From columns theta (s, c, m) in original units and their derivatives."""
-        rms = np.sqrt(_mean(value, value))
-        rms[rms == 0] = 1.0
-        value, slope = value / rms[..., None], slope / rms[:, None, :, None]
-        bend = bend / rms[:, None, None, :, None]
-        # With z = theta / r: r r_p = <theta, theta_p>, and
-        # r r_pq + r_p r_q = <theta_p, theta_q> + <theta, theta_pq>.
-        first, second = slope[:, :, None], slope[:, None]
-        rates = _mean(value[:, None], slope)
-        rate, other = rates[:, :, None, :, None], rates[:, None, :, :, None]
-        turn = _mean(first, second) + _mean(value[:, None, None], bend)
-        turn -= rates[:, :, None] * rates[:, None]
-        slope -= value[:, None] * rates[..., None]
-        bend -= slope[:, :, None] * other
-        bend -= slope[:, None] * rate
-        bend -= value[:, None, None] * turn[..., None]
-        return cls(value, slope, bend, rms)
-
-
-def _mean(first: Array, second: Array) -> Array:
-    mean: Array = np.vecdot(first, second) / first.shape[-1]
-    return mean
 
 
 class Scan(Protocol):
@@ -61,60 +19,43 @@ class Scan(Protocol):
 
     @property
     def slack(self) -> float:
-        """By what share of it a peak may be higher than the grid shows it, three times over."""
+        """The share of the highest of the grid below it within which peaks may be the supremum."""
         ...
 
-    def tops(self, residual: Array, slack: float) -> tuple[Array, Array]:
-        """Where |Z(q)'R|_F / m of a residual R (m, n) has a local maximum on the grid, (j, p).
+    def tops(
+        self, residual: Array, slack: float, pattern: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Places (j, p) of local maxima of |Z(q)'R|_F / m within ``slack`` of the highest.
 
-        Those within ``slack`` of the highest, highest first, and how far from each a peak may be,
-        (j, p).
+        Highest first, for a residual R (m, n), with how far from each a peak may be, (j, p).
+        pattern: weights (c, n) of a target known up to its size, <f, R> / |f| of which is scanned.
         """
         ...
 
 
-class KnownScan(Scan, Protocol):
-    """A scan of one wavenumber k, which also looks for a target that is known up to its size."""
-
-    @property
-    def wavenumbers(self) -> Array:
-        """The grid k (q,), uniform, both bounds included."""
-        ...
-
-    @property
-    def step(self) -> float:
-        """Between the k of the grid."""
-        ...
-
-    def matched(self, pattern: Array, target: Array) -> tuple[Array, Array]:
-        """<f, Y> and <f, f> (q,) of f = theta(k) S, for weights S (c, n) and a target Y (m, n)."""
-        ...
-
-
 class Continuum(Protocol):
-    """The columns theta(q) (m, c) of a problem at any q, in place of a grid of them."""
+    """The columns theta(q) (m, c) of a problem at any q, in place of a grid of them.
+
+    ``size``: the c columns of a group; ``parameters``: the p numbers of q; ``extent``: the range
+    over which columns are known, so that what they tell of k has width 1/extent; ``pattern``:
+    the weights (c, n) of a target that is known up to its size, None where none is.
+    """
 
     @property
-    def size(self) -> int:
-        """The number c of columns of a group."""
-        ...
-
+    def size(self) -> int: ...  # noqa: D102
     @property
-    def parameters(self) -> int:
-        """The number p of parameters."""
-        ...
-
+    def parameters(self) -> int: ...  # noqa: D102
     @property
-    def extent(self) -> float:
-        """The range over which the columns are known: what they tell of k has width 1/extent."""
-        ...
+    def extent(self) -> float: ...  # noqa: D102
+    @property
+    def pattern(self) -> Array | None: ...  # noqa: D102
 
     def interval(self, lower: float | None, upper: float | None) -> Bounds:
         """The least and largest wavenumber for bounds of the groups' scale; None: the grid's."""
         ...
 
     def scan_points(self, bounds: Bounds) -> int:
-        """How many q a scan between bounds of the wavenumber takes."""
+        """The number of q that a scan between bounds of the wavenumber takes."""
         ...
 
     def scan(self, bounds: Bounds) -> Scan:
@@ -143,18 +84,4 @@ class Continuum(Protocol):
 
     def at(self, rows: IntArray) -> Continuum | None:
         """The continuum of some rows of the problem; None where they are not whole samples."""
-        ...
-
-
-@runtime_checkable
-class KnownContinuum(Continuum, Protocol):
-    """A continuum over one wavenumber k of which one target may be known up to its size."""
-
-    @property
-    def pattern(self) -> Array | None:
-        """Its weights S (c, n); None where none is known."""
-        ...
-
-    def scan(self, bounds: Bounds) -> KnownScan:
-        """The scan between bounds of the wavenumber."""
         ...

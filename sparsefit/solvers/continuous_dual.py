@@ -1,7 +1,7 @@
 """The dual certificate over a continuum of columns, as a pure function of the residual.
 
-The group-LASSO over every q of a continuum, Z(q) (m, c) the columns at q in unit rms, V_j (c, n)
-the weights at q_j:
+The group-LASSO over every place q of a continuum, Z(q) (m, c) the columns at q in unit rms, V_j
+(c, n) the weights at q_j:
 
     P = 1/(2m) |Y - sum_j Z(q_j) V_j|^2 + alpha sum_j |V_j|,    eta(q) = |Z(q)'R| / (m alpha)
 
@@ -12,9 +12,12 @@ The supremum is found and not sampled: entries of Z'R are sums of exp(i k.x) wit
 rows' extent D about their centre, so (Bernstein) a scan no k of which is farther than d from its
 grid misses no peak by more than (d D)^2 / 2, d = h/2 along a line of step h; every grid peak that
 close to the highest is refined on all rows.
+
 Sources: Bredies and Pikkarainen, "Inverse problems in spaces of measures" (2013); Duval and Peyre,
 "Exact support recovery for sparse spikes deconvolution" (2015).
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable
@@ -22,23 +25,106 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, is_number
-from sparsefit.regression.backend import Solution
+from sparsefit.arrays import Array
 from sparsefit.regression.certificate import Certificate
-from sparsefit.regression.continuum import Bounds, Continuum, Jet, Scan
+from sparsefit.regression.continuum import Bounds, Continuum, Scan
 from sparsefit.regression.problem import RegressionProblem
 
-POINTS = 4_000_000  # of a scan: beyond it, memory
-NEWTON = 30
+FLAT = 1e-9  # curvatures below this, relative, are raised to it: the gradient vanishes there too
+Curve = tuple[float, Array, Array]  # a value, its gradient (N,) and its Hessian (N, N)
 
 
 @dataclass(frozen=True, eq=False)
-class Peak:
-    """A local maximum of eta: where, q (p,), and |Z(q)'R|_F / m there."""
+class Jet:
+    """Z(q)' (s, c, m), its first and second derivatives by q, and the rms (s, c) of its columns.
 
-    place: Array
-    height: float
+    The derivatives are (s, p, c, m) and (s, p, p, c, m). Columns are of unit rms. One that is zero
+    in every row stays zero, with rms 1.
+    """
+
+    value: Array
+    slope: Array
+    bend: Array
+    rms: Array
+
+    @classmethod
+    def of(cls, value: Array, slope: Array, bend: Array) -> Jet:
+        """From columns theta (s, c, m) in original units and their derivatives."""
+
+        def mean(first: Array, second: Array) -> Array:
+            own: Array = np.vecdot(first, second) / first.shape[-1]
+            return own
+
+        rms = np.sqrt(mean(value, value))
+        rms[rms == 0] = 1.0
+        value, slope = value / rms[..., None], slope / rms[:, None, :, None]
+        bend = bend / rms[:, None, None, :, None]
+        # With z = theta / r: r r_p = <theta, theta_p>, and
+        # r r_pq + r_p r_q = <theta_p, theta_q> + <theta, theta_pq>.
+        first, second = slope[:, :, None], slope[:, None]
+        rates = mean(value[:, None], slope)
+        rate, other = rates[:, :, None, :, None], rates[:, None, :, :, None]
+        turn = mean(first, second) + mean(value[:, None, None], bend)
+        turn -= rates[:, :, None] * rates[:, None]
+        slope -= value[:, None] * rates[..., None]
+        bend -= slope[:, :, None] * other
+        bend -= slope[:, None] * rate
+        bend -= value[:, None, None] * turn[..., None]
+        return cls(value, slope, bend, rms)
+
+
+def newton(
+    curve: Callable[[Array], Curve],
+    start: Array,
+    box: tuple[Array, Array],
+    longest: Array,
+    scale: float,
+) -> Array:
+    """The minimum of a curve that Newton's method reaches from start (N,) in a box, never going up.
+
+    longest (N,): of one move of each variable. Where a predicted fall is below 1e-10 of ``scale``,
+    rounding hides it: there full steps are trusted as long as they halve the gradient.
+    """
+    x = np.clip(start, *box)
+    value, slope, bend = curve(x)
+    last = math.inf
+    for _ in range(60):
+        free = np.flatnonzero(((x > box[0]) | (slope < 0)) & ((x < box[1]) | (slope > 0)))
+        step = np.zeros_like(x)
+        step[free] = _step(slope[free], bend[np.ix_(free, free)])
+        step *= min(1.0, 1.0 / max(float(np.abs(step / longest).max()), 1.0))
+        predicted, steepness = -float(slope @ step), float(np.linalg.norm(slope[free]))
+        settled = predicted <= 1e-10 * scale
+        if settled and (steepness >= 0.5 * last or steepness <= 1e-15 * scale):
+            break
+        last = steepness if settled else math.inf
+        for halving in range(25):
+            there = np.clip(x + 0.5**halving * step, *box)
+            point = curve(there)
+            if settled or point[0] <= value - 1e-4 * 0.5**halving * predicted:
+                break
+        else:
+            break
+        x, (value, slope, bend) = there, point
+    return x
+
+
+def _step(gradient: Array, hessian: Array) -> Array:
+    """Newton's step, with the curvatures' absolute values where they are not all positive."""
+    if not len(gradient):
+        return gradient
+    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(hessian)), 1e-300))
+    scaled = hessian * scale[:, None] * scale
+    try:
+        if np.linalg.cholesky(scaled).diagonal().min() ** 2 > FLAT:
+            newton_step: Array = -scale * np.linalg.solve(scaled, scale * gradient)
+            return newton_step
+    except np.linalg.LinAlgError:
+        pass
+    roots, vectors = np.linalg.eigh(scaled)
+    size = np.maximum(np.abs(roots), FLAT * np.abs(roots).max())
+    step: Array = -scale * (vectors @ ((vectors.T @ (scale * gradient)) / size))
+    return step
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,72 +136,48 @@ class Scanner:
     scan: Scan
 
     @classmethod
-    def of(cls, continuum: Continuum, bounds: Bounds) -> "Scanner":
+    def of(cls, continuum: Continuum, bounds: Bounds) -> Scanner:
         """The scanner between bounds of the wavenumber."""
         return cls(continuum, bounds, continuum.scan(bounds))
 
-    def peaks(self, residual: Array) -> list[Peak]:
-        """Local maxima within the scan's slack of the highest, refined on all rows, highest first.
+    def peaks(
+        self, residual: Array, pattern: Array | None = None, most: int | None = None
+    ) -> list[tuple[Array, float]]:
+        """Places q (p,) and heights |Z(q)'R|_F / m of peaks, refined on all rows, highest first.
 
-        residual (m, n).
+        residual R (m, n). Peaks are the local maxima within the scan's slack of the highest; of a
+        pattern (c, n) the ``most`` highest of |<f, R>| / |f| sqrt(m), f = theta(q) pattern.
         """
-        peaks = []
-        for start, reach in zip(*self.scan.tops(residual, self.scan.slack), strict=True):
-            place, square = climb(
-                lambda q: _height_square(self.continuum, residual, q), start, reach, self.bounds
-            )
-            peaks.append(Peak(place, math.sqrt(square)))
-        return sorted(peaks, key=lambda peak: -peak.height)
+        slack = self.scan.slack if pattern is None else 1.0
+        starts = zip(*self.scan.tops(residual, slack, pattern), strict=True)
+        peaks = [self._climbed(residual, *start, pattern) for start in list(starts)[:most]]
+        return sorted(peaks, key=lambda peak: -peak[1])
+
+    def _climbed(
+        self, residual: Array, start: Array, reach: Array, pattern: Array | None
+    ) -> tuple[Array, float]:
+        flat = residual if pattern is None else residual.reshape(-1, 1)
+
+        def curve(q: Array) -> Curve:
+            columns = self.continuum.columns(q[None])
+            jet = Jet.of(*(columns if pattern is None else known_column(columns, pattern)))
+            c0, c1, c2 = (z[0] @ flat / len(flat) for z in (jet.value, jet.slope, jet.bend))
+            turn = np.einsum("pcn,qcn->pq", c1, c1) + np.einsum("cn,pqcn->pq", c0, c2)
+            return -float(np.sum(c0 * c0)), -2 * np.einsum("cn,pcn->p", c0, c1), -2 * turn
+
+        low, high = start - reach, start + reach
+        low[0], high[0] = max(low[0], self.bounds[0]), min(high[0], self.bounds[1])
+        place = newton(curve, start, (low, high), reach, -curve(np.clip(start, low, high))[0])
+        return place, math.sqrt(-curve(place)[0])
 
 
-def climb(
-    curve: Callable[[Array], tuple[float, Array, Array]],
-    start: Array,
-    reach: Array,
-    bounds: Bounds,
-) -> tuple[Array, float]:
-    """(q, height) of the peak of a curve within reach (p,) of start (p,), by Newton's method.
-
-    curve(q) gives height, gradient (p,) and Hessian (p, p); the first of q stays in bounds.
-    """
-    low, high = start - reach, start + reach
-    low[0], high[0] = max(low[0], bounds[0]), min(high[0], bounds[1])
-    best = np.clip(start, low, high)
-    height, rate, turn = curve(best)
-    last = math.inf
-    for _ in range(NEWTON):
-        free = ((best > low) | (rate > 0)) & ((best < high) | (rate < 0))
-        q = np.clip(best + _uphill(rate, turn, reach, free), low, high)
-        size = float(np.max(np.abs(q - best) / reach))
-        if np.all(np.abs(q - best) <= 1e-15 * np.abs(best)) or size >= last:
-            break
-        found = curve(q)
-        while found[0] < height * (1 - 1e-13) and np.any(np.abs(q - best) > 1e-12 * np.abs(best)):
-            q, size = 0.5 * (q + best), 0.5 * size
-            found = curve(q)
-        if size < 1e-6:  # heights differ by rounding: moves that grow are noise
-            last = size
-        best, (height, rate, turn) = q, found
-    return best, height
-
-
-def _uphill(rate: Array, turn: Array, reach: Array, free: BoolArray) -> Array:
-    """Newton's move (p,) of what is free; a quarter of the reach where a curve is not concave."""
-    move = np.zeros_like(rate)
-    roots, axes = np.linalg.eigh((turn * np.outer(reach, reach))[np.ix_(free, free)])
-    slopes = axes.T @ (rate * reach)[free]
-    concave = roots < 0
-    moves = np.where(concave, -slopes / np.where(concave, roots, 1.0), np.copysign(0.25, slopes))
-    move[free] = reach[free] * (axes @ moves)
-    return move
-
-
-def _height_square(continuum: Continuum, residual: Array, q: Array) -> tuple[float, Array, Array]:
-    """|Z'R|^2 / m^2 and its gradient and Hessian by q."""
-    jet = Jet.of(*continuum.columns(q[None]))
-    c0, c1, c2 = (z[0] @ residual / len(residual) for z in (jet.value, jet.slope, jet.bend))
-    turn = np.einsum("pcn,qcn->pq", c1, c1) + np.einsum("cn,pqcn->pq", c0, c2)
-    return float(np.sum(c0 * c0)), 2 * np.einsum("cn,pcn->p", c0, c1), 2 * turn
+def known_column(columns: tuple[Array, ...], pattern: Array) -> tuple[Array, Array, Array]:
+    """The column f = theta(q) S (m n,) for weights S (c, n), in place of theta, with its jet."""
+    value, slope, bend = (
+        np.einsum("...cm,cn->...mn", part, pattern).reshape(*part.shape[:-2], 1, -1)
+        for part in columns
+    )
+    return value, slope, bend
 
 
 def continuous_alpha_max(continuum: Continuum, target: Array, bounds: Bounds) -> float:
@@ -123,7 +185,7 @@ def continuous_alpha_max(continuum: Continuum, target: Array, bounds: Bounds) ->
 
     bounds: of the wavenumber [1/m].
     """
-    return Scanner.of(continuum, bounds).peaks(target)[0].height
+    return Scanner.of(continuum, bounds).peaks(target)[0][1]
 
 
 def continuous_gap(
@@ -135,19 +197,16 @@ def continuous_gap(
     units. The formula is that of a grid's certificate, the dual norm taken over the continuum.
     """
     assert problem.continuum is not None
-    theta, target, m = problem.theta, problem.target, len(problem.theta)
-    residual = target - theta @ weights
-    scaled = weights * np.sqrt(np.mean(theta * theta, axis=0))[:, None]
-    blocks = scaled.reshape(-1, problem.continuum.size * target.shape[1])
-    norms = np.sqrt(np.sum(blocks**2, axis=1))
-    top = Scanner.of(problem.continuum, bounds).peaks(residual)[0].height
-    return gap_of(residual, target, float(alpha), float(norms.sum()), top, m)
+    residual = problem.target - problem.theta @ weights
+    scaled = weights * np.sqrt(np.mean(problem.theta**2, axis=0))[:, None]
+    norm = float(block_norms(scaled.reshape(-1, problem.continuum.size, problem.targets)).sum())
+    top = Scanner.of(problem.continuum, bounds).peaks(residual)[0][1]
+    return gap_of(residual, problem.target, float(alpha), norm, top)
 
 
-def gap_of(
-    residual: Array, target: Array, alpha: float, norm: float, top: float, m: int
-) -> Certificate:
+def gap_of(residual: Array, target: Array, alpha: float, norm: float, top: float) -> Certificate:
     """Certificate from R and Y (m, n), sum |V_j| = norm and sup |Z(q)'R| / m = top."""
+    m = len(target)
     square, product = float(np.sum(residual**2)), float(np.sum(residual * target))
     limit = alpha / top if top > 0 else math.inf
     s = min(max(product / square if square > 0 else 0.0, -limit), limit)
@@ -157,48 +216,7 @@ def gap_of(
     return Certificate("duality_gap", max(primal - dual, 0.0) / (null or 1.0), primal, dual)
 
 
-def places_of(solution: Solution) -> tuple[Array, Array]:
-    """The places q (s, p) and weights (c s, n) of a solution with a problem of its own."""
-    assert solution.problem is not None
-    assert solution.problem.continuum is not None
-    assert solution.problem.parameters is not None
-    assert solution.weights is not None
-    return solution.problem.continuum.places(solution.problem.parameters), solution.weights
-
-
-def refusal(
-    name: str, problem: RegressionProblem, lower: float | None, upper: float | None
-) -> Solution | None:
-    """Why a back-end that makes its own columns cannot search [lower, upper]; None if it can.
-
-    A problem without a continuum, rows in one place, more scan points than memory holds.
-    """
-    continuum = problem.continuum
-    if continuum is None:
-        return Solution(
-            None,
-            "error",
-            f"{name} makes its own columns and needs the position of every row; build the problem "
-            "with Library of family 'cells', or of one flight 'waves' in groups by wave, where the "
-            "vehicle is known and whose columns fit in memory (a coarser grid or fewer samples "
-            "where they do not), not in the weak form; or use group-lasso",
-        )
-    if not continuum.extent > 0:
-        return Solution(None, "unidentifiable", f"{name}: the flight stands still: no extent")
-    if continuum.scan_points(continuum.interval(lower, upper)) > POINTS:
-        return Solution(
-            None,
-            "error",
-            f"{name}: the extent of the flight holds more than {POINTS} scan points "
-            "between the bounds; raise lower, or use fewer cells of the flight",
-        )
-    return None
-
-
-def checked_bounds(name: str, lower: float | None, upper: float | None) -> None:
-    """Raise InputError unless the bounds [m] are positive and in order; None is open."""
-    for key, value in (("lower", lower), ("upper", upper)):
-        if value is not None and not is_number(value, 0.0, open_low=True):
-            raise InputError(f"{name}: {key} must be a length above 0 m, not {value!r}")
-    if lower is not None and upper is not None and lower > upper:
-        raise InputError(f"{name}: lower ({lower:g} m) is above upper ({upper:g} m); swap them")
+def block_norms(weights: Array) -> Array:
+    """|V_j| (s,) of weights V (s, c, n)."""
+    norms: Array = np.sqrt(np.sum(weights**2, axis=(1, 2)))
+    return norms

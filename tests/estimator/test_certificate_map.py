@@ -10,8 +10,8 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.estimator.certificate_map import STEP, certificate_map
+from sparsefit.model.columns import APART
 from sparsefit.model.continuum import PlaneHeights
-from sparsefit.model.waves import APART
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0))

@@ -8,20 +8,22 @@ from scipy.special import j0
 
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.model.cells import (
+from sparsefit.model.columns import (
     MEAN_SQUARE,
     CandidateFlow,
     candidate_columns,
-    candidate_jet,
     peak_mean_velocity,
     rms_mean_velocity,
     sines_and_cosines,
+    strengths,
+    wave_columns,
+    wave_peaks,
+    wave_theta,
 )
-from sparsefit.model.continuum import EQUATION_1, CellContinuum, PlaneHeights, WaveContinuum
-from sparsefit.model.waves import polar_jet, strengths, wave_columns, wave_peaks, wave_theta
+from sparsefit.model.continuum import EQUATION_1, PlaneHeights, ShapeContinuum
+from sparsefit.model.shapes import CELLS, WAVE
 
 POSITION = np.random.default_rng(1).uniform(-9, 9, (40, 2))
-K = np.array([0.4, 1.1, 2.9])
 STEP = 1e-5
 
 
@@ -32,13 +34,25 @@ def test_sines_and_cosines_are_those_of_numpy():
     np.testing.assert_allclose(cosine, np.cos(phase), atol=7e-16 * 50)
 
 
-def test_the_jet_of_cells_is_that_of_differences():
-    value, slope, bend = candidate_jet(POSITION, K)
-    theta = candidate_columns(POSITION, math.pi / K)
-    np.testing.assert_allclose(value.transpose(2, 0, 1).reshape(40, -1), theta, atol=1e-14)
-    above, below = (candidate_jet(POSITION, K + step) for step in (STEP, -STEP))
-    np.testing.assert_allclose(slope, (above[0] - below[0]) / (2 * STEP), atol=1e-7)
-    np.testing.assert_allclose(bend, (above[1] - below[1]) / (2 * STEP), atol=1e-6)
+JETS = {
+    "cells": (CELLS, np.array([[0.4], [1.1], [2.9]])),
+    "wave": (WAVE, np.array([[0.7, 0.3], [1.9, 2.8]])),
+}
+
+
+@pytest.mark.parametrize("weight", [None, np.linspace(0.5, 2.0, 40)], ids=["plain", "weighted"])
+@pytest.mark.parametrize("name", JETS)
+def test_jets_are_the_columns_and_their_differences(name, weight):
+    shape, places = JETS[name]
+    weight = weight if shape == CELLS else None
+    continuum = ShapeContinuum(shape, POSITION, (0.4, 3.0), weight=weight)
+    value, slope, bend = continuum.columns(places)
+    theta = continuum.design(places)[0]
+    np.testing.assert_allclose(value.reshape(-1, value.shape[2]).T, theta, atol=1e-13)
+    for axis, shift in enumerate(STEP * np.eye(places.shape[1])):
+        above, below = (continuum.columns(places + sign * shift) for sign in (1, -1))
+        np.testing.assert_allclose(slope[:, axis], (above[0] - below[0]) / (2 * STEP), atol=1e-6)
+        np.testing.assert_allclose(bend[:, axis], (above[1] - below[1]) / (2 * STEP), atol=1e-4)
 
 
 def test_mean_squares_are_those_over_a_cell():
@@ -93,24 +107,14 @@ def test_waves_are_those_of_a_flow():
     np.testing.assert_allclose(theta, own, atol=1e-14)
 
 
-def test_the_jet_of_waves_is_that_of_differences():
-    places = np.array([[0.7, 0.3], [1.9, 2.8]])
-    value, slope, bend = polar_jet(POSITION, places)
-    k = places[:, :1] * np.column_stack([np.cos(places[:, 1]), np.sin(places[:, 1])])
-    theta = wave_theta(POSITION, k).T.reshape(2, 2, -1)
-    np.testing.assert_allclose(value, theta, atol=1e-13)
-    for axis, shift in enumerate(np.eye(2) * STEP):
-        above, below = (polar_jet(POSITION, places + sign * shift) for sign in (1, -1))
-        np.testing.assert_allclose(slope[:, axis], (above[0] - below[0]) / (2 * STEP), atol=1e-6)
-        np.testing.assert_allclose(bend[:, axis], (above[1] - below[1]) / (2 * STEP), atol=1e-4)
-
-
 @pytest.mark.parametrize("weighted", [False, True])
 def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
     rng = np.random.default_rng(3)
     weight = rng.uniform(0.5, 2.0, 40) if weighted else None
     own = np.ones(40) if weight is None else weight
-    continuum = CellContinuum(POSITION + np.array([30.0, -7.0]), (0.4, 2.0), EQUATION_1, weight)
+    continuum = ShapeContinuum(
+        CELLS, POSITION + np.array([30.0, -7.0]), (0.4, 2.0), EQUATION_1, weight
+    )
     scan = continuum.scan(continuum.interval(None, None))
     assert len(scan.wavenumbers) == continuum.scan_points(continuum.bounds)
     residual = rng.standard_normal((40, 2))
@@ -120,9 +124,9 @@ def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
     np.testing.assert_allclose(scan.heights(residual), np.linalg.norm(products, axis=(1, 2)),
                                rtol=1e-6)  # fmt: skip
     flow = np.einsum("scm,cn->smn", value, EQUATION_1)
-    product, square = scan.matched(EQUATION_1, residual)
-    np.testing.assert_allclose(product, np.sum(flow * residual, axis=(1, 2)), atol=1e-6)
-    np.testing.assert_allclose(square, np.sum(flow**2, axis=(1, 2)), rtol=1e-6)
+    matched = np.sum(flow * residual, axis=(1, 2)) / np.sqrt(np.sum(flow**2, axis=(1, 2)))
+    tops, _ = scan.tops(residual, 1.0, EQUATION_1)
+    assert tops[0, 0] == scan.wavenumbers[matched.argmax()]
     tops, reach = scan.tops(residual, 1.0)
     heights = scan.heights(residual)
     highest = heights[np.searchsorted(scan.wavenumbers, tops[:, 0] - 1e-9)]
@@ -133,7 +137,7 @@ def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
 
 def test_a_scan_of_the_plane_is_the_sums_over_its_rows_and_misses_no_peak():
     rng = np.random.default_rng(5)
-    continuum = WaveContinuum(POSITION + np.array([12.0, 3.0]), (0.4, 1.2))
+    continuum = ShapeContinuum(WAVE, POSITION + np.array([12.0, 3.0]), (0.4, 1.2))
     bounds = continuum.interval(None, None)
     scan = continuum.scan(bounds)
     assert isinstance(scan, PlaneHeights)
@@ -156,12 +160,12 @@ def test_a_scan_of_the_plane_is_the_sums_over_its_rows_and_misses_no_peak():
 
 
 def test_waves_and_cells_between_those_of_a_grid():
-    cells = CellContinuum(POSITION, (0.4, 2.0))
+    cells = ShapeContinuum(CELLS, POSITION, (0.4, 2.0))
     theta, k, scales, names = cells.design(np.array([[0.9]]))
     assert theta.shape == (40, 8)
     assert names[5] == f"sin x cos y (L = {scales[0]:.6g} m)"
     np.testing.assert_array_equal(cells.places(k), [[0.9]])
-    waves = WaveContinuum(POSITION, (0.4, 2.0))
+    waves = ShapeContinuum(WAVE, POSITION, (0.4, 2.0))
     theta, k, scales, names = waves.design(np.array([[1.0, 0.5]]))
     assert (theta.shape, len(names)) == ((80, 2), 2)
     np.testing.assert_allclose(waves.places(k), [[1.0, 0.5]])

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from sparsefit.model.columns import wave_columns
 from sparsefit.model.fitting import END, FlowRows, descended, fitted, joined, orthonormal
 from sparsefit.model.scan import FourierSums, WaveScan, axis_gains, peaks
 from sparsefit.model.shapes import AXIS, PAIR, SQUARE, free_waves, read_cells
-from sparsefit.model.waves import wave_columns
 
 RNG = np.random.default_rng(5)
 TIME = np.linspace(-6, 6, 300)

@@ -12,8 +12,8 @@ from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model import library as room
-from sparsefit.model.cells import CANDIDATES
-from sparsefit.model.cells import candidate_columns as columns_of
+from sparsefit.model.columns import CANDIDATES
+from sparsefit.model.columns import candidate_columns as columns_of
 from sparsefit.model.grid import LengthScaleGrid, WaveGrid
 from sparsefit.model.library import Library
 from sparsefit.rows import Derivative

@@ -10,7 +10,7 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Readout, Search, read_grid
-from sparsefit.model.cells import CANDIDATES, candidate_columns
+from sparsefit.model.columns import CANDIDATES, candidate_columns
 from sparsefit.model.readout import paper_mean_velocity, windows
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative

@@ -10,7 +10,7 @@ import sparsefit as sf
 from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative
-from sparsefit.solvers.parametric_nls import ParametricNLS
+from sparsefit.solvers.gridless import ParametricNLS
 from sparsefit.solvers.searches import BestScale, GroupOMP, explained
 from tests.problems import (
     DEGENERATE_KINDS,

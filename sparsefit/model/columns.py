@@ -1,8 +1,14 @@
-"""The columns of cellular flows: 8 candidates a wavenumber, with their derivatives (Eq. 17).
+"""Trigonometric columns: the candidates of cells (Eq. 17), and the waves of a stream function.
 
-At a wavenumber k = pi/L the candidates are the single sines and cosines of the phases k x and k y,
-and their four products. Derivatives need no further sine: along a phase each candidate becomes
-another one, with a sign, and d/dk = x d/d(kx) + y d/d(ky).
+At a wavenumber k = pi/L the candidates of cells are the single sines and cosines of the phases k x
+and k y, and their four products. An incompressible flow in the plane has a stream function psi, u =
+d psi/dy and v = -d psi/dx. Of
+
+    psi = sum_j a_j cos theta_j + b_j sin theta_j,    theta_j = k_j . x - omega_j t,
+
+each wave j gives two columns, which both velocity components share: rows are x before y of each
+sample. With g = d/d theta of cos and of sin, they are (k_y, -k_x) g(theta). k is in rad/m, omega in
+rad/s, a and b in m^2/s.
 """
 
 from __future__ import annotations
@@ -13,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 
 CANDIDATES = (
@@ -31,10 +37,7 @@ MEAN_SQUARE = np.array([0.5] * 4 + [0.25] * 4)
 BUILD_ROWS = 64  # of theta at once: they stay in cache
 MAX_THETA_BYTES = 8 * 2**30
 CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
-_ALONG = (  # each candidate's derivative by the phases k x and k y: which candidate, what sign
-    ([2, 0, 0, 0, 6, 7, 4, 5], (1.0, 0.0, -1.0, 0.0, 1.0, 1.0, -1.0, -1.0)),
-    ([0, 3, 0, 1, 5, 4, 7, 6], (0.0, 1.0, 0.0, -1.0, 1.0, -1.0, 1.0, -1.0)),
-)
+APART = 1.5  # in pi/extent: nearer waves are one peak, the diagonal of a grid of one step
 
 
 def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
@@ -92,20 +95,75 @@ def candidate_columns(position: Array, scales: Array) -> Array:
     return theta.reshape(len(position), -1)
 
 
-def candidate_jet(position: Array, wavenumbers: Array) -> tuple[Array, Array, Array]:
-    """The candidates (s, 8, m) at wavenumbers (s,) [1/m], and d/dk [m] and d2/dk2 [m^2] of them."""
-    x, y = position.T
-    values = np.empty((8, len(wavenumbers), len(position)))
-    candidates(wavenumbers[:, None] * x, wavenumbers[:, None] * y, values)
+def wave_columns(place: Array, phases: Array) -> Array:
+    """Columns (2 J, m, 2) [rad/m] of waves (J, 3), (k_x, k_y, omega), at (x, y, t) (m, 3).
 
-    def slope(columns: Array) -> Array:
-        by_x, by_y = (np.array(signs)[:, None, None] * columns[places] for places, signs in _ALONG)
-        slopes: Array = x * by_x + y * by_y
-        return slopes
+    The columns of a wave stand together, psi = cos before psi = sin; the last axis is (u, v).
+    """
+    sine, cosine = sines_and_cosines(phases * (1.0, 1.0, -1.0) @ place.T)
+    return across(phases, np.stack([-sine, cosine], axis=1)).reshape(-1, len(place), 2)
 
-    first = slope(values)
-    value, rate, bend = (jet.swapaxes(0, 1) for jet in (values, first, slope(first)))
-    return value, rate, bend
+
+def across(phases: Array, slopes: Array) -> Array:
+    """The flow (J, ..., 2) of waves (J, 3) with d psi/d theta (J, ...): (k_y, -k_x) times it."""
+    k = phases[:, [1, 0]] * (1.0, -1.0)
+    flow: Array = slopes[..., None] * k.reshape(len(k), *[1] * (slopes.ndim - 1), 2)
+    return flow
+
+
+def wave_theta(position: Array, wavevectors: Array) -> Array:
+    """Theta (2 m, 2 w) of steady waves k (w, 2) [rad/m] at positions (m, 2) [m], x before y.
+
+    Raises InputError where it would not fit in memory.
+    """
+    words = f"{len(position)} samples x {len(wavevectors)} waves"
+    check_size(2 * len(position), 2 * len(wavevectors), words)
+    theta = np.empty((len(position), 2, 2 * len(wavevectors)))
+    steady = np.pad(wavevectors, ((0, 0), (0, 1)))
+    for start in range(0, len(position), BUILD_ROWS):
+        place = np.pad(position[start : start + BUILD_ROWS], ((0, 0), (0, 1)))
+        theta[start : start + BUILD_ROWS] = wave_columns(place, steady).transpose(1, 2, 0)
+    return theta.reshape(2 * len(position), -1)
+
+
+def wave_names(wavevectors: Array) -> tuple[str, ...]:
+    """The names of the two columns of each of waves k (w, 2) [rad/m]."""
+    parts = ("cos", "sin")
+    return tuple(
+        f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in wavevectors for part in parts
+    )
+
+
+def strengths(wavevectors: Array, weights: Array) -> Array:
+    """The strength |k| sqrt(a^2 + b^2) (w,) [m/s] of waves k (w, 2) with weights a, b (w, 2)."""
+    size: Array = np.linalg.norm(wavevectors, axis=1) * np.linalg.norm(weights, axis=1)
+    return size
+
+
+def wave_peaks(
+    wavevectors: Array, weights: Array, extent: float, most: int
+) -> tuple[IntArray, Array]:
+    """The peaks of weights a, b (w, 2) over the plane, strongest first, one in a neighbourhood.
+
+    A wave between those of a grid shares its strength among its neighbours: a peak is the
+    strongest wave of a neighbourhood (p,), and its place the mean wavevector (p, 2) [rad/m] there,
+    by squared strength. k and -k are the same wave; extent: of the flight [m].
+    """
+    strength, near = strengths(wavevectors, weights), APART * math.pi / extent
+    free = strength > 0
+    tops: list[int] = []
+    peaks: list[Array] = []
+    while free.any() and len(tops) < most:
+        top = int(np.argmax(np.where(free, strength, -1.0)))
+        if strength[top] < 0.1 * strength.max():
+            break
+        sides = np.where(wavevectors @ wavevectors[top] < 0, -1.0, 1.0)[:, None] * wavevectors
+        around = free & (np.linalg.norm(sides - wavevectors[top], axis=1) <= near)
+        shares = strength[around] ** 2
+        tops.append(top)
+        peaks.append(shares @ sides[around] / shares.sum())
+        free &= ~around
+    return np.array(tops, dtype=np.intp), np.array(peaks).reshape(-1, 2)
 
 
 def rms_mean_velocity(weights: Array) -> float:
