@@ -48,10 +48,10 @@ def turned_flight():
 def case(family):
     """A problem of the family, its continuum, bounds, and the grid that a study would narrow."""
     if family == "cells":
-        problem = library_problem(flight(3.33, seed=4, velocity_noise=0.5))
+        problem = library_problem(flight(3.33, seed=4))
         grids = [LengthScaleGrid(3.0, 4.0, count=n, spacing="wavenumber") for n in (5, 9, 33)]
         libraries = [Library(grid) for grid in grids]
-        samples, vehicle = Derivative()(flight(3.33, seed=4, velocity_noise=0.5)), VEHICLE
+        samples, vehicle = Derivative()(flight(3.33, seed=4)), VEHICLE
     else:
         samples, vehicle = Derivative()(turned_flight()), VEHICLE
         problem = WAVES.build(samples, VEHICLE)
@@ -74,7 +74,7 @@ def heights_at(continuum, residual, places):
     return np.linalg.norm((z.T @ residual).reshape(len(places), -1), axis=1) / len(residual)
 
 
-def anywhere(own, count=2_000):
+def anywhere(own, count=700):
     rng = np.random.default_rng(1)
     k = rng.uniform(*own.bounds, count)
     return np.column_stack([k, rng.uniform(0.0, math.pi, count)])[:, : own.continuum.parameters]
