@@ -34,21 +34,27 @@ class Scan(Protocol):
 
 
 class Continuum(Protocol):
-    """The columns theta(q) (m, c) of a problem at any q, in place of a grid of them.
-
-    ``size``: the c columns of a group; ``parameters``: the p numbers of q; ``extent``: the range
-    over which columns are known, so that what they tell of k has width 1/extent; ``pattern``:
-    the weights (c, n) of a target that is known up to its size, None where none is.
-    """
+    """The columns theta(q) (m, c) of a problem at any q, in place of a grid of them."""
 
     @property
-    def size(self) -> int: ...  # noqa: D102
+    def size(self) -> int:
+        """The c columns of a group."""
+        ...
+
     @property
-    def parameters(self) -> int: ...  # noqa: D102
+    def parameters(self) -> int:
+        """The p numbers of q."""
+        ...
+
     @property
-    def extent(self) -> float: ...  # noqa: D102
+    def extent(self) -> float:
+        """The range over which columns are known: what they tell of k has width 1/extent."""
+        ...
+
     @property
-    def pattern(self) -> Array | None: ...  # noqa: D102
+    def pattern(self) -> Array | None:
+        """The weights (c, n) of a target that is known up to its size; None where none is."""
+        ...
 
     def interval(self, lower: float | None, upper: float | None) -> Bounds:
         """The least and largest wavenumber for bounds of the groups' scale; None: the grid's."""
