@@ -1,30 +1,18 @@
 """One likelihood of the raw log: the model, its smoother, and what a log says of it."""
 
-from sparsefit.likelihood.limit import bound
-from sparsefit.likelihood.model import (
-    ELEMENTS,
-    Disturbance,
-    Model,
-    Motion,
-    Parameter,
-    Process,
-    Sensor,
-)
+from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior, Track
-from sparsefit.likelihood.smoother import Smoothing, measure
+from sparsefit.likelihood.posterior import Posterior, Track, bound, measure
+from sparsefit.likelihood.smoother import Smoothing
 
 __all__ = [
     "ELEMENTS",
     "Disturbance",
     "FlightLog",
     "Model",
-    "Motion",
-    "Parameter",
     "Posterior",
     "Process",
-    "Sensor",
     "Smoothing",
     "StreamPattern",
     "Track",

@@ -14,73 +14,72 @@ import numpy as np
 
 from sparsefit.arrays import Array
 
+INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
+
 
 class LevelSteps:
     """The steps of the logarithms of the variances of one log, pass after pass."""
 
-    def __init__(self, wanted: list[int], negligible: float, hold: int) -> None:
+    def __init__(self, wanted: list[int], floors: Array, negligible: float, hold: int) -> None:
         """Begin far from the optimum.
 
         Args:
-            wanted: the places of the levels that are estimated: 0 is the process noise, 1 and 2
-                are the instruments'.
+            wanted: the places of the levels that are estimated.
+            floors: standard deviations (l,) that no level goes below.
             negligible: the degrees of freedom that a level may take and count as zero.
             hold: the passes before the levels of the instruments move.
         """
-        self.wanted, self.negligible, self.hold = wanted, negligible, hold
+        self.wanted, self.floors, self.negligible, self.hold = wanted, floors, negligible, hold
         self.count, self.gain = 0, math.inf
-        self.place: Array | None = None
-        self.ratio: Array | None = None
+        self.before: tuple[Array, Array] | None = None
 
-    def change(
-        self, levels: list[float], squares: Array, information: Array, least: float
-    ) -> tuple[Array, float]:
+    def change(self, levels: list[float], squares: Array, information: Array) -> tuple[Array, float]:
         """Return the step (l,) of the logarithms, and what it may gain.
 
         Args:
             levels: standard deviations (l,).
             squares: a and n (l, 2).
             information: of the logarithms (l, l), or of no rows.
-            least: the process noise, where it is not estimated.
         """
         self.count += 1
         (a, n), step = squares.T, np.zeros(len(levels))
         place = 2.0 * np.log(np.maximum(levels, 1e-150))
-        active = [j for j in self.wanted if max(a[j], n[j]) > self.negligible]
-        least = max(least, 1e-9)
-        annealing = 0 not in self.wanted and levels[0] > 1.001 * least
+        lowest = np.minimum(2.0 * np.log(self.floors) - place, 0.0)
+        few = np.where(np.isin(np.arange(len(a)), INSTRUMENTS), 5.0, 1e-300)
+        ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
+        active = [
+            j
+            for j in self.wanted
+            if max(a[j], n[j]) > self.negligible and (lowest[j] < -1e-3 or ratio[j] > 0.0)
+        ]
+        annealing = 0 not in self.wanted and lowest[0] < -1e-3
         if annealing:
-            step[0] = 2.0 * math.log(least / levels[0])
-            if n[0] > self.negligible:
-                step[0] = max(step[0], -math.log(100.0))
+            step[0] = -math.log(100.0) if n[0] > self.negligible else lowest[0]
+        moving = active
         if self.count <= self.hold or annealing:
-            active = [j for j in active if j not in (1, 2)]
+            active = [j for j in active if j not in INSTRUMENTS]
         share, gain = np.zeros(len(levels)), math.inf
         if self.gain < 10.0 and len(information) and active:
-            least_share = np.where(np.isin(active, (1, 2)), -0.7, -0.99)
-            share[active] = _bounded(
-                information[np.ix_(active, active)], (a - n)[active], least_share
-            )
+            least = np.where(np.isin(active, INSTRUMENTS), -0.7, -0.99)
+            block = information[np.ix_(active, active)]
+            share[active] = _bounded(block, (a - n)[active], least)
             gain = float((a - n) @ share)
-        few = np.where(np.isin(np.arange(len(a)), (1, 2)), 5.0, 1e-300)
-        ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
         near = not active or 0.0 <= gain < 10.0
         if near:
             step[active] = np.log1p(share[active])
             self.gain = gain if active else 0.0
         else:
             slope = np.where(few > 1.0, 1.0, 0.4)
-            if self.place is not None and self.ratio is not None:
+            if self.before is not None:
+                away = place - self.before[0]
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    secant = (self.ratio - ratio) / (place - self.place)
-                moved = np.abs(place - self.place) > 0.05
-                slope = np.where(moved, np.clip(secant, 0.2, 1.0), slope)
-            tried = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))
-            step[active] = tried[active]
-            moving = self.wanted if self.count >= self.hold else active
+                    secant = np.clip((self.before[1] - ratio) / away, 0.2, 1.0)
+                slope = np.where(np.abs(away) > 0.05, secant, slope)
+            step[active] = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))[active]
+            moving = moving if self.count >= self.hold else active
             self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[moving].sum())
-        self.place, self.ratio = place, ratio
-        return step, self.gain if near and not annealing else math.inf
+        self.before = place, ratio
+        return np.maximum(step, lowest), self.gain if near and not annealing else math.inf
 
 
 def _bounded(information: Array, score: Array, least: Array) -> Array:

@@ -1,24 +1,38 @@
-"""The nodes of a log: the times at which its readings stand, and those between them.
+"""The readings of a log, the nodes at which they stand, and one pass over them.
 
 A node has up to four readings (position x, y, velocity x, y); a reading that is missing has the
 weight 0. Positions that are older than the velocities of their rows stand at nodes of their own.
 Where readings are further apart than a step of the motion may be, nodes without any lie between.
+A pass filters forward and smooths backward, in blocks: only the state at the start of each is
+stored, so that memory does not grow with what a node stores for the way back.
 """
 
 from __future__ import annotations
 
+import importlib
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
+from sparsefit.likelihood.model import StateSpace
 
 if TYPE_CHECKING:
     from sparsefit.flight import Flight
 
+passes: Any
+try:
+    passes = importlib.import_module("sparsefit.likelihood.passes")
+except ImportError:  # no compiler where the package was installed
+    passes = importlib.import_module("sparsefit.likelihood.reference")
+
+BLOCK = 2048  # nodes whose passes are stored at once
 MOST_NODES = 64  # in one gap per reading of the log, before the log is refused
+DIFFUSE = 30.0  # deviations of the first state, in those of its readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +96,33 @@ class FlightLog:
         x, y = 0.5 * (np.nanmin(self.places, axis=0) + np.nanmax(self.places, axis=0))
         return float(x), float(y), 0.5 * float(self.time[0] + self.time[-1])
 
+    @cached_property
+    def speed(self) -> float:
+        """The speed [m/s] that 95 % of the flight does not exceed."""
+        speeds = np.hypot(*self.speeds.T)
+        if not np.isfinite(speeds).any():
+            seen = np.isfinite(self.places).all(axis=1)
+            speeds = np.hypot(*np.diff(self.places[seen], axis=0).T) / np.diff(self.time[seen])
+        return float(np.nanquantile(speeds, 0.95)) + 1e-9
+
+    @cached_property
+    def noise(self) -> tuple[float, float]:
+        """White noise of position [m] and velocity [m/s], from the median fourth differences."""
+        levels = []
+        for values in (self.places, self.speeds):
+            sizes = np.abs(np.diff(values, n=4, axis=0))
+            size = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
+            levels.append(max(size / 0.6745 / math.sqrt(70.0), 1e-9))
+        return levels[0], levels[1]
+
+    @property
+    def spread(self) -> Array:
+        """The variance (4,) of the first position and velocity: of this log, whatever its model."""
+        measured = bool(np.isfinite(self.speeds).any())
+        place, rate = self.noise
+        deviations = DIFFUSE * place, DIFFUSE * rate if measured else 10.0 * self.speed
+        return np.repeat(np.square(deviations), 2)
+
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
@@ -89,7 +130,7 @@ class Nodes:
 
     Args:
         time: from the origin (m,) [s].
-        thrust: (m, 2) [m/s^2].
+        push: the thrust acceleration (m, 2) [m/s^2].
         measured: (m, 4), 0 where missing.
         weights: 1, or 0 where missing or left out (m, 4).
         rows: the row of the log (m, 2) that the position and the velocity are of, -1 for none.
@@ -97,7 +138,7 @@ class Nodes:
     """
 
     time: Array
-    thrust: Array
+    push: Array
     measured: Array
     weights: Array
     rows: IntArray
@@ -124,9 +165,8 @@ class Nodes:
         rows = np.arange(0, len(log.time), stride)
         clock = log.time[rows] - origin[2]
         place, speed = log.places[rows] - origin[:2], log.speeds[rows]
-        times = clock
-        if latency and np.isfinite(speed).any():
-            times = np.union1d(clock, clock - latency)
+        shift = latency if np.isfinite(speed).any() else 0.0
+        times = np.union1d(clock, clock - shift) if shift else clock
         count = np.maximum(np.ceil(np.diff(times) / longest - 1e-9), 1.0).astype(np.intp)
         if count.sum() > MOST_NODES * len(rows) + 1000:
             raise InputError(
@@ -139,26 +179,135 @@ class Nodes:
         time = np.append(np.repeat(times[:-1], count) + within * steps, times[-1])
         at = np.full((len(time), 2), -1, dtype=np.intp)
         measured, weights = np.zeros((len(time), 4)), np.zeros((len(time), 4))
-        shift = latency if len(times) > len(clock) else 0.0
-        for half, (values, own) in enumerate(((place, clock - shift), (speed, clock))):
-            nodes = starts[np.searchsorted(times, own)]
+        for half, (values, stamps) in enumerate(((place, clock - shift), (speed, clock))):
+            nodes = starts[np.searchsorted(times, stamps)]
             at[nodes, half] = rows
-            good = np.isfinite(values)
-            measured[nodes, 2 * half : 2 * half + 2] = np.where(good, values, 0.0)
-            weights[nodes, 2 * half : 2 * half + 2] = good
-        thrust = np.column_stack(
-            [np.interp(time, log.time - origin[2], each) for each in log.thrust.T]
-        )
-        return cls(time, thrust, measured, weights, at, weights > 0.0)
+            measured[nodes, 2 * half : 2 * half + 2] = np.nan_to_num(values, nan=0.0)
+            weights[nodes, 2 * half : 2 * half + 2] = np.isfinite(values)
+        push = [np.interp(time, log.time - origin[2], each) for each in log.thrust.T]
+        return cls(time, np.column_stack(push), measured, weights, at, weights > 0.0)
 
-    def track(self, states: int) -> Array:
-        """Return a first track (m, states) through the readings, walkers at 0."""
-        track = np.zeros((len(self.time), states))
+    def track(self) -> Array:
+        """Return a first track (m, 4) through the readings."""
+        track = np.zeros((len(self.time), 4))
         for channel in range(4):
-            seen = self.weights[:, channel] > 0.0
+            seen = self.seen[:, channel]
             if seen.any():
                 values = self.measured[seen, channel]
                 track[:, channel] = np.interp(self.time, self.time[seen], values)
             else:
                 track[:, channel] = np.gradient(track[:, channel - 2], self.time)
         return track
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A backward pass.
+
+    Args:
+        track: the states (m, n) given all readings.
+        adjoint: r at each node and after it (m + 1, 2 n).
+        scores: of the readings (m, 12): u, the residual u/sqrt(D) that each leaves when it is left
+            out over its deviation, the standardised innovation e/sqrt(S).
+        squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
+            their difference is the derivative of the log-likelihood by its logarithm.
+    """
+
+    track: Array
+    adjoint: Array
+    scores: Array
+    squares: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """A forward pass, and what a backward one needs.
+
+    Args:
+        space: the model.
+        nodes: the readings.
+        track: s-bar (m, n) [m, m/s], that the motion is linearised along.
+        value: the log-likelihood at dtheta = 0.
+        score: b (q,) by the columns and the levels.
+        information: J (q, q).
+        starts: the state at the first node of each block.
+        stored: what the backward pass reads of the only block, where there is one only.
+    """
+
+    space: StateSpace
+    nodes: Nodes
+    track: Array
+    value: float
+    score: Array
+    information: Array
+    starts: tuple[Array, ...]
+    stored: Array | None
+
+    @classmethod
+    def forward(
+        cls,
+        space: StateSpace,
+        nodes: Nodes,
+        track: Array,
+        spread: Array,
+        last: Smoothed | None = None,
+        *,
+        keep: bool = True,
+    ) -> Pass:
+        """Filter a log.
+
+        Args:
+            space: the model.
+            nodes: the readings.
+            track: s-bar (m, n).
+            spread: the variance of the first position and velocity (4,), beside the walkers'.
+            last: the last smoothed pass, for the columns of the levels.
+            keep: whether a backward pass follows.
+        """
+        (m, n), p = track.shape, len(space.columns)
+        q = p if last is None else p + len(space.kicks)
+        state = np.zeros((2 + q + n + q, max(n, q)))
+        variance = space.spread.sum(axis=0)
+        variance[:4] += spread
+        state[1 + q : 1 + q + n, :n] = np.diag(variance)
+        state[0, 4:n] = -track[0, 4:]  # walkers start about 0
+        if last is not None:
+            state[1 + p : 1 + q, :n] = space.spread * last.adjoint[0, :n]
+        value, starts = 0.0, []
+        stored = np.empty((m, _width(n, p))) if keep and m <= BLOCK else None
+        for first in range(0, m, BLOCK):
+            starts.append(state.copy())
+            end = min(first + BLOCK, m)
+            value += passes.forward(space, nodes, track, first, end, last, state, stored)
+        score, information = state[1 + q + n, :q], state[2 + q + n :, :q]
+        return cls(space, nodes, track, value, score, information, tuple(starts), stored)
+
+    def backward(self, change: Array) -> Smoothed:
+        """Smooth, with the elements of the columns changed by `change` (p,)."""
+        space, nodes, (m, n) = self.space, self.nodes, self.track.shape
+        p, q = len(space.columns), len(self.score)
+        carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
+        result = Smoothed(
+            self.track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)),
+            np.zeros((len(space.kicks), 2)),
+        )  # fmt: skip
+        for block in range(len(self.starts) - 1, -1, -1):
+            first, stored = block * BLOCK, self.stored
+            end = min(first + BLOCK, m)
+            if stored is None:  # the states of the block once more, without the levels' columns
+                start, stored = self.starts[block], np.empty((end - first, _width(n, p)))
+                state = np.zeros((2 + p + n + p, max(n, p)))
+                state[: 1 + p, :n] = start[: 1 + p, :n]
+                state[1 + p : 1 + p + n, :n] = start[1 + q : 1 + q + n, :n]
+                passes.forward(space, nodes, self.track, first, end, None, state, stored)
+            passes.backward(space, nodes, first, end, change, stored, carried, result, sums)
+        initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
+        result.squares[:] = space.kicks @ sums[:n] + space.spread @ initial
+        result.squares[:] += (space.noise > 0.0) @ sums[n:]
+        result.squares[:] *= 0.5
+        return result
+
+
+def _width(n: int, p: int) -> int:
+    """The numbers that a node stores for the backward pass."""
+    return n * (1 + p + n) + 4 * (2 * n + p + 2) + 4 * n

@@ -45,7 +45,7 @@ cdef void acceleration(
     const double* state, double time, double tx, double ty, Force* force,
 ) noexcept nogil:
     """v' of a state, and its derivatives by the state and by `count` elements."""
-    cdef double tau = element[0], scale = element[1], drag = element[5], lag = element[11]
+    cdef double tau = element[0], scale = element[1], square = element[5], lag = element[11]
     cdef double x = state[0] - lag * state[2], y = state[1] - lag * state[3], t = time - lag
     cdef double swell = 1.0 + element[12], shape = 1.0 + element[13] * time
     cdef double u = 0.0, v = 0.0, xx = 0.0, xy = 0.0, yx = 0.0, ut = 0.0, vt = 0.0
@@ -80,13 +80,13 @@ cdef void acceleration(
     cdef double hx = c * tx - s * ty, hy = s * tx + c * ty
     cdef double mass = 1.0 + element[10] * time
     cdef double weight = 1.0 / (mass * (1.0 - lag / tau))
-    cdef double stretch = 1.0 + drag * speed, factor = weight / tau
+    cdef double stretch = 1.0 + square * speed, factor = weight / tau
     cdef double fx = factor * stretch * rx, fy = factor * stretch * ry
     cdef double ax = fx + weight * (scale * hx + element[3])
     cdef double ay = fy + weight * (scale * hy + element[4])
-    cdef double axx = factor * (stretch + drag / speed * rx * rx)
-    cdef double axy = factor * drag / speed * rx * ry
-    cdef double ayy = factor * (stretch + drag / speed * ry * ry)
+    cdef double axx = factor * (stretch + square / speed * rx * rx)
+    cdef double axy = factor * square / speed * rx * ry
+    cdef double ayy = factor * (stretch + square / speed * ry * ry)
     force.value[0], force.value[1] = ax, ay
     force.by_state[0][0], force.by_state[0][1] = axx * xx + axy * yx, axx * xy - axy * xx
     force.by_state[1][0], force.by_state[1][1] = axy * xx + ayy * yx, axy * xy - ayy * xx
@@ -123,7 +123,7 @@ cdef struct Step:
 
 cdef void transition(
     const double* elements, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
-    const double* rates, double time, double step, const double* thrust, const double* track,
+    const double* rates, double time, double step, const double* push, const double* track,
     double* full, Step* result,
 ) noexcept nogil:
     """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first."""
@@ -157,8 +157,8 @@ cdef void transition(
             full[ids[i]] += result.fading[i] * track[4 + i]
         acceleration(
             full, waves, ids, w + p, state, time + reach,
-            (1.0 - share) * thrust[0] + share * thrust[2],
-            (1.0 - share) * thrust[1] + share * thrust[3], &force,
+            (1.0 - share) * push[0] + share * push[2],
+            (1.0 - share) * push[1] + share * push[3], &force,
         )
         for i in range(w):
             force.by_element[0][i] *= result.fading[i]
@@ -222,14 +222,19 @@ def _room(states, columns, waves):
 
 
 def forward(
-    Vector elements, Indices walkers, Vector rates, Indices columns, Matrix kicks, Matrix noise,
-    Vector time, Matrix thrust, Matrix measured, Matrix weights, Matrix track, Matrix adjoint,
-    Matrix scores, double[:, ::1] state, double[:, ::1] stored,
+    space, nodes, Matrix track, Py_ssize_t first, Py_ssize_t end, last, double[:, ::1] state,
+    double[:, ::1] stored,
 ):
     """Filter a block of nodes, as `reference.forward` does; the state is changed in place."""
+    cdef Vector elements = space.elements, rates = space.rates, time = nodes.time
+    cdef Indices walkers = space.walkers, columns = space.columns
+    cdef Matrix kicks = space.kicks, noise = space.noise
+    cdef Matrix push = nodes.push, measured = nodes.measured, weights = nodes.weights
+    cdef Matrix adjoint = track if last is None else last.adjoint
+    cdef Matrix scores = track if last is None else last.scores
     cdef Py_ssize_t w = walkers.shape[0], p = columns.shape[0], n = 4 + w
-    cdef Py_ssize_t m = measured.shape[0], waves = (elements.shape[0] - OWN) // 5
-    cdef Py_ssize_t levels = kicks.shape[0] if adjoint.shape[0] else 0, q = p + levels
+    cdef Py_ssize_t waves = (elements.shape[0] - OWN) // 5
+    cdef Py_ssize_t levels = 0 if last is None else kicks.shape[0], q = p + levels
     _room(n, w + q, waves)
     cdef Py_ssize_t[::1] ids = np.concatenate([walkers, columns, [0]]).astype(np.intp)
     cdef double[::1] full = np.array(elements), decay = np.append(rates, 0.0)
@@ -252,9 +257,9 @@ def forward(
             v[k, j] = given[1 + j, k]
         memcpy(&cov[k, 0], &given[1 + q + k, 0], n * sizeof(double))
     with nogil:
-        for i in range(m):
+        for i in range(first, end):
             if storing:
-                saved = &stored[i, 0]
+                saved = &stored[i - first, 0]
                 memcpy(saved, &delta[0], n * sizeof(double))
                 for j in range(p):
                     for k in range(n):
@@ -289,7 +294,7 @@ def forward(
                 for k in range(q):
                     add(k + 1, response[k] / size, &response[0], &info[k, 0])
                 if storing:
-                    saved = &stored[i, n * (1 + p + n) + c * (2 * n + p + 2)]
+                    saved = &stored[i - first, n * (1 + p + n) + c * (2 * n + p + 2)]
                     memcpy(saved, &by_state[c, 0], n * sizeof(double))
                     memset(saved + n, 0, n * sizeof(double))
                     add(n, 1.0 / size, &gain[0], saved + n)
@@ -299,7 +304,7 @@ def forward(
                 break
             dt = time[i + 1] - time[i]
             transition(
-                &elements[0], waves, &ids[0], w, p, &decay[0], time[i], dt, &thrust[i, 0],
+                &elements[0], waves, &ids[0], w, p, &decay[0], time[i], dt, &push[i, 0],
                 &track[i, 0], &full[0], &step,
             )
             for k in range(n):
@@ -334,7 +339,7 @@ def forward(
             if storing:
                 for k in range(4):
                     memcpy(
-                        &stored[i, stored.shape[1] - 4 * n + k * n], step.slope[k],
+                        &stored[i - first, stored.shape[1] - 4 * n + k * n], step.slope[k],
                         n * sizeof(double),
                     )
     for k in range(n):
@@ -351,12 +356,14 @@ def forward(
 
 
 def backward(
-    Vector rates, Py_ssize_t columns, Vector time, Matrix weights, Vector change, Vector noise,
-    Matrix stored, double[:, ::1] carried, double[:, ::1] smoothed, double[:, ::1] adjoint,
-    double[:, ::1] scores, double[:, ::1] sums,
+    space, nodes, Py_ssize_t first, Py_ssize_t end, Vector change, Matrix stored,
+    double[:, ::1] carried, result, double[:, ::1] sums,
 ):
     """Run the adjoint through a block backwards, as `reference.backward` does."""
-    cdef Py_ssize_t n = carried.shape[1], p = columns, width = 2 * n + p + 2, i, j, k, c
+    cdef Vector rates = space.rates, time = nodes.time, noise = np.sum(space.noise, axis=0)
+    cdef Matrix weights = nodes.weights
+    cdef double[:, ::1] smoothed = result.track, adjoint = result.adjoint, scores = result.scores
+    cdef Py_ssize_t n = carried.shape[1], p = change.shape[0], width = 2 * n + p + 2, i, j, k, c
     _room(n, p, 0)
     cdef double r[STATES]
     cdef double new[STATES]
@@ -374,10 +381,10 @@ def backward(
         for j in range(n):
             cov[k][j] = carried[1 + k, j]
     with nogil:
-        for i in range(weights.shape[0] - 1, -1, -1):
+        for i in range(end - 1, first - 1, -1):
             if i + 1 < time.shape[0]:
                 dt = time[i + 1] - time[i]
-                slope = &stored[i, stored.shape[1] - 4 * n]
+                slope = &stored[i - first, stored.shape[1] - 4 * n]
                 for k in range(n):
                     sums[k, 0] += 0.5 * dt * r[k] * r[k]
                     sums[k, 1] += 0.5 * dt * cov[k][k]
@@ -400,7 +407,7 @@ def backward(
                     sums[k, 0] += 0.5 * dt * r[k] * r[k]
                     sums[k, 1] += 0.5 * dt * cov[k][k]
             memcpy(&adjoint[i, n], r, n * sizeof(double))
-            saved = &stored[i, 0]
+            saved = &stored[i - first, 0]
             memset(&scores[i, 0], 0, 12 * sizeof(double))
             for c in range(3, -1, -1):
                 if weights[i, c] <= 0.0:
@@ -421,7 +428,7 @@ def backward(
                 sums[n + c, 0] += noise[c] / weights[i, c] * u * u
                 sums[n + c, 1] += noise[c] / weights[i, c] * spread
             memcpy(&adjoint[i, 0], r, n * sizeof(double))
-            memcpy(&smoothed[i, 0], saved, n * sizeof(double))
+            add(n, 1.0, saved, &smoothed[i, 0])
             for j in range(p):
                 add(n, change[j], saved + n + j * n, &smoothed[i, 0])
             for k in range(n):

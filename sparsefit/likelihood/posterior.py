@@ -1,16 +1,44 @@
-"""What a log says of a model: the optimum, its covariance, and what else could be freed."""
+"""What logs say of a model: the optimum, its covariance, and the bound on that.
+
+At the optimum the levels are known to no more than a few degrees of freedom, and intervals are wide
+or narrow with them. They are integrated out along each level apart (Rue, Martino and Chopin 2009,
+J. R. Stat. Soc. B 71, 319), the prior flat in its logarithm: a forward pass at another level gives
+its likelihood, and how far and how surely the parameters would move there.
+
+A disturbance that wanders in time stands for turbulence, which is a field in space and has other
+strengths at other wavevectors than the flight's own time tells. Waves beside those of the flow say
+which: each of amplitude 0 has a score that is chi^2 where the model holds. Their mean excess is
+how much more of the flow's own waves may be turbulence than the model gives.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.model import Model
-from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.trellis import Smoothed
+from sparsefit.cached import cached_property
+from sparsefit.errors import InputError
+from sparsefit.likelihood.model import LEVELS, Model, StateSpace
+from sparsefit.likelihood.nodes import FlightLog, Pass
+from sparsefit.likelihood.smoother import (
+    Ascent,
+    Leg,
+    Smoothing,
+    Step,
+    inverted,
+    joined,
+    longest_step,
+    noisier,
+    summed,
+)
+
+NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
+NEIGHBOURS = 30  # waves beside those of the flow
+NOTHING = 0.03  # degrees of freedom of a level: the parameters feel no less of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,55 +63,30 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
-    """Where the search stands.
-
-    Args:
-        models: one per log.
-        nodes: one per log.
-        tracks: one per log.
-        spreads: per log, the variance of the first position and velocity (4,).
-        last: the last smoothed passes, of the nodes and tracks before; None: none of use.
-        stride: of the rows that the nodes are of.
-    """
-
-    models: tuple[Model, ...]
-    nodes: tuple[Nodes, ...]
-    tracks: tuple[Array, ...]
-    spreads: tuple[Array, ...]
-    last: tuple[Smoothed, ...] | None = None
-    stride: int = 1
-
-
-@dataclass(frozen=True, eq=False)
 class Posterior:
-    """What a log says of a model.
+    """What logs say of a model.
 
     Args:
-        models: the model of each log at the optimum, values and levels; of one log one.
-        names: of the free parameters (p,).
-        covariance: of these (p, p), levels at their values.
+        legs: each log with its model, levels and track at the optimum.
+        names: of the free parameters (p,); "tau@2" is that of the second log.
+        information: of these (p, p), levels at their values.
         log_likelihood: at the optimum.
-        tracks: one per log.
         estimated: the names of the levels that were estimated.
         level_information: of the logarithms of their variances, of the first log (l, l).
         reason: why the search did not end at the optimum; empty where it did.
         passes: the number of passes over few rows, and over all.
-        origin: (x, y, t), that the phases of the pattern and the tracks are counted from.
-        state: what further passes start from.
+        settings: of the smoother.
     """
 
-    models: tuple[Model, ...]
+    legs: tuple[Leg, ...]
     names: tuple[str, ...]
-    covariance: Array
+    information: Array
     log_likelihood: float
-    tracks: tuple[Track, ...]
     estimated: tuple[str, ...]
     level_information: Array
     reason: str
     passes: tuple[int, int]
-    origin: tuple[float, float, float]
-    state: Descent
+    settings: Smoothing
 
     @property
     def converged(self) -> bool:
@@ -91,20 +94,46 @@ class Posterior:
         return not self.reason
 
     @property
+    def models(self) -> tuple[Model, ...]:
+        """The model of each log at the optimum, values and levels."""
+        return tuple(leg.model for leg in self.legs)
+
+    @property
     def model(self) -> Model:
         """The model of the first log."""
-        return self.models[0]
+        return self.legs[0].model
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """(x, y, t), that the phases of the pattern and the tracks are counted from."""
+        return self.model.pattern.origin
+
+    @cached_property
+    def tracks(self) -> tuple[Track, ...]:
+        """The smoothed flights."""
+        tracks = []
+        for leg in self.legs:
+            nodes, used = leg.nodes, leg.nodes.weights > 0.0
+            assert leg.last is not None
+            residual, innovation = leg.last.scores[:, 4:8], leg.last.scores[:, 8:]
+            tracks.append(
+                Track(
+                    nodes.time, leg.track, np.where(used, innovation, np.nan),
+                    np.where(used, residual, np.nan), nodes.rows, int((nodes.seen & ~used).sum()),
+                )  # fmt: skip
+            )
+        return tuple(tracks)
 
     @property
     def bic(self) -> float:
         """Return -2 log L + (p + l) log(readings)."""
-        readings = sum(int(np.isfinite(track.innovation).sum()) for track in self.tracks)
+        readings = sum(int((leg.nodes.weights > 0.0).sum()) for leg in self.legs)
         free = len(self.names) + len(self.estimated)
         return -2.0 * self.log_likelihood + free * math.log(max(readings, 2))
 
     def value(self, name: str) -> float:
         """The value of a parameter."""
-        return self.model.parameters[name].value
+        return self.model.values[name]
 
     def error(self, name: str) -> float:
         """The standard error of a parameter, 0 of one that is known."""
@@ -112,3 +141,235 @@ class Posterior:
             return 0.0
         place = self.names.index(name)
         return math.sqrt(max(float(self.covariance[place, place]), 0.0))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the free parameters (p, p), levels integrated out, neighbouring waves allowed for."""
+        bare = inverted(self.information, self.settings.dependent)[0]
+        if not self.converged or not np.isfinite(bare).all():
+            return bare
+        total = bare.copy()
+        with np.errstate(all="ignore"):
+            for place, leg in enumerate(self.legs):
+                for name, level in leg.model.disturbance.levels.items():
+                    if name in self.estimated and name not in LEVELS[1:] and level > 0.0:
+                        excess = self._widened(place, name, bare)
+                        total += excess if np.isfinite(excess).all() else 0.0
+        return total * self.inflation
+
+    def _widened(self, place: int, name: str, bare: Array) -> Array:
+        """What a level's uncertainty adds to the covariance (p, p)."""
+
+        def at(factor: float) -> tuple[float, Array]:
+            legs = list(self.legs)
+            level = legs[place].model.disturbance.levels[name]
+            legs[place] = legs[place].at({name: factor * level})
+            step = Step.of(tuple(legs), self.settings.dependent, keep=False)
+            away = step.reached - self.log_likelihood
+            return away, step.covariance + np.outer(step.change, step.change)
+
+        (up, wide), (down, narrow) = at(math.exp(NUDGE)), at(math.exp(-NUDGE))
+        bend = -(up + down) / NUDGE**2
+        if bend > 4.0:  # a deviation of less than half: to second order
+            spread: Array = 0.5 * (wide + narrow - 2.0 * bare) / NUDGE**2 / bend
+            return spread
+        last = self.legs[place].last
+        index = list(self.legs[place].model.disturbance.levels).index(name)
+        degrees = max(float(last.squares[index, 1]), 1e-12) if last is not None else 1.0
+        step, factors = math.log(2.0), [1.0]
+        lowest = min(0.5 * math.log(NOTHING / degrees), 0.0)
+        factors = [math.exp(-k * step) for k in range(1, 1 + int(-lowest / step))]
+        ladder = [(0.0, bare), *(at(factor) for factor in factors)]
+        factor = max(1.0, math.sqrt(NOTHING / degrees) / 2.0)
+        while factor < 1e9:
+            factor *= 2.0
+            ladder.append(at(factor))
+            if ladder[-1][0] < max(value for value, _ in ladder) - 5.0:
+                break
+        weights = np.exp([value for value, _ in ladder])
+        mean = sum(weight * each for weight, (_, each) in zip(weights, ladder, strict=True))
+        result: Array = mean / weights.sum() - bare
+        return result
+
+    @cached_property
+    def inflation(self) -> float:
+        """The mean score of neighbouring waves where something wanders, 1 or more."""
+        model = self.model
+        if not model.disturbance.processes:
+            return 1.0
+        waves, away = model.pattern.waves[:, :2], np.zeros((0, 2))
+        box = np.ptp(np.concatenate([leg.track[:, :2] for leg in self.legs]), axis=0)
+        cell, random = 2.0 * math.pi / box, np.random.default_rng(0)
+        for _ in range(100 * NEIGHBOURS):  # half to twice as long, apart from each other
+            angle = random.uniform(0.0, math.pi)
+            size = np.hypot(*waves.T).mean() * 2.0 ** random.uniform(-1.0, 1.0)
+            wave = size * np.array([math.cos(angle), math.sin(angle)])
+            near = np.concatenate([waves, -waves, away, -away])
+            if (np.hypot(*((wave - near) / cell).T) > 2.0).all():
+                away = np.concatenate([away, wave[None]])
+            if len(away) == NEIGHBOURS:
+                break
+        if not len(away):
+            return 1.0
+        names, places = joined(model.names, len(self.legs))
+        p, q = len(names), 2 * len(away)
+        own = np.arange(p, p + q)
+        silent = np.column_stack([away, np.zeros((len(away), 3))]).ravel()
+        every = []
+        for leg in self.legs:
+            chain = leg.model.jacobian(model.names)
+            chain = np.block([[chain, np.zeros((len(chain), q))],
+                              [np.zeros((len(silent), chain.shape[1])),
+                               np.kron(np.eye(len(away)), np.eye(5)[:, 2:4])]])  # fmt: skip
+            columns = np.flatnonzero(np.abs(chain).sum(axis=1))
+            space = StateSpace.of(leg.model, columns)
+            space = replace(space, elements=np.concatenate([space.elements, silent]))
+            each = Pass.forward(space, leg.nodes, leg.track, leg.log.spread, keep=False)
+            every.append((each, chain[columns]))
+        score, information = summed(every, [[*place, *own] for place in places], p + q)
+        across = inverted(information[:p, :p], self.settings.dependent)[0] @ information[:p, p:]
+        score = (score[p:] - across.T @ score[:p]).reshape(-1, 2)
+        information = information[p:, p:] - information[p:, :p] @ across
+        pairs = own.reshape(-1, 2) - p
+        shares = [
+            0.5 * float(b @ np.linalg.solve(information[np.ix_(pair, pair)], b))
+            for b, pair in zip(score, pairs, strict=True)
+        ]
+        return max(float(np.mean(shares)), 1.0)
+
+    def scores(self, extra: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
+        """Score (q,) and information (q, q) by the free parameters and others, and their names."""
+        local = tuple(dict.fromkeys((*self.model.names, *extra)))
+        names, places = joined(local, len(self.legs))
+        every = [replace(leg, last=None).filtered(local, keep=False) for leg in self.legs]
+        return names, *summed(every, places, len(names))
+
+
+def measure(
+    logs: FlightLog | Sequence[FlightLog],
+    model: Model | Sequence[Model],
+    levels: Sequence[str] = LEVELS,
+    start: Posterior | None = None,
+    settings: Smoothing | None = None,
+) -> Posterior:
+    """Find the maximum of the likelihood of logs that share the free parameters.
+
+    Args:
+        logs: one flight or several through one flow.
+        model: one for all, or one per log, with the same pattern and the same free parameters;
+            the values are where the search starts.
+        levels: the names of the levels to estimate; others are at their values.
+        start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
+            its trajectories are where the search starts, and the noise is not annealed.
+        settings: of the smoother.
+
+    Raises:
+        InputError: if a level or a parameter has no such name, or the log has gaps too long.
+    """
+    records, models = _about(logs, model)
+    settings = settings or Smoothing()
+    for name in levels:
+        if name not in models[0].disturbance.levels:
+            valid = ", ".join(models[0].disturbance.levels)
+            raise InputError(f"no level {name!r} in this model (known: {valid})")
+    wanted = [list(models[0].disturbance.levels).index(name) for name in levels]
+    floors = []
+    for each in models:
+        pattern, floor = each.pattern, np.full(len(each.disturbance.levels), 1e-150)
+        speed, length = settings.exact * pattern.mean_velocity, pattern.length_scale
+        floor[:3] = speed * math.sqrt(pattern.mean_velocity / length), settings.exact * length, speed
+        if 0 not in wanted:
+            floor[0] = max(each.disturbance.acceleration, 1e-9)
+        floors.append(floor)
+    ascent, few, hold = Ascent(settings, wanted, tuple(floors)), 0, 0
+    pairs = list(zip(records, models, strict=True))
+    with np.errstate(all="ignore"):  # a step that is no number is not taken
+        if start is None:
+            strides = [
+                min(len(log.time) // settings.coarse,
+                    int(4.0 * longest_step(log, each, settings) / float(np.median(np.diff(log.time)))))
+                for log, each in pairs
+            ]  # fmt: skip
+            stride, hold = max(min(strides), 1), 2
+            legs = tuple(_noisy(Leg.of(*pair, settings, stride)) for pair in pairs)
+            if stride > 1:
+                step, smoothed, few, _ = ascent.climbed(legs, settings.passes)
+                hold = 0
+                legs = tuple(leg.again(settings, 1) for leg in step.moved(smoothed))
+        else:
+            legs = tuple(
+                Leg.of(*pair, settings, 1, (leg.nodes.time, leg.track))
+                for pair, leg in zip(pairs, start.legs, strict=True)
+            )
+        step, smoothed, whole, reason = ascent.climbed(legs, hold)
+        higher = None if reason else ascent.ladder(step.moved(smoothed), step.reached)
+        if higher is not None:
+            again = ascent.climbed(higher, 0)
+            whole += again[2]
+            if again[0].reached > step.reached:
+                step, smoothed, _, reason = again
+    shape = np.ix_(wanted, wanted)
+    information = step.levels[0][shape] if step.levels[0].size else np.zeros((len(wanted),) * 2)
+    names = joined(models[0].names, len(models))[0]
+    return Posterior(
+        step.moved(smoothed), names, step.information, step.reached, tuple(levels), information,
+        reason, (few, whole), settings,
+    )  # fmt: skip
+
+
+def bound(
+    logs: FlightLog | Sequence[FlightLog],
+    model: Model | Sequence[Model],
+    states: Sequence[Array] | None = None,
+) -> Array:
+    """Return the Cramer-Rao bound of the free parameters (p, p), levels as they are.
+
+    Args:
+        logs: the times of readings and which are missing; their values do not matter where
+            `states` are given.
+        model: the true model of all logs, or of each.
+        states: the true positions and velocities (m, 4) at the rows of each log; without them the
+            trajectories are smoothed with the parameters known.
+
+    Raises:
+        InputError: if the logs do not see a free parameter.
+    """
+    records, models = _about(logs, model)
+    settings, paths = Smoothing(), []
+    if states is None:
+        known = [each.known(*each.names) for each in models]
+        paths = [(leg.nodes.time, leg.track) for leg in measure(records, known, ()).legs]
+    else:
+        for log, each, state in zip(records, models, states, strict=True):
+            x, y, t = each.pattern.origin
+            paths.append((log.time - t, np.asarray(state, dtype=np.float64) - [x, y, 0.0, 0.0]))
+    legs = tuple(
+        Leg.of(log, each, settings, 1, path)
+        for log, each, path in zip(records, models, paths, strict=True)
+    )
+    step = Step.of(legs, settings.dependent, keep=False)
+    if step.blind:
+        raise InputError(f"the log does not see all of {', '.join(step.blind)}: there is no bound")
+    return step.covariance
+
+
+def _about(
+    logs: FlightLog | Sequence[FlightLog], model: Model | Sequence[Model]
+) -> tuple[tuple[FlightLog, ...], tuple[Model, ...]]:
+    """Logs and their models, phases counted from the middle of all logs."""
+    records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
+    models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
+    if len(models) != len(records) or any(each.names != models[0].names for each in models):
+        raise InputError("several logs need one model each, with the same free parameters")
+    x, y, t = np.mean([log.origin for log in records], axis=0).tolist()
+    return records, tuple(
+        replace(each, pattern=each.pattern.about((x, y, t))) for each in models
+    )
+
+
+def _noisy(leg: Leg) -> Leg:
+    """A leg at the process noise that the search starts from."""
+    pattern = leg.model.pattern
+    speed, tau = pattern.mean_velocity, leg.model.values["response_time"]
+    rate = math.sqrt(2.0) * math.pi / pattern.length_scale * speed + 1e-9
+    return noisier(leg, Smoothing().anneal * speed / tau / math.sqrt(rate))

@@ -5,310 +5,241 @@ The state is written as a deviation delta from a track s-bar, theta as one from 
     delta_i+1 = F_i delta_i + g_i + E_i dtheta + kick,    g_i = f(s-bar_i) - s-bar_i+1
     z_i - h(s-bar_i) = H_i delta_i + D_i dtheta + noise
 
-f is one step of Runge and Kutta's fourth order, F and E its exact derivatives. Half of a step's
-kick comes before it, half after. The filter runs at dtheta = 0 and carries V = d delta/d dtheta
-(Friedland 1969, IEEE Trans. Autom. Control 14, 359); an innovation is then e - G dtheta, and
+f is one step of Runge and Kutta's fourth order. F, E, H and D are exact: derivatives by a complex
+step, Im f(x + i h)/h (Squire and Trapp 1998, SIAM Rev. 40, 110). Half of a step's kick comes before
+it, half after. The filter runs at dtheta = 0 and carries V = d delta/d dtheta (Friedland 1969, IEEE
+Trans. Autom. Control 14, 359); an innovation is then e - G dtheta, and
 
     log L(dtheta) = log L(0) + b' dtheta - dtheta' J dtheta/2,   J = sum G'G/S,   b = sum G'e/S
 
 Backwards runs the adjoint r of the state (Bryson and Frazier 1963) with its covariance N:
 delta_i given all = delta_i predicted + P_i r_i, and the score of the variance of a kick is
-(r^2 - N)/2 (Koopman and Shephard 1992, Biometrika 79, 823). `passes.pyx` is this file compiled.
+(r^2 - N)/2 (Koopman and Shephard 1992, Biometrika 79, 823). `passes.pyx` is this file compiled,
+with derivatives by hand; `nodes.Pass` calls either.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array
+
+if TYPE_CHECKING:
+    from sparsefit.likelihood.model import StateSpace
+    from sparsefit.likelihood.nodes import Nodes, Smoothed
 
 OWN = 22  # elements before those of the waves, in the order of `model.ELEMENTS`
-TINY = 1e-300
+SMALL = 1e-30  # the complex step
 
 
-def acceleration(
-    elements: Array, ids: IntArray, state: Array, time: Array, thrust: Array
-) -> tuple[Array, Array, Array]:
-    """Return v' and its derivatives by the state and by elements.
-
-    Args:
-        elements: their values (m, 22 + 5 j).
-        ids: the elements (c,) to derive by.
-        state: x, y, v_x, v_y (m, 4).
-        time: from the middle of the log (m,) [s].
-        thrust: m (m, 2) [m/s^2].
-
-    Returns:
-        v' (m, 2), its derivatives by x, y, v_x, v_y (m, 2, 4) and by the elements (m, 2, c).
-    """
-    tau, scale, turn, bx, by, drag, wx, wy, gx, gy, rate, lag, gain, growth = elements[:, :14].T
-    speeds = state[:, 2:4].T
-    (x, y), t = state[:, :2].T - lag * speeds, time - lag
-    swell, shape = 1.0 + gain, 1.0 + growth * time
-    kx, ky, a, b, omega = elements[:, OWN:].reshape(len(x), -1, 5).transpose(2, 1, 0)
-    phase = kx * x + ky * y - omega * t
-    cos, sin = swell * shape * np.cos(phase), swell * shape * np.sin(phase)
-    slope, psi = b * cos - a * sin, a * cos + b * sin
-    px, py = -ky * psi, kx * psi
-    air, own = np.zeros((2, 2, elements.shape[1], len(x)))  # of the wind, of the acceleration
-    air[:, OWN + 0 :: 5] = px * x, py * x - slope
-    air[:, OWN + 1 :: 5] = px * y + slope, py * y
-    air[:, OWN + 2 :: 5] = -ky * sin, kx * sin
-    air[:, OWN + 3 :: 5] = ky * cos, -kx * cos
-    air[:, OWN + 4 :: 5] = -px * t, -py * t
+def force(elements: Array, state: Array, time: Array, push: Array) -> Array:
+    """v' (2, m) of states (4, m), from elements (22 + 5 j, m) and the log's own push (2, m)."""
+    tau, scale, turn, bx, by, square, wx, wy, gx, gy, rate, lag, gain, growth = elements[:14]
+    x, y = state[:2] - lag * state[2:4]
+    kx, ky, a, b, omega = elements[OWN:].reshape(-1, 5, len(time)).transpose(1, 0, 2)
+    phase = kx * x + ky * y - omega * (time - lag)
+    slope = (1.0 + gain) * (1.0 + growth * time) * (b * np.cos(phase) - a * np.sin(phase))
     flow = np.array([(ky * slope).sum(axis=0), -(kx * slope).sum(axis=0)])
-    gradient = np.array([[(kx * p).sum(axis=0), (ky * p).sum(axis=0)] for p in (px, py)])
-    relative = flow + np.array([wx + gx * time, wy + gy * time]) - speeds
-    speed = np.sqrt(np.sum(relative**2, axis=0) + TINY)
-    c, d, (push, side) = np.cos(turn), np.sin(turn), thrust.T
-    turned = np.array([c * push - d * side, d * push + c * side])
-    mass = 1.0 + rate * time
-    weight = 1.0 / (mass * (1.0 - lag / tau))
-    drawn = (1.0 + drag * speed) * relative / tau
-    result = weight * (drawn + scale * turned + np.array([bx, by]))
-    by_air = drag / speed * relative[:, None] * relative
-    by_air = weight / tau * (by_air + (1.0 + drag * speed) * np.eye(2)[:, :, None])
-    by_place = np.einsum("ijm,jkm->ikm", by_air, gradient)
-    by_state = np.concatenate([by_place, -by_air - lag * by_place], axis=1)
-    air[0, 6], air[1, 7], air[0, 8], air[1, 9] = 1.0, 1.0, time, time
-    change = -np.array([(omega * px).sum(axis=0), (omega * py).sum(axis=0)])
-    air[:, 11] = -np.einsum("ijm,jm->im", gradient, speeds) - change
-    air[:, 12], air[:, 13] = flow / swell, flow * time / shape
-    own[:, 0] = -weight * drawn / tau - lag / (tau * (tau - lag)) * result
-    own[:, 1], own[:, 2] = weight * turned, weight * scale * np.array([-turned[1], turned[0]])
-    own[0, 3], own[1, 4], own[:, 5] = weight, weight, weight * speed / tau * relative
-    own[:, 10], own[:, 11] = -result * time / mass, result / (tau - lag)
-    by_elements = own[:, ids] + np.einsum("ijm,jem->iem", by_air, air[:, ids])
-    return result.T, by_state.transpose(2, 0, 1), by_elements.transpose(2, 0, 1)
+    relative = flow + np.array([wx + gx * time, wy + gy * time]) - state[2:4]
+    speed = np.sqrt(np.sum(relative**2, axis=0) + 1e-300)
+    c, s = np.cos(turn), np.sin(turn)
+    turned = scale * np.array([c * push[0] - s * push[1], s * push[0] + c * push[1]])
+    drawn = (1.0 + square * speed) * relative / tau
+    return (drawn + turned + np.array([bx, by])) / ((1.0 + rate * time) * (1.0 - lag / tau))
 
 
-def transitions(
-    elements: Array,
-    walkers: IntArray,
-    rates: Array,
-    columns: IntArray,
-    time: Array,
-    thrust: Array,
-    track: Array,
-) -> tuple[Array, Array]:
-    """Return the step from every node to the next, and its derivatives.
-
-    Args:
-        elements: their values (22 + 5 j,).
-        walkers: the elements (w,) of the states from the fourth on.
-        rates: their rates (w,).
-        columns: the elements (p,) of the other derivatives.
-        time: of the nodes (m,) [s].
-        thrust: at the nodes (m, 2), a straight line between them.
-        track: the states s-bar (m, 4 + w).
-
-    Returns:
-        The next states (m - 1, 4 + w) and the derivatives of their first four entries by the
-        state and by the elements (m - 1, 4, 4 + w + p).
-    """
-    steps, ids = np.diff(time), np.concatenate([walkers, columns])
-    wandering = len(walkers)
-    slope = np.zeros((len(steps), 4, 4 + len(ids)))
-    slope[:, :, :4] = np.eye(4)
-    state, whole, total = track[:-1, :4], np.zeros((len(steps), 4)), np.zeros_like(slope)
-    speed, tangent = whole, np.zeros_like(slope)
+def following(
+    space: StateSpace, time: Array, push: Array, elements: Array, states: Array
+) -> Array:
+    """x, y, v_x, v_y (4, m - 1) a step after states (n, m - 1); time (m,), push (m, 2)."""
+    steps = np.diff(time)
+    speed = total = np.zeros((4, len(steps)))
     for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-        reach = (share * steps)[:, None]
-        fading = np.exp(-rates * reach)
-        full = np.tile(elements, (len(steps), 1))
-        for i, walker in enumerate(walkers):
-            full[:, walker] += fading[:, i] * track[:-1, 4 + i]
-        now = state + reach * speed
-        moved = slope + reach[:, :, None] * tangent
-        force, by_state, by_ids = acceleration(
-            full, ids, now, time[:-1] + reach[:, 0],
-            (1.0 - share) * thrust[:-1] + share * thrust[1:],
-        )  # fmt: skip
-        by_ids[:, :, :wandering] *= fading[:, None, :]
-        speed = np.concatenate([now[:, 2:4], force], axis=1)
-        tangent = np.concatenate([moved[:, 2:4], by_state @ moved], axis=1)
-        tangent[:, 2:, 4:] += by_ids
-        whole, total = whole + weight * speed, total + weight * tangent
-    following = np.exp(-rates * steps[:, None]) * track[:-1, 4:]
-    step = steps[:, None] / 6.0
-    return (
-        np.concatenate([state + step * whole, following], axis=1),
-        slope + step[:, :, None] * total,
+        fading = np.exp(-np.outer(space.rates, share * steps))
+        full = np.repeat(elements[:, None], len(steps), axis=1).astype(states.dtype)
+        np.add.at(full, space.walkers, fading * states[4:])
+        here = states[:4] + share * steps * speed
+        pushed = (1.0 - share) * push[:-1].T + share * push[1:].T
+        pull = force(full, here, time[:-1] + share * steps, pushed)
+        speed = np.concatenate([here[2:4], pull])
+        total = total + weight * speed
+    return states[:4] + steps / 6.0 * total
+
+
+def reading(space: StateSpace, elements: Array, states: Array) -> Array:
+    """The readings (4, m) of states (n, m)."""
+    full = np.repeat(elements[:, None], states.shape[1], axis=1).astype(states.dtype)
+    np.add.at(full, space.walkers, states[4:])
+    place, rate, bias_x, bias_y, turn, latency, offset_x, offset_y = full[14:OWN]
+    late = 1j * latency.imag if np.iscomplexobj(latency) else 0.0  # nodes stand at its real part
+    x, y = states[:2] - late * states[2:4]
+    c, s = np.cos(turn), np.sin(turn)
+    vx, vy = c * states[2] - s * states[3], s * states[2] + c * states[3]
+    return np.array(
+        [place * x + offset_x, place * y + offset_y, rate * vx + bias_x, rate * vy + bias_y]
     )
 
 
-def observation(
-    elements: Array, walkers: IntArray, columns: IntArray, state: Array
-) -> tuple[Array, Array, Array]:
-    """Return the four readings of a state, H (4, 4 + w) and D (4, p).
+def derived(
+    function: Callable[[Array, Array], Array], space: StateSpace, states: Array
+) -> tuple[Array, Array]:
+    """A function (4, m) of elements and states (n, m) as (m, 4), and its slopes (m, 4, n + p)."""
+    point = space.elements.astype(complex), states.astype(complex)
+    slopes = []
+    for part, places in zip((1, 0), (range(len(states)), space.columns), strict=True):
+        for place in places:
+            moved = [point[0].copy(), point[1].copy()]
+            moved[part][place] += 1j * SMALL
+            slopes.append(function(*moved).imag.T / SMALL)
+    return function(space.elements, states).T, np.stack(slopes, axis=2)
 
-    Args:
-        elements: their values (22 + 5 j,).
-        walkers: the elements that wander.
-        columns: the elements to derive by.
-        state: (4 + w,).
-    """
-    full = elements.copy()
-    np.add.at(full, walkers, state[4:])
-    place, rate, bias, turn = full[14], full[15], full[16:18], full[18]
-    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    seen = rotation @ state[2:4]
-    reading = np.concatenate([place * state[:2] + full[20:22], rate * seen + bias])
-    derivative = np.zeros((4, len(full)))
-    derivative[:2, 14] = state[:2]
-    derivative[2:, 15] = seen
-    derivative[2, 16] = derivative[3, 17] = derivative[0, 20] = derivative[1, 21] = 1.0
-    derivative[2:, 18] = rate * seen[1] * -1.0, rate * seen[0]
-    derivative[:2, 19] = -place * state[2:4]
-    by_state = np.zeros((4, len(state)))
-    by_state[:2, :2] = place * np.eye(2)
-    by_state[2:, 2:4] = rate * rotation
-    by_state[:, 4:] = derivative[:, walkers]
-    return reading, by_state, derivative[:, columns]
+
+def transitions(
+    space: StateSpace, time: Array, push: Array, track: Array
+) -> tuple[Array, Array, Array]:
+    """The next states (m - 1, n), F (m - 1, n, n) and E (m - 1, n, p) along a track (m, n)."""
+    n, steps = track.shape[1], np.diff(time)
+    moved, slopes = derived(lambda e, s: following(space, time, push, e, s), space, track[:-1].T)
+    fading = np.exp(-np.outer(steps, space.rates))
+    matrices, inputs = np.zeros((len(steps), n, n)), np.zeros((len(steps), n, len(space.columns)))
+    matrices[:, :4], inputs[:, :4] = slopes[:, :, :n], slopes[:, :, n:]
+    matrices[:, range(4, n), range(4, n)] = fading
+    return np.concatenate([moved, fading * track[:-1, 4:]], axis=1), matrices, inputs
 
 
 def forward(
-    elements: Array, walkers: IntArray, rates: Array, columns: IntArray,
-    kicks: Array, noise: Array,
-    time: Array, thrust: Array, measured: Array, weights: Array, track: Array,
-    adjoint: Array, scores: Array, state: Array, stored: Array | None,
-) -> float:  # fmt: skip
-    """Filter a block of nodes and carry the state on to the next block's first node.
+    space: StateSpace,
+    nodes: Nodes,
+    track: Array,
+    first: int,
+    end: int,
+    last: Smoothed | None,
+    state: Array,
+    stored: Array | None,
+) -> float:
+    """Filter the nodes from `first` to `end`, and go on to the node at `end` if there is one.
 
     Args:
-        elements, walkers, rates, columns: as of `transitions`.
-        kicks: the variance per second that each level gives to each state (l, n).
-        noise: the variance that each level gives to each channel (l, 4).
-        time, thrust, track: of the block's m nodes and the one after them, if any: (m or m + 1).
-        measured: the readings (m, 4).
-        weights: by which the variance of each reading is divided (m, 4); 0: it is missing.
-        adjoint: r before and after each node (m + 1, 2 n) of the last backward pass, which the
-            columns of the levels need; of no rows: there are none.
-        scores: the scores u (m, 12) of the readings of that pass.
+        space: the model.
+        nodes: the readings of the log.
+        track: s-bar (m, n).
+        first, end: the block of nodes.
+        last: the last backward pass, which the columns of the levels need; None: there are none.
         state: delta, V, P, then b and J as rows (n + q + n + 1 + q, width): changed in place.
-        stored: what the backward pass reads (m, ...), written in place; None: not wanted.
+        stored: written for the backward pass (end - first, `nodes.width`); None: not wanted.
 
     Returns:
         The log-likelihood of the block at dtheta = 0, -inf where rounding has won.
     """
-    p, n = len(columns), 4 + len(walkers)
-    levels = len(kicks) if len(adjoint) else 0
+    p, n = len(space.columns), track.shape[1]
+    levels = 0 if last is None else len(space.kicks)
     q = p + levels
-    delta, sensitivity, covariance = (
-        state[0, :n],
-        state[1 : 1 + q, :n],
-        state[1 + q : 1 + q + n, :n],
-    )
+    delta, sensitivity = state[0, :n], state[1 : 1 + q, :n]
+    covariance = state[1 + q : 1 + q + n, :n]
     score, information = state[1 + q + n, :q], state[2 + q + n : 2 + q + n + q, :q]
-    following, slopes = transitions(elements, walkers, rates, columns, time, thrust, track)
-    kick, spread = kicks.sum(axis=0), noise.sum(axis=0)
-    total, inputs = 0.0, np.zeros((4, q))
-    for i in range(len(measured)):
+    part = slice(first, min(end + 1, len(nodes.time)))
+    time, along = nodes.time[part], track[part]
+    ahead, matrices, inputs = transitions(space, time, nodes.push[part], along)
+    seen, slopes = derived(lambda e, s: reading(space, e, s), space, along.T)
+    kick, spread = space.kicks.sum(axis=0), space.noise.sum(axis=0)
+    total, response, half = 0.0, np.zeros(q), np.diag_indices(n)
+    for i, node in enumerate(range(first, end)):
         if stored is not None:
-            stored[i, : n * (1 + p + n)] = np.concatenate(
-                [delta, sensitivity[:p].ravel(), covariance.ravel()]
-            )
-            gains = stored[i, n * (1 + p + n) :]
-            gains[: 4 * (2 * n + p + 2)] = 0.0
-        reading, by_state, inputs[:, :p] = observation(elements, walkers, columns, track[i])
-        for channel in range(4):
-            if weights[i, channel] <= 0.0:
-                continue
-            h, variance = by_state[channel], spread[channel] / weights[i, channel]
-            if levels:
-                inputs[channel, p:] = noise[:, channel] * scores[i, channel] / weights[i, channel]
+            before = (delta, sensitivity[:p].ravel(), covariance.ravel())
+            stored[i, : n * (1 + p + n)] = np.concatenate(before)
+            gains = stored[i, n * (1 + p + n) : -4 * n].reshape(4, 2 * n + p + 2)
+            gains[:] = 0.0
+        for channel in np.flatnonzero(nodes.weights[node]):
+            h, weight = slopes[i, channel, :n], nodes.weights[node, channel]
+            response[:p] = slopes[i, channel, n:]
+            if last is not None:
+                response[p:] = space.noise[:, channel] * last.scores[node, channel] / weight
             gain = covariance @ h
-            size = gain @ h + variance
+            size = gain @ h + spread[channel] / weight
             if not size > 0.0:  # the covariance has lost its sign
                 return -math.inf
-            innovation = measured[i, channel] - reading[channel] - h @ delta
-            response = inputs[channel] + sensitivity @ h
+            innovation = nodes.measured[node, channel] - seen[i, channel] - h @ delta
+            response += sensitivity @ h
             if stored is not None:
-                place = channel * (2 * n + p + 2)
-                gains[place : place + 2 * n + p + 2] = np.concatenate(
-                    [h, gain / size, response[:p], [innovation, size]]
-                )
+                gains[channel] = np.concatenate([h, gain / size, response[:p], [innovation, size]])
             delta += gain * (innovation / size)
             sensitivity -= np.outer(response, gain / size)
             covariance -= np.outer(gain, gain / size)
             score += response * (innovation / size)
             information += np.outer(response, response / size)
             total -= 0.5 * (innovation**2 / size + math.log(2.0 * math.pi * size))
-        if i + 1 == len(time):
+        if node + 1 == len(nodes.time):
             break
-        step = time[i + 1] - time[i]
-        if levels:
-            sensitivity[p:] += 0.5 * step * kicks * adjoint[i, n:]
-        covariance[np.diag_indices(n)] += 0.5 * step * kick
-        matrix = np.zeros((n, n))
-        matrix[:4] = slopes[i, :, :n]
-        matrix[range(4, n), range(4, n)] = np.exp(-rates * step)
-        delta[:] = matrix @ delta + following[i] - track[i + 1]
+        step, matrix = time[i + 1] - time[i], matrices[i]
+        if last is not None:
+            sensitivity[p:] += 0.5 * step * space.kicks * last.adjoint[node, n:]
+        covariance[half] += 0.5 * step * kick
+        delta[:] = matrix @ delta + ahead[i] - along[i + 1]
         sensitivity[:] = sensitivity @ matrix.T
-        sensitivity[:p, :4] += slopes[i, :, n:].T
+        sensitivity[:p] += inputs[i].T
         covariance[:] = matrix @ covariance @ matrix.T
-        covariance[np.diag_indices(n)] += 0.5 * step * kick
-        if levels:
-            sensitivity[p:] += 0.5 * step * kicks * adjoint[i + 1, :n]
+        covariance[half] += 0.5 * step * kick
+        if last is not None:
+            sensitivity[p:] += 0.5 * step * space.kicks * last.adjoint[node + 1, :n]
         if stored is not None:
             stored[i, -4 * n :] = matrix[:4].ravel()
     return total
 
 
 def backward(
-    rates: Array, columns: int, time: Array, weights: Array, change: Array, noise: Array,
-    stored: Array, carried: Array, smoothed: Array, adjoint: Array, scores: Array, sums: Array,
-) -> None:  # fmt: skip
+    space: StateSpace,
+    nodes: Nodes,
+    first: int,
+    end: int,
+    change: Array,
+    stored: Array,
+    carried: Array,
+    result: Smoothed,
+    sums: Array,
+) -> None:
     """Run the adjoint through a block, from its last node to its first.
 
     Args:
-        rates: of the walkers (w,).
-        columns: their number p.
-        time: of the block's nodes and the one after them, if any.
-        weights: of the readings (m, 4).
+        space, nodes, first, end: as of `forward`.
         change: dtheta (p,) of the columns' elements.
-        noise: the variance of each channel (4,).
-        stored: what `forward` wrote.
+        stored: written by `forward`.
         carried: r and N of the node after the block (1 + n, n): changed in place.
-        smoothed: delta given all measurements (m, n), written.
-        adjoint: r at each node and after it (m, 2 n), written.
-        scores: of the readings (m, 12), written: u, then the residual that each leaves when it is
-            left out over its deviation, u/sqrt(D), then the standardised innovation e/sqrt(S).
+        result: its delta is added to the track; its adjoint and scores are written.
         sums: (n, 2) sums of r^2 and of N over the half kicks, times their seconds, then (4, 2) of
             R u^2 and of R times its variance over the readings: added to.
     """
-    n, p = carried.shape[1], columns
-    r, covariance = carried[0], carried[1:]
-    width = 2 * n + p + 2
-    for i in range(len(weights) - 1, -1, -1):
-        if i + 1 < len(time):
-            step = time[i + 1] - time[i]
+    n, p = carried.shape[1], len(change)
+    r, covariance, noise = carried[0], carried[1:], space.noise.sum(axis=0)
+    for node in range(end - 1, first - 1, -1):
+        saved = stored[node - first]
+        if node + 1 < len(nodes.time):
+            step = nodes.time[node + 1] - nodes.time[node]
             sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
             matrix = np.zeros((n, n))
-            matrix[:4] = stored[i, -4 * n :].reshape(4, n)
-            matrix[range(4, n), range(4, n)] = np.exp(-rates * step)
+            matrix[:4] = saved[-4 * n :].reshape(4, n)
+            matrix[range(4, n), range(4, n)] = np.exp(-space.rates * step)
             r[:] = matrix.T @ r
             covariance[:] = matrix.T @ covariance @ matrix
             sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
-        adjoint[i, n:] = r
-        gains = stored[i, n * (1 + p + n) :]
-        scores[i] = 0.0
-        for channel in range(3, -1, -1):
-            if weights[i, channel] <= 0.0:
-                continue
-            part = gains[channel * width : (channel + 1) * width]
-            h, gain, response = part[:n], part[n : 2 * n], part[2 * n : 2 * n + p]
-            innovation, size = part[-2] - response @ change, part[-1]
+        result.adjoint[node, n:] = r
+        gains = saved[n * (1 + p + n) : -4 * n].reshape(4, 2 * n + p + 2)
+        result.scores[node] = 0.0
+        for channel in np.flatnonzero(nodes.weights[node])[::-1]:
+            h, gain, response = np.split(gains[channel, :-2], [n, 2 * n])
+            innovation, size = gains[channel, -2] - response @ change, gains[channel, -1]
             along = covariance @ gain
             u, spread = innovation / size - gain @ r, 1.0 / size + gain @ along
-            scores[i, channel::4] = u, u / math.sqrt(spread), innovation / math.sqrt(size)
+            row = u, u / math.sqrt(spread), innovation / math.sqrt(size)
+            result.scores[node, channel::4] = row
             r += h * u
             covariance += spread * np.outer(h, h) - np.outer(h, along) - np.outer(along, h)
-            variance = noise[channel] / weights[i, channel]
+            variance = noise[channel] / nodes.weights[node, channel]
             sums[n + channel] += variance * u * u, variance * spread
-        adjoint[i, :n] = r
-        delta, sensitivity = stored[i, :n], stored[i, n : n * (1 + p)].reshape(p, n)
-        predicted = stored[i, n * (1 + p) : n * (1 + p + n)].reshape(n, n)
-        smoothed[i] = delta + change @ sensitivity + predicted @ r
+        result.adjoint[node, :n] = r
+        delta, sensitivity, predicted = np.split(saved[: n * (1 + p + n)], [n, n * (1 + p)])
+        result.track[node] += delta + change @ sensitivity.reshape(p, n)
+        result.track[node] += predicted.reshape(n, n) @ r

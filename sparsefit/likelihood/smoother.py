@@ -1,9 +1,10 @@
-"""The iterated smoother: trajectory, parameters and levels at the maximum of the likelihood.
+"""The iterated smoother: trajectory, parameters and levels climb the likelihood together.
 
 A pass linearises the motion along the last track, filters forward and smooths backward, which is
 one Gauss-Newton step on trajectory and parameters together (Bell 1994, SIAM J. Optim. 4, 626).
 Levels move in the same passes (`levels`). The process noise comes down from a level at which
-every start converges; the first passes see few rows.
+every start converges; the first passes see few rows. Where it ends at nothing, a short ladder
+looks for a higher maximum above.
 """
 
 from __future__ import annotations
@@ -15,12 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError
 from sparsefit.likelihood.levels import LevelSteps
-from sparsefit.likelihood.model import LEVELS, Model, StateSpace
-from sparsefit.likelihood.nodes import FlightLog, Nodes
-from sparsefit.likelihood.posterior import Descent, Posterior, Track
-from sparsefit.likelihood.trellis import Pass, Smoothed
+from sparsefit.likelihood.model import ELEMENTS, Model, StateSpace
+from sparsefit.likelihood.nodes import FlightLog, Nodes, Pass, Smoothed
+
+SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Smoothing:
         gate: the deviations beyond which a reading is left out; infinite: none is.
         outliers: the largest share of readings that may be left out.
         sorting: the passes after which no reading is left out or taken in any more.
-        diffuse: the first state's deviation, in those of its readings.
+        exact: noise below this share of the flow's length and velocity counts as none.
         dependent: the least eigenvalue of the scaled information that an observable model has.
     """
 
@@ -52,8 +52,76 @@ class Smoothing:
     gate: float = 4.5
     outliers: float = 0.2
     sorting: int = 8
-    diffuse: float = 30.0
+    exact: float = 1e-6
     dependent: float = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One log on the way to the optimum.
+
+    Args:
+        log: the readings.
+        model: at the values and levels reached.
+        nodes: of every `stride`-th row.
+        track: the states (m, n) at the nodes.
+        last: the last smoothed pass, of these nodes; None: none of use.
+        stride: of the rows.
+    """
+
+    log: FlightLog
+    model: Model
+    nodes: Nodes
+    track: Array
+    last: Smoothed | None = None
+    stride: int = 1
+
+    @classmethod
+    def of(
+        cls,
+        log: FlightLog,
+        model: Model,
+        settings: Smoothing,
+        stride: int = 1,
+        path: tuple[Array, Array] | None = None,
+    ) -> Leg:
+        """Place the nodes of a log, and a track on them.
+
+        Args:
+            log: the readings.
+            model: whose pattern has the origin that nodes are counted from.
+            settings: of the smoother.
+            stride: of the rows.
+            path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
+        """
+        longest = longest_step(log, model, settings) * (1.0 + (stride > 1))
+        nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
+        near = nodes.track() if path is None else _between(*path, nodes.time)
+        track = np.zeros((len(near), 4 + len(StateSpace.of(model).walkers)))
+        width = min(track.shape[1], near.shape[1])
+        track[:, :width] = near[:, :width]
+        return cls(log, model, nodes, track, None, stride)
+
+    def again(self, settings: Smoothing, stride: int) -> Leg:
+        """The leg on the nodes of another stride, or of a latency that has moved."""
+        leg = Leg.of(self.log, self.model, settings, stride, (self.nodes.time, self.track))
+        if not np.array_equal(leg.nodes.rows, self.nodes.rows):
+            return leg
+        nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
+        return replace(leg, nodes=nodes, last=self.last)
+
+    def at(self, levels: dict[str, float]) -> Leg:
+        """The leg at other levels, of which no pass was made."""
+        disturbance = self.model.disturbance.at(levels)
+        return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
+
+    def filtered(self, names: Sequence[str], *, keep: bool = True) -> tuple[Pass, Array]:
+        """A forward pass, and the derivatives of its columns by named parameters."""
+        chain = self.model.jacobian(names)
+        columns = np.flatnonzero(np.abs(chain).sum(axis=1))
+        space, spread = StateSpace.of(self.model, columns), self.log.spread
+        each = Pass.forward(space, self.nodes, self.track, spread, self.last, keep=keep)
+        return each, chain[columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,244 +129,107 @@ class Step:
     """One pass of all logs, forward and, where it was wanted, backward.
 
     Args:
-        start: where it was linearised.
+        legs: where it was linearised.
         passes: the forward passes.
         chains: per log, the derivatives of the columns' elements by its free parameters.
-        value: the log-likelihood at the start, priors included.
+        value: the log-likelihood at the start.
         gain: that the step should gain.
         change: of the free parameters (p,).
-        information: of the free parameters (p, p), priors included.
+        information: of the free parameters (p, p).
+        covariance: its inverse, where it has one.
         levels: per log, the average information of the logarithms of the variances (l, l).
-        weak: the names that the log cannot tell from each other, if any.
+        blind: the names that the logs cannot tell from each other, if any.
     """
 
-    start: Descent
+    legs: tuple[Leg, ...]
     passes: tuple[Pass, ...]
     chains: tuple[Array, ...]
     value: float
     gain: float
     change: Array
     information: Array
+    covariance: Array
     levels: tuple[Array, ...]
-    weak: tuple[str, ...]
+    blind: tuple[str, ...]
 
-
-def measure(
-    logs: FlightLog | Sequence[FlightLog],
-    model: Model | Sequence[Model],
-    levels: Sequence[str] = LEVELS,
-    start: Posterior | None = None,
-    settings: Smoothing | None = None,
-) -> Posterior:
-    """Find the maximum of the likelihood of logs that share the free parameters.
-
-    Args:
-        logs: one flight or several through one flow.
-        model: one for all, or one per log, with the same pattern and the same free parameters;
-            the values are where the search starts.
-        levels: the names of the levels to estimate; others are at their values.
-        start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
-            its trajectories are where the search starts, and the noise is not annealed.
-        settings: of the smoother.
-
-    Raises:
-        InputError: if a level or a parameter has no such name, or the log has gaps too long.
-    """
-    records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
-    models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
-    state = None if start is None else start.state
-    with np.errstate(all="ignore"):  # a step that is no number is not taken
-        return Ascent(records, models, tuple(levels), settings or Smoothing()).posterior(state)
-
-
-class Ascent:
-    """The passes of one measurement; its attributes do not change after its making."""
-
-    def __init__(
-        self,
-        logs: tuple[FlightLog, ...],
-        models: tuple[Model, ...],
-        levels: tuple[str, ...],
-        settings: Smoothing,
-    ) -> None:
-        names = models[0].names
-        if len(models) != len(logs) or any(each.names != names for each in models):
-            raise InputError("several logs need one model each, with the same free parameters")
-        for name in levels:
-            if name not in models[0].disturbance.levels:
-                valid = ", ".join(models[0].disturbance.levels)
-                raise InputError(f"no level {name!r} in this model (known: {valid})")
-        self.logs, self.settings, self.levels, self.local = logs, settings, levels, names
-        x, y, t = np.mean([log.origin for log in logs], axis=0).tolist()
-        self.origin = (x, y, t)
-        self.models = tuple(
-            replace(each, pattern=each.pattern.about(self.origin)) for each in models
-        )
-        shared = (*models[0].pattern.names, "growth")
-        self.names, self.places = names, [np.arange(len(names))]
-        for number in range(2, len(logs) + 1):
-            own = [name for name in names if name not in shared]
-            place = np.arange(len(names))
-            place[[names.index(name) for name in own]] = len(self.names) + np.arange(len(own))
-            self.names += tuple(f"{name}@{number}" for name in own)
-            self.places.append(place)
-        self.spreads = tuple(
-            np.repeat([
-                (settings.diffuse * model.disturbance.position_noise) ** 2,
-                (settings.diffuse * model.disturbance.velocity_noise) ** 2
-                + (0.0 if np.isfinite(log.speeds).any() else 10.0 * model.pattern.mean_velocity)
-                ** 2,
-            ], 2)
-            for log, model in zip(logs, models, strict=True)
-        )  # fmt: skip
-        self.centres, self.priors = self.values(self.models), np.ones(len(self.names))
-        for model, place in zip(self.models, self.places, strict=True):
-            self.priors[place] = [model.parameters[name].prior for name in names]
-        self.wanted = [list(models[0].disturbance.levels).index(name) for name in levels]
-
-    def values(self, models: tuple[Model, ...]) -> Array:
-        """The values (p,) of the free parameters."""
-        values = np.zeros(len(self.names))
-        for model, place in zip(models, self.places, strict=True):
-            values[place] = [model.parameters[name].value for name in self.local]
-        return values
-
-    def at(self, models: tuple[Model, ...], values: Array) -> tuple[Model, ...]:
-        """The models with these values (p,) of the free parameters."""
-        return tuple(
-            model.at(dict(zip(self.local, values[place].tolist(), strict=True)))
-            for model, place in zip(models, self.places, strict=True)
-        )
-
-    def starting(self, stride: int) -> Descent:
-        """The first track through every `stride`-th row."""
-        nodes = tuple(
-            self.nodes(*pair, stride) for pair in zip(self.logs, self.models, strict=True)
-        )
-        tracks = tuple(
-            each.track(4 + len(StateSpace.of(model).walkers))
-            for each, model in zip(nodes, self.models, strict=True)
-        )
-        models = []
-        for model in self.models:
-            tau, speed = model.parameters["response_time"].value, model.pattern.mean_velocity
-            rate = math.sqrt(2.0) * math.pi / model.pattern.length_scale * speed + 1e-9
-            models.append(_noisier(model, self.settings.anneal * speed / tau / math.sqrt(rate)))
-        return Descent(tuple(models), nodes, tracks, self.spreads, stride=stride)
-
-    def longest(self, log: FlightLog, model: Model) -> float:
-        """The longest step [s] of the motion in a model's flow."""
-        waves, tau = model.pattern.waves, model.parameters["response_time"].value
-        if np.isfinite(log.speeds).any():
-            speeds = np.hypot(*log.speeds.T)
-        else:
-            seen = np.isfinite(log.places).all(axis=1)
-            moved = np.diff(log.places[seen], axis=0)
-            speeds = np.hypot(*moved.T) / np.diff(log.time[seen])
-        speed = float(np.nanquantile(speeds, 0.95)) + 1e-9
-        size = float(np.hypot(waves[:, 0], waves[:, 1]).max())
-        return min(self.settings.phase / (size * speed), 0.5 * tau)
-
-    def nodes(self, log: FlightLog, model: Model, stride: int = 1) -> Nodes:
-        """The nodes of every `stride`-th row, close enough for the motion in a model's flow."""
-        longest = self.longest(log, model) * (1.0 + (stride > 1))
-        latency = model.parameters["latency"].value
-        return Nodes.of(log, self.origin, longest, latency, stride)
-
-    def along(self, tracks: list[tuple[Array, Array]]) -> Descent:
-        """The nodes of all rows, with given tracks: times (m,) and states (m, 4 or n) of each."""
-        nodes = tuple(map(self.nodes, self.logs, self.models))
-        states = []
-        for (time, track), each, model in zip(tracks, nodes, self.models, strict=True):
-            wide = np.zeros((len(time), 4 + len(StateSpace.of(model).walkers)))
-            wide[:, : track.shape[1]] = track
-            states.append(_between(time, wide, each.time))
-        return Descent(self.models, nodes, tuple(states), self.spreads)
-
-    def renoded(self, old: Descent, stride: int) -> Descent:
-        """The nodes of every `stride`-th row, with the track of others or of another latency."""
-        logs = zip(self.logs, old.models, strict=True)
-        nodes = [self.nodes(log, model, stride) for log, model in logs]
-        tracks = tuple(
-            _between(before.time, track, after.time)
-            for after, before, track in zip(nodes, old.nodes, old.tracks, strict=True)
-        )
-        same = stride == old.stride and all(
-            np.array_equal(a.rows, b.rows) for a, b in zip(nodes, old.nodes, strict=True)
-        )
-        if same:
-            pairs = zip(nodes, old.nodes, strict=True)
-            nodes = [replace(new, weights=before.weights.copy()) for new, before in pairs]
-        last = old.last if same else None
-        return Descent(old.models, tuple(nodes), tracks, self.spreads, last, stride)
-
-    def step(self, start: Descent) -> Step:
+    @classmethod
+    def of(cls, legs: tuple[Leg, ...], dependent: float, *, keep: bool = True) -> Step:
         """Filter all logs, and solve for the change of the free parameters."""
-        value, passes, chains, crosses, blocks = 0.0, [], [], [], []
-        score, information = np.zeros(len(self.names)), np.zeros((len(self.names),) * 2)
-        for i, (model, nodes, track) in enumerate(
-            zip(start.models, start.nodes, start.tracks, strict=True)
-        ):
-            chain = model.jacobian(self.local)
-            columns = np.flatnonzero(np.abs(chain).sum(axis=1))
-            chain, place = chain[columns], self.places[i]
-            last = None if start.last is None else start.last[i]
-            space = StateSpace.of(model, columns)
-            each = Pass.forward(space, nodes, track, self.spreads[i], last)
-            p = len(columns)
-            value += each.value
-            score[place] += chain.T @ each.score[:p]
-            information[np.ix_(place, place)] += chain.T @ each.information[:p, :p] @ chain
-            cross = np.zeros((len(self.names), len(each.score) - p))
-            cross[place] = chain.T @ each.information[:p, p:]
-            passes.append(each)
-            chains.append(chain)
-            crosses.append(cross)
-            blocks.append(each.information[p:, p:])
-        away = (self.centres - self.values(start.models)) / self.priors
-        value -= 0.5 * float(np.sum(away**2))
-        score += away / self.priors
-        information += np.diag(self.priors**-2.0)
-        inverse, weak = inverted(information, self.settings.dependent)
-        change = inverse @ score
-        levels = tuple(
-            0.5 * (block - cross.T @ inverse @ cross)
-            for block, cross in zip(blocks, crosses, strict=True)
-        )
-        return Step(
-            start, tuple(passes), tuple(chains), value, 0.5 * float(score @ change), change,
-            information, levels, tuple(self.names[j] for j in weak),
+        local = legs[0].model.names
+        names, places = joined(local, len(legs))
+        every = [leg.filtered(local, keep=keep) for leg in legs]
+        score, information = summed(every, places, len(names))
+        covariance, blind = inverted(information, dependent)
+        change, levels = covariance @ score, []
+        for (each, chain), place in zip(every, places, strict=True):
+            p = len(chain)
+            cross = each.information[p:, :p] @ chain
+            known = cross @ covariance[np.ix_(place, place)] @ cross.T
+            levels.append(0.5 * (each.information[p:, p:] - known))
+        passes, chains = zip(*every, strict=True)
+        value = float(sum(each.value for each in passes))
+        unseen = tuple(names[j] for j in blind)
+        return cls(
+            legs, passes, chains, value, 0.5 * float(score @ change), change, information,
+            covariance, tuple(levels), unseen,
         )  # fmt: skip
+
+    @property
+    def reached(self) -> float:
+        """The log-likelihood after the step, to second order."""
+        return self.value + self.gain
+
+    def smoothed(self) -> tuple[Smoothed, ...]:
+        """The backward passes."""
+        places = joined(self.legs[0].model.names, len(self.legs))[1]
+        return tuple(
+            each.backward(chain @ self.change[place])
+            for each, chain, place in zip(self.passes, self.chains, places, strict=True)
+        )
 
     def moved(
         self,
-        step: Step,
         smoothed: tuple[Smoothed, ...],
         share: float = 1.0,
         levels: list[Array] | None = None,
-    ) -> Descent:
-        """A share of a step of tracks, parameters and logarithms of variances."""
-        start = step.start
-        models = self.at(start.models, self.values(start.models) + share * step.change)
-        if levels is not None:
-            models = tuple(
-                _scaled(model, np.exp(0.5 * share * change))
-                for model, change in zip(models, levels, strict=True)
-            )
-        tracks = tuple(
-            track + share * (each.track - track)
-            for track, each in zip(start.tracks, smoothed, strict=True)
-        )
-        descent = replace(start, models=models, tracks=tracks, last=smoothed)
-        if "latency" not in self.local:
-            return descent
-        return self.renoded(descent, start.stride)  # the positions are then of other times
+    ) -> tuple[Leg, ...]:
+        """The legs after a share of the step of tracks, parameters and logarithms of variances."""
+        local, legs = self.legs[0].model.names, []
+        places = joined(local, len(self.legs))[1]
+        for i, (leg, each, place) in enumerate(zip(self.legs, smoothed, places, strict=True)):
+            steps = zip(local, (share * self.change[place]).tolist(), strict=True)
+            model = leg.model.at({name: leg.model.values[name] + step for name, step in steps})
+            if levels is not None:
+                factors = np.exp(0.5 * share * levels[i]).tolist()
+                old = model.disturbance.levels.items()
+                new = {name: level * f for (name, level), f in zip(old, factors, strict=True)}
+                model = replace(model, disturbance=model.disturbance.at(new))
+            track = leg.track + share * (each.track - leg.track)
+            legs.append(replace(leg, model=model, track=track, last=each))
+        return tuple(legs)
 
-    def descended(self, start: Descent, hold: int) -> tuple[Step, tuple[Smoothed, ...], int, str]:
+
+@dataclass(frozen=True)
+class Ascent:
+    """The way up: all that does not change from pass to pass.
+
+    Args:
+        settings: of the smoother.
+        wanted: the places of the levels that are estimated.
+        floors: per log, standard deviations (l,) that no level goes below.
+    """
+
+    settings: Smoothing
+    wanted: list[int]
+    floors: tuple[Array, ...]
+
+    def climbed(
+        self, start: tuple[Leg, ...], hold: int
+    ) -> tuple[Step, tuple[Smoothed, ...], int, str]:
         """Pass after pass while the likelihood rises.
 
         Args:
-            start: where the search starts.
+            start: the legs where the search starts.
             hold: the passes before the levels of the instruments move.
 
         Returns:
@@ -306,139 +237,166 @@ class Ascent:
             reason why the search did not converge.
         """
         settings = self.settings
-        scouts = [LevelSteps(self.wanted, settings.negligible, hold) for _ in self.logs]
-        current, reason, halvings, lifts, fresh = start, "", 0, 0, True
+        legs, reason, halvings, lifts, fresh = start, "", 0, 0, True
+        scouts = self._scouts(hold)
         history: list[float] = []
         best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
-        count = 0
-        while count < settings.passes:
-            count += 1
-            step = self.step(current)
-            reached = step.value + step.gain
-            if not math.isfinite(reached) or (
-                best is not None and not fresh and reached < best[0].value + best[0].gain - 1.0
-            ):
+        for count in range(1, settings.passes + 1):
+            step = Step.of(legs, settings.dependent)
+            fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
+            if fallen or not math.isfinite(step.reached):
                 if best is not None and halvings < 4:
                     halvings += 1
-                    current = self.moved(*best[:2], 0.5**halvings, best[2])
+                    legs = self._placed(best[0].moved(best[1], 0.5**halvings, best[2]))
                     continue
                 if lifts == settings.lifts:
                     reason = "the likelihood cannot be raised from where the search started"
                     break
-                base = current if best is None else best[0].start
-                models = tuple(
-                    _noisier(each, max(10.0 * each.disturbance.acceleration, 0.01))
-                    for each in base.models
+                legs = tuple(
+                    noisier(leg, max(10.0 * leg.model.disturbance.acceleration, 0.01))
+                    for leg in (legs if best is None else best[0].legs)
                 )
-                current, best = replace(base, models=models, last=None), None
-                lifts, halvings, fresh = lifts + 1, 0, True
-                scouts = [LevelSteps(self.wanted, settings.negligible, hold) for _ in self.logs]
+                best, lifts, halvings, fresh, scouts = None, lifts + 1, 0, True, self._scouts(hold)
                 continue
-            halvings = 0
-            smoothed = tuple(
-                each.backward(chain @ step.change[place])
-                for each, chain, place in zip(step.passes, step.chains, self.places, strict=True)
-            )
-            fresh = len(history) < settings.sorting and self.gated(current, smoothed)
-            history.append(reached)
-            changes, gains = [], 0.0
-            for i, scout in enumerate(scouts):
-                logs = list(current.models[i].disturbance.levels.values())
-                change, gain = scout.change(logs, smoothed[i].squares, step.levels[i],
-                                            self.models[i].disturbance.acceleration)  # fmt: skip
-                changes.append(change)
-                gains += gain
-            best = (step, smoothed, changes)
-            enough = settings.gain * (30.0 if current.stride > 1 else 1.0)
+            halvings, smoothed = 0, step.smoothed()
+            fresh = len(history) < settings.sorting and self._gated(legs, smoothed)
+            history.append(step.reached)
+            moves = [
+                scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
+                for scout, leg, each, levels in zip(
+                    scouts, legs, smoothed, step.levels, strict=True
+                )
+            ]
+            best = step, smoothed, [change for change, _ in moves]
+            gains = sum(gain for _, gain in moves)
+            enough = settings.gain * (30.0 if legs[0].stride > 1 else 1.0)
             level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
-            current = self.moved(step, smoothed, 1.0, changes)
+            legs = self._placed(step.moved(smoothed, 1.0, best[2]))
         else:
             reason = f"not at the maximum after {settings.passes} passes"
-        if best is None:
-            empty = tuple(Smoothed.empty(each.space, each.track) for each in step.passes)
-            still = replace(step, change=np.zeros(len(self.names)))
-            return replace(still, value=-math.inf, gain=0.0), empty, count, reason
-        if best[0].weak and not reason:
-            *others, final = best[0].weak
+        if best is None:  # the tracks as they were
+            nothing = tuple(
+                Smoothed(leg.track, np.zeros((len(leg.track) + 1, 2 * leg.track.shape[1])),
+                         np.full((len(leg.track), 12), np.nan), np.zeros((len(floor), 2)))
+                for leg, floor in zip(legs, self.floors, strict=True)
+            )  # fmt: skip
+            still = replace(step, value=-math.inf, gain=0.0, change=np.zeros_like(step.change))
+            return still, nothing, count, reason
+        if best[0].blind and not reason:
+            *others, final = best[0].blind
             reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
                 f"the log does not see {final}"
             )  # fmt: skip
         return best[0], best[1], count, reason
 
-    def gated(self, descent: Descent, smoothed: tuple[Smoothed, ...]) -> bool:
-        """Leave readings out that all others contradict; take in those that they bear out.
+    def ladder(self, end: tuple[Leg, ...], reached: float) -> tuple[Leg, ...] | None:
+        """Legs with more process noise and a higher likelihood, where it fell to nothing.
+
+        Args:
+            end: legs at a maximum, with their last passes.
+            reached: its log-likelihood.
+        """
+        best = None
+        levels = [leg.model.disturbance.levels for leg in end]
+        seen = [leg.last.squares[0, 1] for leg in end if leg.last is not None]
+        exact = all(
+            min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
+            for level, floor in zip(levels, self.floors, strict=True)
+        )
+        if 0 not in self.wanted or exact or not 0.0 < max(seen) < 2.0:
+            return None
+        reached += 10.0 * self.settings.gain
+        for degrees in (0.5, 8.0, 128.0):  # if they grew with the variance: they grow more slowly
+            factor = math.sqrt(degrees / max(seen))
+            legs = tuple(
+                leg.at({"acceleration": factor * level["acceleration"]})
+                for leg, level in zip(end, levels, strict=True)
+            )
+            step = Step.of(legs, self.settings.dependent, keep=False)
+            if step.reached > reached:
+                best, reached = legs, step.reached
+        return best
+
+    def _scouts(self, hold: int) -> list[LevelSteps]:
+        """Steps of the levels of each log, far from the optimum."""
+        negligible = self.settings.negligible
+        return [LevelSteps(self.wanted, floors, negligible, hold) for floors in self.floors]
+
+    def _placed(self, legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
+        """The legs on nodes of their latency, where that may have moved."""
+        if "latency" not in legs[0].model.names:
+            return legs
+        return tuple(leg.again(self.settings, leg.stride) for leg in legs)
+
+    def _gated(self, legs: tuple[Leg, ...], smoothed: tuple[Smoothed, ...]) -> bool:
+        """Leave readings out that all others contradict, take in those that they bear out.
 
         Returns:
             Whether any weight changed.
         """
-        if not math.isfinite(self.settings.gate):
-            return False
-        changed = False
-        for nodes, each, model in zip(descent.nodes, smoothed, descent.models, strict=True):
-            far = np.abs(each.scores[:, 4:8])
-            if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: no model yet
-                continue
-            most = max(self.settings.gate, 0.3 * float(far.max()))
-            noise = np.sqrt(StateSpace.of(model).noise.sum(axis=0))
-            out = nodes.seen & (nodes.weights == 0.0)
+        changed, gate = False, self.settings.gate
+        for leg, each in zip(legs, smoothed, strict=True):
+            nodes, far = leg.nodes, np.abs(each.scores[:, 4:8])
+            if not math.isfinite(gate) or np.median(far[nodes.weights > 0.0]) > 0.85:
+                continue  # a normal one's is .67: there is no model yet
+            noise = np.sqrt(StateSpace.of(leg.model).noise.sum(axis=0))
             away = np.abs(nodes.measured - each.track[:, :4]) / noise
-            out &= away > self.settings.gate
-            gate = out | (far > most)
-            if gate.sum() <= self.settings.outliers * nodes.seen.sum():
-                weights = np.where(nodes.seen & ~gate, 1.0, 0.0)
+            out = (nodes.weights == 0.0) & (away > gate)
+            out = nodes.seen & (out | (far > max(gate, 0.3 * float(far.max()))))
+            if out.sum() <= self.settings.outliers * nodes.seen.sum():
+                weights = np.where(nodes.seen & ~out, 1.0, 0.0)
                 changed |= bool((weights != nodes.weights).any())
                 nodes.weights[:] = weights
         return changed
 
-    def posterior(self, start: Descent | None) -> Posterior:
-        """Anneal on few rows, then on all."""
-        few, hold = 0, 0
-        if start is None:
-            strides = [
-                min(len(log.time) // self.settings.coarse,
-                    int(4.0 * self.longest(log, model) / float(np.median(np.diff(log.time)))))
-                for log, model in zip(self.logs, self.models, strict=True)
-            ]  # fmt: skip
-            stride = max(min(strides), 1)
-            start, hold = self.starting(stride), 2
-            if stride > 1:
-                step, smoothed, few, _ = self.descended(start, self.settings.passes)
-                hold = 0
-                start = self.renoded(self.moved(step, smoothed), 1)
-        else:
-            wider = []
-            for model, track in zip(self.models, start.tracks, strict=True):
-                wide = np.zeros((len(track), 4 + len(StateSpace.of(model).walkers)))
-                shared = min(wide.shape[1], track.shape[1])
-                wide[:, :shared] = track[:, :shared]
-                wider.append(wide)
-            moved = replace(start, models=self.models, tracks=tuple(wider), last=None)
-            start = self.renoded(moved, 1)
-        step, smoothed, whole, reason = self.descended(start, hold)
-        end = self.moved(step, smoothed)
-        shape = np.ix_(self.wanted, self.wanted)
-        information = step.levels[0][shape] if step.levels[0].size else np.zeros(shape[0].shape[0])
-        tracks = tuple(map(_track, step.start.nodes, smoothed))
-        return Posterior(
-            end.models, self.names, inverted(step.information, self.settings.dependent)[0],
-            step.value + step.gain, tracks, self.levels, information, reason, (few, whole),
-            self.origin, end,
-        )  # fmt: skip
+
+def longest_step(log: FlightLog, model: Model, settings: Smoothing) -> float:
+    """The longest step [s] of the motion in a model's flow."""
+    size = float(np.hypot(*model.pattern.waves[:, :2].T).max())
+    return min(settings.phase / (size * log.speed), 0.5 * model.values["response_time"])
 
 
-def _scaled(model: Model, factors: Array) -> Model:
-    """The model with its levels (l,) multiplied."""
-    levels = model.disturbance.levels
-    new = {name: levels[name] * float(factor) for name, factor in zip(levels, factors, strict=True)}
-    return replace(model, disturbance=model.disturbance.at(new))
+def noisier(leg: Leg, level: float) -> Leg:
+    """The leg with at least this process noise."""
+    return leg.at({"acceleration": max(level, leg.model.disturbance.acceleration)})
 
 
-def _noisier(model: Model, level: float) -> Model:
-    """The model with at least this process noise."""
-    level = max(level, model.disturbance.acceleration)
-    return replace(model, disturbance=model.disturbance.at({"acceleration": level}))
+def joined(names: Sequence[str], count: int) -> tuple[tuple[str, ...], list[list[int]]]:
+    """The names of parameters of several logs, and the places of each log's among them."""
+    every, places = list(names), []
+    for number in range(1, count + 1):
+        suffix = f"@{number}" if number > 1 else ""
+        local = [f"{n}{suffix}" if n in ELEMENTS and n not in SHARED else n for n in names]
+        every += [name for name in local if name not in every]
+        places.append([every.index(name) for name in local])
+    return tuple(every), places
+
+
+def summed(
+    every: Sequence[tuple[Pass, Array]], places: Sequence[list[int]], size: int
+) -> tuple[Array, Array]:
+    """The score (p,) and information (p, p) of parameters of all logs."""
+    score, information = np.zeros(size), np.zeros((size, size))
+    for (each, chain), place in zip(every, places, strict=True):
+        p = len(chain)
+        score[place] += chain.T @ each.score[:p]
+        information[np.ix_(place, place)] += chain.T @ each.information[:p, :p] @ chain
+    return score, information
+
+
+def inverted(information: Array, least: float) -> tuple[Array, IntArray]:
+    """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
+    if not len(information) or not np.isfinite(information).all():
+        return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(information / scale / scale[:, None])
+    blind = values < least
+    unseen = np.flatnonzero((np.abs(vectors[:, blind]) > 0.2).any(axis=1))
+    half = vectors[:, ~blind] / np.sqrt(values[~blind]) / scale[:, None]
+    return half @ half.T, unseen
 
 
 def _between(old: Array, track: Array, new: Array) -> Array:
@@ -454,25 +412,3 @@ def _between(old: Array, track: Array, new: Array) -> Array:
     between: Array = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * leaving + u * coming)
     between[:, :2] += (new - inside)[:, None] * between[:, 2:4]
     return between
-
-
-def _track(nodes: Nodes, smoothed: Smoothed) -> Track:
-    residual, innovation = smoothed.scores[:, 4:8], smoothed.scores[:, 8:]
-    used = nodes.weights > 0.0
-    return Track(
-        nodes.time, smoothed.track, np.where(used, innovation, np.nan),
-        np.where(used, residual, np.nan), nodes.rows, int((nodes.seen & ~used).sum()),
-    )  # fmt: skip
-
-
-def inverted(information: Array, least: float) -> tuple[Array, IntArray]:
-    """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
-    if not len(information) or not np.isfinite(information).all():
-        return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)
-    size = np.sqrt(np.maximum(np.diag(information), 0.0))
-    scale = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(information / scale / scale[:, None])
-    blind = values < least
-    weak = np.flatnonzero((np.abs(vectors[:, blind]) > 0.2).any(axis=1))
-    half = vectors[:, ~blind] / np.sqrt(values[~blind]) / scale[:, None]
-    return half @ half.T, weak
