@@ -13,7 +13,8 @@ from sparsefit.estimator.estimate import ScaleEstimate
 from sparsefit.estimator.measure import FALSE_ALARM, Measured
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
-from sparsefit.likelihood.causes import Cause, Suspect, noise_of, usable
+from sparsefit.likelihood.causes import Cause, Suspect, usable
+from sparsefit.likelihood.nodes import noise_of
 from sparsefit.model.grid import extent_of
 from sparsefit.rows import Samples
 

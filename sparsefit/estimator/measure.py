@@ -28,7 +28,7 @@ from sparsefit.likelihood.causes import (
     with_process,
 )
 from sparsefit.likelihood.goodness import Goodness, explained, whiteness
-from sparsefit.likelihood.model import Model, Motion, Process
+from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern
 from sparsefit.likelihood.posterior import Posterior
@@ -215,16 +215,16 @@ def _models(prepared: Prepared, proposal: Proposal) -> list[Model]:
     for flight, vehicle in zip(prepared.flights, proposal.vehicles, strict=True):
         tau, measured = min(vehicle.response_time, LINEAR), flight.thrust is not None
         bias = vehicle.thrust_acceleration if measured else (0.0, 0.0)
-        motion = Motion(
-            tau,
-            vehicle.thrust_scale if measured else 1.0,
-            thrust_bias_x=bias[0],
-            thrust_bias_y=bias[1],
-            quadratic_drag=vehicle.drag * tau,
-            wind_x=proposal.wind[0],
-            wind_y=proposal.wind[1],
-        )
-        models.append(Model(pattern, motion))
+        own = {
+            "response_time": tau,
+            "thrust_scale": vehicle.thrust_scale if measured else 1.0,
+            "thrust_bias_x": bias[0],
+            "thrust_bias_y": bias[1],
+            "quadratic_drag": vehicle.drag * tau,
+            "wind_x": proposal.wind[0],
+            "wind_y": proposal.wind[1],
+        }
+        models.append(Model(pattern, own))
     return models
 
 
@@ -312,7 +312,7 @@ def _gusts(model: Model) -> float:
 def _kicks(model: Model, pattern: StreamPattern) -> float:
     """The mean square [m^2/s^2] of the wind that process noise is worth in the flow's band."""
     timescale = pattern.length_scale / pattern.mean_velocity
-    tau = min(model.parameters["response_time"].value, timescale)
+    tau = min(model.values["response_time"], timescale)
     return (model.disturbance.acceleration * tau) ** 2 / (2 * timescale)
 
 

@@ -130,9 +130,9 @@ def vehicle_of(believed: PointMassVehicle, posterior: Posterior, flight: int = 0
 
     flight: its place among the flights.
     """
-    values, suffix = posterior.models[flight].parameters, f"@{flight + 1}" if flight else ""
-    tau = values["response_time"].value
-    measured = bool(np.ptp(posterior.state.nodes[flight].thrust, axis=0).any())
+    values, suffix = posterior.models[flight].values, f"@{flight + 1}" if flight else ""
+    tau = values["response_time"]
+    measured = bool(np.ptp(posterior.legs[flight].nodes.push, axis=0).any())
     parts: dict[str, Any] = {}
     sure: dict[str, Any] = {}
     for name, (own, factor) in {
@@ -141,7 +141,7 @@ def vehicle_of(believed: PointMassVehicle, posterior: Posterior, flight: int = 0
         "drag": ("quadratic_drag", 1.0 / tau),
     }.items():
         if own in posterior.models[0].names:
-            parts[name] = factor * values[own].value
+            parts[name] = factor * values[own]
             sure[name] = factor * posterior.error(own + suffix)
             sure[f"{name}_interval"] = interval(parts[name], sure[name])
     for name, pair in PAIRS.items():
@@ -152,7 +152,7 @@ def vehicle_of(believed: PointMassVehicle, posterior: Posterior, flight: int = 0
             name != "wind" and not measured
         ):  # the constant thrust is in the log, its error beside it
             base = believed.thrust_acceleration
-        both = [values[own].value + start for own, start in zip(pair, base, strict=True)]
+        both = [values[own] + start for own, start in zip(pair, base, strict=True)]
         spread = [posterior.error(own + suffix) for own in pair]
         parts[name], sure[name] = (both[0], both[1]), (spread[0], spread[1])
         sure[f"{name}_intervals"] = tuple(map(interval, both, spread))

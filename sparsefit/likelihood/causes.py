@@ -25,12 +25,10 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.likelihood.model import Model, Process, StateSpace
+from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior
-from sparsefit.likelihood.smoother import Smoothing, measure
-from sparsefit.likelihood.trellis import Pass
+from sparsefit.likelihood.posterior import Posterior, measure
 
 CHANCE = 1e-4  # of a gain as large in a flight without a cause, over all groups
 FITTED = 2  # groups of the least chance that are fitted for good
@@ -260,8 +258,8 @@ def diagnose(
         if trial.cause is not None:
             names = FREEDOMS.get(trial.free, ())
             own = max(trial.flight, 1) - 1
-            before, after = (each.models[own].parameters for each in (posterior, there))
-            size = tuple(after[name].value - before[name].value for name in names)
+            before, after = (each.models[own].values for each in (posterior, there))
+            size = tuple(after[name] - before[name] for name in names)
             suspects.append(
                 Suspect(trial.cause, size, chance, gain_of_it, trial.free, trial.flight)
             )
@@ -285,7 +283,7 @@ def fitted(
     """
     starts = []
     for log, model in zip(logs, models, strict=True):
-        places, speeds = noise_of(log.places), noise_of(log.speeds)
+        places, speeds = log.noise
         fresh = replace(
             model.disturbance, acceleration=0.0, position_noise=places, velocity_noise=speeds
         )
@@ -294,13 +292,6 @@ def fitted(
         return measure(logs, starts, tuple(models[0].disturbance.levels), start)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None
-
-
-def noise_of(values: Array) -> float:
-    """The level of white noise of a series (m, 2), from the median size of fourth differences."""
-    differences = np.abs(np.diff(values, n=4, axis=0))
-    size = float(np.nanmedian(differences)) if np.isfinite(differences).any() else 0.0
-    return max(size / 0.6745 / math.sqrt(70.0), 1e-9)
 
 
 def usable(posterior: Posterior) -> bool:
@@ -334,39 +325,18 @@ def gains_of(
         Gains by the name of a group and the number of the flight, from 1, whose own parameters they
         are; 0 of one flight alone, and of what all flights share.
     """
-    state, local = posterior.state, posterior.models[0].names
-    extra = tuple(dict.fromkeys(own for group in groups.values() for own in group))
-    extra = tuple(name for name in extra if name not in local)
-    own = {name for group in FREEDOMS.values() for name in group} - {"growth"}
-    places: dict[tuple[str, int], int] = {}
-    several = len(state.models) > 1
-    for flight in range(1, len(state.models) + 1):
-        for name in (*local, *extra):
-            key = (name, flight if several and name in own else 0)
-            places.setdefault(key, len(places))
-    score, information = np.zeros(len(places)), np.zeros((len(places), len(places)))
-    triples = zip(state.models, state.nodes, state.tracks, strict=True)
-    for flight, (model, nodes, track) in enumerate(triples, 1):
-        chain = model.jacobian((*local, *extra))
-        columns = np.flatnonzero(np.abs(chain).sum(axis=1))
-        noise = model.disturbance.position_noise, model.disturbance.velocity_noise
-        spread = (Smoothing().diffuse * np.repeat(noise, 2)) ** 2
-        if not nodes.seen[:, 2:].any():
-            spread[2:] += (10.0 * model.pattern.mean_velocity) ** 2
-        forward = Pass.forward(StateSpace.of(model, columns), nodes, track, spread, keep=False)
-        place = [
-            places[name, flight if several and name in own else 0] for name in (*local, *extra)
-        ]
-        score[place] += chain[columns].T @ forward.score
-        information[np.ix_(place, place)] += chain[columns].T @ forward.information @ chain[columns]
-    base = [place for (name, _), place in places.items() if name in local]
+    local = posterior.model.names
+    members = dict.fromkeys(own for group in groups.values() for own in group)
+    names, score, information = posterior.scores([own for own in members if own not in local])
+    base = [place for place, name in enumerate(names) if name.partition("@")[0] in local]
     gains = {}
-    for group, names in groups.items():
-        for flight in range(len(state.models) + 1):
-            if any((name, flight) not in places for name in names):
-                continue
-            added = [places[name, flight] for name in names]
-            gains[group, flight] = _gain(score, information, base, added)
+    for group, members_of in groups.items():
+        for flight in range(1, len(posterior.legs) + 1):
+            suffix = f"@{flight}" if flight > 1 else ""
+            if f"{members_of[0]}{suffix}" in names:
+                added = [names.index(f"{own}{suffix}") for own in members_of]
+                apart = f"{members_of[0]}@2" in names
+                gains[group, flight * apart] = _gain(score, information, base, added)
     return gains
 
 

@@ -165,10 +165,10 @@ class Model:
         A name may also be that of an element of a wave that no parameter of the pattern moves
         alone: "kx_2", "frequency_1".
         """
-        order, waves = list(ELEMENTS), len(self.pattern.waves)
-        columns = []
-        for name in names:
-            column, (stem, _, number) = np.zeros(len(order) + 5 * waves), name.rpartition("_")
+        order, waves, names = list(ELEMENTS), len(self.pattern.waves), tuple(names)
+        columns = np.zeros((len(names), len(order) + 5 * waves))
+        for name, column in zip(names, columns, strict=True):
+            stem, _, number = name.rpartition("_")
             if name in self.pattern.names:
                 place = self.pattern.names.index(name)
                 column[len(order) :] = self.pattern.jacobian[:, place]
@@ -178,8 +178,7 @@ class Model:
                 column[len(order) + 5 * (int(number) - 1) + WAVE.index(stem)] = 1.0
             else:
                 raise InputError(f"no parameter {name!r} here{suggestion(name, self.values)}")
-            columns.append(column)
-        return np.array(columns).reshape(len(columns), -1).T
+        return columns.T
 
     def at(self, values: Mapping[str, float]) -> Model:
         """Return the model with other values; which are free does not change."""

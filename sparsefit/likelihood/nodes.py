@@ -107,13 +107,8 @@ class FlightLog:
 
     @cached_property
     def noise(self) -> tuple[float, float]:
-        """White noise of position [m] and velocity [m/s], from the median fourth differences."""
-        levels = []
-        for values in (self.places, self.speeds):
-            sizes = np.abs(np.diff(values, n=4, axis=0))
-            size = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
-            levels.append(max(size / 0.6745 / math.sqrt(70.0), 1e-9))
-        return levels[0], levels[1]
+        """The levels of white noise of position [m] and velocity [m/s], from the log alone."""
+        return noise_of(self.places), noise_of(self.speeds)
 
     @property
     def spread(self) -> Array:
@@ -306,6 +301,13 @@ class Pass:
         result.squares[:] += (space.noise > 0.0) @ sums[n:]
         result.squares[:] *= 0.5
         return result
+
+
+def noise_of(values: Array) -> float:
+    """The level of white noise of a series (m, 2), from the median size of fourth differences."""
+    sizes = np.abs(np.diff(values, n=4, axis=0))
+    size = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
+    return max(size / 0.6745 / math.sqrt(70.0), 1e-9)
 
 
 def _width(n: int, p: int) -> int:

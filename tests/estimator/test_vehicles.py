@@ -73,7 +73,6 @@ def test_a_measured_thrust_and_its_own_unknowns():
     assert estimated(replace(flight, thrust=None)).status != "ok"
 
 
-@pytest.mark.xfail(strict=True, reason="levels are not marginalised: process noise falls to 0")
 def test_an_interval_holds_where_noise_of_the_thrust_is_weak_process_noise():
     right = estimated(flown(LINEAR, circling=True, thrust_noise=0.1, **NOISE))
     assert abs(right.mean_velocity - 8.0) < 4 * right.uncertainty.mean_velocity

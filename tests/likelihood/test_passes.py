@@ -1,23 +1,18 @@
-"""The passes: exact derivatives, the compiled against the plain ones, and a dense Gaussian."""
+"""The passes: exact derivatives, the compiled against the plain ones, blocks, a pattern's waves."""
 
 import numpy as np
 import pytest
 
+from sparsefit.likelihood import nodes as trellis
 from sparsefit.likelihood import reference
-from sparsefit.likelihood.model import (
-    ELEMENTS,
-    Disturbance,
-    Model,
-    Motion,
-    Process,
-    Sensor,
-    StateSpace,
-)
+from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process, StateSpace
+from sparsefit.likelihood.nodes import Nodes, Pass, Smoothed
 from sparsefit.likelihood.pattern import StreamPattern
 
-passes = pytest.importorskip("sparsefit.likelihood.passes")
-ODD = Motion(0.4, 1.1, 0.05, 0.3, -0.2, 0.02, 0.4, -0.3, 0.02, 0.03, 0.01, 0.03)
-SENSOR = Sensor(1.02, 0.97, 0.1, -0.2, 0.03, 0.02)
+WAVES = np.array([[1.1, 0.4], [-0.3, 0.9]])
+HEIGHTS = [2.0, 1.0], [0.5, -1.5]
+VALUES = (0.4, 1.1, 0.05, 0.3, -0.2, 0.02, 0.4, -0.3, 0.02, 0.03, 0.01, 0.03, 0.0, 0.02)
+SENSORS = (1.02, 0.97, 0.1, -0.2, 0.03, 0.02)
 PROCESSES = (
     Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5),
     Process("swell", ("gain",), 0.1),
@@ -25,83 +20,85 @@ PROCESSES = (
 )
 
 
-def odd_model(shape="pair", processes=PROCESSES):
-    waves = np.array([[1.1, 0.4], [-0.3, 0.9]])
-    pattern = StreamPattern.of_waves(shape, waves, [2.0, 1.0], [0.5, -1.5], (0.1, -0.2))
-    return Model(pattern, ODD, SENSOR, Disturbance(0.3, 0.05, 0.2, processes), growth=0.02)
+def odd_model(shape="pair"):
+    pattern = StreamPattern.of_waves(shape, WAVES, *HEIGHTS, (0.1, -0.2))
+    own = dict(zip(ELEMENTS, VALUES + SENSORS, strict=False))
+    return Model(pattern, own, Disturbance(0.3, 0.05, 0.2, PROCESSES))
 
 
 def odd_nodes(count=40, states=9, seed=3):
+    """Random readings, some of which are missing, and a random track."""
     rng = np.random.default_rng(seed)
     time = np.sort(rng.uniform(-3, 3, count))
-    thrust = rng.normal(size=(count, 2))
+    push = rng.normal(size=(count, 2))
     track = rng.normal(size=(count, states)) * [2, 2, 3, 3, *[0.3] * (states - 4)]
-    return time, thrust, track
+    measured = track[:, :4] + 0.1 * rng.normal(size=(count, 4))
+    weights = np.where(rng.uniform(size=(count, 4)) < 0.2, 0.0, rng.uniform(0.5, 1.0, (count, 4)))
+    rows = np.zeros((count, 2), dtype=np.intp)
+    return Nodes(time, push, measured, weights, rows, weights > 0.0), track
 
 
-def space_of(model):
-    return StateSpace.of(model, range(len(model.elements)))
-
-
-def step_arguments(space, columns=None):
-    return space.elements, space.walkers, space.rates, space.columns if columns is None else columns
-
-
-def test_the_step_has_the_derivatives_of_finite_differences():
-    space = space_of(odd_model())
-    time, thrust, track = odd_nodes(6)
+def test_steps_and_readings_have_the_derivatives_of_finite_differences():
+    model = odd_model()
+    space = StateSpace.of(model, range(len(model.elements)))
+    nodes, track = odd_nodes(6)
     time = np.linspace(0.0, 0.5, 6)
-    _, slopes = reference.transitions(*step_arguments(space), time, thrust, track)
-    none = np.zeros(0, dtype=np.intp)
+    functions = {
+        "step": lambda e, s: reference.following(space, time, nodes.push, e, s),
+        "reading": lambda e, s: reference.reading(space, e, s),
+    }
+    for name, function in functions.items():
+        states = track.T[:, :5]
+        _, slopes = reference.derived(function, space, states)
+        for place in range(9 + len(space.elements)):
+            push, moved = np.zeros(len(space.elements)), np.zeros_like(states)
+            if place < 9:
+                moved[place] = 1e-6
+            else:
+                push[place - 9] = 1e-6
+            up, down = (
+                function(space.elements + sign * push, states + sign * moved) for sign in (1, -1)
+            )
+            if name == "reading" and place == 9 + list(ELEMENTS).index("latency"):
+                continue  # the readings are then of another time
+            slope = (up - down).T / 2e-6
+            np.testing.assert_allclose(slopes[..., place], slope, rtol=1e-6, atol=1e-7)
 
-    def following(elements, states):
-        return reference.transitions(
-            elements, space.walkers, space.rates, none, time, thrust, states
-        )[0][:, :4]
 
-    for state in range(9):
-        push = np.zeros_like(track)
-        push[:, state] = 1e-6
-        up, down = (following(space.elements, track + sign * push) for sign in (1, -1))
-        np.testing.assert_allclose(slopes[:, :, state], (up - down) / 2e-6, rtol=1e-6, atol=1e-7)
-    for element in range(len(space.elements)):
-        push = np.zeros(len(space.elements))
-        push[element] = 1e-6
-        up, down = (following(space.elements + sign * push, track) for sign in (1, -1))
-        column = slopes[:, :, 9 + element]
-        np.testing.assert_allclose(column, (up - down) / 2e-6, rtol=1e-6, atol=1e-7)
-
-
-def test_the_readings_have_the_derivatives_of_finite_differences():
-    space = space_of(odd_model())
-    state = odd_nodes()[2][0]
-    _, by_state, by_element = reference.observation(
-        *step_arguments(space)[:2], space.columns, state
+def passed(space, nodes, track, last):
+    """Everything that a pass gives."""
+    forward = Pass.forward(space, nodes, track, np.arange(1.0, 5.0), last)
+    change = 0.01 * np.cos(np.arange(len(space.columns)))
+    smoothed = forward.backward(change)
+    return (
+        *(forward.value, forward.score, forward.information),
+        *(smoothed.track, smoothed.adjoint, smoothed.scores, smoothed.squares),
     )
-    none = np.zeros(0, dtype=np.intp)
 
-    def reading(elements, at):
-        return reference.observation(elements, space.walkers, none, at)[0]
 
-    push = 1e-6 * np.eye(9)
-    slopes = [reading(space.elements, state + e) - reading(space.elements, state - e) for e in push]
-    np.testing.assert_allclose(by_state, np.array(slopes).T / 2e-6, atol=1e-8)
-    for element, name in enumerate(ELEMENTS):
-        push = np.zeros(len(space.elements))
-        push[element] = 1e-6
-        slope = reading(space.elements + push, state) - reading(space.elements - push, state)
-        if name != "latency":  # the readings are then of another time
-            np.testing.assert_allclose(by_element[:, element], slope / 2e-6, atol=1e-8)
+@pytest.mark.parametrize("levels", [False, True])
+@pytest.mark.parametrize("way", ["plain", "blocks"])
+def test_the_compiled_pass_is_the_plain_one_and_that_of_blocks(levels, way, monkeypatch):
+    pytest.importorskip("sparsefit.likelihood.passes")
+    model, (nodes, track) = odd_model(), odd_nodes()
+    space, rng = StateSpace.of(model, range(len(model.elements))), np.random.default_rng(5)
+    adjoint, scores = rng.normal(size=(41, 18)), rng.normal(size=(40, 12))
+    last = Smoothed(track, adjoint, scores, np.zeros((6, 2))) if levels else None
+    compiled = passed(space, nodes, track, last)
+    if way == "plain":
+        monkeypatch.setattr(trellis, "passes", reference)
+    else:
+        monkeypatch.setattr(trellis, "BLOCK", 16)
+    for expected, value in zip(passed(space, nodes, track, last), compiled, strict=True):
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(value, expected, rtol=1e-8, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("shape", ["axis", "square", "rectangle", "pair"])
 @pytest.mark.parametrize("drift", [None, (0.3, -0.2)])
 def test_a_pattern_has_the_jacobian_of_finite_differences(shape, drift):
-    waves = np.array([[1.1, 0.4], [-0.3, 0.9]])
-    pattern = StreamPattern.of_waves(shape, waves, [2.0, 1.0], [0.5, -1.5], drift)
-    for column in range(len(pattern.values)):
-        push = np.zeros(len(pattern.values))
-        push[column] = 1e-6
+    pattern = StreamPattern.of_waves(shape, WAVES, *HEIGHTS, drift)
+    for column, push in enumerate(1e-6 * np.eye(len(pattern.values))):
         up, down = (
             StreamPattern(shape, tuple(np.array(pattern.values) + sign * push), drift is not None)
             for sign in (1, -1)
@@ -119,72 +116,24 @@ def test_a_square_of_waves_is_these_waves_whatever_their_signs(signs, order):
     np.testing.assert_allclose(again.values, true.values, rtol=1e-12)
 
 
+def velocity(pattern, x, y, t=0.0):
+    """The flow, by the force on a vehicle of unit response time at rest."""
+    elements = np.concatenate([[1.0, *np.zeros(21)], pattern.waves.ravel()])[:, None]
+    at = np.array([x, y, 0.0, 0.0]) - [*pattern.origin[:2], 0.0, 0.0]
+    time = np.array([t - pattern.origin[2]])
+    return reference.force(elements, at[:, None], time, np.zeros((2, 1)))[:, 0]
+
+
 def test_cells_along_the_axes_are_those_of_the_paper():
-    pattern = StreamPattern("axis", (15.0, 4.0, np.pi, 0.0))
-    elements = np.concatenate([[1.0, *np.zeros(21)], pattern.waves.ravel()])
-    x, y = 1.3, 0.8
-    force, _, _ = reference.acceleration(
-        elements[None],
-        np.zeros(0, np.intp),
-        np.array([[x, y, 0, 0]]),
-        np.zeros(1),
-        np.zeros((1, 2)),
-    )
-    k = np.pi / 4.0
-    cells = 15.0 * np.array([np.sin(k * x) * np.cos(k * y), -np.cos(k * x) * np.sin(k * y)])
-    np.testing.assert_allclose(force[0], cells, rtol=1e-12)
+    pattern, k = StreamPattern("axis", (15.0, 4.0, np.pi, 0.0)), np.pi / 4.0
+    cells = 15.0 * np.array([np.sin(1.3 * k) * np.cos(0.8 * k), -np.cos(1.3 * k) * np.sin(0.8 * k)])
+    np.testing.assert_allclose(velocity(pattern, 1.3, 0.8), cells, rtol=1e-12)
     assert pattern.about((1.0, 2.0, 3.0)).mean_velocity == pytest.approx(15.0)
 
 
-def test_the_origin_of_the_phases_changes_no_flow():
-    for shape in ("rectangle", "pair"):
-        pattern = odd_model(shape).pattern
-        moved = pattern.about((0.7, -1.1, 2.0))
-        here = np.array([[0.4, 0.9, 0.0, 0.0]])
-        forces = [
-            reference.acceleration(
-                np.concatenate([[1.0, *np.zeros(21)], each.waves.ravel()])[None],
-                np.zeros(0, np.intp), here - [*each.origin[:2], 0, 0],
-                np.array([1.5 - each.origin[2]]), np.zeros((1, 2)),
-            )[0]
-            for each in (pattern, moved)
-        ]  # fmt: skip
-        np.testing.assert_allclose(*forces, rtol=1e-12)
-
-
-def filtered(kernel, space, nodes, seed=5, adjoint=True):
-    """Everything that the two passes give on random readings, some of which are missing."""
-    time, thrust, track = nodes
-    rng = np.random.default_rng(seed)
-    m, n = track.shape
-    p, levels = len(space.columns), len(space.kicks)
-    measured = track[:, :4] + 0.1 * rng.normal(size=(m, 4))
-    weights = np.where(rng.uniform(size=(m, 4)) < 0.2, 0.0, rng.uniform(0.5, 1.0, (m, 4)))
-    pushed = rng.normal(size=(m + 1, 2 * n)) if adjoint else np.zeros((0, 2 * n))
-    scores = rng.normal(size=(m, 12))
-    q = p + levels * adjoint
-    state = np.zeros((2 + q + n + q, max(n, q)))
-    state[1 + q : 1 + q + n, :n] = np.eye(n)
-    stored = np.zeros((m, n * (1 + p + n) + 4 * (2 * n + p + 2) + 4 * n))
-    gain = kernel.forward(
-        *step_arguments(space), space.kicks, space.noise,
-        time, thrust, measured, weights, track, pushed, scores, state, stored,
-    )  # fmt: skip
-    carried, smoothed = np.zeros((1 + n, n)), np.zeros((m, n))
-    pushed, scores, sums = np.zeros((m, 2 * n)), np.zeros((m, 12)), np.zeros((n + 4, 2))
-    kernel.backward(
-        space.rates, p, time, weights, 0.01 * rng.normal(size=p), space.noise.sum(axis=0),
-        stored, carried, smoothed, pushed, scores, sums,
-    )  # fmt: skip
-    return gain, state, carried, smoothed, pushed, scores, sums
-
-
-@pytest.mark.parametrize("adjoint", [False, True])
-def test_the_compiled_passes_are_the_plain_ones(adjoint):
-    space, nodes = space_of(odd_model()), odd_nodes()
-    plain, compiled = (
-        filtered(kernel, space, nodes, adjoint=adjoint) for kernel in (reference, passes)
-    )
-    for expected, value in zip(plain, compiled, strict=True):
-        size = np.abs(expected).max()
-        np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-9 * size)
+@pytest.mark.parametrize("shape", ["rectangle", "pair"])
+def test_the_origin_of_the_phases_changes_no_flow(shape):
+    pattern = odd_model(shape).pattern
+    moved = pattern.about((0.7, -1.1, 2.0))
+    here, there = (velocity(each, 0.4, 0.9, 1.5) for each in (pattern, moved))
+    np.testing.assert_allclose(here, there, rtol=1e-12)

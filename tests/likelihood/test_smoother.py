@@ -9,15 +9,13 @@ from sparsefit.likelihood import (
     Disturbance,
     FlightLog,
     Model,
-    Motion,
     Process,
     StreamPattern,
     bound,
     measure,
 )
 from sparsefit.likelihood.model import LEVELS, StateSpace
-from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.trellis import Pass
+from sparsefit.likelihood.nodes import Nodes, Pass
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
 THRUST = (5.0, 3.0)
@@ -52,21 +50,19 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     log, _ = flown(1, count=12)
     pattern = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5)
-    model = Model(pattern, Motion(TAU), disturbance=Disturbance(0.8, 0.05, 0.2, (turbulence,)))
+    model = Model(pattern, {"response_time": TAU}, Disturbance(0.8, 0.05, 0.2, (turbulence,)))
     model = model.free("wind_x", "thrust_scale")
     names = ("wind_x", "thrust_scale")
     chain = model.jacobian(names)
     columns = np.flatnonzero(chain.sum(axis=1))
     space = StateSpace.of(model, columns)
     nodes = Nodes.of(log, log.origin, 1.0)
-    track, spread = nodes.track(6), np.array([1.0, 2.0, 3.0, 4.0])
+    track, spread = np.pad(nodes.track(), ((0, 0), (0, 2))), np.array([1.0, 2.0, 3.0, 4.0])
     forward = Pass.forward(space, nodes, track, spread)
     m, n = track.shape
     from sparsefit.likelihood import reference
 
-    following, slopes = reference.transitions(
-        space.elements, space.walkers, space.rates, columns, nodes.time, nodes.thrust, track
-    )
+    following, matrices, slopes = reference.transitions(space, nodes.time, nodes.push, track)
     # every state as a linear map of the first state, of all kicks and of theta
     size = n + 2 * n * (m - 1)
     maps, offset, by_theta = [np.zeros((n, size))], [np.zeros(n)], [np.zeros((n, 2))]
@@ -75,18 +71,14 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     variances = [np.concatenate([spread, space.spread.sum(axis=0)[4:]])]
     for i in range(m - 1):
         step = nodes.time[i + 1] - nodes.time[i]
-        f = np.zeros((n, n))
-        f[:4] = slopes[i, :, :n]
-        f[[4, 5], [4, 5]] = np.exp(-space.rates * step)
+        f = matrices[i]
         before = maps[-1].copy()
         before[:, n + 2 * n * i : n + 2 * n * i + n] += np.eye(n)
         after = f @ before
         after[:, 2 * n + 2 * n * i : 2 * n + 2 * n * i + n] += np.eye(n)
         maps.append(after)
         offset.append(f @ offset[-1] + following[i] - track[i + 1])
-        moved = f @ by_theta[-1]
-        moved[:4] += slopes[i, :, n:]
-        by_theta.append(moved)
+        by_theta.append(f @ by_theta[-1] + slopes[i])
         variances += [0.5 * step * space.kicks.sum(axis=0)] * 2
     prior = np.diag(np.concatenate(variances))
     h = np.vstack([each[:4] for each in maps])
@@ -130,25 +122,6 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     np.testing.assert_allclose(again.information, expected, rtol=1e-7, atol=1e-9)
 
 
-def test_blocks_change_nothing(monkeypatch):
-    log, _ = flown(2, count=50)
-    model = Model(TRUE.about(log.origin), Motion(TAU), disturbance=Disturbance(0.5))
-    columns = np.flatnonzero(np.abs(model.jacobian(model.names)).sum(axis=1))
-    space, nodes = StateSpace.of(model, columns), Nodes.of(log, log.origin, 0.03)
-    track = nodes.track(4)
-
-    def both():
-        forward = Pass.forward(space, nodes, track, np.ones(4))
-        smoothed = forward.backward(1e-3 * np.ones(len(columns)))
-        again = Pass.forward(space, nodes, track, np.ones(4), smoothed)
-        return forward.value, again.information, smoothed.track, smoothed.adjoint, smoothed.squares
-
-    whole = both()
-    monkeypatch.setattr("sparsefit.likelihood.trellis.BLOCK", 16)
-    for expected, value in zip(whole, both(), strict=True):
-        np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-12)
-
-
 def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
     """Independently: shooting from the first state, least squares over it and the parameters."""
     from scipy.optimize import least_squares
@@ -169,7 +142,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
 
     fit = least_squares(misfit, [*states[0], *TRUE.values], x_scale="jac", xtol=1e-12)
     errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))[4:6]
-    posterior = measure(log, Model(nearby(), Motion(TAU)), levels=())
+    posterior = measure(log, Model(nearby(), {"response_time": TAU}), levels=())
     assert posterior.converged, posterior.reason
     for place, name in enumerate(("mean_velocity", "length_scale")):
         assert posterior.error(name) == pytest.approx(errors[place], rel=0.02)
@@ -179,7 +152,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
 
 def test_levels_are_at_the_maximum():
     log, _ = flown(4, count=300)
-    model = Model(nearby(), Motion(TAU), disturbance=Disturbance(0.1, 0.06, 0.17))
+    model = Model(nearby(), {"response_time": TAU}, Disturbance(0.1, 0.06, 0.17))
     posterior = measure(log, model)
     levels = posterior.model.disturbance.levels
     assert levels["position_noise"] == pytest.approx(0.05, rel=0.1)
@@ -187,14 +160,14 @@ def test_levels_are_at_the_maximum():
     for name in LEVELS[1:]:
         for factor in (0.97, 1.03):
             there = model.disturbance.at(levels | {name: levels[name] * factor})
-            other = Model(posterior.model.pattern, Motion(TAU), disturbance=there)
+            other = Model(posterior.model.pattern, {"response_time": TAU}, there)
             worse = measure(log, other, levels=())
             assert worse.log_likelihood < posterior.log_likelihood
 
 
 def test_parameters_that_a_log_cannot_tell_apart_are_named():
     log, _ = flown(5)
-    model = Model(nearby(), Motion(TAU)).free("wind_x", "thrust_bias_x")
+    model = Model(nearby(), {"response_time": TAU}).free("wind_x", "thrust_bias_x")
     posterior = measure(log, model)
     assert not posterior.converged
     assert posterior.reason == "the log cannot tell thrust_bias_x from wind_x"
@@ -222,7 +195,7 @@ def test_logs_with_faults_are_measured(case):
         hit = rng.uniform(size=len(time)) < 0.02
         speeds[hit] += 5.0 * rng.choice([-1, 1], size=(hit.sum(), 2))
     faulty = FlightLog(time[rows], places[rows], speeds[rows], THRUST)
-    posterior = measure(faulty, Model(nearby(), Motion(TAU)))
+    posterior = measure(faulty, Model(nearby(), {"response_time": TAU}))
     assert posterior.converged, posterior.reason
     for name in ("mean_velocity", "length_scale"):
         true = dict(zip(TRUE.names, TRUE.values, strict=True))[name]
@@ -233,7 +206,7 @@ def test_logs_with_faults_are_measured(case):
 
 def test_the_bound_is_the_covariance_at_the_truth():
     log, states = flown(8)
-    true = Model(TRUE, Motion(TAU), disturbance=Disturbance(0.0, 0.05, 0.2))
+    true = Model(TRUE, {"response_time": TAU}, Disturbance(0.0, 0.05, 0.2))
     at_truth = bound(log, true, [states])
     posterior = measure(log, true, levels=())
     size = np.sqrt(np.diag(at_truth))
@@ -247,7 +220,7 @@ def test_the_bound_is_the_covariance_at_the_truth():
 
 def test_flights_share_the_flow_and_have_vehicles_of_their_own():
     logs = [flown(9)[0], flown(10, place=(2.0, 1.0))[0]]
-    model = Model(nearby(), Motion(TAU), disturbance=Disturbance()).free("response_time")
+    model = Model(nearby(), {"response_time": TAU}, Disturbance()).free("response_time")
     alone = [measure(log, model, levels=()) for log in logs]
     both = measure(logs, model, levels=())
     assert both.converged, both.reason
@@ -276,10 +249,10 @@ def test_flights_share_the_flow_and_have_vehicles_of_their_own():
 def test_a_parameter_that_is_free_is_measured(name, value):
     """The log of a vehicle or an instrument that is as believed, believed to be otherwise."""
     log, _ = flown(11, count=500)
-    motion, places, speeds, time = Motion(TAU), log.places, log.speeds, log.time
+    motion, places, speeds, time = {"response_time": TAU}, log.places, log.speeds, log.time
     model = Model(nearby(), motion).free(name)
     if name == "response_time":
-        model = Model(nearby(), Motion(value)).free(name)
+        model = Model(nearby(), {"response_time": value}).free(name)
         value = TAU
     elif name in ("thrust_scale", "wind_x", "thrust_rotation"):
         model = model.at({name: value})
@@ -311,7 +284,7 @@ def test_turbulence_has_its_level():
     log, _ = flown(12)
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
     posterior = measure(
-        log, Model(nearby(), Motion(TAU), disturbance=Disturbance(processes=(turbulence,))),
+        log, Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,))),
         (*LEVELS, "turbulence"),
     )  # fmt: skip
     assert posterior.converged, posterior.reason
@@ -321,6 +294,6 @@ def test_turbulence_has_its_level():
 def test_a_log_that_no_number_describes_is_an_answer_with_a_reason():
     log, _ = flown(13, count=60)
     wild = FlightLog(log.time, 1e170 * log.places, log.speeds, THRUST)
-    posterior = measure(wild, Model(nearby(), Motion(TAU)))
+    posterior = measure(wild, Model(nearby(), {"response_time": TAU}))
     assert not posterior.converged
     assert "cannot be raised" in posterior.reason
