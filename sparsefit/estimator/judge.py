@@ -25,7 +25,6 @@ FEWEST = 20  # samples: fewer say nothing of their own noise
 HARDLY = 0.4  # of U0: with more turbulence than this there are hardly any steady cells
 UNEXPLAINED = 0.5  # of |Phi|^2: what leaves more of the rows is another flow
 OTHER = 0.8  # of the air's variance: a flight of which the common flow explains less
-EXACT = 1e-6  # of L: less noise of positions is that of the arithmetic
 COLOURED = 1e-6  # p-value of innovations as coloured by chance: below, the model is another
 
 
@@ -198,8 +197,7 @@ def _misfit(case: Case) -> Verdict | None:
         share = 100 * goodness.turbulence_share
         words = f"turbulence of {goodness.turbulence:.2g} m/s, {share:.2g} % of U0, and hardly any"
         return Verdict("misfit", f"more than noise is left: {words} steady cells", Doubt.MISFIT)
-    noise = measured.posterior.model.disturbance.position_noise
-    noisy = noise > EXACT * case.scales[0].length_scale
+    noisy = not measured.posterior.exact
     if noisy and goodness.whiteness < COLOURED and not goodness.turbulence > 0:
         words = f"more than noise is left: innovations are not white (p = {goodness.whiteness:.1g})"
         return Verdict("misfit", f"{words}, and no cause explains it", Doubt.MISFIT)

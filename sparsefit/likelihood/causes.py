@@ -370,6 +370,8 @@ def chance_of(gain: float, freedom: int) -> float:
 
 def disturbed(posterior: Posterior) -> bool:
     """Whether there is process noise: its level takes more than a degree of freedom."""
+    if posterior.exact:
+        return False
     information = np.atleast_2d(posterior.level_information)
     return bool(information.size) and float(information[0, 0]) > REAL
 

@@ -33,7 +33,9 @@ class LevelSteps:
         self.count, self.gain = 0, math.inf
         self.before: tuple[Array, Array] | None = None
 
-    def change(self, levels: list[float], squares: Array, information: Array) -> tuple[Array, float]:
+    def change(
+        self, levels: list[float], squares: Array, information: Array
+    ) -> tuple[Array, float]:
         """Return the step (l,) of the logarithms, and what it may gain.
 
         Args:

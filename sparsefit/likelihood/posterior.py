@@ -94,6 +94,12 @@ class Posterior:
         return not self.reason
 
     @property
+    def exact(self) -> bool:
+        """Whether the readings are as exact as the steps of the passes: noise says nothing then."""
+        bound = 3.0 * self.settings.exact * self.model.pattern.length_scale
+        return max(leg.model.disturbance.position_noise for leg in self.legs) < bound
+
+    @property
     def models(self) -> tuple[Model, ...]:
         """The model of each log at the optimum, values and levels."""
         return tuple(leg.model for leg in self.legs)
@@ -118,9 +124,13 @@ class Posterior:
             residual, innovation = leg.last.scores[:, 4:8], leg.last.scores[:, 8:]
             tracks.append(
                 Track(
-                    nodes.time, leg.track, np.where(used, innovation, np.nan),
-                    np.where(used, residual, np.nan), nodes.rows, int((nodes.seen & ~used).sum()),
-                )  # fmt: skip
+                    nodes.time,
+                    leg.track,
+                    np.where(used, innovation, np.nan),
+                    np.where(used, residual, np.nan),
+                    nodes.rows,
+                    int((nodes.seen & ~used).sum()),
+                )
             )
         return tuple(tracks)
 
@@ -277,7 +287,11 @@ def measure(
     for each in models:
         pattern, floor = each.pattern, np.full(len(each.disturbance.levels), 1e-150)
         speed, length = settings.exact * pattern.mean_velocity, pattern.length_scale
-        floor[:3] = speed * math.sqrt(pattern.mean_velocity / length), settings.exact * length, speed
+        floor[:3] = (
+            speed * math.sqrt(pattern.mean_velocity / length),
+            settings.exact * length,
+            speed,
+        )
         if 0 not in wanted:
             floor[0] = max(each.disturbance.acceleration, 1e-9)
         floors.append(floor)
@@ -286,11 +300,13 @@ def measure(
     with np.errstate(all="ignore"):  # a step that is no number is not taken
         if start is None:
             strides = [
-                min(len(log.time) // settings.coarse,
-                    int(4.0 * longest_step(log, each, settings) / float(np.median(np.diff(log.time)))))
+                min(
+                    len(log.time) / settings.coarse,
+                    4.0 * longest_step(log, each, settings) / float(np.median(np.diff(log.time))),
+                )
                 for log, each in pairs
-            ]  # fmt: skip
-            stride, hold = max(min(strides), 1), 2
+            ]
+            stride, hold = max(int(min(strides)), 1), 2
             legs = tuple(_noisy(Leg.of(*pair, settings, stride)) for pair in pairs)
             if stride > 1:
                 step, smoothed, few, _ = ascent.climbed(legs, settings.passes)
@@ -362,9 +378,7 @@ def _about(
     if len(models) != len(records) or any(each.names != models[0].names for each in models):
         raise InputError("several logs need one model each, with the same free parameters")
     x, y, t = np.mean([log.origin for log in records], axis=0).tolist()
-    return records, tuple(
-        replace(each, pattern=each.pattern.about((x, y, t))) for each in models
-    )
+    return records, tuple(replace(each, pattern=each.pattern.about((x, y, t))) for each in models)
 
 
 def _noisy(leg: Leg) -> Leg:

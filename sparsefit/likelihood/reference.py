@@ -49,12 +49,11 @@ def force(elements: Array, state: Array, time: Array, push: Array) -> Array:
     c, s = np.cos(turn), np.sin(turn)
     turned = scale * np.array([c * push[0] - s * push[1], s * push[0] + c * push[1]])
     drawn = (1.0 + square * speed) * relative / tau
-    return (drawn + turned + np.array([bx, by])) / ((1.0 + rate * time) * (1.0 - lag / tau))
+    total: Array = drawn + turned + np.array([bx, by])
+    return total / ((1.0 + rate * time) * (1.0 - lag / tau))
 
 
-def following(
-    space: StateSpace, time: Array, push: Array, elements: Array, states: Array
-) -> Array:
+def following(space: StateSpace, time: Array, push: Array, elements: Array, states: Array) -> Array:
     """x, y, v_x, v_y (4, m - 1) a step after states (n, m - 1); time (m,), push (m, 2)."""
     steps = np.diff(time)
     speed = total = np.zeros((4, len(steps)))
@@ -90,11 +89,11 @@ def derived(
     """A function (4, m) of elements and states (n, m) as (m, 4), and its slopes (m, 4, n + p)."""
     point = space.elements.astype(complex), states.astype(complex)
     slopes = []
-    for part, places in zip((1, 0), (range(len(states)), space.columns), strict=True):
-        for place in places:
-            moved = [point[0].copy(), point[1].copy()]
-            moved[part][place] += 1j * SMALL
-            slopes.append(function(*moved).imag.T / SMALL)
+    places = [(1, place) for place in range(len(states))] + [(0, own) for own in space.columns]
+    for part, place in places:
+        moved = point[0].copy(), point[1].copy()
+        moved[part][place] += 1j * SMALL
+        slopes.append(function(*moved).imag.T / SMALL)
     return function(space.elements, states).T, np.stack(slopes, axis=2)
 
 

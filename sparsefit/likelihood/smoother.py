@@ -241,7 +241,9 @@ class Ascent:
         scouts = self._scouts(hold)
         history: list[float] = []
         best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
-        for count in range(1, settings.passes + 1):
+        count = 0
+        while count < settings.passes:
+            count += 1
             step = Step.of(legs, settings.dependent)
             fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
             if fallen or not math.isfinite(step.reached):
