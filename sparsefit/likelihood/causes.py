@@ -16,7 +16,6 @@ tested again, so that process noise is believed only where nothing else explains
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum

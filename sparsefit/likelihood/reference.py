@@ -49,8 +49,8 @@ def force(elements: Array, state: Array, time: Array, push: Array) -> Array:
     c, s = np.cos(turn), np.sin(turn)
     turned = scale * np.array([c * push[0] - s * push[1], s * push[0] + c * push[1]])
     drawn = (1.0 + square * speed) * relative / tau
-    total: Array = drawn + turned + np.array([bx, by])
-    return total / ((1.0 + rate * time) * (1.0 - lag / tau))
+    pull: Array = (drawn + turned + np.array([bx, by])) / (1.0 + rate * time) / (1.0 - lag / tau)
+    return pull
 
 
 def following(space: StateSpace, time: Array, push: Array, elements: Array, states: Array) -> Array:
