@@ -1,36 +1,25 @@
-"""The readings of a log, the nodes at which they stand, and one pass over them.
+"""The readings of a log, the nodes at which they stand, and their states given all of them.
 
 A node has up to four readings (position x, y, velocity x, y); a reading that is missing has the
 weight 0. Positions that are older than the velocities of their rows stand at nodes of their own.
 Where readings are further apart than a step of the motion may be, nodes without any lie between.
-A pass filters forward and smooths backward, in blocks: only the state at the start of each is
-stored, so that memory does not grow with what a node stores for the way back.
 """
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
-from sparsefit.likelihood.model import StateSpace
 
 if TYPE_CHECKING:
     from sparsefit.flight import Flight
 
-passes: Any
-try:
-    passes = importlib.import_module("sparsefit.likelihood.passes")
-except ImportError:  # no compiler where the package was installed
-    passes = importlib.import_module("sparsefit.likelihood.reference")
-
-BLOCK = 2048  # nodes whose passes are stored at once
 MOST_NODES = 64  # in one gap per reading of the log, before the log is refused
 DIFFUSE = 30.0  # deviations of the first state, in those of its readings
 
@@ -214,102 +203,8 @@ class Smoothed:
     squares: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Pass:
-    """A forward pass, and what a backward one needs.
-
-    Args:
-        space: the model.
-        nodes: the readings.
-        track: s-bar (m, n) [m, m/s], that the motion is linearised along.
-        value: the log-likelihood at dtheta = 0.
-        score: b (q,) by the columns and the levels.
-        information: J (q, q).
-        starts: the state at the first node of each block.
-        stored: what the backward pass reads of the only block, where there is one only.
-    """
-
-    space: StateSpace
-    nodes: Nodes
-    track: Array
-    value: float
-    score: Array
-    information: Array
-    starts: tuple[Array, ...]
-    stored: Array | None
-
-    @classmethod
-    def forward(
-        cls,
-        space: StateSpace,
-        nodes: Nodes,
-        track: Array,
-        spread: Array,
-        last: Smoothed | None = None,
-        *,
-        keep: bool = True,
-    ) -> Pass:
-        """Filter a log.
-
-        Args:
-            space: the model.
-            nodes: the readings.
-            track: s-bar (m, n).
-            spread: the variance of the first position and velocity (4,), beside the walkers'.
-            last: the last smoothed pass, for the columns of the levels.
-            keep: whether a backward pass follows.
-        """
-        (m, n), p = track.shape, len(space.columns)
-        q = p if last is None else p + len(space.kicks)
-        state = np.zeros((2 + q + n + q, max(n, q)))
-        variance = space.spread.sum(axis=0)
-        variance[:4] += spread
-        state[1 + q : 1 + q + n, :n] = np.diag(variance)
-        state[0, 4:n] = -track[0, 4:]  # walkers start about 0
-        if last is not None:
-            state[1 + p : 1 + q, :n] = space.spread * last.adjoint[0, :n]
-        value, starts = 0.0, []
-        stored = np.empty((m, _width(n, p))) if keep and m <= BLOCK else None
-        for first in range(0, m, BLOCK):
-            starts.append(state.copy())
-            end = min(first + BLOCK, m)
-            value += passes.forward(space, nodes, track, first, end, last, state, stored)
-        score, information = state[1 + q + n, :q], state[2 + q + n :, :q]
-        return cls(space, nodes, track, value, score, information, tuple(starts), stored)
-
-    def backward(self, change: Array) -> Smoothed:
-        """Smooth, with the elements of the columns changed by `change` (p,)."""
-        space, nodes, (m, n) = self.space, self.nodes, self.track.shape
-        p, q = len(space.columns), len(self.score)
-        carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
-        result = Smoothed(
-            self.track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)),
-            np.zeros((len(space.kicks), 2)),
-        )  # fmt: skip
-        for block in range(len(self.starts) - 1, -1, -1):
-            first, stored = block * BLOCK, self.stored
-            end = min(first + BLOCK, m)
-            if stored is None:  # the states of the block once more, without the levels' columns
-                start, stored = self.starts[block], np.empty((end - first, _width(n, p)))
-                state = np.zeros((2 + p + n + p, max(n, p)))
-                state[: 1 + p, :n] = start[: 1 + p, :n]
-                state[1 + p : 1 + p + n, :n] = start[1 + q : 1 + q + n, :n]
-                passes.forward(space, nodes, self.track, first, end, None, state, stored)
-            passes.backward(space, nodes, first, end, change, stored, carried, result, sums)
-        initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
-        result.squares[:] = space.kicks @ sums[:n] + space.spread @ initial
-        result.squares[:] += (space.noise > 0.0) @ sums[n:]
-        result.squares[:] *= 0.5
-        return result
-
-
 def noise_of(values: Array) -> float:
     """The level of white noise of a series (m, 2), from the median size of fourth differences."""
     sizes = np.abs(np.diff(values, n=4, axis=0))
     size = float(np.nanmedian(sizes)) if np.isfinite(sizes).any() else 0.0
     return max(size / 0.6745 / math.sqrt(70.0), 1e-9)
-
-
-def _width(n: int, p: int) -> int:
-    """The numbers that a node stores for the backward pass."""
-    return n * (1 + p + n) + 4 * (2 * n + p + 2) + 4 * n

@@ -2,8 +2,8 @@
 
 At the optimum the levels are known to no more than a few degrees of freedom, and intervals are wide
 or narrow with them. They are integrated out along each level apart (Rue, Martino and Chopin 2009,
-J. R. Stat. Soc. B 71, 319), the prior flat in its logarithm: a forward pass at another level gives
-its likelihood, and how far and how surely the parameters would move there.
+J. R. Stat. Soc. B 71, 319), the prior flat in its square root: a forward pass at another level
+gives its likelihood, and how far and how surely the parameters would move there.
 
 A disturbance that wanders in time stands for turbulence, which is a field in space and has other
 strengths at other wavevectors than the flight's own time tells. Waves beside those of the flow say
@@ -23,7 +23,7 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.likelihood.model import LEVELS, Model, StateSpace
-from sparsefit.likelihood.nodes import FlightLog, Pass
+from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.smoother import (
     Ascent,
     Leg,
@@ -35,6 +35,7 @@ from sparsefit.likelihood.smoother import (
     noisier,
     summed,
 )
+from sparsefit.likelihood.trellis import Pass
 
 NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
 NEIGHBOURS = 30  # waves beside those of the flow
@@ -186,17 +187,15 @@ class Posterior:
         last = self.legs[place].last
         index = list(self.legs[place].model.disturbance.levels).index(name)
         degrees = max(float(last.squares[index, 1]), 1e-12) if last is not None else 1.0
-        step, factors = math.log(2.0), [1.0]
-        lowest = min(0.5 * math.log(NOTHING / degrees), 0.0)
-        factors = [math.exp(-k * step) for k in range(1, 1 + int(-lowest / step))]
-        ladder = [(0.0, bare), *(at(factor) for factor in factors)]
-        factor = max(1.0, math.sqrt(NOTHING / degrees) / 2.0)
-        while factor < 1e9:
-            factor *= 2.0
-            ladder.append(at(factor))
-            if ladder[-1][0] < max(value for value, _ in ladder) - 5.0:
-                break
-        weights = np.exp([value for value, _ in ladder])
+        rungs = [0.5 * math.log(NOTHING / degrees)]  # from where the level counts as nothing
+        ladder = [(0.0, bare) if rungs[0] >= 0.0 else at(math.exp(rungs[0]))]
+        while len(rungs) < 40 and (
+            rungs[-1] < 0.0 or ladder[-1][0] > max(value for value, _ in ladder) - 5.0
+        ):
+            rungs.append(rungs[-1] + math.log(2.0))
+            ladder.append(at(math.exp(rungs[-1])))
+        likely = np.array([value for value, _ in ladder]) + 0.5 * np.array(rungs)
+        weights = np.exp(likely - likely.max())
         mean = sum(weight * each for weight, (_, each) in zip(weights, ladder, strict=True))
         result: Array = mean / weights.sum() - bare
         return result

@@ -18,7 +18,8 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.likelihood.levels import LevelSteps
 from sparsefit.likelihood.model import ELEMENTS, Model, StateSpace
-from sparsefit.likelihood.nodes import FlightLog, Nodes, Pass, Smoothed
+from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed
+from sparsefit.likelihood.trellis import Pass
 
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 

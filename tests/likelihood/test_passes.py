@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from sparsefit.likelihood import nodes as trellis
-from sparsefit.likelihood import reference
+from sparsefit.likelihood import reference, trellis
 from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process, StateSpace
-from sparsefit.likelihood.nodes import Nodes, Pass, Smoothed
+from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.pattern import StreamPattern
+from sparsefit.likelihood.trellis import Pass
 
 WAVES = np.array([[1.1, 0.4], [-0.3, 0.9]])
 HEIGHTS = [2.0, 1.0], [0.5, -1.5]

@@ -15,7 +15,8 @@ from sparsefit.likelihood import (
     measure,
 )
 from sparsefit.likelihood.model import LEVELS, StateSpace
-from sparsefit.likelihood.nodes import Nodes, Pass
+from sparsefit.likelihood.nodes import Nodes
+from sparsefit.likelihood.trellis import Pass
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
 THRUST = (5.0, 3.0)
