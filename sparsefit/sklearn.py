@@ -212,7 +212,7 @@ def _sparse(
     )  # fmt: skip
     mean, level = np.zeros(len(varies)), np.zeros(values.shape[1])
     if problem.adjusted is not None and centred:
-        mean[varies], level = problem.adjusted.means, problem.adjusted.levels
+        mean[varies], level = problem.means, problem.adjusted.levels
     return problem, varies, mean, level
 
 

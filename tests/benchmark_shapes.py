@@ -23,7 +23,7 @@ import numpy as np
 from scipy import sparse
 
 from sparsefit.regression.certificate import duality_gaps
-from sparsefit.regression.design import RowDesign, SparseDesign
+from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues
@@ -152,8 +152,7 @@ def problem(shape, objective, seed, flights):
 
 
 def as_design(theta):
-    kind = RowDesign if isinstance(theta, np.ndarray) else SparseDesign
-    return kind(theta, theta.shape[0])
+    return Design(theta, theta.shape[0])
 
 
 def penalty_of(objective, groups):

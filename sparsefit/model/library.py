@@ -24,7 +24,8 @@ from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
 from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
 from sparsefit.model.shapes import CELLS, WAVE
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out, refuse_spanned
-from sparsefit.regression.problem import RegressionProblem, compressed
+from sparsefit.regression.given import compressed
+from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]

@@ -1,5 +1,6 @@
 """What a fit answers: a back-end's weights with what the caller verified about them."""
 
+import html
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -7,17 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.arrays import Array, Brief, IntArray
-from sparsefit.errors import is_real
+from sparsefit.errors import InputError, is_real
 from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.certificate import Certificate
-from sparsefit.regression.frames import (
-    frame_of_fit,
-    frame_of_path,
-    html_of_fit,
-    html_of_path,
-    plot_path,
-    predicted,
-)
 from sparsefit.regression.penalty_choice import PenaltyChoice
 from sparsefit.regression.problem import RegressionProblem
 
@@ -69,14 +62,35 @@ class Fit(Brief):
 
         Raises InputError where theta has other columns than the problem.
         """
-        return predicted(self, theta)
+        values = getattr(theta, "to_numpy", lambda: theta)()
+        is_sparse = hasattr(values, "tocsr")
+        rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
+        if rows.shape[1] != self.columns:
+            raise InputError(f"predict needs {self.columns} columns, not {rows.shape[1]}")
+        out: Array = np.asarray(rows @ self.weights) + self.problem.intercept_of(self.weights)
+        return out[:, 0] if out.shape[1] == 1 else out
 
     def to_frame(self) -> "pd.DataFrame":
-        """Weights by the names of columns (rows) and targets (columns)."""
-        return frame_of_fit(self)
+        """Weights (k, n) with a row per column of theta and a column per target, by their names."""
+        import pandas as pd
+
+        names = pd.Index(self.problem.names, name="column")
+        return pd.DataFrame(self.weights, index=names, columns=list(self.problem.target_names))
 
     def _repr_html_(self) -> str:
-        return html_of_fit(self)
+        """A heading and the 30 largest weights, as HTML."""
+        verified, support = self.certificate, self.support
+        proof = f"{verified.kind} {verified.value:.1e}" if verified else "no certificate"
+        penalty = "" if math.isnan(self.alpha) else f", alpha {self.alpha:.4g}"
+        words = f"{self.backend!r}{penalty}: {self.status} ({proof}), "
+        words += f"{len(support)} of {self.columns} columns"
+        words += f"; {self.reason}" if self.reason else ""
+        rms = self.problem.design.rms[support, None]
+        size = np.abs(self.weights[support] * rms).max(axis=1)
+        shown = support[np.argsort(-size)][:30]
+        table = self.to_frame().iloc[shown].to_html(float_format="{:.6g}".format)
+        more = len(support) - len(shown)
+        return f"<p>{html.escape(words)}</p>{table}" + (f"<p>and {more} more</p>" if more else "")
 
     @property
     def support(self) -> IntArray:
@@ -96,7 +110,7 @@ class Fit(Brief):
     @property
     def rank(self) -> int:
         """Numerical rank of theta, as far as Z'Z/m shows it."""
-        return self.problem.statistics.rank
+        return self.problem.design.rank
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,16 +131,60 @@ class Path(Brief):
         """The penalties alpha (p,), in the unit of the target."""
         return self.alpha_fractions * self.alpha_max
 
-    def to_frame(self) -> "pd.DataFrame":
-        """Weights with a row per penalty (alpha_fraction, alpha) and columns by their names."""
-        return frame_of_path(self)
+    def to_frame(self, *, scaled: bool = False) -> "pd.DataFrame":
+        """Weights with a row per penalty, by alpha_fraction and alpha, and the columns of theta.
+
+        Of several targets the columns are pairs (target, column). scaled: of columns of unit rms.
+        """
+        import pandas as pd
+
+        problem = self.fits[0].problem
+        weights = self.weights * (problem.design.rms[:, None] if scaled else 1.0)
+        index = pd.MultiIndex.from_arrays(
+            [self.alpha_fractions, self.alphas], names=["alpha_fraction", "alpha"]
+        )
+        columns: pd.Index = pd.Index(problem.names, name="column")
+        if problem.targets > 1:
+            pairs = [problem.target_names, problem.names]
+            columns = pd.MultiIndex.from_product(pairs, names=["target", "column"])
+        flat = weights.transpose(0, 2, 1).reshape(len(self.fits), -1)
+        return pd.DataFrame(flat, index=index, columns=columns)
 
     def plot(self, axes: Any = None) -> Any:
-        """Draw the weights over the penalty on axes of matplotlib (new ones by default)."""
-        return plot_path(self, axes)
+        """Weights of columns of unit rms over alpha / alpha_max, on axes of matplotlib.
+
+        axes: new ones by default. The ten largest have a name in the legend; a penalty whose
+        certificate is above its tolerance has a mark. Returns the axes.
+        """
+        frame = self.to_frame(scaled=True).droplevel("alpha").sort_index(ascending=False)
+        frame = frame.loc[:, (frame.fillna(0.0) != 0.0).any()]
+        frame = frame[frame.abs().max().sort_values(ascending=False, kind="stable").index]
+        frame.columns = [c if isinstance(c, str) else f"{c[1]} of {c[0]}" for c in frame.columns]
+        doubtful = [fit.alpha_fraction for fit in self.fits if fit.status != "ok"]
+        frame["not certified"] = np.where(frame.index.isin(doubtful), 0.0, np.nan)
+        styles = ["-"] * (frame.shape[1] - 1) + ["kx"]
+        axes = frame.plot(ax=axes, logx=True, style=styles, linewidth=1.0, legend=False)
+        lines = [*axes.lines[-frame.shape[1] : -1][:10], *(axes.lines[-1:] if doubtful else [])]
+        axes.legend(handles=lines, fontsize="small", frameon=False)
+        axes.invert_xaxis()
+        axes.set_xlabel(r"$\alpha / \alpha_\mathrm{max}$")
+        axes.set_ylabel("weight, column of unit rms")
+        return axes
 
     def _repr_html_(self) -> str:
-        return html_of_path(self)
+        """A row per penalty: its size, columns in use, status and certificate, as HTML."""
+        import pandas as pd
+
+        content = {
+            "alpha_fraction": self.alpha_fractions,
+            "alpha": self.alphas,
+            "columns": [len(fit.support) for fit in self.fits],
+            "status": [fit.status for fit in self.fits],
+            "certificate": self.gaps,
+        }
+        table = pd.DataFrame(content).to_html(float_format="{:.4g}".format, index=False)
+        name = html.escape(self.fits[0].backend.name)
+        return f"<p>{name}, {len(self.fits)} penalties, {self.seconds:.2g} s</p>{table}"
 
     @property
     def weights(self) -> Array:

@@ -31,6 +31,18 @@ What these leave open is reported as ``rounding``: the dual point's limit is tak
 by its error, P and D are moved by theirs, and value + rounding is the relative gap that remains, an
 upper bound in exact arithmetic. No product underflows: `problem` refuses what is so small.
 
+Where a square-root fit leaves no residual, s R says nothing of the dual optimum of
+
+    y |Y - Z V|_F/sqrt(m) + alpha |V|_1:   max <U, Y>/m,  |Z'U|_max/m <= alpha,  |U|_F <= sqrt(m) y.
+
+But an optimum of weights with signs s on columns A has Z_A'U/m = alpha s there, and of all these U
+that of least norm is Z_A u, u = G_AA^-1 s alpha. It is scaled until it obeys both constraints on
+all columns (`sharpened`): a feasible point whatever the signs are, and so a bound. Rounding there,
+with |u_t|_1 the sum of moduli:
+
+    |err Z'U/m| <= gamma |u_t|_1,   |err |U|^2/m| <= gamma sum |u_t|_1^2,   |err <U, Y>/m| <= gamma
+    sum |u_t|_1 y_t,   and the norm of R over sqrt(m) is off by gamma sqrt(r) + gamma (y_t + l_t).
+
 Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), sections 3.1 and 3.5.
 """
 
@@ -41,14 +53,13 @@ from typing import Literal
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.regression.design import Design
+from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.losses import RootSquares
 from sparsefit.regression.penalties import Penalty, SquaredNorm
-from sparsefit.regression.statistics import Statistics
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
 UNIT = 2.0**-53  # the relative rounding of one operation
-ENTRIES = 2**23  # of residuals that are held at once
+ENTRIES = 2**22  # of residuals that are formed at once
 
 
 @dataclass(frozen=True)
@@ -104,7 +115,7 @@ def duality_gaps(
     """
     points, (rows, n) = len(weights), target.shape
     target_square = np.einsum("it,it->t", target, target) / design.samples
-    level, found = np.sqrt(target_square), []
+    level, certificates = np.sqrt(target_square), []
     step = max(ENTRIES // (n * max(rows, design.shape[1])), 1)
     for start in range(0, points, step):
         part = slice(start, min(start + step, points))
@@ -133,8 +144,8 @@ def duality_gaps(
         if np.isfinite(penalty.loss.clip):
             cut = np.clip(target, -penalty.loss.bound(level), penalty.loss.bound(level))
             null = np.einsum("it,it->t", cut, target - 0.5 * cut) / design.samples
-        found += _certificates(residual, scaled, alphas[part], penalty, level, null)
-    return tuple(found)
+        certificates += _certificates(residual, scaled, alphas[part], penalty, level, null)
+    return tuple(certificates)
 
 
 def gram_gaps(
@@ -144,18 +155,17 @@ def gram_gaps(
 
     weights (p, k, n) in original units, at the penalties alphas (p,); for losses without a clip.
     """
-    target_square = statistics.target_square
-    scaled = weights * statistics.rms[:, None]
+    target_square, design = statistics.target_square, statistics.design
+    scaled = weights * design.rms[:, None]
     points, columns, targets = scaled.shape
     flat = scaled.transpose(0, 2, 1).reshape(points * targets, columns)
     used = np.flatnonzero(np.any(flat != 0, axis=0))
     few = 2 * len(used) < columns
-    fitted = flat[:, used] @ statistics.gram_rows(used) if few else flat @ statistics.gram
+    fitted = flat[:, used] @ design.gram_rows(used) if few else flat @ design.gram
     correlation = statistics.cross - fitted.reshape(points, targets, columns).transpose(0, 2, 1)
     product = target_square - np.einsum("pkt,kt->pt", scaled, statistics.cross)
     square = np.maximum(product - np.einsum("pkt,pkt->pt", scaled, correlation), 0.0)
-    spread = 1.0 if statistics.design is None else statistics.design.spread
-    gamma = spread**2 * rounding_of(statistics.terms + 2 * len(used) * targets + 20)
+    gamma = design.spread**2 * rounding_of(design.terms + 2 * len(used) * targets + 20)
     reach = _reach(target_square, scaled)
     residual = _Residual(
         correlation,
@@ -266,6 +276,44 @@ def _dual(
     loose_excess = penalty.excess(spread, none) + penalty.excess(-spread, none)
     total = (error + rounding).sum(axis=1) + loose_excess + gamma * beyond
     return value.sum(axis=1) - beyond, total
+
+
+def sharpened(
+    statistics: Statistics, weights: Array, alpha: float, plain: Certificate
+) -> Certificate:
+    """The certificate ``plain`` of weights (k, n), or that of their signs where it proves more.
+
+    plain: of a square-root fit, from the rows; alpha: the penalty, in the unit of Z'Y/m.
+    """
+    columns, targets = weights.shape
+    design, used = statistics.design, np.flatnonzero(weights.any(axis=1))
+    if not len(used):
+        return plain
+    rows, signs = design.gram_rows(used), np.sign(weights[used])
+    multipliers = np.zeros(signs.shape)
+    for target, column in enumerate(signs.T):
+        on = np.flatnonzero(column)
+        square = rows[np.ix_(on, used[on])]
+        multipliers[on, target] = np.linalg.lstsq(square, column[on], rcond=None)[0]
+    pulls = rows.T @ multipliers
+    norm = float(np.sum(multipliers * pulls[used]))
+    product = float(np.sum(multipliers * statistics.cross[used]))
+    if not (product > 0.0 and norm > 0.0):
+        return plain
+    gamma = rounding_of(design.terms + 2 * columns * targets + 20)
+    size, level = np.abs(multipliers).sum(axis=0), np.sqrt(statistics.target_square)
+    peak, total = float(np.abs(pulls).max()), float(np.sqrt(np.sum(level**2)))
+    dual = min(alpha / peak, total / np.sqrt(norm)) * product
+    wider = peak * (1.0 + gamma) + gamma * float(size.max())
+    longer = norm * (1.0 + gamma) + gamma * float(np.sum(size**2))
+    sure = min(alpha / wider, total / np.sqrt(longer)) * (product - gamma * float(size @ level))
+    reach = float(np.sum(level + np.abs(weights * design.rms[:, None]).sum(axis=0)))
+    doubt = total * gamma * (total + reach) + 4.0 * gamma * (plain.primal + abs(dual))
+    value = max(plain.primal - dual, 0.0) / total**2
+    most = max(plain.primal - sure + doubt, 0.0) / total**2
+    if max(value, most) >= plain.bound:
+        return plain
+    return replace(plain, value=value, dual=dual, rounding=max(most - value, 0.0))
 
 
 def rounding_of(count: int) -> float:

@@ -5,18 +5,23 @@ divided by the number m of samples. A design is asked for
 
     rms (k,),   Z'R/m (k, n),   Z V (m, n),   Z_J (m, j),   Z_J'Z_K/m (j, l),
 
-and never for Z'Z of all columns at once unless somebody asks. Rounding: with u = 2^-53, a sum that
-is formed in blocks of b terms, B of them, is off by at most gamma_{b + B} times the sum of the
-moduli (Higham 2002, section 4.2); `terms` is that b + B. Where a mean was taken off the columns,
-rounding is relative to what they were before: `spread` is the largest ratio of the two.
+and never for Z'Z of all columns at once unless somebody asks. Its rows are read in blocks: those of
+an array in memory so long that they stay in cache, those of a file or of whatever can be sliced as
+long as memory allows; a sparse matrix is one block, of which zeros are neither stored nor summed,
+and so is a dask array, whose sums are formed where its own blocks are (a block that is lost with
+its worker is made again there).
+
+Rounding: with u = 2^-53, a sum that is formed in blocks of b terms, B of them, is off by at most
+gamma_{b + B} times the sum of the moduli (Higham 2002, section 4.2); `terms` is that b + B. Where a
+mean was taken off the columns, rounding is relative to what they were before: `spread` is the
+largest ratio of the two.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,55 +33,124 @@ ROW_BLOCK = 8192  # rows a pass of a dense design: they stay in cache for what i
 BLOCK_BYTES = 2**26  # of a block of rows that is read from a disk
 SPARSE_BELOW = 0.5  # share of the columns in use, below which gathering these pays
 
+Index = IntArray | slice
 
-class Design(ABC):
-    """A design matrix (m, k) by its sums; `samples` is what sums are divided by.
 
-    A subclass states the sums in the units of theta (`raw_...`), the scaling is done here.
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A design matrix (m, k) by its sums, which are divided by ``samples``.
+
+    source (m, k): an array, in C or Fortran order, which is not copied; anything with a shape whose
+    rows can be sliced; a sparse matrix by columns (scipy's CSC); a dask array. weights (m,):
+    factors of the rows. direction e (m,), |e| = 1: the columns are (I - e e') theta; where rows
+    count alike and e is constant, an intercept that is not penalised was projected out. The columns
+    themselves stay as they are stored.
     """
 
-    kind: ClassVar[str]  # in words, for `solver_status`
+    source: Any
     samples: int
+    weights: Array | None = None
+    direction: Array | None = None
+
+    @cached_property
+    def kind(self) -> str:
+        """Where the columns are: `dense`, `sparse` or `dask`."""
+        package = type(self.source).__module__.partition(".")[0]
+        return {"scipy": "sparse", "dask": "dask"}.get(package, "dense")
 
     @property
-    @abstractmethod
     def shape(self) -> tuple[int, int]:
         """Rows m and columns k."""
+        return int(self.source.shape[0]), int(self.source.shape[1])
 
     @property
-    @abstractmethod
+    def in_memory(self) -> bool:
+        """Whether the rows are an array in memory, and not a file's or another's."""
+        return isinstance(self.source, np.ndarray) and not isinstance(self.source, np.memmap)
+
+    @property
+    def _step(self) -> int:
+        m, k = self.shape
+        return ROW_BLOCK if self.in_memory else max(min(BLOCK_BYTES // (8 * k), m), 1)
+
+    @cached_property
     def terms(self) -> int:
         """The number of terms that rounding of a sum over the rows grows with."""
+        if self.kind == "sparse":  # the fullest column: a sum over the rows has no other terms
+            count = int(np.diff(self.source.indptr).max())
+        elif self.kind == "dask":
+            count = int(max(self.source.chunks[0])) + len(self.source.chunks[0])
+        else:
+            m, step = self.shape[0], self._step
+            count = min(m, step) + -(-m // step) - 1
+        return count if self.direction is None else 3 * count + 8  # three sums in place of one
 
-    @abstractmethod
-    def raw_squares(self) -> Array:
-        """The squares of the columns' norms (k,)."""
+    def blocks(self) -> Iterator[tuple[slice, Any]]:
+        """Slices of the rows, and theta there, with its weights."""
+        if self.kind != "dense":
+            yield slice(None), self._weighted
+            return
+        m, step = self.shape[0], self._step
+        for start in range(0, m, step):
+            rows = slice(start, min(start + step, m))
+            block = np.asarray(self.source[rows], dtype=np.float64)
+            yield rows, block if self.weights is None else block * self.weights[rows, None]
 
-    @abstractmethod
-    def raw_correlate(self, rows: Array) -> Array:
-        """theta'R (k, n) of R (m, n)."""
+    @cached_property
+    def _weighted(self) -> Any:
+        if self.weights is None:
+            return self.source
+        if self.kind == "dask":
+            return self.source * self.weights[:, None]
+        from scipy import sparse
 
-    @abstractmethod
-    def raw_columns(self, index: IntArray) -> Array:
-        """theta_J (m, j), dense."""
+        return (sparse.diags_array(self.weights) @ self.source).tocsc()
 
-    @abstractmethod
-    def raw_predict(self, values: Array) -> Array:
-        """Theta W (m, n) of W (k, n)."""
+    @cached_property
+    def csc(self) -> Any:
+        """The matrix of a sparse design with its weights, off which no means were taken."""
+        return self._weighted
 
-    @abstractmethod
-    def raw_products(self, index: IntArray | slice, others: IntArray | slice) -> Array:
-        """theta_J'theta_K (j, l)."""
+    @cached_property
+    def means(self) -> Array:
+        """e'theta (k,), of the direction that was taken off; zeros where there is none."""
+        if self.direction is None:
+            return np.zeros(self.shape[1])
+        return replace(self, direction=None).raw_correlate(self.direction[:, None])[:, 0]
 
-    @property
-    def spread(self) -> float:
-        """The largest rms of a column before its mean was taken off, over that after."""
-        return 1.0
+    def off(self, rows: Array) -> Array:
+        """R (m, n) without its part along the direction, if there is one."""
+        if self.direction is None:
+            return rows
+        out: Array = rows - np.multiply.outer(self.direction, self.direction @ rows)
+        return out
 
     @cached_property
     def squares(self) -> Array:
-        """The squares of the columns' norms (k,), in the units of theta, finite or not."""
-        return self.raw_squares()
+        """The squares of the columns' norms (k,), in the units of theta, finite or not.
+
+        Where a mean was taken off, by differences where few digits cancel; a column that is
+        constant to rounding counts as zero.
+        """
+        total = np.zeros(self.shape[1])
+        with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
+            for _, block in self.blocks():
+                if self.kind == "dense":
+                    total += np.einsum("ij,ij->j", block, block)
+                elif self.kind == "sparse":
+                    total += np.asarray(block.multiply(block).sum(axis=0), dtype=float).ravel()
+                else:
+                    total += np.asarray((block**2).sum(axis=0).compute(), dtype=float)
+        if self.direction is None:
+            return total
+        rest = np.maximum(total - self.means**2, 0.0)
+        close = np.flatnonzero(rest < 1e-4 * total)
+        for start in range(0, len(close), 256):
+            part = close[start : start + 256]
+            columns = self.raw_columns(part)
+            rest[part] = np.einsum("ij,ij->j", columns, columns)
+        rest[rest <= (self.terms * 2.0**-53) ** 2 * total] = 0.0
+        return rest
 
     @cached_property
     def rms(self) -> Array:
@@ -85,6 +159,65 @@ class Design(ABC):
         rms[rms == 0.0] = 1.0
         rms.setflags(write=False)
         return rms
+
+    @cached_property
+    def spread(self) -> float:
+        """The largest rms of a column before its mean was taken off, over that after."""
+        if self.direction is None:
+            return 1.0
+        return max(float((replace(self, direction=None).rms / self.rms).max()), 1.0)
+
+    def raw_correlate(self, rows: Array) -> Array:
+        """theta'R (k, n) of R (m, n)."""
+        rows, total = self.off(rows), np.zeros((self.shape[1], rows.shape[1]))
+        for part, block in self.blocks():
+            total += self._pulled(block, rows[part])
+        return total
+
+    def _pulled(self, block: Any, rows: Array) -> Array:
+        """B'R (k, n) of a block B (b, k) and R (b, n)."""
+        if self.kind == "dense":
+            # numpy multiplies the other way round up to four times faster where R is narrow
+            pulled: Array = (rows.T @ block).T
+            return pulled
+        if self.kind == "sparse":
+            out: Array = block.T @ np.ascontiguousarray(rows)
+            return out
+        from dask.array import from_array  # of the extra `dask`: needed only here
+
+        split: Any = from_array  # which has no types
+        chunks = (self.source.chunks[0], rows.shape[1])
+        return _array(block.T @ split(np.ascontiguousarray(rows), chunks=chunks))
+
+    def raw_columns(self, index: IntArray) -> Array:
+        """theta_J (m, j), dense, in the order that products want; a copy."""
+        out = np.empty((self.shape[0], len(index)), order="F")
+        for part, block in self.blocks():
+            out[part] = _array(block[:, index])
+        if self.direction is not None:
+            out -= np.multiply.outer(self.direction, self.means[index])
+        return out
+
+    def raw_predict(self, values: Array) -> Array:
+        """Theta W (m, n) of W (k, n); columns that are not in use are not read."""
+        used, out = _in_use(values), np.empty((self.shape[0], values.shape[1]))
+        for part, block in self.blocks():
+            out[part] = _array(_taken(block, used) @ values[used])
+        if self.direction is not None:
+            out -= np.multiply.outer(self.direction, self.means @ values)
+        return out
+
+    def raw_products(self, index: Index, others: Index) -> Array:
+        """theta_J'theta_K (j, l), symmetric where K is J."""
+        same, total = others is index, None
+        for _, block in self.blocks():
+            first = _taken(block, index)
+            part = _array(first.T @ (first if same else _taken(block, others)))
+            total = part if total is None else np.add(total, part, out=total)
+        assert total is not None
+        if self.direction is not None:
+            total -= np.multiply.outer(self.means[index], self.means[others])
+        return total
 
     def correlate(self, rows: Array) -> Array:
         """Z'R/m (k, n) of R (m, n)."""
@@ -102,7 +235,7 @@ class Design(ABC):
         """Z V (m, n) of V (k, n); columns that are not in use are not read."""
         return self.raw_predict(values / self.rms[:, None])
 
-    def products(self, index: IntArray | slice, others: IntArray | slice | None = None) -> Array:
+    def products(self, index: Index, others: Index | None = None) -> Array:
         """Z_J'Z_K/m (j, l); K is J where there is none."""
         others = index if others is None else others
         out = self.raw_products(index, others)
@@ -111,19 +244,109 @@ class Design(ABC):
         return out
 
     def residual_sums(self, target: Array, values: Array, bound: Array) -> tuple[Array, Array]:
-        """Z'u/m (k, q), and |u_q|^2/m, <u_q, Y_q>/m, <u_q, R_q>/m (3, q).
+        """Z'u/m (k, q), and |u_q|^2/m, <u_q, Y_q>/m, <u_q, R_q>/m (3, q), in one pass if it can.
 
         R = Y - Z V for Y (m, q) and V (k, q), u = R where |R| <= bound (q,), cut to it elsewhere.
         """
-        residual = target - self.predict(values)
-        pull, sums = _cut_sums(residual, target, bound)
-        return self.correlate(pull), sums / self.samples
+        raw = values / self.rms[:, None]
+        if self.direction is not None:
+            pull, sums = _cut_sums(target - self.raw_predict(raw), target, bound)
+            return self.correlate(pull), sums / self.samples
+        used, (k, count) = _in_use(raw), values.shape
+        total, sums = np.zeros((k, count)), np.zeros((3, count))
+        for part, block in self.blocks():
+            residual = target[part] - _array(_taken(block, used) @ raw[used])
+            pull, each = _cut_sums(residual, target[part], bound)
+            sums += each
+            total += self._pulled(block, pull)
+        return total / (self.rms * self.samples)[:, None], sums / self.samples
+
+    @cached_property
+    def gram(self) -> Array:
+        """Z'Z/m (k, k), read-only. Raises InputError where it does not fit in memory."""
+        try:
+            gram = self.products(slice(None))
+        except MemoryError:
+            k = self.shape[1]
+            words = f"Z'Z of {k} columns takes {k * k / 2**27:.1f} GiB, which are not there"
+            raise InputError(f"{words}: use fewer columns") from None
+        gram.setflags(write=False)
+        return gram
+
+    @property
+    def formed(self) -> bool:
+        """Whether `gram` is there already."""
+        return "gram" in vars(self)
+
+    def gram_rows(self, columns: IntArray) -> Array:
+        """The rows (c, k) of Z'Z/m of some columns; where it is not formed, only these."""
+        return self.gram[columns] if self.formed else self.products(columns, slice(None))
+
+    @cached_property
+    def rank(self) -> int:
+        """Numerical rank of Z (singular values above k * eps^(1/2) would be lost in Z'Z)."""
+        eigenvalues = np.linalg.eigvalsh(self.gram)
+        floor = len(eigenvalues) * np.finfo(float).eps * max(float(eigenvalues[-1]), 0.0)
+        return int(np.count_nonzero(eigenvalues > floor))
 
 
-def _in_use(values: Array) -> IntArray | slice:
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """A design with its target's sums: cross = Z'Y/m (k, n), target_square = |y_t|^2/m (n,).
+
+    The arrays are read-only: every back-end and the certificate read the same ones.
+    """
+
+    design: Design
+    cross: Array
+    target_square: Array
+
+    @classmethod
+    def on(cls, design: Design, target: Array) -> Statistics:
+        """The statistics of a design and its target (m, n); Z'Z/m is left to who asks for it."""
+        sums = (design.correlate(target), np.einsum("ij,ij->j", target, target) / design.samples)
+        for array in sums:
+            array.setflags(write=False)
+        return cls(design, *sums)
+
+    @property
+    def samples(self) -> int:
+        """The number m of samples."""
+        return self.design.samples
+
+    @property
+    def rms(self) -> Array:
+        """The rms (k,) of the columns, in the units of theta."""
+        return self.design.rms
+
+    @property
+    def gram(self) -> Array:
+        """Z'Z/m (k, k). Raises InputError where it does not fit in memory."""
+        return self.design.gram
+
+    @property
+    def null_objective(self) -> float:
+        """The objective at zero weights, |Y|^2 / 2m."""
+        return 0.5 * float(self.target_square.sum())
+
+
+def _array(product: Any) -> Array:
+    """A product of blocks as a dense array."""
+    if hasattr(product, "compute"):
+        product = product.compute()
+    dense: Array = product.toarray(order="F") if hasattr(product, "toarray") else product
+    return np.asarray(dense, dtype=np.float64)
+
+
+def _in_use(values: Array) -> Index:
     """The rows of values (k, n) that are not zero, where these are few; else all of them."""
     used = np.flatnonzero(values.any(axis=1))
     return used if len(used) < SPARSE_BELOW * len(values) else slice(None)
+
+
+def _taken(block: Any, index: Index) -> Any:
+    """Columns of a block; all of them without a copy."""
+    return block if isinstance(index, slice) and index == slice(None) else block[:, index]
 
 
 def _cut_sums(residual: Array, target: Array, bound: Array) -> tuple[Array, Array]:
@@ -131,303 +354,3 @@ def _cut_sums(residual: Array, target: Array, bound: Array) -> tuple[Array, Arra
     pull = residual if np.isinf(bound).all() else np.clip(residual, -bound, bound)
     sums = [np.einsum("iq,iq->q", pull, other) for other in (pull, target, residual)]
     return pull, np.stack(sums)
-
-
-@dataclass(frozen=True, eq=False)
-class RowDesign(Design):
-    """A dense array, in memory or on a disk, or anything with a shape whose rows can be sliced.
-
-    source (m, k) is not copied, in whichever order it is stored; ``weights`` (m,): factors of the
-    rows. In memory rows are taken `ROW_BLOCK` at a time, from a disk `BLOCK_BYTES`.
-    """
-
-    kind: ClassVar[str] = "dense"
-    source: Any
-    samples: int
-    weights: Array | None = None
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows m and columns k."""
-        return int(self.source.shape[0]), int(self.source.shape[1])
-
-    @property
-    def in_memory(self) -> bool:
-        """Whether the rows are an array in memory, and not a file's or another's."""
-        return isinstance(self.source, np.ndarray) and not isinstance(self.source, np.memmap)
-
-    @property
-    def _step(self) -> int:
-        m, k = self.shape
-        return ROW_BLOCK if self.in_memory else max(min(BLOCK_BYTES // (8 * k), m), 1)
-
-    @property
-    def terms(self) -> int:
-        """The number of terms that rounding of a sum over the rows grows with."""
-        m, step = self.shape[0], self._step
-        return min(m, step) + -(-m // step) - 1
-
-    def blocks(self) -> Iterator[tuple[slice, Array]]:
-        """Slices of the rows, and theta there."""
-        m, step = self.shape[0], self._step
-        for start in range(0, m, step):
-            rows = slice(start, min(start + step, m))
-            block = np.asarray(self.source[rows], dtype=np.float64)
-            yield rows, block if self.weights is None else block * self.weights[rows, None]
-
-    def raw_squares(self) -> Array:
-        """The squares of the columns' norms (k,)."""
-        total = np.zeros(self.shape[1])
-        with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
-            for _, block in self.blocks():
-                total += np.einsum("ij,ij->j", block, block)
-        return total
-
-    def raw_correlate(self, rows: Array) -> Array:
-        """theta'R (k, n) of R (m, n)."""
-        total = np.zeros((self.shape[1], rows.shape[1]))
-        for part, block in self.blocks():
-            # numpy multiplies the other way round up to four times faster where R is narrow
-            total += (rows[part].T @ block).T
-        return total
-
-    def raw_columns(self, index: IntArray) -> Array:
-        """theta_J (m, j), dense, in the order that products want."""
-        out = np.empty((self.shape[0], len(index)), order="F")
-        for part, block in self.blocks():
-            out[part] = block[:, index]
-        return out
-
-    def raw_predict(self, values: Array) -> Array:
-        """Theta W (m, n) of W (k, n)."""
-        used = _in_use(values)
-        out = np.empty((self.shape[0], values.shape[1]))
-        for part, block in self.blocks():
-            out[part] = block[:, used] @ values[used]
-        return out
-
-    def raw_products(self, index: IntArray | slice, others: IntArray | slice) -> Array:
-        """theta_J'theta_K (j, l), symmetric where K is J."""
-        same, total = others is index, None
-        for _, block in self.blocks():
-            left = block[:, index]
-            part = left.T @ (left if same else block[:, others])
-            total = part if total is None else np.add(total, part, out=total)
-        assert total is not None
-        return total
-
-    def residual_sums(self, target: Array, values: Array, bound: Array) -> tuple[Array, Array]:
-        """Z'u/m (k, q) and the three sums (3, q), in one pass over the rows."""
-        k, count = values.shape
-        raw = values / self.rms[:, None]
-        used = _in_use(raw)
-        raw = raw[used]
-        total, sums = np.zeros((count, k)), np.zeros((3, count))
-        for part, block in self.blocks():
-            pull, each = _cut_sums(target[part] - block[:, used] @ raw, target[part], bound)
-            sums += each
-            total += pull.T @ block
-        return total.T / (self.rms * self.samples)[:, None], sums / self.samples
-
-
-@dataclass(frozen=True, eq=False)
-class SparseDesign(Design):
-    """A sparse matrix by columns (scipy's CSC), of which zeros are neither stored nor summed."""
-
-    kind: ClassVar[str] = "sparse"
-    matrix: Any
-    samples: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows m and columns k."""
-        return int(self.matrix.shape[0]), int(self.matrix.shape[1])
-
-    @cached_property
-    def terms(self) -> int:
-        """The entries of the fullest column: a sum over the rows has no other terms."""
-        return int(np.diff(self.matrix.indptr).max())
-
-    @cached_property
-    def _transposed(self) -> Any:
-        return self.matrix.T
-
-    def raw_squares(self) -> Array:
-        """The squares of the columns' norms (k,)."""
-        squares = self.matrix.multiply(self.matrix).sum(axis=0)
-        return np.asarray(squares, dtype=np.float64).ravel()
-
-    def raw_correlate(self, rows: Array) -> Array:
-        """theta'R (k, n) of R (m, n)."""
-        out: Array = self._transposed @ np.ascontiguousarray(rows)
-        return out
-
-    def raw_columns(self, index: IntArray) -> Array:
-        """theta_J (m, j), dense."""
-        out: Array = self.matrix[:, index].toarray(order="F")
-        return out
-
-    def raw_predict(self, values: Array) -> Array:
-        """Theta W (m, n) of W (k, n)."""
-        used = np.flatnonzero(values.any(axis=1))
-        out: Array = self.matrix[:, used] @ values[used]
-        return out
-
-    def raw_products(self, index: IntArray | slice, others: IntArray | slice) -> Array:
-        """theta_J'theta_K (j, l)."""
-        right = self.matrix[:, others]
-        left = right if others is index else self.matrix[:, index]
-        out: Array = (left.T @ right).toarray()
-        return out
-
-
-@dataclass(frozen=True, eq=False)
-class DaskDesign(Design):
-    """A dask array (m, k) in blocks of rows, whose sums are formed where the blocks are.
-
-    The scheduler is whichever dask is set up with; a block that is lost with its worker is made
-    again there.
-    """
-
-    kind: ClassVar[str] = "dask"
-    source: Any
-    samples: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows m and columns k."""
-        return int(self.source.shape[0]), int(self.source.shape[1])
-
-    @property
-    def terms(self) -> int:
-        """The number of terms that rounding of a sum over the rows grows with."""
-        sizes = self.source.chunks[0]
-        return int(max(sizes)) + len(sizes)
-
-    def raw_squares(self) -> Array:
-        """The squares of the columns' norms (k,)."""
-        return np.array((self.source**2).sum(axis=0).compute(), dtype=np.float64)
-
-    def _matching(self, rows: Array) -> Any:
-        """R (m, n) as a dask array in the blocks of the design."""
-        from dask.array import from_array  # of the extra `dask`: needed only here
-
-        split: Any = from_array  # which has no types
-        return split(rows, chunks=(self.source.chunks[0], rows.shape[1]))
-
-    def raw_correlate(self, rows: Array) -> Array:
-        """theta'R (k, n) of R (m, n)."""
-        return np.array((self.source.T @ self._matching(rows)).compute(), dtype=np.float64)
-
-    def raw_columns(self, index: IntArray) -> Array:
-        """theta_J (m, j), dense, brought here."""
-        return np.array(self.source[:, index].compute(), dtype=np.float64, order="F")
-
-    def raw_predict(self, values: Array) -> Array:
-        """Theta W (m, n) of W (k, n)."""
-        used = np.flatnonzero(values.any(axis=1))
-        if not len(used):
-            return np.zeros((self.shape[0], values.shape[1]))
-        return np.array((self.source[:, used] @ values[used]).compute(), dtype=np.float64)
-
-    def raw_products(self, index: IntArray | slice, others: IntArray | slice) -> Array:
-        """theta_J'theta_K (j, l)."""
-        left, right = self.source[:, index], self.source[:, others]
-        return np.array((left.T @ right).compute(), dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class CentredDesign(Design):
-    """A design off which its part along one direction was taken: (I - e e') theta.
-
-    e (m,), |e| = 1, is a constant where rows count alike: an intercept that is not penalised,
-    projected out. means (k,) = e'theta. The columns themselves stay as they are stored.
-    """
-
-    inner: Design
-    direction: Array
-    means: Array
-
-    @classmethod
-    def of(cls, inner: Design, direction: Array) -> CentredDesign:
-        """The design without its part along a direction (m,) of any length."""
-        unit = direction / np.linalg.norm(direction)
-        return cls(inner, unit, inner.raw_correlate(unit[:, None])[:, 0])
-
-    @property
-    def kind(self) -> str:  # type: ignore[override]
-        """That of the design below."""
-        return self.inner.kind
-
-    @property
-    def samples(self) -> int:  # type: ignore[override]
-        """What sums are divided by."""
-        return self.inner.samples
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows m and columns k."""
-        return self.inner.shape
-
-    @property
-    def terms(self) -> int:
-        """Three sums over the rows in place of one."""
-        return 3 * self.inner.terms + 8
-
-    @cached_property
-    def spread(self) -> float:
-        """The largest rms of a column before its mean was taken off, over that after."""
-        return max(float((self.inner.rms / self.rms).max()), 1.0)
-
-    def off(self, rows: Array) -> Array:
-        """R (m, n) without its part along the direction."""
-        out: Array = rows - np.multiply.outer(self.direction, self.direction @ rows)
-        return out
-
-    def raw_squares(self) -> Array:
-        """The squares of the columns' norms (k,), by differences where few digits cancel.
-
-        A column that is constant to rounding counts as zero.
-        """
-        total = self.inner.raw_squares()
-        left = np.maximum(total - self.means**2, 0.0)
-        close = np.flatnonzero(left < 1e-4 * total)
-        for start in range(0, len(close), 256):
-            part = close[start : start + 256]
-            columns = self.raw_columns(part)
-            left[part] = np.einsum("ij,ij->j", columns, columns)
-        left[left <= (self.terms * 2.0**-53) ** 2 * total] = 0.0
-        return left
-
-    def raw_correlate(self, rows: Array) -> Array:
-        """theta'R (k, n) of R (m, n)."""
-        return self.inner.raw_correlate(self.off(rows))
-
-    def raw_columns(self, index: IntArray) -> Array:
-        """theta_J (m, j), dense."""
-        out = self.inner.raw_columns(index)
-        out -= np.multiply.outer(self.direction, self.means[index])
-        return out
-
-    def raw_predict(self, values: Array) -> Array:
-        """Theta W (m, n) of W (k, n)."""
-        out = self.inner.raw_predict(values)
-        out -= np.multiply.outer(self.direction, self.means @ values)
-        return out
-
-    def raw_products(self, index: IntArray | slice, others: IntArray | slice) -> Array:
-        """theta_J'theta_K (j, l)."""
-        out = self.inner.raw_products(index, others)
-        out -= np.multiply.outer(self.means[index], self.means[others])
-        return out
-
-
-def dense_rows(design: Design) -> Array:
-    """The array theta (m, k) of a dense design; InputError with a remedy for any other."""
-    if isinstance(design, RowDesign) and design.weights is None and design.in_memory:
-        rows: Array = design.source
-        return rows
-    raise InputError(
-        f"this needs theta as one array in memory, and the design is {design.kind}, weighted or "
-        "centred: use lasso, group-lasso or another penalised back-end, or hand in the array"
-    )

@@ -28,8 +28,13 @@ from sparsefit.regression.backend import (
     numeric_fraction,
     quiet,
 )
-from sparsefit.regression.certificate import Certificate, CertificateKind, duality_gaps, gram_gaps
-from sparsefit.regression.exact_fits import sharpened
+from sparsefit.regression.certificate import (
+    Certificate,
+    CertificateKind,
+    duality_gaps,
+    gram_gaps,
+    sharpened,
+)
 from sparsefit.regression.losses import RootSquares
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.penalty_choice import FRACTIONS, choose_penalty
@@ -235,7 +240,7 @@ def path_certificates(
     places, statistics = np.array(finite), problem.statistics
     known = np.zeros(len(places), dtype=bool)
     # Not for a few: whether Z'Z was formed must not show in their certificates.
-    if len(solutions) >= SEVERAL and statistics.formed and np.isinf(penalty.loss.clip):
+    if len(solutions) >= SEVERAL and statistics.design.formed and np.isinf(penalty.loss.clip):
         from_gram = gram_gaps(statistics, weights, alphas[places], penalty)
         for i, certificate in zip(finite, from_gram, strict=True):
             gaps[i] = certificate

@@ -14,9 +14,9 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import ChoosingBackend, Selection
+from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.regression.statistics import Statistics
 
 FRACTIONS = tuple(np.geomspace(1.0, 1e-3, 30).tolist())
 FOLDS = 5  # of cross-validation: each a fifth of the samples, in one piece
@@ -69,7 +69,7 @@ def information_criterion(
     which hold the least of what the others leave unexplained. weights (p, k, n): the path.
     """
     points, columns, targets = weights.shape
-    design, statistics, rms = problem.design, problem.statistics, problem.statistics.rms
+    design, rms = problem.design, problem.design.rms
     solved = np.flatnonzero(np.isfinite(weights).all(axis=(1, 2)))
     if not len(solved):
         return _choice(backend, np.full(points, np.nan), 0)
@@ -87,7 +87,7 @@ def information_criterion(
         scaled = weights[i] * rms[:, None]
         share = np.einsum("it,it->t", residuals[:, i], residuals[:, i]) / np.where(null, null, 1.0)
         pull = design.correlate(residuals[:, i])
-        freedom = degrees_of_freedom(statistics, scaled, pull, float(alphas[i]), penalty)
+        freedom = degrees_of_freedom(design, scaled, pull, float(alphas[i]), penalty)
         criterion[i] = size * np.log(np.maximum(share, FLOOR)).sum() + math.log(size) * freedom
         if backend.selection == "ebic":
             criterion[i] += 2.0 * _log_models(scaled, penalty)
@@ -96,7 +96,7 @@ def information_criterion(
 
 
 def degrees_of_freedom(
-    statistics: Statistics, weights: Array, pull: Array, alpha: float, penalty: Penalty
+    design: Design, weights: Array, pull: Array, alpha: float, penalty: Penalty
 ) -> float:
     """df = tr[H dV/dB] of weights V (k, n), scaled, with C = ``pull`` (Vaiter et al. 2017).
 
@@ -108,14 +108,14 @@ def degrees_of_freedom(
         return float(np.count_nonzero(weights))
     if not penalty.coupled and weights.shape[1] > 1:
         parts = zip(weights.T[:, :, None], pull.T[:, :, None], strict=True)
-        return sum(degrees_of_freedom(statistics, *each, alpha, penalty) for each in parts)
+        return sum(degrees_of_freedom(design, *each, alpha, penalty) for each in parts)
     ridge = alpha * penalty.ridge
     on, factor = penalty.slope(weights + pull - ridge * weights, weights, alpha)
     if not len(on):
         return 0.0
     column, target = np.divmod(on, weights.shape[1])
     used, place = np.unique(column, return_inverse=True)
-    square = statistics.gram_rows(used)[:, used][np.ix_(place, place)]
+    square = design.gram_rows(used)[:, used][np.ix_(place, place)]
     square = np.where(target[:, None] == target, square, 0.0)
     shrink = np.eye(len(on)) if factor is None else (factor @ factor.T).toarray()
     bent = np.eye(len(on)) - shrink + shrink @ (square + ridge * np.eye(len(on)))

@@ -12,21 +12,18 @@ from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_integer
 from sparsefit.regression.continuum import Continuum
-from sparsefit.regression.design import CentredDesign, Design, dense_rows
+from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.given import (
-    design_of,
+    compressed,
     fitting,
     numbers_of,
     refuse_gaps,
-    refuse_large,
-    refuse_small,
-    refuse_zeros,
+    refuse_unfit,
     source_of,
     squares_of,
     target_of,
 )
 from sparsefit.regression.penalties import Penalty, alpha_max
-from sparsefit.regression.statistics import Statistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,24 +45,43 @@ class Spectrum:
         """
         if rcond is None:
             rcond = float(np.finfo(float).eps * max(samples, self.right_vectors.shape[1]))
-        kept: BoolArray = self.singular_values > rcond * self.singular_values[0]
-        kept[0] = True
-        return kept
+        large: BoolArray = self.singular_values > rcond * self.singular_values[0]
+        large[0] = True
+        return large
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """What rows are multiplied by, and what an intercept takes off them.
+    """What rows are multiplied by, and the direction that an intercept takes off them.
 
     roots (m,): the roots of the sample weights, whose mean is 1; None where all are 1. direction
-    (m,): what the intercept's column is then; None without one. means (k,) and levels (n,): the
-    weighted means of the columns and of the target, that were taken off.
+    (m,): what the intercept's column is then; None without one. levels (n,): the weighted means of
+    the target, that were taken off.
     """
 
     roots: Array | None
     direction: Array | None
-    means: Array
     levels: Array
+
+    @classmethod
+    def of(
+        cls, target: Array, sample_weight: ArrayLike | None, intercept: bool
+    ) -> "tuple[Adjustment | None, Array]":
+        """The adjustment, if there is one, and the target (m, n) with it made."""
+        roots, direction, levels = None, None, np.zeros(target.shape[1])
+        if sample_weight is not None:
+            weight = np.asarray(sample_weight, dtype=float)
+            if weight.shape != (len(target),) or not (weight >= 0).all() or not weight.sum() > 0:
+                words = f"sample_weight must have {len(target)} numbers >= 0 that are not all 0"
+                raise InputError(words)
+            roots = np.sqrt(weight / weight.mean())
+            target = target * roots[:, None]
+        if intercept:
+            direction = np.ones(len(target)) if roots is None else roots
+            levels = direction @ target / float(direction @ direction)
+            target = target - np.multiply.outer(direction, levels)
+        adjusted = roots is not None or intercept
+        return cls(roots, direction, levels) if adjusted else None, target
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,18 +89,17 @@ class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
     theta: an array in C or Fortran order, a scipy.sparse CSC matrix, a memory map or whatever else
-    has rows to slice, a dask array, or a `Design`; ``design`` has its sums. theta and target are
-    finite; norms of their columns are in [1e-140, 1e140], or 0 of a target.
-    ``groups`` (k,) numbers the group of each column, 0, 1, 2, ... without a gap; ``group_scales``
-    (g,) gives each group's scale, where it has one. Raises InputError on arrays of other kinds or
-    shapes, and as `from_arrays` does, which makes all of this from any arrays and labels.
+    has rows to slice, or a dask array; ``design`` has its sums. theta and target are finite; norms
+    of their columns are in [1e-140, 1e140], or 0 of a target. ``groups`` (k,) numbers the group of
+    each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's scale, where
+    it has one. Raises InputError on arrays of other kinds or shapes, and as `from_arrays` does,
+    which makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
     ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within one group, such as
     the waves of a ring, for penalties of both; None where there are none.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
-    ``sums``: the statistics of these rows, where they were summed as the rows came.
     ``adjusted``: weights of the samples and an intercept, which the target here has off already.
     """
 
@@ -98,19 +113,17 @@ class RegressionProblem(Brief):
     continuum: Continuum | None = None
     subgroups: IntArray | None = None
     parameters: Array | None = None
-    sums: Statistics | None = None
     adjusted: Adjustment | None = None
 
     def __post_init__(self) -> None:
         _check_shapes(self)
         for name in ("theta", "target"):
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
-        squares = self.design.squares
-        refuse_large(squares, self.names, "")
-        refuse_zeros(squares, self.names)
-        squares = squares_of(self.target)
-        refuse_large(squares, self.target_names, "of the target ")
-        refuse_small(squares, self.target, self.target_names)
+            if isinstance(values := getattr(self, name), np.ndarray):
+                values = values.view()
+                values.flags.writeable = False
+                object.__setattr__(self, name, values)
+        refuse_unfit(self.design.squares, self.names)
+        refuse_unfit(squares_of(self.target), self.target_names, self.target)
 
     @classmethod
     def from_arrays(
@@ -147,12 +160,12 @@ class RegressionProblem(Brief):
             names = [str(name) for name in theta.columns]
         if isinstance(names, str) or not isinstance(names, Iterable | None):
             raise InputError(f"names must be a list with one name per column, not {names!r}")
-        known = tuple(map(str, range(columns) if names is None else names))
+        named = tuple(map(str, range(columns) if names is None else names))
         targets = tuple(map(str, range(values.shape[1])))
         adjusted = None
-        if (sample_weight is not None or intercept) and len(values) == source.shape[0]:
-            adjusted, values = _adjustment(source, values, sample_weight, intercept)
-        return cls(source, values, numbers, known, targets, subgroups=inner, adjusted=adjusted)
+        if len(values) == source.shape[0]:
+            adjusted, values = Adjustment.of(values, sample_weight, intercept)
+        return cls(source, values, numbers, named, targets, subgroups=inner, adjusted=adjusted)
 
     @classmethod
     def from_blocks(
@@ -163,9 +176,7 @@ class RegressionProblem(Brief):
     ) -> "RegressionProblem":
         """A problem from blocks of rows (theta, target), in memory of order k^2 + a block.
 
-        Each block is folded into the triangle of a QR decomposition of [theta, target]. QR, and
-        not Z'Z, because the certificate takes residuals of these rows: orthogonal
-        transformations keep them to rounding, where Z'Z would lose half the digits. Raises
+        Each block is folded into the triangle of a QR decomposition of [theta, target]. Raises
         InputError as `from_arrays` does, and on blocks that do not fit each other.
         """
         triangle, count, columns = compressed(fitting(blocks))
@@ -173,7 +184,7 @@ class RegressionProblem(Brief):
         return replace(plain, sample_count=count)
 
     def at(self, places: Array) -> "RegressionProblem":
-        """The same rows and target, with the continuum's columns at each q (s, p) as groups.
+        """The rows and target, with the continuum's columns at each q (s, p) as groups.
 
         Raises InputError where no continuum is known.
         """
@@ -182,32 +193,31 @@ class RegressionProblem(Brief):
         places = np.reshape(places, (-1, self.continuum.parameters))
         theta, parameters, scales, names = self.continuum.design(places)
         groups = np.repeat(np.arange(len(scales)), self.continuum.size)
-        return replace(
-            self,
-            theta=theta,
-            groups=groups,
-            names=names,
-            group_scales=scales,
-            sample_count=None,
-            subgroups=None,
-            parameters=parameters,
-            sums=None,
-        )
+        alone: dict[str, Any] = {"sample_count": None, "subgroups": None}
+        columns: Any = {"theta": theta, "groups": groups, "names": names, "group_scales": scales}
+        return replace(self, **columns, parameters=parameters, **alone)
 
     @cached_property
     def design(self) -> Design:
         """The columns by their sums, with the weights and without the intercept."""
-        if self.adjusted is None:
-            return design_of(self.theta, self.samples)
-        design = design_of(self.theta, self.samples, self.adjusted.roots)
-        if self.adjusted.direction is None:
-            return design
-        return CentredDesign.of(design, self.adjusted.direction)
+        roots, direction = None, None
+        if self.adjusted is not None:
+            roots, direction = self.adjusted.roots, self.adjusted.direction
+        if direction is not None:
+            direction = direction / np.linalg.norm(direction)
+        return Design(self.theta, self.samples, roots, direction)
 
     @property
     def rows(self) -> Array:
         """Theta (m, k) as one array. Raises InputError where it is none."""
-        return dense_rows(self.design)
+        if self.adjusted is None and self.design.in_memory:
+            rows: Array = self.theta
+            return rows
+        raise InputError(
+            f"this needs theta as one array in memory, and the design is {self.design.kind}, "
+            "weighted or centred: use lasso, group-lasso or another penalised back-end, or hand in "
+            "the array"
+        )
 
     @property
     def raw_target(self) -> Array:
@@ -223,36 +233,35 @@ class RegressionProblem(Brief):
 
     def part(self, rows: IntArray) -> "RegressionProblem":
         """The problem of some samples alone. Raises InputError as `from_arrays` does."""
-        plain = replace(
-            self,
-            theta=self.theta[rows],
-            target=self.raw_target[rows],
-            sample_count=None,
-            sums=None,
-            continuum=None if self.continuum is None else self.continuum.at(rows),
-            adjusted=None,
-        )
-        if self.adjusted is None:
-            return plain
-        roots, intercept = self.adjusted.roots, self.adjusted.direction is not None
-        weight = None if roots is None else roots[rows] ** 2
-        adjusted, target = _adjustment(plain.theta, plain.target, weight, intercept)
-        return replace(plain, target=target, adjusted=adjusted)
+        adjusted, target = self.adjusted, self.raw_target[rows]
+        if adjusted is not None:
+            weight = None if adjusted.roots is None else adjusted.roots[rows] ** 2
+            adjusted, target = Adjustment.of(target, weight, adjusted.direction is not None)
+        continuum = None if self.continuum is None else self.continuum.at(rows)
+        content: Any = {"target": target, "adjusted": adjusted, "continuum": continuum}
+        return replace(self, theta=self.theta[rows], **content, sample_count=None)
 
     def alpha_max(self, penalty: Penalty) -> float:
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m of the target's u."""
         cross = self.statistics.cross
         if np.isfinite(penalty.loss.clip):
-            bound = penalty.loss.bound(np.sqrt(self.statistics.target_square))
-            cross = self.design.correlate(np.clip(self.target, -bound, bound))
+            level = np.sqrt(self.statistics.target_square)
+            cross = self.design.correlate(penalty.loss.pull(self.target, level, self.samples))
         return alpha_max(cross, penalty)
+
+    @property
+    def means(self) -> Array:
+        """The weighted means (k,) of the columns that an intercept takes off; 0 without one."""
+        if self.adjusted is None or self.adjusted.direction is None:
+            return np.zeros(self.columns)
+        means: Array = self.design.means / np.linalg.norm(self.adjusted.direction)
+        return means
 
     def intercept_of(self, weights: Array) -> Array:
         """The intercept (n,) beside weights (k, n), in the units of the target; 0 without one."""
-        if self.adjusted is None or self.adjusted.direction is None:
-            return np.zeros(self.targets)
-        levels: Array = self.adjusted.levels - self.adjusted.means @ weights
-        return levels
+        levels = np.zeros(self.targets) if self.adjusted is None else self.adjusted.levels
+        intercept: Array = levels - self.means @ weights
+        return intercept
 
     @property
     def samples(self) -> int:
@@ -275,12 +284,12 @@ class RegressionProblem(Brief):
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Sufficient statistics in scaled columns, shared by all back-ends."""
-        return self.sums or Statistics.on(self.design, self.target)
+        """Sums of the target in scaled columns, shared by all back-ends."""
+        return Statistics.on(self.design, self.target)
 
     @cached_property
     def compressed(self) -> tuple[Array, Array]:
-        """(theta, target) in at most k + n rows, by QR: every least-squares problem is the same."""
+        """(theta, target) in at most k + n rows, by QR: the least-squares problems are the same."""
         theta = self.rows
         if len(theta) <= self.columns + self.targets:
             return theta, self.target
@@ -297,23 +306,6 @@ class RegressionProblem(Brief):
         return Spectrum(singular_values, right, projected, perf_counter() - start)
 
 
-def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, int, int]:
-    """(triangle, m, k): R (at most k + n rows) of a QR of the rows [theta, target], in blocks.
-
-    Raises InputError where there is no block.
-    """
-    triangle: Array | None = None
-    count = columns = 0
-    for theta, target in blocks:
-        rows = np.hstack([theta, target])
-        count, columns = count + len(rows), theta.shape[1]
-        stacked = rows if triangle is None else np.vstack([triangle, rows])
-        triangle = cast(Array, np.linalg.qr(stacked, mode="r"))
-    if triangle is None:
-        raise InputError("no blocks: a regression problem needs at least one")
-    return triangle, count, columns
-
-
 def _check_shapes(problem: RegressionProblem) -> None:
     for name, values in (("theta", problem.theta), ("target", problem.target)):
         dense = isinstance(values, np.ndarray)
@@ -328,49 +320,17 @@ def _check_shapes(problem: RegressionProblem) -> None:
         raise InputError(f"{both} not be empty")
     refuse_gaps(problem.groups, k, "groups")
     scales, groups = problem.group_scales, int(problem.groups.max()) + 1
-    for name, given, right, each in (
+    for name, count, right, each in (
         ("names", len(problem.names), k, "name per column"),
         ("target_names", len(problem.target_names), n, "name per target"),
         ("group_scales", groups if scales is None else len(scales), groups, "scale per group"),
     ):
-        if given != right:
-            raise InputError(f"{name} must have one {each}: {right}, not {given}")
+        if count != right:
+            raise InputError(f"{name} must have one {each}: {right}, not {count}")
     if problem.sample_count is not None and not is_integer(problem.sample_count, m):
         raise InputError(f"sample_count must be an integer, at least {m}: the rows stand for them")
     if problem.subgroups is not None:
         refuse_gaps(problem.subgroups, k, "subgroups")
-        both_numbers = np.unique(np.stack([problem.subgroups, problem.groups]), axis=1)
-        if both_numbers.shape[1] != problem.subgroups.max() + 1:
+        pairs = np.unique(np.stack([problem.subgroups, problem.groups]), axis=1)
+        if pairs.shape[1] != problem.subgroups.max() + 1:
             raise InputError("subgroups must lie within groups: one of them spans two groups")
-
-
-def _read_only(values: Any) -> Any:
-    if not isinstance(values, np.ndarray):
-        return values
-    view = values.view()
-    view.flags.writeable = False
-    return view
-
-
-def _adjustment(
-    source: Any, target: Array, sample_weight: ArrayLike | None, intercept: bool
-) -> tuple[Adjustment, Array]:
-    """What weights and an intercept do, and the target (m, n) with it done."""
-    roots = None
-    if sample_weight is not None:
-        weight = np.asarray(sample_weight, dtype=float)
-        if weight.shape != (len(target),) or not (weight >= 0).all() or not weight.sum() > 0:
-            raise InputError(
-                f"sample_weight must have {len(target)} numbers >= 0 that are not all 0"
-            )
-        roots = np.sqrt(weight / weight.mean())
-        target = target * roots[:, None]
-    means, levels, direction = np.zeros(source.shape[1]), np.zeros(target.shape[1]), None
-    if intercept:
-        direction = np.ones(len(target)) if roots is None else roots
-        design = design_of(source, len(target), roots)
-        square = float(direction @ direction)
-        means = design.raw_correlate(direction[:, None])[:, 0] / square
-        levels = direction @ target / square
-        target = target - np.multiply.outer(direction, levels)
-    return Adjustment(roots, direction, means, levels), target

@@ -91,9 +91,8 @@ class BestSubset(Search):
         """The targets that share a set."""
         if not self.separate or problem.targets == 1:
             return [problem]
-        alone = replace(problem, sums=None)
         each = enumerate(problem.target_names)
-        return [replace(alone, target=problem.target[:, [t]], target_names=(n,)) for t, n in each]
+        return [replace(problem, target=problem.target[:, [t]], target_names=(n,)) for t, n in each]
 
     def _searched(self, problem: RegressionProblem, largest: int) -> tuple[Array, int, int]:
         """Weights (k, n), the sets there were and those that were worked out."""

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.regression.design import SparseDesign
+from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues
 
 ROUGH = 1e-3  # of alpha: the moves at which descent hands over to the polish
@@ -34,19 +34,19 @@ EXACT = 1e-10  # of alpha: what a correlation may be off by
 
 @dataclass(frozen=True, eq=False)
 class Sparse:
-    """Z of a sparse design: CSC arrays of theta, and the factors (k,) that give unit rms."""
+    """Z of a sparse design: the factors (k,) of theta that give unit rms; means are taken off."""
 
-    design: SparseDesign
+    design: Design
     scale: Array
 
     @classmethod
-    def of(cls, design: SparseDesign) -> "Sparse":
+    def of(cls, design: Design) -> "Sparse":
         """The columns of a design."""
         return cls(design, 1.0 / design.rms)
 
     def taken(self, columns: IntArray) -> Any:
-        """Z_A (m, c) as CSC."""
-        part = self.design.matrix[:, columns]
+        """Z_A (m, c) as CSC, off which no means were taken."""
+        part = self.design.csc[:, columns]
         part.data = part.data * np.repeat(self.scale[columns], np.diff(part.indptr))
         return part
 
@@ -75,12 +75,15 @@ class Walk:
         return pull, False
 
     def _descend(self, limits: Array, ridge: float, columns: IntArray, stop: float) -> None:
-        design = self.columns.design
-        matrix = design.matrix
-        self.steps += import_module("sparsefit.solvers.sweeps").descend(
-            *(matrix.data, matrix.indices, matrix.indptr, columns, self.columns.scale, limits),
+        design, scale = self.columns.design, self.columns.scale
+        matrix = design.csc
+        steps, shift = import_module("sparsefit.solvers.sweeps").descend(
+            *(matrix.data, matrix.indices, matrix.indptr, columns, scale, design.means, limits),
             *(ridge, float(design.samples), self.residual, self.values, stop, SWEEPS),
         )
+        self.steps += steps
+        if design.direction is not None:
+            self.residual -= shift * design.direction
 
     def _polish(self, limits: Array, ridge: float, alpha: float) -> bool:
         """Go to the optimum for the signs at hand; whether it was reached."""
@@ -95,7 +98,7 @@ class Walk:
             if np.abs(pull).max() <= EXACT * alpha:
                 return True
             enough = max(0.1 * EXACT * alpha, INEXACT * float(np.abs(pull).max()))
-            move, moved = self._solved(part, pull, ridge, samples, enough)
+            move, moved = self._solved(used, part, pull, ridge, enough)
             flips = np.flatnonzero(values * (values + move) <= 0)
             share = float((-values[flips] / move[flips]).min(initial=1.0))
             values = values + share * move
@@ -106,17 +109,19 @@ class Walk:
         return False
 
     def _solved(
-        self, part: Any, right: Array, ridge: float, samples: float, stop: float
+        self, used: IntArray, part: Any, right: Array, ridge: float, stop: float
     ) -> tuple[Array, Array]:
         """x of (Z_A'Z_A/m + mu I) x = right by conjugate gradients, and Z_A x."""
         x, image = np.zeros(len(right)), np.zeros(part.shape[0])
         rest, direction = right.copy(), right.copy()
-        square = float(rest @ rest)
-        across = part.T
+        square, across, design = float(rest @ rest), part.T, self.columns.design
+        samples, means = float(design.samples), design.means[used] * self.columns.scale[used]
         for _ in range(GRADIENTS):
             if np.abs(rest).max() <= stop:
                 break
             seen = part @ direction
+            if design.direction is not None:
+                seen -= float(means @ direction) * design.direction
             curvature = float(seen @ seen) / samples + ridge * float(direction @ direction)
             if curvature <= 0.0:
                 break
@@ -131,7 +136,7 @@ class Walk:
 
 
 def descent_path(
-    design: SparseDesign, target: Array, cross: Array, penalty: AbsoluteValues, alphas: Array
+    design: Design, target: Array, cross: Array, penalty: AbsoluteValues, alphas: Array
 ) -> tuple[Array, BoolArray, IntArray]:
     """Weights V (p, k) of one target (m,) at descending alphas, which are optima, and steps.
 

@@ -18,10 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.regression.design import Design, SparseDesign
+from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
-from sparsefit.regression.statistics import Statistics
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
     HomotopyKernel,
@@ -153,7 +152,7 @@ def _along(
     if level == 0.0 or not cross.any():
         return zero
     descends = type(penalty) is AbsoluteValues and k > FEW and compiled("sweeps") is not None
-    if isinstance(design, SparseDesign) and isinstance(penalty, AbsoluteValues) and descends:
+    if design.kind == "sparse" and isinstance(penalty, AbsoluteValues) and descends:
         found = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
         return Points(found[0][:, :, None], *found[1:], "descent")
     units = Units.of(penalty, cross, level)

@@ -25,7 +25,7 @@ from scipy import sparse
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, integer_setting
-from sparsefit.regression.design import Design, RowDesign, SparseDesign
+from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES
 from sparsefit.regression.ordered_penalties import SortedNorm
@@ -66,9 +66,11 @@ def matrix_of(design: Design) -> Any:
     """
     rms = design.rms
     unscaled = bool(np.all(np.abs(rms - 1.0) <= 1e-13))
-    if isinstance(design, SparseDesign):
-        return design.matrix if unscaled else (design.matrix @ sparse.diags(1.0 / rms)).tocsc()
-    if isinstance(design, RowDesign) and design.in_memory and design.weights is None:
+    if design.direction is not None:
+        return design.columns(np.arange(design.shape[1]))
+    if design.kind == "sparse":
+        return design.csc if unscaled else (design.csc @ sparse.diags(1.0 / rms)).tocsc()
+    if design.in_memory and design.weights is None:
         return np.asfortranarray(design.source if unscaled else design.source / rms)
     return design.columns(np.arange(design.shape[1]))
 

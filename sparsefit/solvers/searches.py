@@ -24,7 +24,7 @@ Fasel, Kutz, Brunton and Brunton, Proc. R. Soc. A 478 (2022) 20210904, ensembles
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -34,7 +34,6 @@ from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import Penalty, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.regression.statistics import Statistics
 from sparsefit.solvers.kernels import path_on_gram
 
 UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
@@ -267,22 +266,19 @@ class Ensemble(Search):
             order = rng.permutation(len(blocks))
             for part in (order[:half], order[half:]):
                 count, *sums = (sum(each) for each in zip(*(blocks[i] for i in part), strict=True))
-                cross, square, gram = (total / count for total in sums)
-                statistics = Statistics(count, count, rms, cross, square, gram)
-                chosen += self._fitted(problem, statistics) != 0
+                chosen += self._fitted(problem, *(total / count for total in sums)) != 0
         return chosen / (2 * self._pairs)
 
-    def _fitted(self, problem: RegressionProblem, statistics: Statistics) -> Array:
-        """The weights (k, n) of one half, in scaled columns."""
-        grouped, weights = self.base == "group-lasso", np.zeros(statistics.cross.shape)
+    def _fitted(self, problem: RegressionProblem, cross: Array, square: Array, gram: Array) -> Any:
+        """The weights (k, n) of one half by its Z'Y/m, |y_t|^2/m and Z'Z/m, in scaled columns."""
+        grouped, weights = self.base == "group-lasso", np.zeros(cross.shape)
         penalty: Penalty = lasso_penalty(problem.columns)
         if grouped:
             penalty = GroupNorms(problem.groups, np.ones(int(problem.groups.max()) + 1))
-        alphas = np.array([self.alpha_fraction * alpha_max(statistics.cross, penalty)])
+        alphas = np.array([self.alpha_fraction * alpha_max(cross, penalty)])
         for targets in problem.together(grouped) if alphas[0] else []:
-            cross = np.ascontiguousarray(statistics.cross[:, targets])
-            square = float(statistics.target_square[targets].sum())
-            path = path_on_gram(statistics.gram, cross, penalty, alphas, square)
+            pull = np.ascontiguousarray(cross[:, targets])
+            path = path_on_gram(gram, pull, penalty, alphas, float(square[targets].sum()))
             weights[:, targets] = path.values[0]
         return weights
 

@@ -3,6 +3,8 @@
     v_j <- soft(v_j + z_j'R/m, w_j) / (1 + mu),   R <- R - z_j (change of v_j)
 
 is the optimum of column j alone, z_j'z_j = m, with the limit w_j of its penalty and the ridge mu.
+Where the part along e, |e| = 1, is taken off the columns, z_j = s_j (theta_j - mean_j e), the rows
+stay sparse: R = S - c e, of which S and the number c change.
 
 Source: Friedman, Hastie and Tibshirani, J. Stat. Softw. 33 (2010) 1-22.
 """
@@ -16,6 +18,7 @@ def descend(
     const int[::1] starts,
     const Py_ssize_t[::1] columns,
     const double[::1] scale,
+    const double[::1] means,
     const double[::1] limits,
     double ridge,
     double samples,
@@ -24,21 +27,21 @@ def descend(
     double stop,
     Py_ssize_t most,
 ):
-    """Sweep over the columns until no move is above ``stop``; the number of sweeps.
+    """Sweep over the columns until no move is above ``stop``; the number of sweeps, and c.
 
-    data, rows and starts: scipy's CSC; z_j is column j times scale_j. values (k,) and residual (m,)
-    are worked on in place.
+    data, rows and starts: scipy's CSC of theta; scale s (k,), means (k,). values (k,) and residual
+    S (m,) are worked on in place, from c = 0 on.
     """
-    cdef Py_ssize_t count, place, j, i
-    cdef double pull, size, after, move, largest, factor
-    for count in range(most):
+    cdef Py_ssize_t count = 0, place, j, i
+    cdef double pull, size, after, move, largest, factor, shift = 0.0
+    for count in range(1, most + 1):
         largest = 0.0
         for place in range(columns.shape[0]):
             j = columns[place]
             pull = 0.0
             for i in range(starts[j], starts[j + 1]):
                 pull += data[i] * residual[rows[i]]
-            pull = pull * scale[j] / samples + values[j]
+            pull = (pull - shift * means[j]) * scale[j] / samples + values[j]
             size = fabs(pull) - limits[j]
             after = 0.0
             if size > 0.0:
@@ -50,7 +53,8 @@ def descend(
             factor = move * scale[j]
             for i in range(starts[j], starts[j + 1]):
                 residual[rows[i]] -= factor * data[i]
+            shift -= factor * means[j]
             largest = max(largest, fabs(move))
         if largest <= stop:
-            return count + 1
-    return most
+            break
+    return count, shift

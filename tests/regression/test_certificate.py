@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
-from sparsefit.regression.design import RowDesign
+from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.regression.statistics import Statistics
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -27,7 +26,7 @@ both = pytest.mark.parametrize("source", SOURCES)
 
 
 def statistics_of(theta, target):
-    return Statistics.of(np.asarray(theta), np.asarray(target), count=len(theta))
+    return Statistics.on(Design(np.asarray(theta), len(theta)), np.asarray(target))
 
 
 def certified(theta, target, weights, alphas, penalty, source="rows"):
@@ -36,7 +35,7 @@ def certified(theta, target, weights, alphas, penalty, source="rows"):
     weights, alphas = np.asarray(weights), np.asarray(alphas)
     if source == "gram":
         return gram_gaps(statistics, weights, alphas, penalty)
-    return duality_gaps(RowDesign(theta, len(theta)), target, weights, alphas, penalty)
+    return duality_gaps(Design(theta, len(theta)), target, weights, alphas, penalty)
 
 
 def certify(theta, target, weights, alpha, penalty, source="rows"):

@@ -1,5 +1,6 @@
 """Designs of every kind against plain products of one array."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 from scipy import sparse
 
 from sparsefit.arrays import Array
-from sparsefit.regression.design import CentredDesign, DaskDesign, Design, RowDesign, SparseDesign
+from sparsefit.errors import InputError
+from sparsefit.regression.design import Design, Statistics
+from tests.problems import regular
 
 M, K = 60, 9
 DRAW = np.random.default_rng(3)
@@ -28,26 +31,24 @@ class Rows:
 def designs(folder: Path) -> dict[str, tuple[Design, Array]]:
     """Every kind of design, with the array that it is."""
     np.save(folder / "theta.npy", THETA)
-    plain = RowDesign(THETA, M)
+    plain = Design(THETA, M)
     off = THETA - np.multiply.outer(DIRECTION, DIRECTION @ THETA)
     return {
         "rows": (plain, THETA),
-        "columns": (RowDesign(np.asfortranarray(THETA), M), THETA),
-        "weighted": (RowDesign(THETA, M, WEIGHTS), THETA * WEIGHTS[:, None]),
-        "file": (RowDesign(np.load(folder / "theta.npy", mmap_mode="r"), M), THETA),
-        "slices": (RowDesign(Rows(), M), THETA),
-        "sparse": (SparseDesign(sparse.csc_array(THETA), M), THETA),
-        "centred": (CentredDesign.of(plain, WEIGHTS), off),
-        "sparse, centred": (
-            CentredDesign.of(SparseDesign(sparse.csc_array(THETA), M), WEIGHTS),
-            off,
-        ),
+        "columns": (Design(np.asfortranarray(THETA), M), THETA),
+        "weighted": (Design(THETA, M, WEIGHTS), THETA * WEIGHTS[:, None]),
+        "file": (Design(np.load(folder / "theta.npy", mmap_mode="r"), M), THETA),
+        "slices": (Design(Rows(), M), THETA),
+        "sparse": (Design(sparse.csc_array(THETA), M), THETA),
+        "centred": (replace(plain, direction=DIRECTION), off),
+        "sparse, centred": (Design(sparse.csc_array(THETA), M, None, DIRECTION), off),
+        "sparse, weighted": (Design(sparse.csc_array(THETA), M, WEIGHTS), THETA * WEIGHTS[:, None]),
     }
 
 
 KINDS = (
     *("rows", "columns", "weighted", "file", "slices", "sparse", "centred", "sparse, centred"),
-    "dask",
+    *("sparse, weighted", "dask"),
 )
 
 
@@ -89,22 +90,55 @@ def test_every_kind_is_the_array_that_it_is(
     monkeypatch.setattr("sparsefit.regression.design.BLOCK_BYTES", 8 * K * block)
     if kind == "dask":
         array = pytest.importorskip("dask.array")
-        check(DaskDesign(array.from_array(THETA, chunks=(block, K)), M), THETA)
+        check(Design(array.from_array(THETA, chunks=(block, K)), M), THETA)
         return
     design, theta = designs(tmp_path)[kind]
     check(design, theta)
 
 
 def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off() -> None:
-    tall = RowDesign(np.ones((100_000, 1)), 100_000)
+    tall = Design(np.ones((100_000, 1)), 100_000)
     assert tall.terms == 8192 + 12
-    shifted = RowDesign(DRAW.normal(size=(50, 2)) + np.array([0.0, 1e3]), 50)
-    assert 300 < CentredDesign.of(shifted, np.ones(50)).spread < 3000
-    assert SparseDesign(sparse.csc_array(np.eye(5)), 5).terms == 1
+    shifted = Design(DRAW.normal(size=(50, 2)) + np.array([0.0, 1e3]), 50)
+    assert 300 < replace(shifted, direction=np.full(50, 50**-0.5)).spread < 3000
+    assert Design(sparse.csc_array(np.eye(5)), 5).terms == 1
 
 
 def test_a_column_that_is_constant_is_zero_when_centred() -> None:
     theta = np.column_stack([np.full(50, 0.1), np.arange(50.0)])
-    centred = CentredDesign.of(RowDesign(theta, 50), np.ones(50))
-    assert centred.raw_squares()[0] == 0.0
+    centred = Design(theta, 50, direction=np.full(50, 50**-0.5))
+    assert centred.squares[0] == 0.0
     assert centred.rms[1] == pytest.approx(np.std(np.arange(50.0)))
+
+
+def test_sums_of_two_columns_worked_by_hand() -> None:
+    theta, target = np.array([[1.0, 1.0], [1.0, -1.0]]), np.array([[3.0], [1.0]])
+    sums = Statistics.on(Design(theta * [2.0, 5.0], 2), target)  # Z'Z/m = I, Z'y/m = (2, 1)
+    assert sums.rms == pytest.approx([2.0, 5.0])
+    assert sums.gram == pytest.approx(np.eye(2))
+    assert sums.cross[:, 0] == pytest.approx([2.0, 1.0])
+    assert sums.target_square == pytest.approx([5.0])
+    assert (sums.null_objective, sums.samples, sums.design.rank) == (2.5, 2, 2)
+    assert Design(np.hstack([theta, theta]), 2).rank == 2
+    for array in (sums.rms, sums.gram, sums.cross, sums.target_square):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+
+
+def test_the_gram_matrix_is_formed_for_who_asks_and_by_rows_until_then() -> None:
+    design, some = regular().design, np.array([3, 0])
+    rows = design.gram_rows(some)
+    assert not design.formed
+    np.testing.assert_allclose(rows, design.gram[some], rtol=1e-13, atol=1e-15)
+    assert design.formed
+
+
+def test_a_gram_matrix_that_does_not_fit_in_memory_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def lacking(*_anything: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Design, "raw_products", lacking)
+    with pytest.raises(InputError, match=r"Z'Z of 2 columns takes .* GiB.*: use fewer columns"):
+        _ = Design(np.eye(2), 2).gram

@@ -256,14 +256,6 @@ def test_too_few_samples_to_cut_up_are_told_with_what_the_back_end_can_do(name, 
 
 
 @pytest.mark.parametrize("selection", ["cross-validation", "stability"])
-def test_sums_of_all_samples_are_not_taken_for_those_of_a_part(selection):
-    problem = regular(samples=80)
-    summed = dataclasses.replace(problem, sums=problem.statistics)
-    found, known = (sf.fit(one, auto("lasso", selection)) for one in (summed, problem))
-    np.testing.assert_array_equal(found.penalty_choice.criterion, known.penalty_choice.criterion)
-
-
-@pytest.mark.parametrize("selection", ["cross-validation", "stability"])
 def test_what_cannot_be_cut_up_is_refused(selection):
     with pytest.raises(InputError, match=r"needs at least 1[02] samples, not 8"):
         sf.fit(regular(samples=8), auto(selection=selection))

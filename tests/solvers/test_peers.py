@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 
 from sparsefit.errors import InputError
-from sparsefit.regression.design import RowDesign, SparseDesign
+from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import RootSquares, Squares
 from sparsefit.regression.ordered_penalties import FusedNorm, SortedNorm
@@ -79,7 +79,7 @@ def kinds_and_solvers():
 @pytest.mark.parametrize(("kind", "rows", "names"), list(kinds_and_solvers()))
 def test_every_solver_reaches_the_objective_of_the_referee(kind, rows, names):
     theta, target = problem(rows)
-    penalty, design = PENALTIES[kind], RowDesign(theta, rows)
+    penalty, design = PENALTIES[kind], Design(theta, rows)
     best, alphas = path_of("clarabel", design, target, penalty)
     reference = objective(design, target, penalty, best, alphas)
     null = np.square(target).sum() / (2 * rows)
@@ -95,15 +95,15 @@ def test_a_sparse_design_gives_the_weights_of_the_dense_one(name):
     theta, target = problem()
     theta[np.abs(theta) < 0.8] = 0.0
     penalty = next(p for p in PENALTIES.values() if not solver(name).takes(p))
-    dense, _ = path_of(name, RowDesign(theta, 60), target, penalty)
-    thin, _ = path_of(name, SparseDesign(sparse.csc_matrix(theta), 60), target, penalty)
+    dense, _ = path_of(name, Design(theta, 60), target, penalty)
+    thin, _ = path_of(name, Design(sparse.csc_matrix(theta), 60), target, penalty)
     np.testing.assert_allclose(thin, dense, atol=1e-4 * np.abs(dense).max())
 
 
 @pytest.mark.parametrize("kind", OTHERS)
 def test_conic_solvers_take_every_penalty_in_three_forms(kind):
     theta, target = problem()
-    design = RowDesign(theta, 60)
+    design = Design(theta, 60)
     weights = [
         path_of(name, design, target, OTHERS[kind], 3)[0]
         for name in ("clarabel", "cvxpy", "cvxpy-rows")
@@ -119,7 +119,7 @@ def test_working_sets_of_the_referee_leave_out_what_does_not_object():
     rng = np.random.default_rng(1)
     theta = rng.normal(size=(80, 400))
     target = theta[:, :3] @ np.ones((3, 1)) + 0.1 * rng.normal(size=(80, 1))
-    design = RowDesign(theta, 80)
+    design = Design(theta, 80)
     for penalty in (AbsoluteValues(np.ones(400)), SortedNorm(np.linspace(1.0, 0.9, 400))):
         some, alphas = path_of("clarabel", design, target, penalty, 3)
         correlation = design.correlate(target - design.predict(some[-1]))
@@ -135,7 +135,7 @@ def test_a_tall_problem_is_handed_over_as_the_triangle_of_a_qr():
         parts.append(part)
         return np.zeros((1, 2 * K))
 
-    solved_in_parts(call, RowDesign(theta, 60), target, PENALTIES["joint"], np.array([0.5]))
+    solved_in_parts(call, Design(theta, 60), target, PENALTIES["joint"], np.array([0.5]))
     design, values = parts[0].rows()
     assert design.shape == (2 * (K + 2), 2 * K)
     assert design.flags.f_contiguous
@@ -147,7 +147,7 @@ def test_a_tall_problem_is_handed_over_as_the_triangle_of_a_qr():
 def test_what_a_solver_does_not_take_is_refused_in_a_line():
     theta, target = problem()
     with pytest.raises(InputError, match="scikit-learn-lars solves LASSO only"):
-        path_of("scikit-learn-lars", RowDesign(theta, 60), target, PENALTIES["joint"])
+        path_of("scikit-learn-lars", Design(theta, 60), target, PENALTIES["joint"])
     assert "cones" in solver("osqp").takes(PENALTIES["joint"])
     assert "conic form" in solver("clarabel").takes(_Unstated(np.ones(K)))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
-from sparsefit.regression.design import RowDesign
+from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, SquaredNorm, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import registry
@@ -146,7 +146,7 @@ def test_a_command_is_handed_a_folder_and_timed_between_its_lines(tmp_path):
         "theirs", {"factor": 2.0}, str(tmp_path / "study.toml"), (sys.executable, "program.py")
     )
     data, penalty = problem(), AbsoluteValues(np.full(6, 0.5))
-    design = RowDesign(data.theta, 50)
+    design = Design(data.theta, 50)
     cross = design.correlate(data.target)
     timed = recipe.make().path(design, data.target, penalty, np.array([0.4, 0.1]), 1e-8)
     expected = [2.0 * np.clip(cross / 0.5, -a, a) / 0.5 for a in (0.4, 0.1)]
@@ -166,6 +166,6 @@ def test_a_command_that_fails_says_so(tmp_path):
         command = Recipe("theirs", command=(sys.executable, "-c", words)).make()
         with pytest.raises(SparsefitError, match=reason):
             command.path(
-                RowDesign(data.theta, 50), data.target, lasso_penalty(6), np.array([1.0]), None
+                Design(data.theta, 50), data.target, lasso_penalty(6), np.array([1.0]), None
             )
     assert "no such penalty" in command.takes(SquaredNorm(6))

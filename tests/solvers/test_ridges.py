@@ -10,7 +10,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
-from sparsefit.regression.design import RowDesign
+from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
@@ -99,7 +99,7 @@ def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, rat
 
     weights = exact.weights + size * rng.normal(size=exact.weights.shape) / s.rms[:, None]
     lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * s.rms)
-    design = RowDesign(np.vstack([problem.theta, lift]), m)
+    design = Design(np.vstack([problem.theta, lift]), m)
     target = np.vstack([problem.target, np.zeros((k, 2))])
     norms = AbsoluteValues(s.rms / design.rms)  # in columns of the unit that these rows have
     (expected,) = duality_gaps(design, target, weights[None], np.array([alpha * ratio]), norms)
