@@ -161,10 +161,10 @@ class Path(Brief):
         frame = frame[frame.abs().max().sort_values(ascending=False, kind="stable").index]
         frame.columns = [c if isinstance(c, str) else f"{c[1]} of {c[0]}" for c in frame.columns]
         doubtful = [fit.alpha_fraction for fit in self.fits if fit.status != "ok"]
-        frame["not certified"] = np.where(frame.index.isin(doubtful), 0.0, np.nan)
-        styles = ["-"] * (frame.shape[1] - 1) + ["kx"]
-        axes = frame.plot(ax=axes, logx=True, style=styles, linewidth=1.0, legend=False)
-        lines = [*axes.lines[-frame.shape[1] : -1][:10], *(axes.lines[-1:] if doubtful else [])]
+        axes = frame.plot(ax=axes, logx=True, linewidth=1.0, legend=False)
+        lines = axes.lines[-frame.shape[1] :][:10]
+        if doubtful:
+            lines += axes.plot(doubtful, np.zeros(len(doubtful)), "kx", label="not certified")
         axes.legend(handles=lines, fontsize="small", frameon=False)
         axes.invert_xaxis()
         axes.set_xlabel(r"$\alpha / \alpha_\mathrm{max}$")

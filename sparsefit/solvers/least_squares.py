@@ -101,8 +101,7 @@ class STLSQ(Checked):
         system = _System.of(problem, self)
         support = np.ones((problem.columns, problem.targets), dtype=bool)
         for iteration in range(1, self.max_iterations + 1):
-            previous, values = support, system.thresholded(support)
-            support = values != 0
+            previous, (values, support) = support, system.thresholded(support)
             if not support.any():
                 words = f"threshold {self.threshold:g} removed every column; lower it"
                 empty = f"empty support: {words}"
@@ -112,16 +111,16 @@ class STLSQ(Checked):
         names = zip(problem.target_names, support.T, strict=True)
         bare = ", ".join(name for name, on in names if not on.any())
         note = f"support of {bare} is empty" if bare else ""
-        return Solution(self._final(system, values), reason=note, iterations=iteration)
+        return Solution(self._final(system, values, support), reason=note, iterations=iteration)
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
         """The weights (k, n) that one more iteration makes of the support of these."""
         system = _System.of(problem, self)
-        return self._final(system, system.thresholded(weights != 0))
+        return self._final(system, *system.thresholded(weights != 0))
 
-    def _final(self, system: "_System", values: Array) -> Array:
+    def _final(self, system: "_System", values: Array, support: BoolArray) -> Array:
         if self.unbias:
-            return system.least_squares(values != 0)
+            return system.least_squares(support)
         return values / system.scale[:, None]
 
 
@@ -153,8 +152,8 @@ class _System:
         cross, limit = s.cross * (lift[:, None] * s.samples), np.full(len(s.target_square), least)
         return cls(problem, gram, cross, scale, settings.ridge, limit, 1)
 
-    def thresholded(self, support: BoolArray) -> Array:
-        """The ridge fits (k, n) on a support (k, n), zero where they are below the threshold."""
+    def thresholded(self, support: BoolArray) -> tuple[Array, BoolArray]:
+        """The ridge fits (k, n) on a support (k, n) where they reach the threshold, and where."""
         values = np.zeros(support.shape)
         alike: dict[bytes, list[int]] = {}
         for t in range(support.shape[1]):  # targets that share a support share a factor
@@ -163,7 +162,8 @@ class _System:
             on = np.flatnonzero(support[:, targets[0]])
             if len(on):
                 values[on[:, None], targets] = self._ridge_fit(on, targets)
-        return np.where(np.abs(values) >= self.threshold, values, 0.0)
+        large = (np.abs(values) >= self.threshold) & support
+        return np.where(large, values, 0.0), large
 
     def _ridge_fit(self, on: IntArray, targets: list[int]) -> Array:
         from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # an estimator loads without it

@@ -350,7 +350,7 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     blocks = ((theta[i : i + 100], target[i : i + 100]) for i in range(0, 900, 100))
     small = RegressionProblem.from_blocks(blocks)
     weights = rng.normal(size=(1, 5, 2))
-    assert (small.statistics.samples, small.statistics.terms) == (900, 7)
+    assert (small.statistics.samples, small.design.terms) == (900, 7)
     whole = certified(theta, target, weights, [0.1], lasso_penalty(5))[0]
     alphas, penalty = np.array([0.1]), lasso_penalty(5)
     by_rows = duality_gaps(small.design, small.target, weights, alphas, penalty)

@@ -203,17 +203,19 @@ def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
     scaled = backend.solve(problem).weights * problem.statistics.rms[:, None]
     statistics = problem.statistics
     pull = statistics.cross - statistics.gram @ scaled
-    found = degrees_of_freedom(statistics, scaled, pull, alpha, penalty)
+    found = degrees_of_freedom(statistics.design, scaled, pull, alpha, penalty)
     assert found == pytest.approx(divergence(problem, penalty, name, alpha, **more), abs=2e-3)
 
 
 def test_degrees_of_freedom_of_nothing_and_of_everything():
     statistics, none = regular().statistics, np.zeros((12, 2))
     joint = GroupNorms(np.repeat(np.arange(4), 3), np.ones(4))
-    assert degrees_of_freedom(statistics, none, none, 0.1, joint) == 0
+    assert degrees_of_freedom(statistics.design, none, none, 0.1, joint) == 0
     full = np.random.default_rng(0).normal(size=(12, 2))
-    assert degrees_of_freedom(statistics, full, none, 1e-12, joint) == pytest.approx(24, abs=1e-6)
-    assert degrees_of_freedom(statistics, full, none, 0.1, lasso_penalty(12)) == 24
+    assert degrees_of_freedom(statistics.design, full, none, 1e-12, joint) == pytest.approx(
+        24, abs=1e-6
+    )
+    assert degrees_of_freedom(statistics.design, full, none, 0.1, lasso_penalty(12)) == 24
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
