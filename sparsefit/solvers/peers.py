@@ -38,25 +38,23 @@ Kind: TypeAlias = Literal[
 TALL = 1.5  # rows per column from which a QR or X'X saves more than it costs
 SINGLE: tuple[Kind, ...] = ("LASSO", "elastic net")
 GROUPED: tuple[Kind, ...] = ("group-LASSO", "joint group-LASSO")
+SORTED: tuple[Kind, ...] = ("SLOPE", "LASSO")
+EVERY: tuple[Kind, ...] = (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")
 
 
 def kind_of(penalty: Penalty) -> Kind:
     """The family that a penalty belongs to."""
-    kind = type(penalty)
-    if penalty.loss != SQUARES:
-        return ""
-    if kind is AbsoluteValues and penalty.ridge:
-        return "elastic net" if np.ptp(penalty.weights) == 0.0 else ""  # type: ignore[attr-defined]
-    if penalty.ridge:
+    if penalty.loss != SQUARES or (penalty.ridge and type(penalty) is not AbsoluteValues):
         return ""
     if isinstance(penalty, NestedNorms):
         plain = type(penalty.inner) is AbsoluteValues and not penalty.coupled
         return "sparse-group LASSO" if plain else ""
-    if kind is GroupNorms:
+    if type(penalty) is AbsoluteValues:
+        even = np.ptp(penalty.weights) == 0.0
+        return "LASSO" if not penalty.ridge else "elastic net" if even else ""
+    if type(penalty) is GroupNorms:
         return "joint group-LASSO" if penalty.coupled else "group-LASSO"
-    if kind is AbsoluteValues:
-        return "LASSO"
-    return "SLOPE" if kind is SortedNorm else ""
+    return "SLOPE" if type(penalty) is SortedNorm else ""
 
 
 def matrix_of(design: Design) -> Any:
@@ -230,10 +228,10 @@ class Package:
     scipy.sparse (others get a dense copy, which is in their time).
     """
 
+    call: Callable[[Part, float | None, int], Array]
     package: str
     kinds: tuple[Kind, ...]
     form: str
-    call: Callable[[Part, float | None, int], Array]
     iterations: int
     extra: str = "'sparsefit[peers]'"
     stops: bool = True
@@ -440,61 +438,30 @@ ON_ROWS = "on the rows, or on the triangle of a QR where they are many"
 PACKAGES: Mapping[str, Package] = MappingProxyType(
     {
         "scikit-learn-lars": Package(
-            call=_scikit_lars,
-            package="sklearn",
-            kinds=("LASSO",),
-            form=f"lars_path {ON_GRAM}",
-            iterations=10,
-            stops=False,
+            _scikit_lars, "sklearn", ("LASSO",), f"lars_path {ON_GRAM}", 10, stops=False
         ),
         "spams": Package(
-            call=_spams,
-            package="spams",
-            extra="spams-bin",
-            kinds=("LASSO",),
-            form=f"lasso (LARS) {ON_GRAM}",
-            iterations=10,
-            stops=False,
+            _spams, "spams", ("LASSO",), f"LARS {ON_GRAM}", 10, extra="spams-bin", stops=False
         ),
         "scikit-learn-cd": Package(
-            call=_scikit_descent,
-            package="sklearn",
-            kinds=SINGLE,
-            form=f"enet_path, coordinate descent {ON_GRAM}",
-            iterations=100_000,
-            reads_sparse=True,
+            _scikit_descent, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000, reads_sparse=True
         ),
         "celer": Package(
-            call=_celer,
-            package="celer",
-            kinds=(*SINGLE, *GROUPED),
-            form=f"celer_path {ON_ROWS}",
-            iterations=200,
-            reads_sparse=True,
+            _celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200, reads_sparse=True
         ),
         "skglm": Package(
-            call=_skglm,
-            package="skglm",
-            kinds=(*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE"),
-            form=f"AndersonCD, GroupBCD or FISTA {ON_ROWS}",
-            iterations=1000,
+            _skglm,
+            "skglm",
+            EVERY,
+            f"AndersonCD, GroupBCD, FISTA {ON_ROWS}",
+            1000,
             reads_sparse=True,
         ),
         "glum": Package(
-            call=_glum,
-            package="glum",
-            kinds=SINGLE,
-            form=f"GeneralizedLinearRegressor of the normal family {ON_ROWS}",
-            iterations=1000,
-            reads_sparse=True,
+            _glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}", 1000, reads_sparse=True
         ),
         "sortedl1": Package(
-            call=_sortedl1,
-            package="sortedl1",
-            kinds=("SLOPE", "LASSO"),
-            form=f"Slope.path {ON_ROWS}",
-            iterations=100_000,
-            reads_sparse=True,
+            _sortedl1, "sortedl1", SORTED, f"Slope.path {ON_ROWS}", 100_000, reads_sparse=True
         ),
     }
 )
