@@ -40,7 +40,7 @@ from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.penalty_choice import FRACTIONS, choose_penalty
 from sparsefit.regression.problem import RegressionProblem
 
-__all__ = ["TOLERANCE", "Fit", "Path", "certificate_of", "fit", "path", "path_certificates"]
+__all__ = ["TOLERANCE", "Fit", "Path", "certificate_of", "fit", "path"]
 
 TOLERANCE = 1e-8
 SEVERAL = 4  # solutions, from which certificates are taken from Z'Z where it is there
@@ -53,27 +53,27 @@ NEEDS = {
 
 
 def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLERANCE) -> Fit:
-    """Solve one problem and certify the answer.
-
-    A certificate above ``tolerance``, with all that rounding can hide of it, gives status
-    ``inaccurate``, with the best solution found. An alpha_fraction of "auto" is chosen first: the
-    fit is the chosen point of the path. Raises InputError on what is not a problem, a back-end or a
-    tolerance >= 0.
-    """
+    """Solve one problem and certify the answer; `sparsefit.fit` says of what and how."""
     _check(problem, backend, tolerance)
     # To recognise a protocol takes longer than many a solve: the most common is asked for first.
-    if not isinstance(backend, PathBackend):
+    along = isinstance(backend, PathBackend)
+    if not along:
         _check_backend(backend)
     elif backend.alpha_fraction == "auto" and isinstance(backend, ChoosingBackend):
-        return _chosen(problem, backend, tolerance)
-    if isinstance(backend, PathBackend) or (
-        backend.certificate_kind == "duality_gap"
-        and isinstance(backend, PenalisedBackend)
-        and not isinstance(backend, OffGridBackend)
-    ):
-        fraction = numeric_fraction(backend.name, backend.alpha_fraction)
-        return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
-    solution, seconds = _timed(problem, backend)
+        start = perf_counter()
+        whole = _along(problem, backend, np.array(FRACTIONS), tolerance)
+        choice = choose_penalty(problem, backend, whole.weights)
+        seconds, chosen = perf_counter() - start, whole.fits[choice.index]
+        return dataclasses.replace(chosen, seconds=seconds, penalty_choice=choice)
+    convex = backend.certificate_kind == "duality_gap" and isinstance(backend, PenalisedBackend)
+    if along or (convex and not isinstance(backend, OffGridBackend)):
+        penalised: Any = backend
+        fraction = numeric_fraction(backend.name, penalised.alpha_fraction)
+        return _along(problem, penalised, np.array([fraction]), tolerance).fits[0]
+    start = perf_counter()
+    with quiet():
+        raw, seconds = backend.solve(problem), perf_counter() - start
+    solution = _received(raw, backend, problem)
     certificate = certificate_of(problem, backend, solution)
     seconds += solution.shared_seconds
     return _judged(problem, backend, solution, certificate, seconds, tolerance)
@@ -86,12 +86,7 @@ def path(
     *,
     tolerance: float = TOLERANCE,
 ) -> Path:
-    """Solve along a penalty grid, in any order given, and certify every point.
-
-    alpha_fractions: numbers in (0, 1], the penalties as fractions of the smallest one whose
-    solution is zero; by default 30 from 1 to 1e-3. Back-ends without a path of their own are run
-    point by point. Raises InputError for back-ends that have no penalty, and as `fit` does.
-    """
+    """Solve along a penalty grid and certify every point; `sparsefit.path` says of what and how."""
     _check(problem, backend, tolerance)
     if not isinstance(backend, PathBackend) and not isinstance(backend, PenalisedBackend):
         _check_backend(backend)
@@ -116,16 +111,24 @@ def _along(
     """The fits at penalty fractions (p,), solved from the strongest on."""
     order = np.argsort(-wanted, kind="stable")
     fractions = tuple(wanted[order].tolist())
-    points = _at(backend, fractions)
-    start = perf_counter()
-    if isinstance(backend, PathBackend):
-        with quiet():
-            raw = backend.solve_path(problem, fractions)
-        solutions = _received_path(raw, backend, problem, points)
-        seconds = [(perf_counter() - start) / len(fractions)] * len(fractions)
-    else:
-        timed = [_timed(problem, point) for point in points]
-        solutions, seconds = [s for s, _ in timed], [t for _, t in timed]
+    # `dataclasses.replace` would look the fields up at each penalty.
+    names = [field.name for field in dataclasses.fields(backend) if field.init]  # type: ignore[arg-type]
+    settings = {name: getattr(backend, name) for name in names}
+    points = [type(backend)(**(settings | {"alpha_fraction": f})) for f in fractions]
+    start, raw, seconds = perf_counter(), [], []
+    with quiet():
+        if isinstance(backend, PathBackend):
+            raw = list(backend.solve_path(problem, fractions))
+            seconds = [(perf_counter() - start) / len(fractions)] * len(fractions)
+        else:
+            for point in points:
+                begun = perf_counter()
+                raw.append(point.solve(problem))
+                seconds.append(perf_counter() - begun)
+    if len(raw) != len(points):
+        words = f"{len(raw)} solutions for a path of {len(points)} penalties"
+        raise InputError(f"back-end {backend.name!r} returned {words}")
+    solutions = [_received(solution, backend, problem) for solution in raw]
     penalty = backend.penalty(problem)
     if not isinstance(penalty, Penalty):
         raise InputError(
@@ -135,7 +138,7 @@ def _along(
     unit = problem.alpha_max(penalty)
     if backend.certificate_kind == "duality_gap":
         alphas = unit * np.array(fractions)
-        certificates = path_certificates(problem, solutions, alphas, penalty, tolerance)
+        certificates = _path_certificates(problem, solutions, alphas, penalty, tolerance)
     else:
         pairs = zip(points, solutions, strict=True)
         certificates = [certificate_of(problem, *pair) for pair in pairs]
@@ -147,36 +150,14 @@ def _along(
     return Path(wanted, unit, in_turn, perf_counter() - start)
 
 
-def _at(backend: PenalisedBackend, fractions: tuple[float, ...]) -> list[PenalisedBackend]:
-    """The back-end at each penalty; `dataclasses.replace` would look its fields up each time."""
-    names = [field.name for field in dataclasses.fields(backend) if field.init]  # type: ignore[arg-type]
-    settings = {name: getattr(backend, name) for name in names}
-    return [type(backend)(**(settings | {"alpha_fraction": f})) for f in fractions]
-
-
-def _chosen(problem: RegressionProblem, backend: ChoosingBackend, tolerance: float) -> Fit:
-    start = perf_counter()
-    along = _along(problem, backend, np.array(FRACTIONS), tolerance)
-    choice = choose_penalty(problem, backend, along.weights)
-    chosen = along.fits[choice.index]
-    return dataclasses.replace(chosen, seconds=perf_counter() - start, penalty_choice=choice)
-
-
-def _timed(problem: RegressionProblem, backend: Backend) -> tuple[Solution, float]:
-    start = perf_counter()
-    with quiet():
-        solution, seconds = backend.solve(problem), perf_counter() - start
-    return _received(solution, backend, problem), seconds
-
-
 def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> Solution:
     """The solution of a back-end, its weights (k, n) of floats. Raises InputError on another."""
     where = f"back-end {backend.name!r} returned"
     if not isinstance(solution, Solution):
         raise InputError(f"{where} {type(solution).__name__}, not a Solution")
     if solution.status not in get_args(SolutionStatus):
-        known = ", ".join(get_args(SolutionStatus))
-        raise InputError(f"{where} the status {solution.status!r}, which is none of {known}")
+        valid = ", ".join(get_args(SolutionStatus))
+        raise InputError(f"{where} the status {solution.status!r}, which is none of {valid}")
     if solution.weights is None:
         return solution
     own = solution.problem or problem
@@ -187,18 +168,8 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
         raise InputError(f"{where} weights that are no array of real numbers") from None
     if weights.shape != right:
         raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
-    return (
-        solution if weights is solution.weights else dataclasses.replace(solution, weights=weights)
-    )
-
-
-def _received_path(
-    solutions: Sequence[Any], backend: Backend, problem: RegressionProblem, points: Sequence[Any]
-) -> list[Solution]:
-    if len(solutions) != len(points):
-        words = f"{len(solutions)} solutions for a path of {len(points)} penalties"
-        raise InputError(f"back-end {backend.name!r} returned {words}")
-    return [_received(solution, backend, problem) for solution in solutions]
+    same = weights is solution.weights
+    return solution if same else dataclasses.replace(solution, weights=weights)
 
 
 def _repaired(fast: Fit, tolerance: float) -> Fit:
@@ -212,16 +183,12 @@ def _repaired(fast: Fit, tolerance: float) -> Fit:
     worse = fast.certificate is not None and (
         slow.certificate is None or not slow.certificate.value < fast.certificate.value
     )
-    best = fast if worse else slow
-    return dataclasses.replace(
-        best,
-        backend=fast.backend,
-        seconds=fast.seconds + slow.seconds,
-        repaired=best is slow and slow.certificate is not None,
-    )
+    best, seconds = fast if worse else slow, fast.seconds + slow.seconds
+    repaired = best is slow and slow.certificate is not None
+    return dataclasses.replace(best, backend=fast.backend, seconds=seconds, repaired=repaired)
 
 
-def path_certificates(
+def _path_certificates(
     problem: RegressionProblem,
     solutions: Sequence[Solution],
     alphas: Array,
@@ -233,28 +200,26 @@ def path_certificates(
     From the Gram matrix where it is there and proves them small enough, from the rows elsewhere.
     """
     gaps: list[Certificate | None] = [None] * len(solutions)
-    finite = [i for i, each in enumerate(solutions) if _finite(each)]
-    if not finite:
+    places = np.array([i for i, each in enumerate(solutions) if _finite(each)], dtype=int)
+    if not len(places):
         return gaps
-    weights = np.stack([np.asarray(solutions[i].weights) for i in finite])
-    places, statistics = np.array(finite), problem.statistics
-    known = np.zeros(len(places), dtype=bool)
+    weights = np.stack([np.asarray(solutions[i].weights) for i in places])
+    statistics, proven = problem.statistics, np.zeros(len(places), dtype=bool)
     # Not for a few: whether Z'Z was formed must not show in their certificates.
-    if len(solutions) >= SEVERAL and statistics.design.formed and np.isinf(penalty.loss.clip):
+    if len(solutions) >= SEVERAL and problem.design.formed and np.isinf(penalty.loss.clip):
         from_gram = gram_gaps(statistics, weights, alphas[places], penalty)
-        for i, certificate in zip(finite, from_gram, strict=True):
+        for i, certificate in zip(places.tolist(), from_gram, strict=True):
             gaps[i] = certificate
-        known = np.array([certificate.proves(tolerance) for certificate in from_gram])
-    doubtful = np.flatnonzero(~known)
-    if len(doubtful):
-        by_rows = duality_gaps(
-            problem.design, problem.target, weights[doubtful], alphas[places[doubtful]], penalty
-        )
-        for i, certificate in zip(places[doubtful].tolist(), by_rows, strict=True):
-            if isinstance(penalty.loss, RootSquares) and not certificate.proves(tolerance):
-                given = np.asarray(solutions[i].weights)
-                certificate = sharpened(statistics, given, float(alphas[i]), certificate)
-            gaps[i] = certificate
+        proven = np.array([certificate.proves(tolerance) for certificate in from_gram])
+    rest = places[~proven]
+    if not len(rest):
+        return gaps
+    data = (problem.design, problem.target, weights[~proven], alphas[rest], penalty)
+    for i, certificate in zip(rest.tolist(), duality_gaps(*data), strict=True):
+        if isinstance(penalty.loss, RootSquares) and not certificate.proves(tolerance):
+            values = np.asarray(solutions[i].weights)
+            certificate = sharpened(statistics, values, float(alphas[i]), certificate)
+        gaps[i] = certificate
     return gaps
 
 
@@ -268,7 +233,11 @@ def certificate_of(
     if isinstance(backend, OffGridBackend):
         return backend.certify(problem, solution)
     if backend.certificate_kind == "normal_equations":
-        return _normal_equations(problem, weights, backend.rcond)
+        residual, spectrum = problem.target - problem.rows @ weights, problem.spectrum
+        retained = spectrum.right_vectors[spectrum.retained(backend.rcond, problem.samples)]
+        gradient = np.abs(retained @ (problem.rows.T @ residual))
+        scale = spectrum.singular_values[0] * float(np.linalg.norm(problem.target))
+        return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
     return _fixed_point(problem, backend, weights)
 
 
@@ -277,37 +246,25 @@ def _fixed_point(problem: RegressionProblem, backend: Any, weights: Array) -> Ce
 
     A back-end that has only ``next_support`` holds its weights to be least squares there.
     """
-    support = weights != 0
+    support, design = weights != 0, problem.design
     level = float(np.linalg.norm(problem.target)) or 1.0
     with np.errstate(all="ignore"):  # weights of any size: what overflows is no fixed point
         if hasattr(backend, "next_weights"):
             following = np.asarray(backend.next_weights(problem, weights.copy()), dtype=float)
-            after, change = following != 0, (following - weights) * problem.design.rms[:, None]
-            moved = float(np.linalg.norm(problem.design.predict(change))) / level
+            after, moved = following != 0, design.raw_predict(following - weights)
+            share = float(np.linalg.norm(moved)) / level
         else:
             after = np.asarray(backend.next_support(problem, weights.copy()))
-            scaled = weights * problem.design.rms[:, None]
-            pull = problem.design.correlate(problem.target - problem.design.predict(scaled))
+            pull = design.correlate(problem.target - design.raw_predict(weights))
             rms = level / math.sqrt(problem.samples)
-            moved = float(np.abs(pull[support]).max(initial=0.0)) / rms
+            share = float(np.abs(pull[support]).max(initial=0.0)) / rms
     if after.shape != weights.shape or after.dtype != np.bool_:
         raise InputError(
             f"back-end {backend.name!r}: next_support gives {after.dtype} of shape {after.shape}, "
             f"not booleans of shape {weights.shape}"
         )
     changed = int(np.sum(after != support)) / max(int(support.sum()), 1)
-    return Certificate("fixed_point", changed if changed > moved else moved)
-
-
-def _normal_equations(
-    problem: RegressionProblem, weights: Array, rcond: float | None
-) -> Certificate:
-    residual = problem.target - problem.rows @ weights
-    spectrum = problem.spectrum
-    retained = spectrum.right_vectors[spectrum.retained(rcond, problem.samples)]
-    gradient = np.abs(retained @ (problem.rows.T @ residual))
-    scale = spectrum.singular_values[0] * float(np.linalg.norm(problem.target))
-    return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
+    return Certificate("fixed_point", changed if changed > share else share)
 
 
 def _finite(solution: Solution) -> bool:
@@ -343,14 +300,8 @@ def _judged(
         elif status == "inaccurate" and certificate.kind != "fixed_point":
             status, reason = "ok", ""
     return Fit(
-        weights,
-        status,
-        reason,
-        certificate,
-        seconds,
-        backend,
-        solution.solver_status,
-        solution.iterations,
+        *(weights, status, reason, certificate, seconds, backend),
+        *(solution.solver_status, solution.iterations),
         problem=solution.problem or problem,
         shared_seconds=solution.shared_seconds,
     )
@@ -373,8 +324,8 @@ def _check_backend(backend: Any) -> None:
         raise InputError(f"fit needs a back-end, not {backend!r}; see backends.get(name)")
     kind, name = backend.certificate_kind, backend.name
     if kind not in NEEDS:
-        known = ", ".join(get_args(CertificateKind))
-        raise InputError(f"back-end {name!r}: certificate_kind {kind!r} is none of {known}")
+        valid = ", ".join(get_args(CertificateKind))
+        raise InputError(f"back-end {name!r}: certificate_kind {kind!r} is none of {valid}")
     fixed = kind == "fixed_point" and hasattr(backend, "next_weights")
     missing = [need for need in NEEDS[kind] if not hasattr(backend, need)]
     if missing and not fixed and not isinstance(backend, OffGridBackend):
