@@ -57,7 +57,7 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
     _check(problem, backend, tolerance)
     # To recognise a protocol takes longer than many a solve: the most common is asked for first.
     along = isinstance(backend, PathBackend)
-    if not along:
+    if not isinstance(backend, PathBackend):
         _check_backend(backend)
     elif backend.alpha_fraction == "auto" and isinstance(backend, ChoosingBackend):
         start = perf_counter()
@@ -65,11 +65,10 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
         choice = choose_penalty(problem, backend, whole.weights)
         seconds, chosen = perf_counter() - start, whole.fits[choice.index]
         return dataclasses.replace(chosen, seconds=seconds, penalty_choice=choice)
-    convex = backend.certificate_kind == "duality_gap" and isinstance(backend, PenalisedBackend)
-    if along or (convex and not isinstance(backend, OffGridBackend)):
-        penalised: Any = backend
-        fraction = numeric_fraction(backend.name, penalised.alpha_fraction)
-        return _along(problem, penalised, np.array([fraction]), tolerance).fits[0]
+    convex = backend.certificate_kind == "duality_gap" and not isinstance(backend, OffGridBackend)
+    if (along or convex) and isinstance(backend, PenalisedBackend):
+        fraction = numeric_fraction(backend.name, backend.alpha_fraction)
+        return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
     start = perf_counter()
     with quiet():
         raw, seconds = backend.solve(problem), perf_counter() - start
