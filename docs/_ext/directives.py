@@ -31,7 +31,7 @@ import sparsefit
 from sparsefit import backends
 from sparsefit.cli import parser
 from sparsefit.study import figures, keys, measures, tables
-from sparsefit.study.statistics import SUMMARY_NAMES
+from sparsefit.study.resampling import SUMMARY_NAMES
 
 DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"

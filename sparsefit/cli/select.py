@@ -64,9 +64,8 @@ def add(verbs: Verbs) -> None:
 def run(args: argparse.Namespace) -> int:
     """Choose, write, and show the evidence; 1 where no candidate keeps the constraints."""
     check_output(args.output, force=args.force)
-    from sparsefit.study import page
-    from sparsefit.study.select import select
-    from sparsefit.study.selection import lines, provenance
+    from sparsefit.study.evidence import lines, provenance, write_selection
+    from sparsefit.study.selection import select
     from sparsefit.whole_file import write_whole
 
     study = read_study(args)
@@ -94,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         estimator["provenance"] = provenance(study, selection)
         text = json.dumps(estimator, indent=2, allow_nan=False) + "\n"
         write_whole(args.output, text.encode())
-    path = page.write_selection(study, selection, check=checked)[-1]
+    path = write_selection(study, selection, check=checked)[-1]
     record = selection.record(checked) | {"evidence": str(path)}
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
     usage = f"use it: sparsefit estimate FLIGHT --estimator {args.output}"
@@ -117,7 +116,7 @@ def _rule_names() -> list[str]:
 
 def _check(study: Study, selection: Selection, args: argparse.Namespace) -> Check | None:
     """The contenders on flights of fresh seeds; cases that are there are not run again."""
-    from sparsefit.study.select import check
+    from sparsefit.study.selection import check
 
     if selection.chosen is None or not selection.rule.check or study.kind != "flights":
         return None

@@ -16,7 +16,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from sparsefit.arrays import Array
 
@@ -29,7 +29,7 @@ MARKERS = ("o", "s", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", ":", "-.")
 GREY = "#666666"
 TICKS = 5  # at most, of a logarithmic axis: more would touch each other
-LEGEND = 110  # letters of one line of a legend as wide as the page
+LEGEND = 125  # letters of one line of a legend as wide as the page
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.0,
@@ -84,7 +84,7 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
         LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0), numticks=TICKS)
     )
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def level_axis(axes: Axes, levels: Array) -> None:
@@ -106,7 +106,7 @@ def level_axis(axes: Axes, levels: Array) -> None:
 
 
 def legend(figure: Figure, every: Iterable[Axes], more: Sequence[Artist] = ()) -> None:
-    """Put one legend above all panels, of what they draw and label, and `more`."""
+    """Put one legend above all panels, of what they draw and label, in room of its own."""
     handles = {
         str(label): handle
         for axes in every
@@ -118,6 +118,7 @@ def legend(figure: Figure, every: Iterable[Axes], more: Sequence[Artist] = ()) -
     longest = max(len(str(handle.get_label())) for handle in shown)
     columns = max(1, min(len(shown), LEGEND // (longest + 7)))
     figure.legend(handles=shown, loc="outside upper center", ncols=columns)
+    figure.set_figheight(figure.get_figheight() + 0.14 * -(-len(shown) // columns))
 
 
 def with_unit(words: str, unit: str) -> str:
@@ -130,7 +131,7 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
 
     Words that all names share are left out first, then letters in the middle of a name.
     """
-    words = [re.split(r"(?<=[\s,:;])", name) for name in names]
+    words = [re.split(r"(?<=[\s,:;])(?=\S)", name) for name in names]
     shared = set(words[0]).intersection(*map(set, words[1:])) if len(words) > 1 else set()
     short: dict[str, str] = {}
     for name, parts in zip(names, words, strict=True):

@@ -1,14 +1,15 @@
 """Two runs of a study held against each other: which cases changed, and whether for the worse.
 
 Cases are the same where their ids are, else where `flight` and `identity` are. Of flights a case
-changed where its status or a number of U0, L_w or tau_w did; of problems where its status did, and
-whether a solver became slower is told by the ratio of its times over all problems.
+changed where its status or a number of U0, L_w or tau_w did; of problems where its status did. A
+setting is judged by the mean error of tau_w, a solver by the mean logarithm of its time, each
+paired by unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,14 @@ import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError
-from sparsefit.study import page, solver_times
+from sparsefit.study import page
 from sparsefit.study.entries import grouped, level_text
 from sparsefit.study.measures import PARAMETERS, factors, measure, numbers
-from sparsefit.study.statistics import by_unit, difference, pooled, ratio
-from sparsefit.study.table import Column, Table, Value, significant
+from sparsefit.study.resampling import by_unit, difference, pooled
+from sparsefit.study.table import Column, Row, Table, significant
 from sparsefit.whole_file import write_files
 
-KEYS = (("case_id",), ("flight", "identity"))
-SHOWN = 30
+SHOWN = 30  # rows of a table of a page
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,24 +56,21 @@ class Comparison:
     @property
     def changed(self) -> BoolArray:
         """Whether each case changed, (rows,); no time of a solver is like another."""
-        if self.of_problems:
-            return self.restated
-        moved: BoolArray = self.restated | (self.change > self.tolerance)
-        return moved
+        moved = np.zeros_like(self.restated) if self.of_problems else self.change > self.tolerance
+        return np.asarray(self.restated | moved)
 
     @property
     def differs(self) -> bool:
-        """Whether anything changed, or a case is in one run alone."""
+        """Whether a case changed, or is in one run alone."""
         return bool(self.changed.any()) or any(self.only)
 
     @property
     def sentence(self) -> str:
-        """What changed, in a sentence."""
+        """The numbers of changed cases and the largest change, in a sentence."""
         said = f"{int(self.changed.sum())} of {len(self.first)} cases changed, "
         said += f"{int(self.restated.sum())} of them in status"
         if not self.of_problems:
-            most = float(self.change[np.isfinite(self.change)].max(initial=0.0))
-            said += f"; the largest change of a number is {significant(100.0 * most)} %"
+            said += f"; the largest change of a number is {significant(_largest(self.change))} %"
         pairs = zip(self.only, self.names, strict=True)
         only = [f"{count} only in {name}" for count, name in pairs if count]
         return f"{'; '.join([said, *only])}."
@@ -81,91 +78,72 @@ class Comparison:
     @property
     def tables(self) -> dict[str, Table]:
         """The table of settings, or solvers, and that of the cases that changed."""
-        effects = self._solvers() if self.of_problems else self._settings()
-        return {"effects": effects, "changes": self._changes()}
+        return {"effects": self._effects(), "changes": self._changes()}
 
     @property
     def worse(self) -> bool:
         """Whether a case lost its answer, or a setting or solver is worse beyond its interval."""
-        lost = (self.first["status"] == "ok") & ~self.second["status"].isin(["ok"])
-        if not self.of_problems:
-            answered = [np.isfinite(numbers(side, "est_timescale")) for side in
-                     (self.first, self.second)]  # fmt: skip
-            lost = pd.Series(answered[0] & ~answered[1])
-        verdicts = (row[2] for row in self.tables["effects"].rows)
-        return bool(lost.any()) or any(verdict in ("worse", "slower") for verdict in verdicts)
+        lost = (self.first["status"] == "ok") & (self.second["status"] != "ok")
+        has = [np.isfinite(numbers(side, "est_timescale")) for side in (self.first, self.second)]
+        rows = self._effects().rows
+        return bool(lost.any() or (has[0] & ~has[1]).any()) or any(
+            row[2] == "worse" for row in rows
+        )
 
-    def _settings(self) -> Table:
-        """Return what changed in every setting, and whether its error did, paired by flight."""
-        each = replace(measure("timescale-error"), summary="mean")
-        names = ["protocol", "backend", "label", "settings", *factors(self.first)]
-        before, after = each.values(self.first), each.values(self.second)
-        rows: list[tuple[Value, ...]] = []
+    def _effects(self) -> Table:
+        """Return what changed in every setting, or solver, and whether its measure did."""
+        if self.of_problems:
+            each, names = measure("mean wall"), ["objective", "solver"]
+            sides = [np.log(numbers(side, "wall")) for side in (self.second, self.first)]
+            words, unit, least = "time, second / first", "", 0.0
+        else:
+            each = measure("mean timescale-error")
+            names = ["protocol", "label", *factors(self.first), "backend", "settings"]
+            sides = [each.values(side) for side in (self.second, self.first)]
+            words, unit, least = "mean |error| of τ_w, second − first", each.unit, each.least
+        rows: list[Row] = []
         for key, places in grouped(self.first, names):
             flights = self.first["flight"].iloc[places]
             order = pd.Index(flights.unique())
-            grids = [by_unit(values[places], flights, order) for values in (after, before)]
+            grids = [by_unit(values[places], flights, order) for values in sides]
             apart = difference(pooled(each.reduce), *grids)
-            change = self.change[places]
-            verdict = "tie"
-            if apart.low > each.least:
-                verdict = "worse"
-            elif apart.high < -each.least:
-                verdict = "better"
-            labels = dict(zip(names, map(level_text, key), strict=True))
-            levels = [labels[name] for name in factors(self.first)]
-            title = ", ".join([labels["protocol"], labels["label"], *levels])
+            verdict = "worse" if apart.low > least else "better" if apart.high < -least else "tie"
+            head = [", ".join(map(level_text, key[:-2])), level_text(key[-1])]
+            if self.of_problems:
+                head = list(map(level_text, key))
             rows.append((
-                title, labels["settings"], verdict, len(places), int(self.changed[places].sum()),
-                int(self.restated[places].sum()),
-                100.0 * float(change[np.isfinite(change)].max(initial=0.0)),
-                apart.effect, apart.low, apart.high,
+                *head, verdict, len(places), int(self.changed[places].sum()),
+                int(self.restated[places].sum()), _largest(self.change[places]),
+                *(math.exp(value) if self.of_problems else value
+                  for value in (apart.effect, apart.low, apart.high)),
             ))  # fmt: skip
         rows.sort(key=lambda row: not row[4])
         columns = (
-            *map(Column, ("setting", "settings", "verdict")),
+            *map(Column, names if self.of_problems else ("setting", "settings")),
+            Column("verdict"),
             *(Column(name, format="d") for name in ("n", "changed", "in status")),
-            Column("largest change", "%", least=each.least),
-            *(Column(name, "%", group="mean |error| of τ_w, second − first", least=each.least)
-              for name in ("effect", "from", "to")),
+            Column("largest change", "%", least=least),
+            *(Column(name, unit, group=words, least=least) for name in ("effect", "from", "to")),
         )  # fmt: skip
-        note = f"First: {self.names[0]}; second: {self.names[1]}. 95 %: bootstrap over flights."
-        return Table("What changed, setting by setting", columns, rows, (note,), SHOWN, 2)
-
-    def _solvers(self) -> Table:
-        """Return the ratio of the times of every solver, over problems, with its interval."""
-        time, rows = solver_times.TIME, list[tuple[Value, ...]]()
-        logs = np.log((self.second[time] / self.first[time]).to_numpy(float))
-        for (objective, solver), places in grouped(self.first, ["objective", "solver"]):
-            problem = self.first["problem"].iloc[places].to_numpy()
-            means = pd.Series(logs[places]).groupby(problem).mean().dropna().to_numpy()
-            middle, low, high = ratio(np.exp(means), np.ones(len(means)))
-            verdict = "slower" if low > 1.0 else "faster" if high < 1.0 else "tie"
-            verdict = verdict if low == low else "too few problems"
-            rows.append((str(objective), str(solver), verdict, len(places),
-                         int(self.restated[places].sum()), middle, low, high))  # fmt: skip
-        columns = (
-            *map(Column, ("objective", "solver", "verdict")), Column("cases", format="d"),
-            Column("in status", format="d"),
-            *(Column(name, group="time, second / first") for name in ("mean", "from", "to")),
-        )  # fmt: skip
-        note = f"First: {self.names[0]}; second: {self.names[1]}. Geometric mean over problems."
-        return Table("What changed, solver by solver", columns, rows, (note,), 90, 2)
+        note = f"First: {self.names[0]}; second: {self.names[1]}. 95 %: bootstrap over units."
+        return Table(
+            f"What changed, {columns[1].name} by {columns[1].name}", columns, rows, (note,)
+        )
 
     def _changes(self) -> Table:
         """Return every case that changed, the largest change first."""
         places = np.flatnonzero(self.changed)
         places = places[np.argsort(-np.nan_to_num(self.change[places]), kind="stable")]
         label = "solver" if self.of_problems else "label"
-        rows: list[tuple[Value, ...]] = [
-            (str(self.first["case_id"].iloc[at]), str(self.first[label].iloc[at]),
-             str(self.first["status"].iloc[at]), str(self.second["status"].iloc[at]),
-             100.0 * float(self.change[at]))
+        kept = [self.first["case_id"], self.first[label], self.first["status"],
+                self.second["status"]]  # fmt: skip
+        rows: list[Row] = [
+            (*(str(column.iloc[at]) for column in kept), 100.0 * float(self.change[at]))
             for at in places
-        ]  # fmt: skip
+        ]
         columns = (*map(Column, ("case", label)), Column("first", group="status"),
                    Column("second", group="status"), Column("change", "%"))  # fmt: skip
-        return Table("Cases that changed", columns, rows, (), SHOWN, 2)
+        return Table("Cases that changed", columns, rows)
 
     def record(self) -> dict[str, Any]:
         """Return the comparison as JSON has it."""
@@ -176,6 +154,11 @@ class Comparison:
         }  # fmt: skip
 
 
+def _largest(change: Array) -> float:
+    """Return the largest finite change of (n,), in percent."""
+    return 100.0 * float(change[np.isfinite(change)].max(initial=0.0))
+
+
 def compare(
     first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str], tolerance: float = 1e-9
 ) -> Comparison:
@@ -184,56 +167,35 @@ def compare(
     Raises:
         InputError: if they are of two kinds, of other paths, or have no case in common.
     """
-    kinds = ["objective" in cases for cases in (first, second)]
-    if kinds[0] != kinds[1]:
-        raise InputError(f"{names[0]} and {names[1]}: one holds flights, one problems: compare "
-                         "two runs of one study")  # fmt: skip
-    before, after, alone = _paired(first, second, names)
-    if kinds[0]:
-        for name in ("points", "settings", "tolerance"):
-            if name in before and name in after and not _same(before[name], after[name]):
-                raise InputError(f"{names[0]} and {names[1]} differ in {name}: their times are not "
-                                 "of the same work; compare two runs of one study")  # fmt: skip
-        time = solver_times.TIME
-        change = np.abs((after[time] / before[time]).to_numpy(float) - 1.0)
+    runs, both = (first, second), f"{names[0]} and {names[1]}"
+    of_problems = ["objective" in cases for cases in runs]
+    if of_problems[0] != of_problems[1]:
+        raise InputError(f"{both}: one holds flights, one problems: compare two runs of one study")
+    for key in (["case_id"], ["flight", "identity"]):
+        if not all(set(key) <= set(cases) for cases in runs):
+            continue
+        index = [pd.MultiIndex.from_frame(cases[key].astype(str)) for cases in runs]
+        shared = index[0][index[0].isin(index[1])]
+        if len(shared) and all(each.is_unique for each in index):
+            break
     else:
-        change = np.zeros(len(before))
-        for name in PARAMETERS:
-            pair = np.array([numbers(cases, f"est_{name}") for cases in (before, after)])
-            size = np.maximum(np.abs(pair).max(axis=0), 1e-300)
-            moved = np.abs(pair[0] - pair[1]) / size
-            gone = np.isnan(pair)
-            moved[gone.any(axis=0)] = np.inf
-            moved[gone.all(axis=0)] = 0.0
-            change = np.maximum(change, moved)
-    return Comparison(names, before, after, alone, change, tolerance)
-
-
-def _same(first: pd.Series, second: pd.Series) -> bool:
-    return bool(((first == second) | (first.isna() & second.isna())).all())
-
-
-def _paired(
-    first: pd.DataFrame, second: pd.DataFrame, names: Sequence[str]
-) -> tuple[pd.DataFrame, pd.DataFrame, tuple[int, int]]:
-    """Return the cases that both runs have, row by row, and how many only one has."""
-    for key in KEYS:
-        if set(key) <= set(first.columns) & set(second.columns):
-            places = [
-                pd.MultiIndex.from_frame(cases[list(key)].astype(str)) for cases in (first, second)
-            ]
-            if not all(index.is_unique for index in places):
-                continue
-            shared = places[0][places[0].isin(places[1])]
-            if len(shared):
-                before, after = (
-                    cases.iloc[index.get_indexer(shared)].reset_index(drop=True)
-                    for cases, index in zip((first, second), places, strict=True)
-                )
-                return before, after, (len(first) - len(shared), len(second) - len(shared))
-    raise InputError(
-        f"{names[0]} and {names[1]} have no case in common: compare two runs of one study"
+        raise InputError(f"{both} have no case in common: compare two runs of one study")
+    before, after = (
+        cases.iloc[each.get_indexer(shared)].reset_index(drop=True)
+        for cases, each in zip(runs, index, strict=True)
     )
+    for name in ("points", "settings", "tolerance") if of_problems[0] else ():
+        if name in before and name in after and not before[name].equals(after[name]):
+            raise InputError(f"{both} differ in {name}: their times are not of the same work; "
+                             "compare two runs of one study")  # fmt: skip
+    measured = ["wall"] if of_problems[0] else [f"est_{name}" for name in PARAMETERS]
+    pair = np.array([[numbers(cases, name) for name in measured] for cases in (before, after)])
+    size = pair[0] if of_problems[0] else np.maximum(np.abs(pair).max(axis=0), 1e-300)
+    moved, gone = np.abs(pair[0] - pair[1]) / size, np.isnan(pair)
+    moved[gone.any(axis=0)] = np.inf
+    moved[gone.all(axis=0)] = 0.0
+    only = len(first) - len(shared), len(second) - len(shared)
+    return Comparison(names, before, after, only, moved.max(axis=0), tolerance)
 
 
 def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
@@ -248,6 +210,6 @@ def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
         comparison.sentence,
         *(each.to_markdown(SHOWN) for each in made.values()),
     ]
-    files["comparison.md"] = ("\n\n".join(part.strip() for part in parts) + "\n").encode()
+    files["comparison.md"] = page.joined(parts)
     folder.mkdir(parents=True, exist_ok=True)
     return write_files(folder, files)

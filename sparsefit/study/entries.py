@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,10 +20,6 @@ from sparsefit.study.measures import Measure, factors, measure
 from sparsefit.study.table import Value, plain
 
 Options: TypeAlias = Mapping[str, object]
-MEASURED = {  # layouts that draw or summarise named measures
-    "table": ("", "settings", "protocols", "contrasts", "profiles"),
-    "figure": ("", "settings", "protocols", "lines", "ecdf"),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,14 +63,61 @@ class Entry:
         return words.replace(" ", "-").replace("/", "-")[:100]
 
 
+class Script:
+    """The functions of the Python file that a study names: of the frame of cases, by name."""
+
+    def __init__(self, study: Any) -> None:
+        name = study.definition.outputs.script
+        self.path = Path(study.path).parent / name if name else None
+        self.study = study
+        self.functions: dict[str, Callable[..., object]] = {}
+        if self.path is None:
+            return
+        try:
+            spec = importlib.util.spec_from_file_location(f"script_{self.path.stem}", self.path)
+            if spec is None or spec.loader is None or not self.path.is_file():
+                raise FileNotFoundError("no Python file")
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        except Exception as error:
+            raise InputError(f"script {self.path}: {type(error).__name__}: {error}") from None
+        self.functions = {
+            name: value for name, value in vars(module).items()
+            if callable(value) and getattr(value, "__module__", "") == module.__name__
+            and not name.startswith("_")
+        }  # fmt: skip
+
+    def call(self, name: str, cases: pd.DataFrame, kind: type | tuple[type, ...]) -> Any:
+        """Return what a function gives of the cases, and of the study if it takes two arguments.
+
+        Raises:
+            InputError: with what it raised, or if it returns another kind than asked for.
+        """
+        function = self.functions[name]
+        count = function.__code__.co_argcount if hasattr(function, "__code__") else 1
+        try:
+            made = function(cases, self.study) if count > 1 else function(cases)
+        except Exception as error:
+            words = f"{type(error).__name__}: {error}"
+            raise InputError(f"{self.path}: {name}(cases) raised {words}") from None
+        if not isinstance(made, kind):
+            kinds = kind if isinstance(kind, tuple) else (kind,)
+            names = " and no ".join(each.__name__ for each in kinds)
+            raise InputError(f"{self.path}: {name}(cases) returned no {names}")
+        return made
+
+
 def read_entry(
     entry: str | Options,
     named: Mapping[str, Options],
-    layouts: Mapping[str, Any],
+    layouts: Mapping[str, bool],
     kind: str,
     script: Script,
 ) -> Entry:
     """Return an entry of [outputs] as a record; one whose name is shipped starts from that.
+
+    Args:
+        layouts: by name, whether each needs a measure.
 
     Raises:
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
@@ -86,11 +128,26 @@ def read_entry(
         raise unknown(kind, name, [*named, *script.functions])
     if "/" in name or "\\" in name or name.startswith("."):
         raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
-    read = build(Entry, {**named.get(name, {}), **options}, Place(f"the {kind}"))
+    shipped = named.get(name, {})
+    if options.get("compare", shipped.get("compare")) != shipped.get("compare"):
+        shipped = {}  # another layout under the name of a shipped one
+    read = build(Entry, {**shipped, **options}, Place(f"the {kind}"))
     one_of(f"compare of the {kind}", read.compare or "settings", layouts)
-    if not read.measures and read.compare in MEASURED[kind]:
+    if not read.measures and layouts[read.compare or "settings"]:
         raise InputError(f"the {kind} {name!r} needs measure = …: add it")
     return read
+
+
+def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:
+    """Refuse a column that the cases do not have, with the nearest that they do.
+
+    Raises:
+        InputError: with the key of the entry that names it.
+    """
+    for name in names:
+        if name not in cases:
+            near = suggestion(name, map(str, cases.columns))
+            raise InputError(f'{key}: the cases have no column "{name}"{near}')
 
 
 def grouped(
@@ -122,64 +179,19 @@ def level_text(level: Value) -> str:
     return " / ".join(f"{part:g}" for part in pair) if numeric else str(level)
 
 
-def sort_levels(cases: pd.DataFrame, factor: str) -> list[str]:
-    """Return the levels of a column as text: numbers ascending, others as they first appear."""
+def levels_of(cases: pd.DataFrame, factor: str) -> pd.Series:
+    """Return a column as text, categories in order: numbers ascending, others as they appear."""
     if factor not in cases:
         raise InputError(f'no factor "{factor}" is swept{suggestion(factor, factors(cases))}')
-    levels = list(dict.fromkeys(map(plain, cases[factor])))
+    codes, values = pd.factorize(cases[factor], use_na_sentinel=False)
+    words = [level_text(plain(value)) for value in values]
+    order = np.arange(len(values))
     if pd.api.types.is_numeric_dtype(cases[factor]):
-        levels.sort(key=lambda level: math.inf if level is None else float(level))
-    return [level_text(level) for level in levels]
+        order = np.argsort(np.where(pd.isna(values), math.inf, values), kind="stable")
+    kinds = pd.CategoricalDtype(list(dict.fromkeys(words[at] for at in order)), ordered=True)
+    return pd.Series(np.array(words, dtype=object)[codes], cases.index).astype(kinds)
 
 
 def factor_words(factor: str) -> str:
     """Return a factor in words, `measurement noise`."""
     return factor.rpartition(".")[2].replace("_", " ")
-
-
-class Script:
-    """The functions of the Python file that a study names: of the frame of cases, by name."""
-
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
-        self.functions: dict[str, Callable[..., object]] = {}
-        if path is not None:
-            try:
-                module = _imported(path)
-            except Exception as error:
-                raise InputError(f"script {path}: {type(error).__name__}: {error}") from None
-            self.functions = {
-                name: value
-                for name, value in vars(module).items()
-                if callable(value) and getattr(value, "__module__", "") == module.__name__
-                and not name.startswith("_")
-            }  # fmt: skip
-
-    @classmethod
-    def of(cls, study: Any) -> Script:
-        """Return the script that a study names, beside its file."""
-        name = study.definition.outputs.script
-        return cls(Path(study.path).parent / name if name else None)
-
-    def call(self, name: str, study: Any, cases: pd.DataFrame) -> object:
-        """Return what a function gives of the cases, and of the study if it takes two arguments.
-
-        Raises:
-            InputError: with what it raised.
-        """
-        function = self.functions[name]
-        count = function.__code__.co_argcount if hasattr(function, "__code__") else 1
-        try:
-            return function(cases, study) if count > 1 else function(cases)
-        except Exception as error:
-            words = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self.path}: {name}(cases) raised {words}") from None
-
-
-def _imported(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"study_script_{path.stem}", path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise FileNotFoundError(f"no Python file {path}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

@@ -1,53 +1,81 @@
-"""The figures of a study: lines along a factor, errors as shares, estimated against true, profiles.
+"""The figures of a study: four kinds of picture over one frame of cases, in panels by its columns.
 
-A legend names what is drawn: curves that coincide are one, and where there are more than a legend
-takes, the rest are grey. A picture without a mark is a sentence.
+`lines`: measures along a factor; `ecdf`: the share of cases with at most so much; `scatter`:
+estimated against true; `accuracy`: time against certified excess. A legend names what is drawn:
+curves that coincide are one, and where there are more than a legend takes, the rest are grey. A
+picture without a mark is a sentence.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.plot.style import (
+    COLOURS,
     GREY,
+    MARKERS,
+    STYLES,
     labels,
     legend,
+    level_axis,
     logarithmic,
     panels,
     styled,
+    with_unit,
     wrapped,
 )
-from sparsefit.study.curves import LOG_RANGE, NAMED_CURVES, Looks, ecdf, lines, numeric_factors
+from sparsefit.study import solver_times
 from sparsefit.study.entries import (
     Entry,
     Options,
     Script,
+    check_columns,
+    factor_words,
     grouped,
+    level_text,
+    levels_of,
     read_entry,
 )
 from sparsefit.study.measures import (
     PARAMETERS,
     SYMBOLS,
     UNITS,
+    Measure,
     answered,
     bounded,
     factors,
     in_flow,
+    in_still_air,
     measure,
     numbers,
     three,
 )
-from sparsefit.study.solver_pictures import by_shape, solver_accuracy, solver_profiles
-from sparsefit.study.statistics import QUANTILES
+from sparsefit.study.resampling import QUANTILES, TINY, wilson
+from sparsefit.study.table import Value
+
+Ranks: TypeAlias = Mapping[str, float]  # a legend names the curves of the least
+NAMED_CURVES = 10  # curves that a legend names; the rest are grey
+PANELS = 6  # rows of panels, with more nobody reads a picture
+LOG_RANGE = 8.0  # largest over smallest, from which an axis is logarithmic
+UNIT_OF = {
+    **{"duration": "s", "sample_rate": "Hz", "windows": "s", "gap_duration": "s"},
+    **{"process_noise": "m/s²", "thrust_acceleration": "m/s²", "velocity_noise": "m/s"},
+    **{"position_noise": "m", "measurement_noise": "m/s / m", "wind": "m/s"},
+    **{"turbulence_length": "m", "heading": "rad", "lower": "m", "upper": "m", "step": "m"},
+    **{name: UNITS[name] for name in PARAMETERS},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +86,306 @@ class Picture:
     caption: str
 
 
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Points (p,) of one line, and where they are known the ends (p,) of their intervals."""
+
+    name: str
+    x: Array
+    y: Array
+    bars: Array | None = None
+
+    def coincides(self, other: Curve) -> bool:
+        """Whether another curve has the same points."""
+        pairs = ((self.x, other.x), (self.y, other.y))
+        return self.x.shape == other.x.shape and all(
+            np.allclose(*pair, rtol=1e-3, equal_nan=True) for pair in pairs
+        )
+
+
+@dataclass(eq=False)
+class Panel:
+    """One pair of axes: its curves, its words, and how they are drawn.
+
+    style: arguments of `plot` in place of those of a line's look; x_range, y_range: the axes' ends,
+    those of the data unless given; log: the logarithmic axes, `xy`; levels: the names of x = 0, 1,
+    ..., or the numbers that x has; marks: dashed lines, each an axis and a value; is_share: whether
+    y is a share [%], of which its intervals are shown whole.
+    """
+
+    curves: list[Curve]
+    x_label: str
+    y_label: str
+    title: str = ""
+    style: Mapping[str, Any] = field(default_factory=dict)
+    x_range: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    log: str = ""
+    levels: Sequence[str] | Array = ()
+    marks: Sequence[tuple[str, float]] = ()
+    is_share: bool = False
+
+    @property
+    def heights(self) -> Array:
+        """All finite heights of the curves, and of the intervals and marks of shares."""
+        more = [curve.bars.ravel() for curve in self.curves if curve.bars is not None]
+        more += [np.array([value for _, value in self.marks])] if self.is_share else []
+        every = np.concatenate([np.zeros(0), *more, *(curve.y for curve in self.curves)])
+        return np.asarray(every[np.isfinite(every)])
+
+
+class Looks:
+    """A colour, a style and a marker by name; the same names look the same in every panel.
+
+    Curves without a point are taken out of the panels, and so are those that coincide with another
+    in all of them; where more are left than a legend takes, it names those of the least rank.
+    """
+
+    def __init__(self, panels_: Sequence[Panel], ranks: Ranks) -> None:
+        by_name: dict[str, dict[int, Curve]] = {}
+        for place, panel in enumerate(panels_):
+            for curve in panel.curves:
+                by_name.setdefault(curve.name, {})[place] = curve
+        twins, self.names = Counter[str](), list[str]()
+        for name, mine in by_name.items():
+            if not any(np.isfinite(curve.y).any() for curve in mine.values()):
+                continue
+            alike = (
+                other for other in self.names
+                if by_name[other].keys() == mine.keys()
+                and all(by_name[other][at].coincides(mine[at]) for at in mine)
+            )  # fmt: skip
+            twin = next(alike, name)
+            twins[twin] += 1
+            self.names += [name] if twin == name else []
+        if len(self.names) > NAMED_CURVES or ranks:
+            self.names.sort(key=lambda name: ranks.get(name, np.inf))
+        short = labels(self.names, 36) if self.names else {}
+        self.words = {
+            name: f"{short[name]} and {twins[name] - 1} alike" if twins[name] > 1 else short[name]
+            for name in self.names
+        }
+        for panel in panels_:
+            curves = {curve.name: curve for curve in panel.curves}
+            panel.curves = [curves[name] for name in self.names if name in curves]
+
+    def of(self, name: str, more: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the look, the name in an SVG and the label of a line as arguments of `plot`."""
+        place = self.names.index(name)
+        if place >= NAMED_CURVES:
+            grey = {"color": GREY, "ls": "-", "lw": 0.6, "alpha": 0.6, "marker": "", **more}
+            words = f"{len(self.names) - NAMED_CURVES} others"
+            return {**grey, "gid": "line-others", "label": words, "zorder": 2}
+        colour, turn = place % len(COLOURS), place // len(COLOURS)
+        look = {"color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
+                "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)]}  # fmt: skip
+        return {**look, **more, "gid": f"line-{place}", "label": self.words[name], "zorder": 3}
+
+
+def drawn(grid: Sequence[Sequence[Panel]], height: float,
+          ranks: Ranks | None = None) -> Figure | None:  # fmt: skip
+    """Return panels as a figure under one legend, or None where no curve has a point.
+
+    Words that a neighbour has too stand once; a row of panels has one range of y.
+    """
+    looks = Looks([panel for row in grid for panel in row], ranks or {})
+    if not looks.names:
+        return None
+    figure, axes_grid = panels(len(grid), len(grid[0]), height=height)
+    for place, (row, axes_row) in enumerate(zip(grid, axes_grid, strict=True)):
+        heights = np.concatenate([panel.heights for panel in row])
+        below = grid[place + 1] if place + 1 < len(grid) else None
+        for at, (panel, axes) in enumerate(zip(row, axes_row, strict=True)):
+            _draw(axes, panel, looks, heights)
+            is_last = below is None or below[at].x_label != panel.x_label
+            is_first = not at or row[at - 1].y_label != panel.y_label
+            axes.set_xlabel(panel.x_label if is_last else "")
+            axes.set_ylabel(panel.y_label if is_first else "")
+            is_alike = is_first or row[at - 1].y_range != panel.y_range
+            axes.tick_params(labelbottom=is_last or panel.x_range is not None, labelleft=is_alike)
+            is_under = place and grid[place - 1][at].title == panel.title
+            axes.set_title("" if is_under else panel.title)
+    legend(figure, [axes for row in axes_grid for axes in row])
+    return figure
+
+
+def _draw(axes: Axes, panel: Panel, looks: Looks, heights: Array) -> None:
+    """Draw a panel; `heights` are those of its whole row."""
+    names = [] if isinstance(panel.levels, np.ndarray) else list(panel.levels)
+    count = len(panel.curves)
+    for order, curve in enumerate(panel.curves):
+        look, x = looks.of(curve.name, panel.style), curve.x
+        if look["ls"] == "":
+            look["marker"] = look["marker"] or "."
+            x = x + 0.5 * ((order + 0.5) / count - 0.5) if names else x  # side by side
+        if curve.bars is not None and (names or count <= 4):
+            axes.vlines(x, *curve.bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
+        axes.plot(x, curve.y, **look)
+    if not panel.heights.size:
+        axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
+    for axis, value in panel.marks:
+        line = axes.axvline if axis == "x" else axes.axhline
+        line(value, color=GREY, lw=0.8, ls="--", zorder=1)
+    if names:
+        short = list(labels(names, 28).values())
+        many = len(short) > 4 or any(len(text) > 14 for text in short)
+        slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+        axes.set_xticks(range(len(short)), short, **(slant if many else {}))
+        axes.grid(False, axis="x")
+    elif len(panel.levels):
+        level_axis(axes, np.asarray(panel.levels, dtype=float))
+    ends, log = panel.y_range, panel.log
+    if ends is None and heights.size:
+        low, high = float(heights.min()), float(heights.max())
+        room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
+        ends = low - room, high + room
+        if panel.is_share:
+            ends = max(low - room, -3.0), min(high + room, 103.0)
+        elif low >= 0 and high > LOG_RANGE * low:
+            ends, log = (max(low, TINY) / 1.4, 1.4 * high), f"{log}y"
+    for axis, limits in (("x", panel.x_range), ("y", ends)):
+        if axis in log:
+            axes.set(**{f"{axis}scale": "log"})
+            logarithmic(getattr(axes, f"{axis}axis"), *(limits or axes.axis()[:2]))
+        if limits:
+            axes.set(**{f"{axis}lim": limits})
+
+
+def _rows(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """Return the words and the cases of each row of panels: the levels of `rows`."""
+    check_columns(cases, [entry.lines, *entry.rows, *filter(None, [entry.columns])], "the figure")
+    if not entry.rows:
+        return [("", cases)]
+    before = [f"{factor_words(name)} " if "." in name else "" for name in entry.rows]
+    groups = list(grouped(cases, entry.rows))[:PANELS]
+    return [(", ".join(map("".join, zip(before, map(level_text, key), strict=True))),
+             cases.iloc[places]) for key, places in groups]  # fmt: skip
+
+
+def _columns(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """Return the words and the cases of each column of panels: the levels of `columns`."""
+    if not entry.columns:
+        return [("", cases)]
+    levels, words = levels_of(cases, entry.columns), factor_words(entry.columns)
+    before = "" if entry.columns == "accuracy" else f"{words} "
+    return [(f"{before}{level}", cases[levels == level]) for level in levels.cat.categories]
+
+
+def numeric_factors(cases: pd.DataFrame) -> list[str]:
+    """Return the swept factors whose every level is a number."""
+    return [name for name in factors(cases) if pd.api.types.is_numeric_dtype(cases[name])]
+
+
+def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
+    """Draw measures along a factor, a line per value of `lines`, a row of panels per measure.
+
+    Without `along` every swept number is an axis; `columns`: a factor with a column of panels per
+    level; `rows`: one with a row per level. What is neither is pooled.
+    """
+    cases, grid = cases.reset_index(drop=True), list[list[Panel]]()
+    axes_of = [entry.along] if entry.along else numeric_factors(cases)
+    if not axes_of:
+        raise InputError("along = …: no number is swept; name a column, such as condition")
+    check_columns(cases, axes_of, "the figure")
+    if entry.along == "condition" and cases["condition"].nunique() < 2:
+        entry = replace(entry, lines="condition")
+    for along in axes_of:
+        at, is_number = levels_of(cases, along), pd.api.types.is_numeric_dtype(cases[along])
+        levels = list(at.cat.categories)
+        shown = np.array(levels, dtype=float) if is_number else levels
+        x = np.array(shown if is_number else range(len(levels)), dtype=float)
+        x_label = with_unit(factor_words(along), UNIT_OF.get(along.rpartition(".")[2], ""))
+        for each in entry.measures:
+            is_share, values = each.summary == "share", each.values(cases)
+            summary = "" if each.summary in ("share", "number") else f"{each.summary} "
+            words = with_unit(f"{summary}{each.heading or each.words}", each.unit)
+            marks = [*entry.limits, *([1.0] if each.name.endswith("efficiency") else [])]
+            for level, part in _rows(entry, cases):
+                grid.append([
+                    Panel(
+                        [_along(str(name), each, values, at, places, x) for (name,), places in
+                         _lines(here, entry.lines)],
+                        x_label, "\n".join(wrapped(text, 24) for text in (words, level) if text),
+                        title, {} if "." in along else {"ls": ""}, levels=shown,
+                        marks=[("y", mark) for mark in marks], is_share=is_share,
+                    )
+                    for title, here in _columns(entry, part)
+                ])  # fmt: skip
+    grid = grid[:PANELS]
+    means = {curve.name: float(np.nanmean(curve.y)) for curve in grid[0][0].curves
+             if np.isfinite(curve.y).any()}  # fmt: skip
+    return drawn(grid, 0.8 + 2.1 * len(grid), ranks or means)
+
+
+def _lines(cases: pd.DataFrame, name: str) -> Iterator[tuple[tuple[Value, ...], IntArray]]:
+    """Give the value of each line, and the labels of its cases in the index."""
+    index = cases.index.to_numpy()
+    return ((key, index[places]) for key, places in grouped(cases, [name]))
+
+
+def _along(
+    name: str, each: Measure, values: Array, at: pd.Series, places: IntArray, x: Array
+) -> Curve:
+    """Return the summaries of a line's values at every level, shares with Wilson's interval."""
+    codes, summaries = at.cat.codes.to_numpy()[places], np.full((3, len(x)), np.nan)
+    for level in range(len(x)):
+        here = values[places[codes == level]]
+        here = here[~np.isnan(here)]
+        if here.size:
+            summaries[0, level] = float(each.reduce(here))
+        if here.size and each.summary == "share":
+            summaries[1:, level] = wilson(float(here.sum()), len(here))
+    summaries[~np.isfinite(summaries)] = np.nan
+    return Curve(name, x, summaries[0], summaries[1:] if each.summary == "share" else None)
+
+
+def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
+    """Draw the share of cases with at most so much of each measure, failures in the share."""
+    grid = [
+        [_steps(entry, each, level, title, here)
+         for title, here in _columns(entry, part) for each in entry.measures]
+        for level, part in _rows(entry, cases)
+    ]  # fmt: skip
+    first = [curve for curve in grid[0][0].curves if curve.y[-2] >= 50.0]
+    medians = {curve.name: float(curve.x[np.searchsorted(curve.y, 50.0)]) for curve in first}
+    return drawn(grid, 3.3 if len(grid) == 1 else 1.0 + 2.0 * len(grid), ranks or medians)
+
+
+def _steps(entry: Entry, each: Measure, level: str, title: str, cases: pd.DataFrame) -> Panel:
+    """Return the sorted sizes of every line with the share of planned cases up to each."""
+    values, planned, curves = np.abs(each.read(cases)), ~in_still_air(cases), list[Curve]()
+    finite = values[np.isfinite(values)]
+    low, high = np.quantile(finite, (0.01, 0.98)).tolist() if finite.size else (1.0, 1.0)
+    low = max(low, each.least or 1e-300)
+    ends = low / 1.5, max(1.5 * high, 10.0 * low)
+    if each.name == "ratio":  # from the fastest on
+        ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
+    for (name,), places in grouped(cases, [entry.lines]):
+        here = values[places[planned[places]]]
+        sizes = np.sort(here[np.isfinite(here)])
+        share = 100.0 * np.arange(1, sizes.size + 1) / max(len(here), 1)
+        if sizes.size > 300:  # an eye sees no more steps
+            at = np.linspace(0, sizes.size - 1, 300).astype(int)
+            sizes, share = sizes[at], share[at]
+        if sizes.size:
+            start, end = min(ends[0], float(sizes[0])), max(ends[1], float(sizes[-1]))
+            x = np.maximum([start, *sizes, end], each.least or 1e-300)
+            curves.append(Curve(str(name), x, np.array([0.0, *share, share[-1]])))
+    kind = "problems" if "ratio" in cases else "cases"
+    beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
+    words = with_unit(wrapped(each.words, 34), each.unit)
+    return Panel(curves, words, beside, title, {"drawstyle": "steps-post", "marker": ""}, ends,
+                 (-2.0, 102.0), "x", marks=[("x", limit) for limit in entry.limits])  # fmt: skip
+
+
 def best_titles(cases: pd.DataFrame) -> list[str]:
     """Return the title of least median of the largest error in each reading, four at most."""
     each, best = measure("largest-error"), []
-    groups = ["reading"] if "reading" in cases else ["protocol"]
-    for _, places in grouped(cases, groups):
-        part = cases.iloc[places]
+    values = each.values(cases)
+    for _, places in grouped(cases, ["reading" if "reading" in cases else "protocol"]):
         scores = {
-            str(title): each.summarise(part.iloc[here])
-            for (title,), here in grouped(part, ["title"])
+            str(title): each.summary_of(values[places[here]])
+            for (title,), here in grouped(cases.iloc[places], ["title"])
         }
         best.append(min(scores, key=lambda name: (math.isnan(scores[name]), scores[name])))
     return list(dict.fromkeys(best))[:4]
@@ -75,86 +394,89 @@ def best_titles(cases: pd.DataFrame) -> list[str]:
 def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     """Draw estimated against true parameters, of the best candidate of each reading.
 
-    Colours are conditions. What lies outside of the frame is a triangle on its edge, a failure a
-    cross, each counted.
+    Colours are conditions. What lies outside of the frame is drawn on its edge, and counted.
     """
     flown = cases[in_flow(cases)]
-    titles = best_titles(flown) if len(flown) else []
-    if not titles or not answered(flown).any():
-        return None
-    names = list(map(str, flown["condition"].unique()))
-    if len(names) > NAMED_CURVES:
-        flown, names = flown.assign(condition="all conditions"), ["all conditions"]
-    looks = Looks(names)
-    figure, grid = panels(len(titles), 3, height=0.9 + 2.15 * len(titles))
-    short = labels(titles, 60)
-    for title, row in zip(titles, grid, strict=True):
+    if flown["condition"].nunique() > NAMED_CURVES:
+        flown = flown.assign(condition="all conditions")
+    grid = []
+    for title in best_titles(flown) if answered(flown).any() else ():
         part = flown[flown["title"] == title]
-        for name, axes in zip(PARAMETERS, row, strict=True):
-            _scattered(axes, part, name, looks)
-            axes.set_ylabel(f"estimated {SYMBOLS[name]} [{UNITS[name]}]")
-        row[0].set_ylabel(f"{wrapped(short[title], 30)}\n\n{row[0].get_ylabel()}")
-    for name, axes in zip(PARAMETERS, grid[-1], strict=True):
-        axes.set_xlabel(f"true {SYMBOLS[name]} [{UNITS[name]}]")
-    if len(names) > 1:
-        legend(figure, [axes for row in grid for axes in row])
+        beside = f"{wrapped(labels([title], 60)[title], 30)}\n\n"
+        grid.append([_points(part, name, "" if at else beside) for at, name in
+                     enumerate(PARAMETERS)])  # fmt: skip
+    figure = drawn(grid, 0.9 + 2.15 * len(grid)) if grid else None
+    for axes in figure.axes if figure else ():
+        axes.plot([0, 1], [0, 1], color=GREY, lw=0.8, zorder=1, transform=axes.transAxes)
+        axes.set_box_aspect(1.0)
+        axes.set_title(axes.get_title(), fontsize=6.5, color=GREY)
     return figure
 
 
-def _scattered(axes: Axes, cases: pd.DataFrame, name: str, looks: Looks) -> None:
+def _points(cases: pd.DataFrame, name: str, beside: str) -> Panel:
+    """Return estimated against true values of a parameter, a curve per condition."""
     true, estimate = numbers(cases, f"true_{name}"), numbers(cases, f"est_{name}")
     low, high = float(np.nanmin(true)), float(np.nanmax(true))
-    if low > 0 and high / low > LOG_RANGE:
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        low, high = low / 2.0, high * 2.0
-        logarithmic(axes.xaxis, low, high)
-        logarithmic(axes.yaxis, low, high)
-    else:
-        room = 0.3 * (high - low) or 0.5 * abs(high) or 1.0
-        low, high = low - room if low < 0 else max(low - room, 0.0), high + room
-    axes.plot([low, high], [low, high], color=GREY, lw=0.8, zorder=1)
-    axes.set_xlim(low, high)
-    axes.set_ylim(low, high)
-    axes.set_aspect("equal", adjustable="box")
+    is_log = low > 0 and high / low > LOG_RANGE
+    room = 0.3 * (high - low) or 0.5 * abs(high) or 1.0
+    ends = (low / 2.0, high * 2.0) if is_log else (low - room, high + room)
+    if not is_log and low >= 0:
+        ends = max(ends[0], 0.0), ends[1]
     usable = answered(cases)
-    above, below = usable & (estimate > high), usable & (estimate < low)
-    parts = (
-        ("o", usable & ~above & ~below, None, ""),
-        ("^", above, 0.975, "▲ {} above"), ("v", below, 0.025, "▼ {} below"),
-        ("x", ~usable, 0.09, "× {} failed"),
-    )  # fmt: skip
-    for condition in looks.names:
-        mine = (cases["condition"] == condition).to_numpy()
-        ink = looks.of(condition)["color"]
-        for sign, mask, height, _ in parts:
-            chosen = mask & mine
-            edge = axes.get_xaxis_transform()  # on the frame itself, whatever its scale
-            more: dict[str, Any] = {"transform": edge, "clip_on": False, "linewidth": 0.8}
-            if height is None:
-                more = {"edgecolor": "white", "linewidth": 0.3, "label": looks.label(condition)}
-            y = estimate[chosen] if height is None else np.full(int(chosen.sum()), height)
-            axes.scatter(true[chosen], y, s=12, marker=sign, c=ink, alpha=0.85, zorder=3,
-                         gid=looks.gid(condition), **more)  # fmt: skip
-    words = [text.format(int(mask.sum())) for _, mask, _, text in parts if text and mask.any()]
-    axes.set_title("  ".join(words), fontsize=6.5, color=GREY, loc="right", pad=5)
+    above, below = usable & (estimate > ends[1]), usable & (estimate < ends[0])
+    said = (("{} above", above), ("{} below", below), ("{} without an answer", ~usable))
+    words = ", ".join(text.format(mask.sum()) for text, mask in said if mask.any())
+    curves = [
+        Curve(str(key), true[places], np.where(usable, np.clip(estimate, *ends), np.nan)[places])
+        for (key,), places in grouped(cases, ["condition"])
+    ]
+    unit = f"{SYMBOLS[name]} [{UNITS[name]}]"
+    style = {"ls": "", "marker": "o", "alpha": 0.85, "clip_on": False}
+    return Panel(curves, f"true {unit}", f"{beside}estimated {unit}", words, style, ends, ends,
+                 "xy" if is_log else "")  # fmt: skip
+
+
+def accuracy(entry: Entry, cases: pd.DataFrame) -> Figure | None:
+    """Draw the time of every case against the certified excess of its worst point."""
+    shown = cases[cases["excess"].notna()]
+    ends = float(shown["wall"].min()) / 1.5, 1.5 * float(shown["wall"].max())
+    levels = [("y", level) for level in solver_times.accuracies(cases)]
+    flat = [
+        Panel(
+            [Curve(str(name), numbers(here, "wall")[at],
+                   np.clip(numbers(here, "excess")[at], 1e-16, 1.0))
+             for (name,), at in grouped(here, ["solver"])],
+            "time on the wall [s]", "certified excess", str(objective), {"ls": "", "ms": 3.0},
+            ends, (3e-17, 3.0), "xy", marks=levels,
+        )
+        for objective, here in shown.groupby("objective", sort=False)
+    ][: 2 * PANELS]  # fmt: skip
+    flat += [replace(flat[-1], curves=[], title=" ")] * (len(flat) > 2 and len(flat) % 2)
+    grid = [flat[at : at + 2] for at in range(0, len(flat), 2)]
+    return drawn(grid, 0.8 + 2.5 * len(grid), solver_times.places(cases))
+
+
+def _profiles(entry: Entry, cases: pd.DataFrame) -> Figure | None:
+    """Draw the performance profiles of solvers (Dolan and More, 2002)."""
+    return ecdf(entry, solver_times.race(cases), solver_times.places(cases))
+
+
+def _shapes(entry: Entry, cases: pd.DataFrame) -> Figure | None:
+    """Draw the time to the strictest accuracy, problem by problem."""
+    strict = solver_times.race(cases, solver_times.accuracies(cases)[-1])
+    return lines(entry, strict, solver_times.places(cases))
 
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
-    "settings": lines,
-    "lines": lines,
-    "protocols": lines,
-    "ecdf": ecdf,
-    "scatter": scatter,
-    "profiles": solver_profiles,
-    "accuracy": solver_accuracy,
-    "shapes": by_shape,
+    **dict.fromkeys(("settings", "lines", "protocols"), lines),
+    **{"ecdf": ecdf, "scatter": scatter, "accuracy": accuracy},
+    **{"profiles": _profiles, "shapes": _shapes},
 }
-ERRORS = three("error")[::-1]
+MEASURED = {name: made in (lines, ecdf) for name, made in LAYOUTS.items()}
 NAMED: Mapping[str, Options] = {
     "scatter": {"compare": "scatter"},
     "errors": {"compare": "ecdf", "measure": three("size"), "limits": (5.0,)},
-    "sweep": {"compare": "lines", "measure": ERRORS},
+    "sweep": {"compare": "lines", "measure": three("error")[::-1]},
     "methods": {"compare": "lines", "measure": ("timescale-error",),
                 "along": "flights.measurement_noise"},
     "efficiency": {"compare": "lines", "along": "flights.process_noise",
@@ -162,12 +484,14 @@ NAMED: Mapping[str, Options] = {
     "scales": {"compare": "lines", "measure": ("scales-found",)},
     "coverage": {"compare": "lines", "along": "condition", "limits": (93.0, 97.0),
                  "measure": three("coverage")},
-    "profiles": {"compare": "profiles"},
+    "profiles": {"compare": "profiles", "measure": ("ratio",), "rows": ("objective",),
+                 "columns": "accuracy", "lines": "solver"},
     "accuracy": {"compare": "accuracy"},
-    "shapes": {"compare": "shapes"},
+    "shapes": {"compare": "shapes", "measure": ("seconds",), "rows": ("objective",),
+               "along": "problem", "lines": "solver"},
 }  # fmt: skip
 CAPTIONS = {
-    "scatter": "Estimated against true, {titles}. Triangles: outside the frame; crosses: failures.",
+    "scatter": "Estimated against true, {}. Points beyond the frame stand on its edge.",
     "profiles": "Share of problems solved in at most so many times the time of the fastest solver "
     "of each. Left: how often a solver is the fastest; right: how often it solves at all.",
     "accuracy": "Every case that answered: its time against the certified excess of its worst "
@@ -182,60 +506,46 @@ def figure(study: Any, entry: str | Options) -> Figure:
     Raises:
         InputError: for what is unknown, or where there is no mark to draw.
     """
-    _, picture = _picture(study, entry, study.cases, Script.of(study))
+    (picture,) = figures(study, study.cases, [entry]).values()
     if picture.figure is None:
         raise InputError(f"{study.name}: {picture.caption}")
     return picture.figure
 
 
-def _picture(
-    study: Any, entry: str | Options, cases: pd.DataFrame, script: Script
-) -> tuple[str, Picture]:
-    """Return a picture and the name of its file."""
-    if isinstance(entry, str) and entry in script.functions:
-
-        def scripted() -> Figure:
-            made = script.call(entry, study, cases)
-            if not isinstance(made, Figure):
-                raise InputError(f"{script.path}: {entry}(cases) returned no figure")
-            return made
-
-        return entry, Picture(styled(scripted), entry.replace("_", " ").capitalize())
-    read = read_entry(entry, NAMED, LAYOUTS, "figure", script)
-    name = read.file_name
-    marked = styled(lambda: LAYOUTS[read.compare or "settings"](read, cases))
-    if marked is None:
+def figures(
+    study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
+) -> dict[str, Picture]:
+    """Return pictures by file name: these, or those that a study asks for, or all that fit."""
+    script, every = Script(study), dict[str, Picture]()
+    for entry in names or study.definition.outputs.figures or fitting(cases):
+        if isinstance(entry, str) and entry in script.functions:
+            made: Figure = styled(partial(script.call, entry, cases, Figure))
+            every[entry] = Picture(made, entry.replace("_", " ").capitalize())
+            continue
+        read = read_entry(entry, NAMED, MEASURED, "figure", script)
+        shown = styled(partial(LAYOUTS[read.compare or "settings"], read, cases))
         words = ", ".join(each.words for each in read.measures) or "an answer"
-        return name, Picture(None, f"{name}: nothing to draw, no case has {words}.")
-    return name, Picture(marked, _caption(read, cases))
+        blank = f"{read.file_name}: nothing to draw, no case has {words}."
+        every[read.file_name] = Picture(shown, _caption(read, cases) if shown else blank)
+    return every
 
 
 def _caption(entry: Entry, cases: pd.DataFrame) -> str:
     if entry.compare == "scatter":
-        count = cases["title"].nunique()
-        titles = "; ".join(best_titles(cases[in_flow(cases)]))
-        return CAPTIONS["scatter"].format(
-            titles=titles if count == 1 else f"the best of {count} by reading: {titles}"
-        )
+        count, titles = cases["title"].nunique(), "; ".join(best_titles(cases[in_flow(cases)]))
+        titles = titles if count == 1 else f"the best of {count} by reading: {titles}"
+        return CAPTIONS["scatter"].format(titles)
     if entry.compare in CAPTIONS:
         return CAPTIONS[entry.compare]
-    words = "; ".join(dict.fromkeys(each.phrase for each in entry.measures))
     if entry.compare == "ecdf":
         words = "; ".join(dict.fromkeys(each.words for each in entry.measures))
         return f"Share of planned cases with at most so much: {words}. Failures never get there."
-    failing = [each for each in entry.measures if each.miss is not None]
-    ranks = any(each.summary in QUANTILES for each in failing)
-    more = " A failure ranks behind every number; where it decides, a line breaks." if ranks else ""
+    words = "; ".join(dict.fromkeys(each.phrase for each in entry.measures))
+    ranks = any(each.miss is not None and each.summary in QUANTILES for each in entry.measures)
     shares = any(each.summary == "share" for each in entry.measures)
+    more = " A failure ranks behind every number; where it decides, a line breaks." if ranks else ""
     bars = " Bars: 95 % Wilson intervals." if shares else ""
     return f"{words[:1].upper()}{words[1:]}.{more}{bars}"
-
-
-def figures(study: Any, cases: pd.DataFrame) -> dict[str, Picture]:
-    """Return the pictures that a study asks for, or all that fit, by file name."""
-    script = Script.of(study)
-    entries = study.definition.outputs.figures or fitting(cases)
-    return dict(_picture(study, entry, cases, script) for entry in entries)
 
 
 def fitting(cases: pd.DataFrame) -> list[str]:

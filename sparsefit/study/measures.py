@@ -8,11 +8,9 @@ left out, and the tables count it beside them.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -21,7 +19,7 @@ import pandas as pd
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends import finds_its_own
 from sparsefit.errors import one_of, unknown
-from sparsefit.study.statistics import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
+from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
 
 Read: TypeAlias = Callable[[pd.DataFrame], Array]
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")
@@ -31,11 +29,7 @@ STATUSES = (
     *("ok", "misfit", "inaccurate", "unidentifiable"),
     *("error", "timeout", "crashed", "skipped"),
 )
-ANSWERED = ("ok", "inaccurate")
 OFF = 5.0  # percent: an estimate that misses a parameter by more should have been doubted
-NO_FLOW = ("still-air", "no-flow")  # doubts that say that there is no cellular flow at all
-LISTED = "docs/study-file.md"  # where a reader finds all names
-WORDS = {"share": "share of", "number": "number of"}
 
 
 def numbers(cases: pd.DataFrame, name: str) -> Array:
@@ -64,7 +58,7 @@ def ended(cases: pd.DataFrame, *statuses: str) -> BoolArray:
 
 def answered(cases: pd.DataFrame) -> BoolArray:
     """Return whether each case has an answer: status `ok` or `inaccurate`, finite estimates."""
-    usable = ended(cases, *ANSWERED)
+    usable = ended(cases, "ok", "inaccurate")
     if "est_mean_velocity" not in cases:
         return usable
     return usable & np.isfinite(parameters(cases, "est")).all(axis=1)
@@ -125,7 +119,8 @@ class Measure:
     @property
     def phrase(self) -> str:
         """The summary in words, `median |error| of τ_w`."""
-        return f"{WORDS.get(self.summary, self.summary)} {self.words}"
+        words = {"share": "share of", "number": "number of"}
+        return f"{words.get(self.summary, self.summary)} {self.words}"
 
     @property
     def convention(self) -> str:
@@ -153,10 +148,13 @@ class Measure:
 
     def summarise(self, cases: pd.DataFrame) -> float:
         """Return the summary of a group of cases; NaN where none has the number."""
-        values = self.values(cases)
-        if self.summary == "number" or not np.isnan(values).all():
-            return float(self.reduce(values))
-        return math.nan
+        return self.summary_of(self.values(cases))
+
+    def summary_of(self, values: Array) -> float:
+        """Return the summary of the values (n,) of a group; NaN where none has the number."""
+        if self.summary != "number" and np.isnan(values).all():
+            return math.nan
+        return float(self.reduce(values))
 
 
 def measure(words: str) -> Measure:
@@ -167,7 +165,7 @@ def measure(words: str) -> Measure:
     """
     summary, _, name = words.strip().rpartition(" ")
     if name not in MEASURES:
-        raise unknown("measure", name, MEASURES, LISTED)
+        raise unknown("measure", name, MEASURES, "docs/study-file.md")
     if not summary:
         return MEASURES[name]
     one_of("summary", summary, SUMMARY_NAMES)
@@ -179,19 +177,6 @@ def three(kind: str) -> tuple[str, ...]:
     return tuple(f"{name.replace('_', '-')}-{kind}" for name in PARAMETERS)
 
 
-def _signed(cases: pd.DataFrame) -> Array:
-    return only(answered(cases), parameters(cases, "est") - parameters(cases, "true"))
-
-
-def _percent(cases: pd.DataFrame) -> Array:
-    percent: Array = 100.0 * _signed(cases) / parameters(cases, "true")
-    return percent
-
-
-def _sizes(cases: pd.DataFrame) -> Array:
-    return np.abs(_percent(cases))
-
-
 def bounded(cases: pd.DataFrame) -> BoolArray:
     """Return whether a case has status ok, and its flight a finite Cramér-Rao bound, (rows,)."""
     bounds = parameters(cases, "bound")
@@ -199,76 +184,42 @@ def bounded(cases: pd.DataFrame) -> BoolArray:
     return usable
 
 
-def _efficiencies(cases: pd.DataFrame) -> Array:
-    return only(bounded(cases), _signed(cases) / parameters(cases, "bound"))
+def _signed(cases: pd.DataFrame) -> Array:
+    return only(answered(cases), parameters(cases, "est") - parameters(cases, "true"))
 
 
-def _bounds(cases: pd.DataFrame) -> Array:
-    relative = 100.0 * parameters(cases, "bound") / parameters(cases, "true")
-    return only(bounded(cases), relative)
+def _percent(cases: pd.DataFrame) -> Array:
+    return np.asarray(100.0 * _signed(cases) / parameters(cases, "true"))
 
 
-def _has_interval(cases: pd.DataFrame) -> BoolArray:
+def _sizes(cases: pd.DataFrame) -> Array:
+    return np.abs(_percent(cases))
+
+
+def _intervals(cases: pd.DataFrame) -> tuple[Array, ...]:
+    """Return truth, estimate, low and high ends (rows, 3), NaN where a flight is not called ok."""
     columns = [parameters(cases, name) for name in ("true", "est", "low", "high")]
-    both: BoolArray = ~np.isnan(columns).any(axis=0) & ended(cases, "ok")[:, None]
-    return both
+    whole = ~np.isnan(columns).any(axis=0) & ended(cases, "ok")[:, None]
+    return tuple(np.where(whole, column, np.nan) for column in columns)
 
 
 def _covered(cases: pd.DataFrame) -> Array:
-    true, low, high = (parameters(cases, name) for name in ("true", "low", "high"))
-    return np.where(_has_interval(cases), (low <= true) & (true <= high), np.nan)
+    true, _, low, high = _intervals(cases)
+    return np.where(np.isnan(true), np.nan, (low <= true) & (true <= high))
 
 
 def _half_widths(cases: pd.DataFrame) -> Array:
-    estimate, low, high = (parameters(cases, name) for name in ("est", "low", "high"))
-    return np.where(_has_interval(cases), 50.0 * (high - low) / np.abs(estimate), np.nan)
+    _, estimate, low, high = _intervals(cases)
+    return np.asarray(50.0 * (high - low) / np.abs(estimate))
 
 
-def _families() -> Iterator[Measure]:
-    """Give one measure of each parameter for every kind of number that is read of all three."""
-    kinds: tuple[tuple[Measure, Read], ...] = tuple(
-        (Measure(name, words, unit, np.zeros_like, **more), read)
-        for name, words, unit, read, more in (
-            ("error", "|error| of {}", "%", _sizes,
-             {"miss": 100.0, "heading": "|error| {}", "least": TINY}),
-            ("size", "|error| of {}", "%", _sizes, {"heading": "|error| {}", "least": TINY}),
-            ("signed-error", "signed % error of {}", "%", _percent,
-             {"summary": "mean", "format": "+.2f", "heading": "signed % error {}"}),
-            ("deviation", "signed error of {}", "", _signed,
-             {"summary": "mean", "format": "+.2f", "heading": "signed error {}"}),
-            ("efficiency", "error of {} over the Cramér-Rao bound", "", _efficiencies,
-             {"summary": "rms", "heading": "error/bound {}"}),
-            ("bounded-error", "error of {} where a bound is known", "%",
-             lambda cases: only(bounded(cases), _percent(cases)),
-             {"summary": "rms", "heading": "error {}", "least": TINY}),
-            ("bound", "Cramér-Rao bound of {}", "%", _bounds,
-             {"summary": "rms", "heading": "bound {}"}),
-            ("coverage", "95 % intervals of {}, of flights called ok, that hold the truth", "%",
-             _covered, {"summary": "share", "format": ".1f", "more": True,
-                        "heading": "coverage {}"}),
-            ("half-width", "half-width of the 95 % interval of {}", "%", _half_widths,
-             {"heading": "half-width {}", "least": TINY}),
-        )
-    )  # fmt: skip
-    for place, parameter in enumerate(PARAMETERS):
-        symbol = SYMBOLS[parameter]
-        for kind, read in kinds:
-            yield replace(
-                kind,
-                name=f"{parameter.replace('_', '-')}-{kind.name}",
-                words=kind.words.format(symbol),
-                heading=kind.heading.format(symbol),
-                unit=UNITS[parameter] if kind.name == "deviation" else kind.unit,
-                read=partial(_one_of_three, read, place),
-            )
+def _bounds(cases: pd.DataFrame) -> Array:
+    share = parameters(cases, "bound") / parameters(cases, "true")
+    return only(bounded(cases), 100.0 * share)
 
 
-def _one_of_three(read: Read, place: int, cases: pd.DataFrame) -> Array:
-    return read(cases)[:, place]
-
-
-def _ended(status: str, cases: pd.DataFrame) -> Array:
-    return ended(cases, status).astype(float)
+def _efficiencies(cases: pd.DataFrame) -> Array:
+    return only(bounded(cases), _signed(cases) / parameters(cases, "bound"))
 
 
 def _column(name: str, factor: float = 1.0) -> Read:
@@ -283,21 +234,13 @@ def _hits(cases: pd.DataFrame) -> Array:
     return only(in_flow(cases) & ~gridless.to_numpy(dtype=bool), chosen)
 
 
-def _regimes(cases: pd.DataFrame) -> Array:
-    """Return the largest scale [m], the least ratio of neighbouring scales and of U0, (rows, 3)."""
-    regimes = np.full((len(cases), 3), np.nan)
-    for place, text in enumerate(texts(cases, "true_scales")):
-        pairs = np.array(json.loads(text or "[]"), dtype=float).reshape(-1, 2)
-        if len(pairs):
-            scales, speeds = np.sort(pairs[:, 0]), pairs[:, 1]
-            apart = float(np.min(scales[1:] / scales[:-1])) if len(scales) > 1 else math.inf
-            regimes[place] = scales[-1], apart, float(speeds.min() / speeds.max())
-    return regimes
-
-
-def _unseen(cases: pd.DataFrame) -> Array:
-    missed = ~(numbers(cases, "scales_within_1_percent") > 0)
-    return (missed & ended(cases, "ok")).astype(float)
+def _by_axes(cases: pd.DataFrame, name: str) -> tuple[Array, Array]:
+    """Return the true and the estimated pair (rows, 2) of a quantity along x and y."""
+    true, estimate = (
+        np.column_stack([numbers(cases, f"{kind}_{name}_{axis}") for axis in "xy"])
+        for kind in ("true", "est")
+    )
+    return true, estimate
 
 
 def _heading_errors(cases: pd.DataFrame) -> Array:
@@ -310,62 +253,107 @@ def _heading_errors(cases: pd.DataFrame) -> Array:
 
 def _side_errors(cases: pd.DataFrame) -> Array:
     """Return the larger |error| of the two sides of the cells [%], the shorter side first."""
-    true, estimated = (
-        np.sort(np.column_stack([numbers(cases, f"{kind}_length_scale_{axis}") for axis in "xy"]))
-        for kind in ("true", "est")
-    )
-    return only(answered(cases), np.max(100.0 * np.abs(estimated / true - 1.0), axis=1))
+    true, estimate = map(np.sort, _by_axes(cases, "length_scale"))
+    return only(answered(cases), np.max(100.0 * np.abs(estimate / true - 1.0), axis=1))
 
 
 def _drift_errors(cases: pd.DataFrame) -> Array:
     """Return the error of the drift [% of U0]; cells that were found steady drift by 0."""
-    true, estimated = (
-        np.column_stack([numbers(cases, f"{kind}_drift_{axis}") for axis in "xy"])
-        for kind in ("true", "est")
-    )
-    steady = np.isnan(estimated).all(axis=1) & (texts(cases, "est_shape") != "").to_numpy()
-    estimated[steady] = 0.0
-    missed = np.linalg.norm(estimated - true, axis=1) / numbers(cases, "true_mean_velocity")
+    true, estimate = _by_axes(cases, "drift")
+    steady = np.isnan(estimate).all(axis=1) & (texts(cases, "est_shape") != "").to_numpy()
+    estimate[steady] = 0.0
+    missed = np.linalg.norm(estimate - true, axis=1) / numbers(cases, "true_mean_velocity")
     return only(answered(cases), 100.0 * missed)
 
 
-def _share(name: str, words: str, heading: str, read: Read, *, more: bool = False,
-           format: str = ".1f") -> Measure:  # fmt: skip
+def _called_so(cases: pd.DataFrame) -> Array:
+    """Return whether still air was called unidentifiable for want of any cellular flow, (rows,)."""
+    named = texts(cases, "doubt").isin(["still-air", "no-flow"]).to_numpy()
+    return only(in_still_air(cases), ended(cases, "unidentifiable") & named)
+
+
+def _timed(name: str) -> Read:
+    """Return what reads a column of problems that the clock timed."""
+    return lambda cases: only(numbers(cases, "repeats") > 0, numbers(cases, name))
+
+
+# name; words, unit and read of all three parameters (rows, 3); further fields of the measure
+_KINDS: tuple[tuple[Measure, Read], ...] = tuple((Measure(name, words, unit, read, **more), read)
+    for name, words, unit, read, more in (
+        ("error", "|error| of {}", "%", _sizes,
+         {"miss": 100.0, "heading": "|error| {}", "least": TINY}),
+        ("size", "|error| of {}", "%", _sizes, {"heading": "|error| {}", "least": TINY}),
+        ("signed-error", "signed % error of {}", "%", _percent,
+         {"summary": "mean", "format": "+.2f", "heading": "signed % error {}"}),
+        ("deviation", "signed error of {}", "", _signed,
+         {"summary": "mean", "format": "+.2f", "heading": "signed error {}"}),
+        ("efficiency", "error of {} over the Cramér-Rao bound", "", _efficiencies,
+         {"summary": "rms", "heading": "error/bound {}"}),
+        ("bounded-error", "error of {} where a bound is known", "%",
+         lambda cases: only(bounded(cases), _percent(cases)),
+         {"summary": "rms", "heading": "error {}", "least": TINY}),
+        ("bound", "Cramér-Rao bound of {}", "%", _bounds,
+         {"summary": "rms", "heading": "bound {}"}),
+        ("coverage", "95 % intervals of {}, of flights called ok, that hold the truth", "%",
+         _covered, {"summary": "share", "format": ".1f", "more": True, "heading": "coverage {}"}),
+        ("half-width", "half-width of the 95 % interval of {}", "%", _half_widths,
+         {"heading": "half-width {}", "least": TINY}),
+    ))  # fmt: skip
+
+
+def _of_parameter(kind: Measure, read: Read, place: int) -> Measure:
+    """Return the measure `kind` of one of the three parameters."""
+    name = PARAMETERS[place]
+    return replace(
+        kind,
+        name=f"{name.replace('_', '-')}-{kind.name}",
+        words=kind.words.format(SYMBOLS[name]),
+        heading=kind.heading.format(SYMBOLS[name]),
+        unit=UNITS[name] if kind.name == "deviation" else kind.unit,
+        read=lambda cases: read(cases)[:, place],
+    )
+
+
+def _share(name: str, words: str, heading: str, read: Callable[[pd.DataFrame], Array | BoolArray],
+           *, more: bool = False, format: str = ".1f", unit: str = "%") -> Measure:  # fmt: skip
     """Return a measure that is 1 or 0, told as a share."""
-    return Measure(name, words, "%", read, "share", heading=heading, more=more, format=format)
+    return Measure(name, words, unit, lambda cases: read(cases).astype(float), "share",
+                   heading=heading, more=more, format=format)  # fmt: skip
 
 
-_REFUSED = ("misfit", "unidentifiable")
-_EVERY: Sequence[Measure] = (
-    *_families(),
+MEASURES: dict[str, Measure] = {each.name: each for each in (
+    *(_of_parameter(*kind, place) for place in range(3) for kind in _KINDS),
     Measure("largest-error", "largest |error| of U0, L_w and τ_w", "%",
             lambda cases: _sizes(cases).max(axis=1), miss=100.0, heading="largest |error|",
             least=TINY),
     _share("hits", "flights whose nearest grid scale was chosen", "hits", _hits, more=True,
            format=".0f"),
     Measure("seconds", "time of a case", "s", _column("seconds"), heading="time", varies=True),
+    Measure("ratio", "time over that of the fastest", "", _column("ratio"), heading="× fastest",
+            varies=True),
     Measure("certificate", "certificate", "",
             lambda cases: only(answered(cases), numbers(cases, "certificate")), "largest",
             heading="certificate", format=".1e", varies=True),
-    _share("answered", "cases with an answer", "answered",
-           lambda cases: answered(cases).astype(float), more=True),
+    _share("answered", "cases with an answer", "answered", answered, more=True),
     _share("off", f"flights called ok that are off by more than {OFF:g} %", "off, of ok",
            lambda cases: only(in_flow(cases) & ended(cases, "ok"), off(cases)), format=".2f"),
     _share("silent-misses", f"flights called ok and off by more than {OFF:g} %", "silent misses",
            lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), format=".2f"),
     _share("misfits", "flights called a misfit", "misfit",
            lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
-    *(_share(f"called-{status}", f"cases that ended as {status}", status,
-             partial(_ended, status), more=status == "ok")
-      for status in ("ok", *_REFUSED)),
+    _share("called-ok", "cases that ended as ok", "ok", lambda cases: ended(cases, "ok"),
+           more=True),
+    _share("called-misfit", "cases that ended as misfit", "misfit",
+           lambda cases: ended(cases, "misfit")),
+    _share("called-unidentifiable", "cases that ended as unidentifiable", "unidentifiable",
+           lambda cases: ended(cases, "unidentifiable")),
     _share("deserved", "flights called unidentifiable whose numbers are off", "deserved",
            lambda cases: only(in_flow(cases) & ended(cases, "unidentifiable"), off(cases)),
            more=True),
-    _share("called-so", "flights without a flow that are called so", "called so",
-           lambda cases: only(in_still_air(cases), ended(cases, "unidentifiable")
-                              & texts(cases, "doubt").isin(NO_FLOW).to_numpy()), more=True),
+    _share("called-so", "flights without a flow that are called so", "called so", _called_so,
+           more=True),
     _share("false-alarms", "flights without a flow that have an estimate", "false alarms",
-           lambda cases: only(in_still_air(cases), ended(cases, *ANSWERED))),
+           lambda cases: only(in_still_air(cases), ended(cases, "ok", "inaccurate"))),
     Measure("r-squared", "R² of the fit", "", _column("r_squared"), heading="R²", format=".4f",
             more=True),
     Measure("heading-error", "|error| of the heading", "°", _heading_errors, heading="heading",
@@ -381,8 +369,9 @@ _EVERY: Sequence[Measure] = (
             "geometric mean", 100.0, "prediction, where offered", least=TINY),
     Measure("bounded", "cases with a bound", "", lambda cases: bounded(cases).astype(float),
             "number", heading="with bound"),
-    Measure("unseen", "cases called ok without all scales", "", _unseen, "number",
-            heading="unseen"),
+    Measure("unseen", "cases called ok without all scales", "",
+            lambda cases: (ended(cases, "ok") & ~(numbers(cases, "scales_within_1_percent") > 0)
+                           ).astype(float), "number", heading="unseen"),
     _share("scales-found", "flights with every length scale within 1 %", "all found",
            lambda cases: only(in_flow(cases),
                               np.nan_to_num(numbers(cases, "scales_within_1_percent"))),
@@ -395,12 +384,6 @@ _EVERY: Sequence[Measure] = (
             _column("scales_max_length_scale_error"), heading="error L_w", least=TINY),
     Measure("scales-mean-velocity-error", "largest error of U0", "%",
             _column("scales_max_mean_velocity_error"), heading="error U0", least=TINY),
-    Measure("cells", "cells flown", "",
-            lambda cases: numbers(cases, "extent") / _regimes(cases)[:, 0], heading="cells"),
-    Measure("scale-ratio", "scale ratio", "", lambda cases: _regimes(cases)[:, 1],
-            heading="scale ratio"),
-    Measure("velocity-ratio", "velocity ratio", "", lambda cases: _regimes(cases)[:, 2],
-            heading="velocity ratio"),
     Measure("holdout-error", "held-out error, of the target's variance", "%",
             _column("holdout_error", 100.0), miss=100.0, heading="held-out error", least=TINY),
     Measure("support", "columns in use", "", _column("support"), heading="columns"),
@@ -412,5 +395,17 @@ _EVERY: Sequence[Measure] = (
             heading="excess", format=".1e"),
     Measure("wall", "time of a solve", "s", _column("wall"), heading="time", varies=True),
     Measure("cpu", "CPU time of a solve", "s", _column("cpu"), heading="CPU time", varies=True),
-)  # fmt: skip
-MEASURES: dict[str, Measure] = {each.name: each for each in _EVERY}
+    Measure("first-call", "time of the first call, with imports and compilation", "s",
+            _timed("first"), "largest", heading="first call", varies=True),
+    Measure("peak-memory", "peak memory", "MB", _timed("memory"), "largest",
+            heading="peak memory", format=".0f", varies=True),
+    Measure("repeats", "repeats of a solve", "", _timed("repeats"), heading="repeats",
+            format=".0f", varies=True),
+    _share("median-known", "times known to the precision asked for", "median known",
+           _timed("known"), more=True, format=".0f"),
+    _share("disturbed", "times taken while other programs had the core", "disturbed",
+           _timed("disturbed"), format=".0f"),
+    Measure("cores", "CPU time over wall time", "",
+            lambda cases: _timed("cpu")(cases) / numbers(cases, "wall"), heading="CPU / wall",
+            format=".2f", varies=True),
+)}  # fmt: skip

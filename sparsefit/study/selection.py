@@ -1,12 +1,17 @@
-"""A selection: the chosen candidate, every other with its evidence, and the words for them."""
+"""From a finished study to one candidate that can be defended, or to the reason why there is none.
+
+Numbers stand as arrays (candidates, units, regimes, cases). A candidate is chosen on the units of
+split `validate` and scored once on those of split `evaluate`: of all that keep every constraint in
+every regime, the simplest within the margin of the best. What the units do not tell from it is a
+tie.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,24 +19,40 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.codec import finite_or_none
-from sparsefit.study.measures import Measure, factors
-from sparsefit.study.statistics import Difference, mean
-from sparsefit.study.table import Column, Table, Value, significant
+from sparsefit.errors import InputError, one_of, suggestion, told_with
+from sparsefit.study.measures import (
+    MEASURES,
+    Measure,
+    answered,
+    ended,
+    factors,
+    in_flow,
+    in_still_air,
+    measure,
+    off,
+    only,
+)
+from sparsefit.study.resampling import (
+    ROUNDING,
+    SUMMARIES,
+    Difference,
+    best_probabilities,
+    ends,
+    mean,
+    quantile,
+    resampled,
+)
+from sparsefit.study.table import Column, Row, Table, significant
 
 AVERAGE, WORST = "average", "worst"
 SPLITS = ("validate", "evaluate")
-EVERYWHERE = "everywhere"  # the one regime of a study whose units are all alike
-SHARES = ("max_failure", "max_silent_misses")
-WORDS = {
-    "max_failure": "cases without an answer",
-    "max_silent_misses": "silent misses",
-    "max_error": "95th percentile of the largest error",
-    "max_latency_p99": "99th percentile of the latency",
-    "max_memory": "peak memory",
-    "on_board": "on board",
+LIMITS = {  # what a constraint is of, the factor to its unit, and the unit
+    "max_failure": ("cases without an answer", 100.0, "%"),
+    "max_silent_misses": ("silent misses", 100.0, "%"),
+    "max_error": ("95th percentile of the largest error", 1.0, "%"),
+    "max_latency_p99": ("99th percentile of the latency", 1e3, "ms"),
+    "max_memory": ("peak memory", 1.0, "MB"),
 }
-LATENCY = ("max_latency_p99", "max_memory")
-DISTURBED = 0.1  # share of timed flights with other programs on the core, from which it is told
 
 
 @dataclass(frozen=True)
@@ -54,8 +75,9 @@ class Criterion:
         """Return the summary (..., regimes) of a grid (..., units, regimes, cases)."""
         return self.measure.reduce(pooled_regimes(grid))
 
-    def score(self, by_regime: Array) -> Array:
-        """Return the one number (...,) of summaries (..., regimes)."""
+    def score(self, grid: Array) -> Array:
+        """Return the one number (...,) of a grid (..., units, regimes, cases)."""
+        by_regime = self.by_regime(grid)
         if self.over == AVERAGE:
             return mean(by_regime)
         if self.over == WORST:
@@ -63,10 +85,14 @@ class Criterion:
             return np.asarray(worst.reduce(by_regime, axis=-1))
         return np.asarray(by_regime[..., self.regimes.index(self.over)])
 
-    def loss(self, grid: Array) -> Array:
-        """Return the score (...,) of a grid, signed so that less is better."""
-        score = self.score(self.by_regime(grid))
-        return -score if self.measure.more else score
+    @property
+    def sign(self) -> float:
+        """The factor by which a score becomes a loss, of which less is better."""
+        return -1.0 if self.measure.more else 1.0
+
+    def drawn(self, grid: Array, seed: int) -> Array:
+        """Return the loss (resamples,) of a grid over drawn units; one seed draws alike for all."""
+        return resampled(lambda at: self.sign * self.score(grid[at]), len(grid), grid[0].size, seed)
 
     def say(self, value: float) -> str:
         """Return a value of the criterion with its unit."""
@@ -95,17 +121,15 @@ class Breach:
         if self.reason:
             return f"not on board: {self.reason}"
         where = f" in {self.regime}" if self.regime else ""
-        value, limit = (_told(self.constraint, each) for each in (self.value, self.limit))
-        return f"{WORDS[self.constraint]} {value}{where}, {limit} is the most"
+        value, limit = (limit_text(self.constraint, each) for each in (self.value, self.limit))
+        return f"{LIMITS[self.constraint][0]} {value}{where}, {limit} is the most"
 
 
-def _told(constraint: str, value: float) -> str:
+def limit_text(constraint: str, value: float) -> str:
     """Return a value of a constraint with its unit."""
-    if constraint in LATENCY and math.isinf(value):
+    _, factor, unit = LIMITS[constraint]
+    if math.isinf(value) and unit != "%":
         return "not measured"
-    factor, unit = {"max_latency_p99": (1e3, "ms"), "max_memory": (1.0, "MB")}.get(
-        constraint, (100.0 if constraint in SHARES else 1.0, "%")
-    )
     return f"{significant(factor * value)} {unit}"
 
 
@@ -132,6 +156,11 @@ class Scored:
     confirmed: Difference | None = None
     within: bool = False
 
+    @property
+    def tied(self) -> bool:
+        """Whether the validate units do not tell it from the chosen."""
+        return self.apart is not None and self.apart.tie
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -152,7 +181,7 @@ class Selection:
     units: Mapping[str, int]
     parts: Mapping[str, tuple[str, str]]
     latencies: Mapping[str, Mapping[str, float]]
-    cases: pd.DataFrame
+    cases: pd.DataFrame = field(repr=False)
 
     @property
     def passing(self) -> list[Scored]:
@@ -162,49 +191,59 @@ class Selection:
     @property
     def tied(self) -> list[Scored]:
         """Those that keep everything and that the validate units do not tell from the chosen."""
-        return [each for each in self.passing if each.apart is not None and each.apart.tie]
+        return [each for each in self.passing if each.tied]
 
     @property
     def contenders(self) -> list[str]:
         """The chosen candidate and what is not ruled out: tied, or within the margin."""
-        return [
-            each.candidate for each in self.passing
-            if each is self.chosen or each.within or (each.apart is not None and each.apart.tie)
-        ]  # fmt: skip
+        return [each.candidate for each in self.passing
+                if each is self.chosen or each.within or each.tied]  # fmt: skip
+
+    @property
+    def kind(self) -> str:
+        """The noun of a unit, `flights` or `problems`."""
+        return "problems" if "objective" in self.cases else "flights"
 
     @property
     def headline(self) -> str:
-        """The answer in a sentence that can be read aloud, and its number."""
+        """The answer in a sentence that can be read aloud."""
         if self.chosen is None:
             return f"No candidate of {len(self.ranked)} keeps every constraint."
         reading, backend = self.parts[self.chosen.candidate]
         alike = [
             self.parts[each.candidate][1] for each in self.passing
-            if (each.within or each is self.chosen)
-            and self.parts[each.candidate][0] == reading
+            if each.within and self.parts[each.candidate][0] == reading
         ]  # fmt: skip
         every = {part for own, part in self.parts.values() if own == reading}
         said = f"Use {self.chosen.title}"
         if reading and len(alike) > 1:
-            which = f"any of {len(alike)} back-ends" if set(alike) == every else _listed(alike)
+            which = f"any of {len(alike)} back-ends" if set(alike) == every else listed(alike)
             simple = "fastest" if self.rule.simplest == "fastest" else "simplest"
             said = f"Use {reading}; {which} will do, {backend} is the {simple}"
-        low, high = self.chosen.between
-        kind = "problems" if "objective" in self.cases else "flights"
+        elif reading and backend:
+            said = f"Use {reading} with {backend}"
+        return f"{said}."
+
+    @property
+    def score_line(self) -> str:
+        """The criterion of the chosen with its interval, and of what it was measured."""
+        if self.chosen is None:
+            return ""
+        low, high = map(significant, self.chosen.between)
+        words = self.criterion.words
         fresh = "that had no part in the choice" if len(self.units) > 1 else "it was chosen on"
         return (
-            f"{said}. {self.criterion.words[:1].upper()}{self.criterion.words[1:]}: "
-            f"{self.criterion.say(self.chosen.evaluate)} ({significant(low)} to "
-            f"{significant(high)}) on {self.units[list(self.units)[-1]]} {kind} {fresh}."
+            f"{words[:1].upper()}{words[1:]}: {self.criterion.say(self.chosen.evaluate)} ({low} to "
+            f"{high}) on {self.units[list(self.units)[-1]]} {self.kind} {fresh}."
         )
 
     def verdict(self, each: Scored) -> str:
         """Return why a candidate was chosen, or lost."""
+        apart = each.apart
         if each is self.chosen:
             return "chosen"
         if each.breaches:
             return "; ".join(breach.words for breach in each.breaches)
-        apart = each.apart
         if apart is None or math.isnan(each.validate):
             return "nothing to judge it by"
         if apart.identical:
@@ -215,97 +254,94 @@ class Selection:
         return f"tied, but {by}: beyond the margin" if apart.tie else by
 
     @property
-    def table(self) -> Table:
-        """Every candidate, the chosen first: verdict, scores and intervals."""
-        unit = self.criterion.measure.unit
-        least = self.criterion.measure.least
-        rows: list[tuple[Value, ...]] = []
-        for rank, each in enumerate(self._ordered, 1):
-            apart = each.apart
-            more = apart.more_units if apart is not None and apart.tie else None
-            rows.append((
-                rank, each.title, self.verdict(each), each.evaluate, *each.between, each.validate,
-                *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
-                None if each.breaches else 100.0 * each.best, more,
-            ))  # fmt: skip
-        columns = (
-            Column("rank", format="d"), Column("candidate"), Column("verdict"),
-            Column("criterion", unit, group="evaluate", least=least),
-            *(Column(name, unit, group="evaluate", least=least) for name in ("from", "to")),
-            Column("criterion", unit, group="validate", least=least),
-            *(Column(name, unit, group="validate") for name in ("worse by", "from", "to")),
-            Column("best", "%", ".0f", "validate"), Column("more flights", "", ".0f", "validate"),
-        )  # fmt: skip
-        note = (
-            f"Criterion: {self.criterion.words}; {self.criterion.measure.convention}. Worse by: "
-            "than the chosen. Intervals (95 %) and the probability to be the best are by bootstrap "
-            "over the same flights for all; more flights: how many would end a tie."
-        )
-        return Table(f"Candidates of the selection ({self.study})", columns, rows, (note,), 60, 3)
-
-    @property
-    def regimes(self) -> Table:
-        """The criterion on the evaluate units, a row per candidate, a column per regime."""
+    def tables(self) -> dict[str, Table]:
+        """The tables of candidates, of regimes, and where it was measured of latency."""
         unit, least = self.criterion.measure.unit, self.criterion.measure.least
-        rows: list[tuple[Value, ...]] = [
-            (each.title, self.verdict(each), *map(float, each.by_regime), each.evaluate)
-            for each in self._ordered
-        ]
-        columns = (Column("candidate"), Column("verdict"), *(
-            Column(name, unit, least=least) for name in (*self.criterion.regimes, "all")
-        ))  # fmt: skip
-        return Table(f"Regimes ({self.study})", columns, rows, (), 60, 2)
-
-    @property
-    def latency(self) -> Table | None:
-        """Time and memory of an estimate of each candidate; None where none was measured."""
-        rows: list[tuple[Value, ...]] = []
-        for each in self.ranked:
-            seen = self.latencies.get(each.candidate)
-            if seen is not None:
-                rows.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
-                             100.0 * seen["busy"]))  # fmt: skip
-        columns = (
-            Column("candidate"), Column("median", "ms", varies=True),
-            Column("99th percentile", "ms", varies=True),
-            Column("peak memory", "MB", ".0f", varies=True),
-            Column("disturbed", "%", ".0f", varies=True),
-        )  # fmt: skip
-        note = (
-            "One flight at a time in a process of its own with BLAS on one thread, after a "
-            "warm-up. Disturbed: flights during which other programs had the core."
-        )
-        return Table(f"Latency and memory ({self.study})", columns, rows, (note,)) if rows else None
-
-    @property
-    def _ordered(self) -> list[Scored]:
+        candidates, regimes, times = list[Row](), list[Row](), list[Row]()
         chosen = [self.chosen] if self.chosen is not None else []
-        return [*chosen, *(each for each in self.ranked if each is not self.chosen)]
+        others = (each for each in self.ranked if each is not self.chosen)
+        for rank, each in enumerate([*chosen, *others], 1):
+            apart, verdict = each.apart, self.verdict(each)
+            candidates.append((
+                str(rank), each.title, verdict, each.evaluate, *each.between, each.validate,
+                *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
+                None if each.breaches else 100.0 * each.best,
+                apart.more_units if apart is not None and apart.tie else None,
+            ))  # fmt: skip
+            regimes.append((each.title, verdict, *each.by_regime.tolist(), each.evaluate))
+            if seen := self.latencies.get(each.candidate):
+                times.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
+                              100.0 * seen["busy"]))  # fmt: skip
+        names = (*self.criterion.regimes, "all")
+        score = [Column(name, unit, group="evaluate", least=least)
+                 for name in ("criterion", "from", "to")]  # fmt: skip
+        apart_ = [Column(name, unit, group="validate") for name in ("worse by", "from", "to")]
+        timed = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
+                 ("disturbed", "%", ".0f"))  # fmt: skip
+        made = {
+            "selection": Table(
+                f"Candidates of the selection ({self.study})",
+                (*map(Column, ("rank", "candidate", "verdict")), *score,
+                 Column("criterion", unit, group="validate", least=least), *apart_,
+                 Column("best", "%", ".0f", "validate"),
+                 Column("more flights", "", ".0f", "validate")),
+                candidates,
+                (f"Criterion: {self.criterion.words}; {self.criterion.measure.convention}. Worse "
+                 "by: than the chosen. Intervals (95 %) and the probability to be the best are by "
+                 "bootstrap over the same flights for all; more flights: how many would end a tie.",
+                 ),
+            ),
+            "regimes": Table(
+                f"Regimes ({self.study})",
+                (*map(Column, ("candidate", "verdict")),
+                 *(Column(name, unit, least=least) for name in names)),
+                regimes,
+            ),
+            "latency": Table(
+                f"Latency and memory ({self.study})",
+                (Column("candidate"), *(Column(*each, varies=True) for each in timed)), times,
+                ("One flight at a time in a process of its own with BLAS on one thread, after a "
+                 "warm-up. Disturbed: flights during which other programs had the core.",),
+            ),
+        }  # fmt: skip
+        return {name: each for name, each in made.items() if each.rows}
 
     def record(self, check: Check | None = None) -> dict[str, Any]:
         """Return the selection as JSON has it."""
+        tables, chosen = self.tables, self.chosen
         record: dict[str, Any] = {
             "study": self.study, "rule": asdict(self.rule), "criterion": self.criterion.words,
-            "summary": self.headline, "said": lines(self, check), "candidates": len(self.ranked),
+            "unit": self.criterion.measure.unit, "units": dict(self.units),
+            "summary": self.headline, "candidates": len(self.ranked),
             "eligible": len(self.passing), "tied": [each.title for each in self.tied],
-            "table": self.table.record(), "regimes": self.regimes.record(),
+            "table": tables["selection"].record(), "regimes": tables["regimes"].record(),
         }  # fmt: skip
-        if self.chosen is not None:
-            row = self.cases[self.cases["candidate"] == self.chosen.candidate].iloc[0]
+        if chosen is not None:
+            row = self.cases[self.cases["candidate"] == chosen.candidate].iloc[0]
             own = [name for name in factors(self.cases) if not name.startswith("flights.")]
+            regimes = zip(self.criterion.regimes, chosen.by_regime.tolist(), strict=True)
             record |= {
-                "candidate": self.chosen.candidate, "title": self.chosen.title,
+                "candidate": chosen.candidate, "title": chosen.title,
                 "protocol": row.get("reading", row.get("protocol", "")), "backend": row["backend"],
                 "settings": json.loads(row["settings"]),
                 "factors": {name: str(row[name]) for name in own},
-                "validate": self.chosen.validate, "evaluate": self.chosen.evaluate,
-                "interval": self.chosen.between, "probability_best": self.chosen.best,
+                "validate": chosen.validate, "evaluate": chosen.evaluate,
+                "interval": chosen.between, "by_regime": dict(regimes),
+                "probability_best": chosen.best,
                 "regret": self.regret.effect if self.regret else None,
-                "latency": self.latencies.get(self.chosen.candidate),
+                "latency": self.latencies.get(chosen.candidate),
                 "check": asdict(check) if check else None,
             }  # fmt: skip
         cleaned: dict[str, Any] = finite_or_none(record)
         return cleaned
+
+
+def listed(names: Sequence[str], word: str = "or") -> str:
+    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
+    names = list(dict.fromkeys(names))
+    if len(names) > 5:
+        names = [*names[:4], f"{len(names) - 4} more"]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 @dataclass(frozen=True)
@@ -325,106 +361,248 @@ class Check:
     candidates: int
 
 
-def lines(selection: Selection, check: Check | None = None) -> list[str]:
-    """Return what a review asks: the rule, ties, regret, the worst regime, the clock."""
-    criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
-    limits = [
-        f"{WORDS[field.name]} at most {_told(field.name, limit)}"
-        for field in fields(rule.limits)
-        if (limit := getattr(rule.limits, field.name)) is not None
-    ]
-    keeping = f"; {len(selection.passing)} keep {_listed(limits, 'and')}" if limits else ""
-    split, regimes = next(iter(selection.units)), len(criterion.regimes)
-    kind = "problems" if "objective" in selection.cases else "flights"
-    said = [
-        f"{len(selection.ranked)} candidates{f' in {regimes} regimes' if regimes > 1 else ''}, "
-        f"chosen on {selection.units[split]} {kind}{keeping}; the simplest within "
-        f"{100 * rule.margin:g} % of the best."
-    ]
-    if chosen is None:
-        return [*said, *_binding(selection)]
-    if selection.tied:
-        needed = [each.apart.more_units for each in selection.tied if each.apart is not None]
-        finite = [count for count in needed if math.isfinite(count)]
-        more = f"; {min(finite):.0f} more {kind} would end the easiest" if finite else ""
-        said.append(f"A tie with {_listed([each.title for each in selection.tied])}{more}.")
-    if selection.hindsight is not None and selection.regret is not None:
-        if selection.hindsight is chosen:
-            said.append("With hindsight nothing that keeps everything is better.")
-        else:
-            regret = selection.regret
-            said.append(
-                f"With hindsight {selection.hindsight.title} is best: regret "
-                f"{criterion.say(regret.effect)} ({significant(regret.low)} to "
-                f"{significant(regret.high)})."
+class _Trials:
+    """The cases of a split as a grid (candidates, units, regimes, cases), and what it tells.
+
+    loss: (candidates,) of the criterion; drawn: (candidates, resamples) of it over drawn units.
+    """
+
+    def __init__(self, cases: pd.DataFrame, candidates: Sequence[str], criterion: Criterion,
+                 seed: int) -> None:  # fmt: skip
+        """Place the cases of a split.
+
+        Raises:
+            InputError: if the candidates were not all tried on the same units and conditions.
+        """
+        self.cases, self.candidates, self.criterion = cases, candidates, criterion
+        candidate = pd.Index(candidates).get_indexer(pd.Index(cases["candidate"]))
+        unit, names = pd.factorize(cases["flight"])
+        regime = pd.Index(criterion.regimes).get_indexer(pd.Index(cases["regime"]))
+        keys = pd.DataFrame({"c": candidate, "u": unit, "r": regime})
+        within = keys.groupby(["c", "u", "r"]).cumcount().to_numpy()
+        self.at = (candidate, unit, regime, within)
+        self.shape = (len(candidates), len(names), len(criterion.regimes),
+                      int(within.max(initial=-1)) + 1)  # fmt: skip
+        count = np.zeros(self.shape[:3], dtype=np.intp)
+        np.add.at(count, self.at[:3], 1)
+        unequal = np.flatnonzero((count != count[:1]).any(axis=(1, 2)))
+        if unequal.size:
+            title = cases.loc[cases["candidate"] == candidates[unequal[0]], "title"].iloc[:1]
+            raise InputError(
+                f"{', '.join(title) or candidates[unequal[0]]} was not tried on the same flights "
+                "as the others: finish the study first (sparsefit study run)"
             )
-    if len(criterion.regimes) > 1 and np.isfinite(chosen.by_regime).any():
-        sizes = -chosen.by_regime if criterion.measure.more else chosen.by_regime
-        worst = int(np.nanargmax(sizes))
-        value = criterion.say(float(chosen.by_regime[worst]))
-        said.append(f"Its worst regime is {criterion.regimes[worst]}: {value}.")
-    said += [f"On the evaluate flights it breaks: {breach.words}." for breach in chosen.broken]
-    seen = selection.latencies.get(chosen.candidate)
-    if seen is not None:
-        loud = f" ({100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a quiet machine)"  # noqa: E501
-        said.append(
-            f"One estimate takes {significant(1e3 * seen['median'])} ms, at most "
-            f"{significant(1e3 * seen['p99'])} ms in 99 of 100, BLAS on one thread"
-            f"{loud if seen['busy'] > DISTURBED else ''}."
+        self.values = self.grid(criterion.measure.values(cases))
+        self.loss = np.array(
+            [criterion.sign * float(criterion.score(each)) for each in self.values]
         )
-    if check is not None:
-        low, high = check.between
-        best = "none of those not ruled out is better there"
-        if not check.regret.identical:
-            best = f"{check.hindsight} is best there, regret {criterion.say(check.regret.effect)}"
-        said.append(f"On {check.units} fresh flights: {criterion.say(check.score)} "
-                    f"({significant(low)} to {significant(high)}); {best}.")  # fmt: skip
-        said += [f"There it breaks: {breach.words}." for breach in check.broken]
-    return said
+        self.drawn = np.array([criterion.drawn(each, seed) for each in self.values])
+
+    def grid(self, values: Array) -> Array:
+        """Return values (rows,) as a grid, NaN where a regime has fewer cases."""
+        grid = np.full(self.shape, np.nan)
+        grid[self.at] = values
+        return grid
+
+    def score(self, at: int) -> tuple[float, tuple[float, float]]:
+        """Return the criterion of a candidate and its 95 % interval."""
+        low, high = sorted(self.criterion.sign * end for end in ends(self.drawn[at]))
+        return self.criterion.sign * float(self.loss[at]), (low, high)
+
+    def against(self, at: int, other: int) -> Difference:
+        """Return the loss of a candidate less that of another, paired by unit."""
+        pair, least = (self.values[at], self.values[other]), self.criterion.measure.least
+        alike = np.allclose(*pair, rtol=ROUNDING, atol=least, equal_nan=True)
+        with np.errstate(invalid="ignore"):  # two that fail wholly
+            effect, drawn = self.loss[at] - self.loss[other], self.drawn[at] - self.drawn[other]
+        return Difference(float(effect), *ends(drawn), len(self.values[at]), bool(alike))
+
+    def breaches(
+        self, rule: Any, timed: Mapping[str, Mapping[str, float]], refusals: Mapping[str, str]
+    ) -> list[tuple[Breach, ...]]:
+        """Return the constraints that each candidate breaks, each in its worst regime."""
+        cases, flown, nothing = self.cases, in_flow(self.cases), np.zeros(len(self.cases))
+        failed, silent, error = only(flown, ~answered(cases)), nothing, nothing
+        if "est_mean_velocity" in cases:
+            missed = np.where(flown, off(cases), in_still_air(cases)) & ended(cases, "ok")
+            silent, error = missed.astype(float), MEASURES["largest-error"].read(cases)
+        largest = quantile(pooled_regimes(self.grid(error)), 0.95)
+        there = SUMMARIES["largest"](pooled_regimes(self.grid(flown.astype(float)))) > 0
+        values = {
+            "max_failure": mean(pooled_regimes(self.grid(failed))),
+            "max_silent_misses": mean(pooled_regimes(self.grid(silent))),
+            "max_error": np.where(np.isnan(largest) & there, np.inf, largest),
+        }
+        return [tuple(self._broken(rule, {name: levels[at] for name, levels in values.items()},
+                                   timed.get(name), refusals.get(name)))
+                for at, name in enumerate(self.candidates)]  # fmt: skip
+
+    def _broken(self, rule: Any, values: Mapping[str, Array], seen: Mapping[str, float] | None,
+                refusal: str | None) -> Iterator[Breach]:  # fmt: skip
+        """Give what a candidate breaks; one that breaks a constraint of the cases is not timed."""
+        if refusal is not None:
+            yield Breach("on_board", "", math.inf, 0.0, refusal)
+        is_timed = refusal is None
+        for name, levels in values.items():
+            limit = getattr(rule.limits, name)
+            worst = -1 if np.isnan(levels).all() else int(np.nanargmax(levels))
+            if limit is not None and worst >= 0 and levels[worst] > limit:
+                is_timed = False
+                regimes = self.criterion.regimes
+                where = regimes[worst] if len(regimes) > 1 else ""
+                yield Breach(name, where, float(levels[worst]), limit)
+        for name, column in (("max_latency_p99", "p99"), ("max_memory", "memory")):
+            limit = getattr(rule.limits, name)
+            value = math.inf if seen is None else float(seen[column])
+            if limit is not None and value > limit and (seen is not None or is_timed):
+                yield Breach(name, "", value, limit)
 
 
-def _binding(selection: Selection) -> Iterator[str]:
-    """Give, for each constraint, how many it refuses and who comes closest."""
-    every = [(breach, each) for each in selection.ranked for breach in each.breaches]
-    alone = Counter(each.breaches[0].constraint for each in selection.ranked
-                    if len(each.breaches) == 1)  # fmt: skip
-    for name, count in Counter(breach.constraint for breach, _ in every).most_common():
-        breach, nearest = min(
-            ((breach, each) for breach, each in every if breach.constraint == name),
-            key=lambda pair: pair[0].value,
+def select(
+    study: Any,
+    rule: Any = None,
+    *,
+    latencies: Mapping[str, Any] | None = None,
+    refusals: Mapping[str, str] | None = None,
+    **options: Any,
+) -> Selection:
+    """Choose a candidate by a rule, that of the study unless another is given.
+
+    Args:
+        latencies: `median` [s], `p99` [s], `memory` [MB] and `busy` (share) by candidate, as the
+            study has stored them unless given; a candidate without keeps no limit of either.
+        refusals: why a candidate cannot be on board, where that is asked for.
+        options: of [select], in place of those of the rule.
+
+    Raises:
+        InputError: if the rule names what does not exist, the study has no split or is
+            unfinished, or its candidates were not tried alike.
+    """
+    rule = rule or study.definition.selection
+    rule = rule.changed(**options) if options else rule
+    cases = _comparable(study, study.cases, rule)
+    criterion = _criterion(rule, cases)
+    if not np.isfinite(criterion.measure.read(cases)).any():
+        raise InputError(
+            f"{study.name} has no case with a number for {criterion.measure.words}: choose by "
+            "another criterion (for predictions, set [run] prediction_flights)"
         )
-        binds = f" and alone binds for {alone[name]}" if alone[name] else ""
-        yield (
-            f"{name} refuses {count} of {len(selection.ranked)}{binds}; the closest is "
-            f"{nearest.title}: {breach.words}."
+    latencies = study.latencies if latencies is None else latencies
+    timed = {name: asdict(seen) for name, seen in latencies.items()}
+    if rule.simplest == "fastest" and not timed:
+        raise InputError('simplest = "fastest" needs measured latencies: allow them to be measured')
+    candidates = [str(name) for name in dict.fromkeys(cases["candidate"])]
+    titles = dict(zip(cases["candidate"], cases["title"], strict=True))
+    splits = [name for name in SPLITS if (cases["split"] == name).any()] or ["all"]
+    every = [_Trials(cases[cases["split"] == name], candidates, criterion, rule.seed + place)
+             for place, name in enumerate(splits)]  # fmt: skip
+    first, last = every[0], every[-1]
+    breaches, broken = (each.breaches(rule, timed, refusals or {}) for each in (first, last))
+    order = sorted(range(len(candidates)), key=lambda at: (float(first.loss[at]), at))
+    passing = [at for at in order if not breaches[at] and not math.isnan(first.loss[at])]
+    best = float(first.loss[passing[0]]) if passing else math.nan
+    limit = best + (rule.margin + ROUNDING) * abs(best) + criterion.measure.least
+    within = [at for at in passing if first.loss[at] <= limit]
+    chosen = min(within, default=None)
+    if within and rule.simplest == "fastest":
+        chosen = min(within, key=lambda at: timed.get(candidates[at], {}).get("median", math.inf))
+    probabilities = best_probabilities(first.drawn[passing]).tolist() if passing else []
+    shares = dict(zip(passing, probabilities, strict=True))
+    scored = {
+        at: Scored(
+            candidates[at], str(titles[candidates[at]]), first.score(at)[0], *last.score(at),
+            criterion.by_regime(last.values[at]), breaches[at], broken[at], shares.get(at, 0.0),
+            None if chosen is None or chosen == at else first.against(at, chosen),
+            None if chosen is None or chosen == at else last.against(at, chosen), at in within,
         )
+        for at in order
+    }  # fmt: skip
+    hindsight = min(passing, key=lambda at: (float(last.loss[at]), at != chosen), default=None)
+    regret = None
+    if chosen is not None and hindsight is not None:
+        regret = last.against(chosen, hindsight)
+    return Selection(
+        study=study.name, rule=rule, criterion=criterion,
+        ranked=tuple(scored[at] for at in (*passing, *(at for at in order if at not in passing))),
+        chosen=None if chosen is None else scored[chosen], regret=regret,
+        hindsight=None if hindsight is None else scored[hindsight],
+        units={name: each.shape[1] for name, each in zip(splits, every, strict=True)},
+        parts=_parts(cases), latencies=timed, cases=cases,
+    )  # fmt: skip
 
 
-def _listed(names: Sequence[str], word: str = "or") -> str:
-    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
-    names = list(dict.fromkeys(names))
-    if len(names) > 5:
-        names = [*names[:4], f"{len(names) - 4} more"]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+def check_rule(study: Any) -> None:
+    """Refuse, before anything is run, a [select] whose measure, regimes or `over` is unknown.
+
+    Raises:
+        InputError: with the nearest name that is known.
+    """
+    rule = study.definition.selection
+    if rule != type(rule)():
+        _criterion(rule, _comparable(study, study.plan(), rule))
 
 
-def provenance(study: Any, selection: Selection) -> dict[str, Any]:
-    """Return what an estimator comes from: the study, the rule, and the evidence."""
-    chosen, regret = selection.chosen, selection.regret
-    if chosen is None:
-        return {}
-    regimes = zip(selection.criterion.regimes, chosen.by_regime.tolist(), strict=True)
-    record: dict[str, Any] = finite_or_none({
-        "study": study.name, "study_hash": study.hash, "seed": study.seed,
-        "rule": asdict(selection.rule), "flights": dict(selection.units),
-        "criterion": {
-            "words": selection.criterion.words, "unit": selection.criterion.measure.unit,
-            "validate": chosen.validate, "evaluate": chosen.evaluate, "interval": chosen.between,
-            "by_regime": dict(regimes),
-        },
-        "probability_best": chosen.best,
-        "regret": None if regret is None else [regret.effect, regret.low, regret.high],
-        "tied": [each.title for each in selection.tied],
-        "latency": selection.latencies.get(chosen.candidate),
-    })  # fmt: skip
-    return record
+def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
+    """Return the measure of a rule over the regimes of the cases."""
+    regimes = tuple(dict.fromkeys(cases["regime"]))
+    one_of("regime in over =", rule.over, (AVERAGE, WORST, *regimes))
+    summary, name = rule.measure
+    with told_with("criterion ="):
+        return Criterion(measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
+
+
+def _comparable(study: Any, cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
+    """Return the cases with their regime, after a check that they can be compared."""
+    if len(cases) < len(study.plan()) or cases.empty:
+        raise InputError(
+            f"{study.name} is unfinished, {len(cases)} of {len(study.plan())} planned cases have a "
+            "row: finish it first (sparsefit study run)"
+        )
+    missing = set(SPLITS) - set(cases["split"])
+    if missing and study.kind == "flights":
+        raise InputError(
+            f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "
+            "give the study file a [split] with validate and evaluate"
+        )
+    named = [name for name in ("world", *factors(cases)) if name in cases]
+    varying = [name for name in named if cases[name].nunique() > 1]
+    for name in rule.regimes:
+        if name not in varying:
+            words = f'regimes: no "{name}" varies in {study.name}'
+            raise InputError(f"{words}{suggestion(name, varying)}")
+    return _with_regimes(cases, rule)
+
+
+def _with_regimes(cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
+    """Return the cases with their regime: the levels of a rule's factors, or their condition."""
+    names = [name for name in rule.regimes if name in cases] or ["condition"]
+    first, *others = (cases[name].astype(str) for name in names)
+    regime = first.str.cat(others, sep=", ")
+    return cases.assign(regime=regime.where(regime != "", "everywhere"))
+
+
+def _parts(cases: pd.DataFrame) -> dict[str, tuple[str, str]]:
+    """Return the reading with its factors, and the back-end, of each candidate in words."""
+    own = [name for name in factors(cases) if not name.startswith(("flights.", "problems."))]
+    parts = {}
+    for row in cases.drop_duplicates("candidate").to_dict("records"):
+        reading = str(row.get("reading", row.get("protocol", "")))
+        levels = [str(row[name]) for name in own]
+        words = ", ".join(part for part in (reading, *levels) if part and part != "default")
+        parts[str(row["candidate"])] = (words, str(row.get("label") or row["backend"]))
+    return parts
+
+
+def check(selection: Selection, cases: pd.DataFrame) -> Check:
+    """Return what the cases of fresh units, of the same candidates, say of the choice."""
+    if selection.chosen is None:
+        raise ValueError("nothing was chosen")
+    rule, placed = selection.rule, _with_regimes(cases, selection.rule)
+    candidates = [str(name) for name in dict.fromkeys(placed["candidate"])]
+    trials = _Trials(placed, candidates, selection.criterion, rule.seed)
+    own = candidates.index(selection.chosen.candidate)
+    best = min(range(len(candidates)), key=lambda at: (float(trials.loss[at]), at != own))
+    title = dict(zip(placed["candidate"], placed["title"], strict=True))[candidates[best]]
+    broken = trials.breaches(rule, selection.latencies, {})[own]
+    return Check(trials.shape[1], *trials.score(own), trials.against(own, best), str(title),
+                 broken, len(candidates))  # fmt: skip

@@ -11,54 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import pandas as pd
 
-from sparsefit.arrays import Array, BoolArray
-from sparsefit.study.statistics import ratio, shifted_mean
-from sparsefit.study.table import Column, Table, Value, significant
+from sparsefit.arrays import Array
+from sparsefit.study.resampling import ratio
+from sparsefit.study.table import Column, Row, Table, Value, significant
 
-MISSING = "skipped"
 CLOCK = {"accuracies": (1e-4, 1e-6, 1e-8), "limit": 10.0, "shift": 1e-3}  # unless the frame says
-TIME = "wall"
 CHARGED = ", certified"  # ends the name of a solver that is timed with its certificates too
-
-
-@dataclass(frozen=True, eq=False)
-class Times:
-    """Seconds (problems, solvers) to one accuracy of one objective, infinite where unsolved."""
-
-    objective: str
-    accuracy: float
-    problems: tuple[str, ...]
-    solvers: tuple[str, ...]
-    seconds: Array
-
-    @property
-    def solved(self) -> BoolArray:
-        """Whether each solver solves each problem, (problems, solvers)."""
-        return np.isfinite(self.seconds)
-
-    @property
-    def ratios(self) -> Array:
-        """Times over those of the fastest solver of each problem; infinite where unsolved."""
-        best = np.min(self.seconds, axis=1, initial=np.inf, keepdims=True)
-        with np.errstate(invalid="ignore"):
-            return np.where(self.solved, self.seconds / best, np.inf)
-
-    @property
-    def rivals(self) -> list[int]:
-        """The places of the solvers in `order`, without those that stand there twice."""
-        return [at for at in self.order if not self.solvers[at].endswith(CHARGED)]
-
-    @property
-    def order(self) -> list[int]:
-        """The places of the solvers by the geometric mean of their times, the fastest first."""
-        logs = np.log(np.minimum(self.seconds, 1e6)).mean(axis=0)
-        order: list[int] = np.argsort(logs, kind="stable").tolist()
-        return order
 
 
 def clock_of(cases: pd.DataFrame, name: str) -> float:
@@ -72,172 +35,170 @@ def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
     An accuracy below the least tolerance of a solver would tell of the study and not of the solver.
     """
     every = tuple(cases.attrs.get("accuracies", CLOCK["accuracies"]))
-    tried = cases.loc[(cases["status"] != MISSING) & cases["tolerance"].notna()]
+    tried = cases.loc[(cases["status"] != "skipped") & cases["tolerance"].notna()]
     strictest = tried.groupby(["objective", "solver"])["tolerance"].min().max()
     fair = tuple(level for level in every if not level < strictest * (1.0 - 1e-9))
     return fair or every[:1]
 
 
-def level_text(accuracy: float) -> str:
+def accuracy_text(accuracy: float) -> str:
     """Return an accuracy as it is written, `1e-8`."""
     return f"{accuracy:.0e}".replace("e-0", "e-")
 
 
-def objectives(cases: pd.DataFrame) -> list[str]:
-    """Return the objectives, in the order of the cases."""
-    return list(dict.fromkeys(map(str, cases["objective"])))
+def times_to(cases: pd.DataFrame, accuracy: float) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Give every objective with the seconds to an accuracy, infinite where it is not reached.
+
+    A row is a problem, a column a solver that ran, the fastest by the geometric mean first.
+    """
+    for objective, here in cases.groupby("objective", sort=False):
+        ran = here[here["status"] != "skipped"]
+        reached = ran[ran["excess"].le(accuracy)]
+        best = reached.groupby(["problem", "solver"])["wall"].min().unstack()
+        best = best.reindex(index=here["problem"].unique(), columns=ran["solver"].unique())
+        best = best.fillna(math.inf)
+        order = np.log(best.clip(upper=1e6)).mean().sort_values(kind="stable").index
+        yield str(objective), best[order]
 
 
-def times_to(cases: pd.DataFrame, objective: str, accuracy: float) -> Times:
-    """Return the times to an accuracy of every solver that ran for an objective."""
-    here = cases[cases["objective"] == objective]
-    ran = here[here["status"] != MISSING]
-    reached = ran[ran["excess"].le(accuracy) & ran[TIME].notna()]
-    problems, solvers = here["problem"].unique().tolist(), ran["solver"].unique().tolist()
-    best = reached.groupby(["problem", "solver"])[TIME].min().unstack()
-    seconds = best.reindex(index=problems, columns=solvers).to_numpy(float)
-    return Times(objective, accuracy, tuple(problems), tuple(solvers),
-                 np.where(np.isnan(seconds), np.inf, seconds))  # fmt: skip
+def places(cases: pd.DataFrame) -> dict[str, int]:
+    """Return the best place of every solver in any objective, 0 for the fastest."""
+    best: dict[str, int] = {}
+    for _, seconds in times_to(cases, accuracies(cases)[-1]):
+        for place, name in enumerate(map(str, seconds.columns)):
+            best[name] = min(place, best.get(name, place))
+    return best
+
+
+def rivals(seconds: pd.DataFrame) -> pd.DataFrame:
+    """Return the times of the solvers, without those that stand there twice."""
+    return seconds[[name for name in seconds if not str(name).endswith(CHARGED)]]
+
+
+def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
+    """Return a row per objective, accuracy, problem and solver: `seconds`, `ratio` to the fastest.
+
+    Both are infinite where the accuracy is not reached.
+    """
+    parts = []
+    for level in levels or accuracies(cases):
+        for objective, seconds in times_to(cases, level):
+            part = pd.DataFrame({"seconds": seconds.stack()})
+            best = part["seconds"].groupby(level=0).transform("min")
+            part["ratio"] = (part["seconds"] / best).fillna(math.inf)
+            to = f"to {accuracy_text(level)}"
+            parts.append(part.reset_index().assign(objective=objective, accuracy=to))
+    return pd.concat(parts, ignore_index=True)
 
 
 def summary(cases: pd.DataFrame) -> Table:
     """Return each solver of each objective: verdict, success, mean time, times the fastest."""
     levels, limit, shift = accuracies(cases), clock_of(cases, "limit"), clock_of(cases, "shift")
-    rows: list[tuple[Value, ...]] = []
-    for objective in objectives(cases):
-        at = [times_to(cases, objective, level) for level in levels]
-        last = at[-1]
-        means = [1e3 * shifted_mean(each.seconds, shift, limit) for each in at]
-        charged = np.minimum(last.seconds, limit)
-        for rank, place in enumerate(last.order):
-            middle, low, high = ratio(charged[:, place], charged[:, last.order[0]])
-            ends = "–" if math.isnan(low) else f"{significant(low)} … {significant(high)}"
-            bound = "" if last.solved[:, place].all() else "≥ "
-            rows.append((
-                objective, last.solvers[place], _verdict(last, place, rank, low),
-                *(f"{int(each.solved[:, place].sum())}/{len(each.problems)}" for each in at),
-                *(float(mean[place]) for mean in means), f"{bound}{significant(middle)}",
-                ends if rank else "–",
-            ))  # fmt: skip
-        nothing: list[Value] = [None] * (2 * len(levels) + 2)
-        rows += [(objective, name, "missing", *nothing) for name in _missing(cases, objective)]
-    columns = (
-        *map(Column, ("objective", "solver", "verdict")),
-        *(Column(level_text(level), group="solved to") for level in levels),
-        *(Column(level_text(level), "ms", group="mean time to", varies=True) for level in levels),
-        Column("× fastest", varies=True),
-        Column("95 %", varies=True),
-    )
-    notes = (
+    every = [dict(times_to(cases, level)) for level in levels]
+    rows: list[Row] = []
+    for objective, strict in every[-1].items():
+        for name in strict:
+            cells: list[Value] = []
+            for seconds in (level[objective] for level in every):
+                own, first = seconds[name], seconds.iloc[:, 0]
+                middle, low, high = ratio(_charged(own, limit), _charged(first, limit))
+                solved = np.isfinite(own)
+                mean = np.exp(np.log(_charged(own, limit) + shift).mean()) - shift
+                is_first = name == seconds.columns[0]
+                cells += [
+                    f"{solved.sum()}/{len(own)}", 1e3 * float(mean),
+                    f"{'' if solved.all() else '≥ '}{significant(middle)}",
+                    "–" if is_first or math.isnan(low)
+                    else f"{significant(low)} … {significant(high)}",
+                ]  # fmt: skip
+            verdict = "slower" if low > 1.0 else "tie"
+            if not solved.any():
+                verdict = "solved none"
+            elif is_first or math.isnan(low):
+                verdict = "fastest" if is_first else "too few problems"
+            rows.append((objective, str(name), verdict, *cells))
+        absent = cases[(cases["objective"] == objective) & (cases["status"] == "skipped")]
+        blank = [None] * (4 * len(levels))
+        rows += [(objective, str(name), "missing", *blank) for name in absent["solver"].unique()]
+    columns = [*map(Column, ("objective", "solver", "verdict"))]
+    for level in levels:
+        to = f"to {accuracy_text(level)}"
+        columns += [
+            Column("solved", group=to), Column("mean time", "ms", group=to, varies=True),
+            Column("× fastest", group=to, varies=True), Column("95 %", group=to, varies=True),
+        ]  # fmt: skip
+    note = (
         "solved: problems whose answers are certified to lie within that share of the objective "
         f"at zero above its minimum. mean time: geometric, shifted by {1e3 * shift:g} ms, on the "
         f"wall; what is not solved counts as the limit, {limit:g} s, and makes × fastest a bound "
-        f"(≥). × fastest: to {level_text(levels[-1])}, with its interval over problems.",
+        f"(≥). × fastest: with its interval over problems. Verdict: to {accuracy_text(levels[-1])}."
     )
-    return Table("Solvers: success and time", columns, rows, notes, 90, 2)
+    return Table("Solvers: success and time", tuple(columns), rows, (note,))
 
 
-def _verdict(times: Times, place: int, rank: int, low: float) -> str:
-    if not times.solved[:, place].any():
-        return "solved none"
-    if rank == 0:
-        return "fastest"
-    if math.isnan(low):
-        return "too few problems"
-    return "tie" if low <= 1.0 else "slower"
-
-
-def _missing(cases: pd.DataFrame, objective: str) -> list[str]:
-    absent = cases[(cases["objective"] == objective) & (cases["status"] == MISSING)]
-    return list(dict.fromkeys(map(str, absent["solver"])))
+def _charged(seconds: pd.Series, limit: float) -> Array:
+    """Return seconds (problems,), the limit where a problem is not solved."""
+    return np.asarray(np.minimum(seconds.to_numpy(float), limit))
 
 
 def winners(cases: pd.DataFrame) -> Table:
     """Return the fastest solver of every problem by its shape, and the next one behind it."""
-    shapes = cases.drop_duplicates("problem").set_index("problem")
-    strict = accuracies(cases)[-1]
-    rows: list[tuple[Value, ...]] = []
-    for objective in objectives(cases):
-        times = times_to(cases, objective, strict)
-        for problem, seconds in zip(times.problems, times.seconds, strict=True):
-            samples, columns = (int(shapes[name][problem]) for name in ("samples", "columns"))
-            shape = f"{samples} × {columns}"
-            rivals = sorted(times.rivals, key=lambda at: float(seconds[at]))
-            first, *others = rivals or [0]
-            if not rivals or math.isinf(seconds[first]):
-                rows.append((objective, problem, shape, "nobody", None, None, None))
-                continue
-            second = others[0] if others else None
-            ahead = None
-            if second is not None:
-                limit = clock_of(cases, "limit")
-                behind = significant(min(seconds[second], limit) / seconds[first])
-                ahead = behind if np.isfinite(seconds[second]) else f"≥ {behind}"
-            rows.append((objective, problem, shape, times.solvers[first], 1e3 * seconds[first],
-                         None if second is None else times.solvers[second], ahead))  # fmt: skip
+    once = cases.drop_duplicates("problem")
+    sizes = zip(once["samples"], once["columns"], strict=True)
+    shapes = dict(zip(once["problem"], (f"{m} × {k}" for m, k in sizes), strict=True))
+    strict, limit = accuracies(cases)[-1], clock_of(cases, "limit")
+    rows: list[Row] = []
+    for objective, seconds in times_to(cases, strict):
+        for problem, own in rivals(seconds).iterrows():
+            ranked = [*own.sort_values(kind="stable").items(), *[("", math.nan)] * 2]
+            (first, least), (second, behind) = ranked[:2]
+            row: Row = ("nobody", None, None, None)
+            if math.isfinite(least):
+                bound = "≥ " if math.isinf(behind) else ""
+                ahead = f"{bound}{significant(min(behind, limit) / least)}" if second else None
+                row = (str(first), 1e3 * least, str(second) or None, ahead)
+            rows.append((objective, str(problem), shapes[str(problem)], *row))
     heads = (
         *map(Column, ("objective", "problem", "samples × columns", "fastest")),
         Column("time", "ms", varies=True), Column("next", varies=True),
         Column("next / fastest", varies=True),
     )  # fmt: skip
-    return Table(f"The fastest by shape, to {level_text(strict)}", heads, rows, (), 90, 4)
+    return Table(f"The fastest by shape, to {accuracy_text(strict)}", heads, rows)
 
 
 def failures(cases: pd.DataFrame) -> Table:
     """Return who failed where, by status and reason; the numbers in a reason may differ."""
-    bad = cases[~cases["status"].isin(["ok", MISSING])]
+    bad = cases[~cases["status"].isin(["ok", "skipped"])]
     alike = bad["reason"].str.replace(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", regex=True)
-    rows: list[tuple[Value, ...]] = []
+    rows: list[Row] = []
     keys = [bad["objective"], bad["solver"], bad["status"], alike]
     for (objective, solver, status, _), here in bad.groupby(keys, sort=False):
-        names = list(dict.fromkeys(map(str, here["problem"])))
+        names = list(here["problem"].unique())
         words = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        labels = (str(objective), str(solver), str(status))
-        rows.append((*labels, len(here), words, str(here["reason"].iloc[0])))
+        reason = str(here["reason"].iloc[0])
+        rows.append((str(objective), str(solver), str(status), len(here), words, reason))
     rows.sort(key=lambda row: -int(row[3] or 0))
     heads = ("objective", "solver", "status", "cases", "problems", "reason of the first")
-    return Table("Who failed where", tuple(map(Column, heads)), rows, (), 40, 3)
-
-
-def clock(cases: pd.DataFrame) -> Table:
-    """Return what the clock saw of each solver: first call, memory, repeats, disturbance."""
-    timed = cases[cases["repeats"] > 0]
-    rows: list[tuple[Value, ...]] = [
-        (
-            str(solver), float(here["first"].max()), float(here["memory"].max()), len(here),
-            float(here["repeats"].median()), f"{int(here['known'].sum())}/{len(here)}",
-            int(here["disturbed"].sum()), float((here["cpu"] / here["wall"]).median()),
-        )
-        for (solver,), here in timed.groupby(["solver"], sort=False)
-    ]  # fmt: skip
-    columns = (
-        Column("solver"), Column("first call", "s", varies=True),
-        Column("peak memory", "MB", ".0f", varies=True), Column("cases", format="d"),
-        Column("repeats", format=".0f", varies=True), Column("median known", varies=True),
-        Column("disturbed", format="d", varies=True), Column("CPU / wall", format=".2f",
-                                                             varies=True),
-    )  # fmt: skip
-    note = "first call: imports and compilation, in no other time. CPU / wall above 1: threads."
-    return Table("The clock", columns, rows, (note,))
+    return Table("Who failed where", tuple(map(Column, heads)), rows)
 
 
 def headline(cases: pd.DataFrame) -> Iterator[str]:
     """Give a sentence per objective: who is fastest to the strictest accuracy, and by how much."""
     strict, limit = accuracies(cases)[-1], clock_of(cases, "limit")
-    for objective in objectives(cases):
-        times = times_to(cases, objective, strict)
-        if not times.solved.any():
-            yield f"{objective}: no solver solves any problem to a certified {level_text(strict)}."
+    for objective, seconds in times_to(cases, strict):
+        solved = np.isfinite(rivals(seconds))
+        if not solved.any(axis=None):
+            yield f"{objective}: no solver solves a problem to a certified {accuracy_text(strict)}."
             continue
-        first, *others = times.rivals
-        count = f"{int(times.solved[:, first].sum())} of {len(times.problems)}"
-        said = f"{objective}: {times.solvers[first]} is fastest to a certified {level_text(strict)}"
-        said += f" and solves {count} problems"
-        if others:
-            charged = np.minimum(times.seconds, limit)
-            middle, low, high = ratio(charged[:, others[0]], charged[:, first])
-            bound = "" if times.solved[:, others[0]].all() else "at least "
-            said += f"; {times.solvers[others[0]]} takes {bound}{significant(middle)} times as long"
+        first, second = islice([*solved, None], 2)
+        said = f"{objective}: {first} is fastest to a certified {accuracy_text(strict)}"
+        said += f" and solves {solved[first].sum()} of {len(solved)} problems"
+        if second is not None:
+            middle, low, high = ratio(
+                _charged(seconds[second], limit), _charged(seconds[first], limit)
+            )
+            bound = "" if solved[second].all() else "at least "
+            said += f"; {second} takes {bound}{significant(middle)} times as long"
             if not math.isnan(low):
                 said += f" ({significant(low)} to {significant(high)})"
         yield f"{said}."

@@ -8,17 +8,14 @@ import re
 import textwrap
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 
 Value: TypeAlias = str | float | int | bool | None
-NOTHING = "–"
-LEAST_NAME = 12  # screen columns to which a name is shortened at most
-SHORTENED = 0.6  # of a terminal's width, from which on names are shortened
-WIDE = 10  # columns from which on a table of LaTeX lies on its side
+Row: TypeAlias = tuple[Value, ...]
 TEX = str.maketrans({
     "τ": r"$\tau$", "θ": r"$\theta$", "λ": r"$\lambda$", "α": r"$\alpha$", "η": r"$\eta$",
     "²": "$^2$", "°": r"$^\circ$", "×": r"$\times$", "≤": r"$\leq$", "≥": r"$\geq$",
@@ -59,26 +56,10 @@ class Column:
         return f"{self.group} {self.heading}".strip()
 
 
-def cell_text(cell: Value, column: Column) -> str:
-    """Return a cell as one line of text; `–` for nothing and NaN."""
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    if isinstance(cell, str):
-        return "".join(sign if sign.isprintable() else "�" for sign in " ".join(cell.split()))
-    if cell is None or math.isnan(cell):
-        return NOTHING
-    if math.isinf(cell):
-        return "∞" if cell > 0 else "-∞"
-    if column.least and abs(cell) <= column.least * (1.0 + 1e-9):
-        return f"< {column.least:.0e}".replace("e-0", "e-")
-    text = format(cell, column.format) if column.format else significant(cell)
-    return text.lstrip("+-") if text[:1] in "+-" and not text.strip("+-0.") else text
-
-
 def significant(value: float, digits: int = 3) -> str:
     """Return a number with three significant digits, without an exponent from 1e-4 to 1e6."""
     if math.isnan(value) or math.isinf(value):
-        return NOTHING if math.isnan(value) else "∞"
+        return "–" if math.isnan(value) else "∞"
     if isinstance(value, int | np.integer):
         return str(value)
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
@@ -86,6 +67,20 @@ def significant(value: float, digits: int = 3) -> str:
     power = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded number
     decimals = digits - 1 - power if value else 0
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def cell_text(cell: Value, column: Column) -> str:
+    """Return a cell as one line of text; `–` for an absent number."""
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, str):
+        return "".join(sign if sign.isprintable() else "�" for sign in " ".join(cell.split()))
+    if cell is None or not math.isfinite(cell):
+        return "-∞" if cell == -math.inf else significant(math.nan if cell is None else cell)
+    if column.least and abs(cell) <= column.least * (1.0 + 1e-9):
+        return f"< {column.least:.0e}".replace("e-0", "e-")
+    text = format(cell, column.format) if column.format else significant(cell)
+    return text.lstrip("+-") if text[:1] in "+-" and not text.strip("+-0.") else text
 
 
 def plain(value: object) -> Value:
@@ -99,29 +94,25 @@ def plain(value: object) -> Value:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns and rows with a title; `shown` rows of it stand in everything but CSV."""
+    """Columns and rows under a title, with notes below."""
 
     title: str
     columns: tuple[Column, ...]
-    rows: Sequence[tuple[Value, ...]]
+    rows: Sequence[Row]
     notes: tuple[str, ...] = ()
-    shown: int = 60
-    names: int = field(default=1)  # leading columns that say what a row is
 
     @classmethod
-    def of(cls, frame: pd.DataFrame, title: str, notes: Sequence[str] = ()) -> Table:
-        """Return a frame as a table: its index first where it has a name."""
+    def of(cls, frame: pd.DataFrame) -> Table:
+        """Return a frame as a table, titled by its `attrs`, its index first where it has a name."""
+        title, notes = str(frame.attrs.get("title", "")), tuple(frame.attrs.get("notes", ()))
         if any(frame.index.names):
             frame = frame.reset_index()
-        grouped = [
-            (str(name[0]), str(name[-1])) if isinstance(name, tuple) else ("", str(name))
-            for name in frame.columns
-        ]
-        columns = tuple(Column(name, group=group) for group, name in grouped)
+        columns = tuple(
+            Column(str(name[-1]), group=str(name[0])) if isinstance(name, tuple)
+            else Column(str(name)) for name in frame.columns
+        )  # fmt: skip
         rows = [tuple(map(plain, row)) for row in frame.itertuples(index=False)]
-        words = [isinstance(value, str) for value in rows[0]] if rows else []
-        return cls(title, columns, rows, tuple(notes), names=max(sum(
-            1 for _ in itertools.takewhile(bool, words)), 1))  # fmt: skip
+        return cls(title, columns, rows, notes)
 
     @property
     def varies(self) -> bool:
@@ -129,31 +120,22 @@ class Table:
         return any(column.varies for column in self.columns)
 
     @property
-    def frame(self) -> pd.DataFrame:
-        """All rows as a data frame, numbers unrounded."""
-        return pd.DataFrame(self.rows, columns=[column.full for column in self.columns])
+    def heads(self) -> list[str]:
+        """The whole heading of every column."""
+        return [column.full for column in self.columns]
 
     @property
-    def texts(self) -> list[list[str]]:
-        """The cells that are shown, as text."""
-        return [
-            [cell_text(cell, column) for cell, column in zip(row, self.columns, strict=True)]
-            for row in self.rows[: self.shown]
-        ]
+    def frame(self) -> pd.DataFrame:
+        """All rows as a data frame, numbers unrounded."""
+        return pd.DataFrame(self.rows, columns=self.heads)
 
     @property
     def is_text(self) -> list[bool]:
         """Whether each column holds words, which stand on the left."""
         return [
-            place < self.names or any(isinstance(row[place], str) for row in self.rows)
+            any(isinstance(row[place], str) for row in self.rows) or not place
             for place in range(len(self.columns))
         ]
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """The notes, and the number of rows that are not shown."""
-        hidden = len(self.rows) - self.shown
-        return (*self.notes, *([f"{hidden} more rows in the CSV file."] if hidden > 0 else []))
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -161,97 +143,100 @@ class Table:
         runs = itertools.groupby(column.group for column in self.columns)
         return [(name, len(list(run))) for name, run in runs]
 
+    def texts(self, most: int) -> list[list[str]]:
+        """Return the cells of the first `most` rows as text."""
+        return [list(map(cell_text, row, self.columns)) for row in self.rows[:most]]
+
+    def remarks(self, most: int) -> list[str]:
+        """Return the notes, and how many rows are not among the first `most`."""
+        hidden = len(self.rows) - most
+        return [*self.notes, *([f"{hidden} more rows in the CSV file."] if hidden > 0 else [])]
+
     def record(self) -> dict[str, object]:
         """Return the table as JSON has it: title, columns, rows, notes."""
         rows = [
             [None if isinstance(cell, float) and not math.isfinite(cell) else cell for cell in row]
             for row in self.rows
         ]
-        heads = [column.full for column in self.columns]
-        return {"title": self.title, "columns": heads, "rows": rows, "notes": list(self.notes)}
+        return {"title": self.title, "columns": self.heads, "rows": rows, "notes": list(self.notes)}
 
     def to_csv(self) -> str:
         """Return all rows, numbers to six digits; words that a spreadsheet would run are quoted."""
-        frame = self.frame
-        for place, column in enumerate(self.columns):
-            cells = [_csv_cell(row[place], column.least) for row in self.rows]
-            frame.isetitem(place, np.array(cells, dtype=object))
-        return frame.to_csv(index=False, lineterminator="\n")
 
-    def to_latex(self, label: str = "") -> str:
+        def cell_of(cell: Value, least: float) -> str:
+            if cell is None or cell != cell:
+                return ""
+            if isinstance(cell, float):
+                return f"{round(cell, round(-math.log10(least))) + 0.0 if least else cell:.6g}"
+            runs = isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))
+            return f"'{cell}" if runs else str(cell)
+
+        rows = [
+            [cell_of(cell, column.least) for cell, column in zip(row, self.columns, strict=True)]
+            for row in self.rows
+        ]
+        return pd.DataFrame(rows, columns=self.heads).to_csv(index=False, lineterminator="\n")
+
+    def to_latex(self, label: str = "", most: int = 60) -> str:
         """Return a float of booktabs rules, the cells escaped and the quotes typeset."""
-        heads: pd.Index = pd.MultiIndex.from_tuples(
-            [(_tex(column.group), _tex(column.heading)) for column in self.columns]
-        )
+        names = [(_tex(column.group), _tex(column.heading)) for column in self.columns]
+        heads: pd.Index = pd.MultiIndex.from_tuples(names)
         if not any(column.group for column in self.columns):
             heads = heads.get_level_values(1)
-        cells = [[_tex(text) for text in row] for row in self.texts]
+        cells = [list(map(_tex, row)) for row in self.texts(most)]
         style = pd.DataFrame(cells, columns=heads).style.hide(axis="index")
-        wide = len(self.columns) > WIDE
+        float_ = "sidewaystable" if len(self.columns) > 10 else "table"
         text = style.to_latex(
             column_format="".join("l" if words else "r" for words in self.is_text),
-            position="htbp", hrules=True, multicol_align="c",
+            position="htbp", hrules=True, multicol_align="c", environment=float_,
             caption=_tex(self.title), label=re.sub(r"[^A-Za-z0-9:-]", "-", label) or None,
-            environment="sidewaystable" if wide else "table",
         )  # fmt: skip
-        notes = "".join(f"\\par\\smallskip {_tex(note)}\n" for note in self.remarks)
-        end = r"\end{sidewaystable}" if wide else r"\end{table}"
-        packages = "booktabs,multirow,rotating" if wide else "booktabs,multirow"
-        return f"% needs \\usepackage{{{packages}}}\n{text.replace(end, notes + end)}"
+        notes = "".join(f"\\par\\smallskip {_tex(note)}\n" for note in self.remarks(most))
+        packages = "booktabs,multirow,rotating" if float_ != "table" else "booktabs,multirow"
+        text = text.replace(rf"\end{{{float_}}}", rf"{notes}\end{{{float_}}}")
+        return f"% needs \\usepackage{{{packages}}}\n{text}"
 
-    def to_markdown(self, rows: int | None = None) -> str:
-        """Return a heading, the first `rows` rows as a table, and the notes."""
-        every = [[column.full for column in self.columns], *self.texts[:rows]]
+    def to_markdown(self, most: int = 60) -> str:
+        """Return a heading, the first `most` rows as a table, and the notes."""
+        every = [self.heads, *self.texts(most)]
         lines = [f"| {' | '.join(text.translate(MARKDOWN) for text in row)} |" for row in every]
         lines.insert(1, f"|{'|'.join(':--' if words else '--:' for words in self.is_text)}|")
         notes = "".join(f"\n{note.translate(MARKDOWN)}\n" for note in self.notes)
-        body = "\n".join(lines)
-        return f"### {self.title.translate(MARKDOWN)}\n\n{body}\n{notes}"
+        return f"### {self.title.translate(MARKDOWN)}\n\n" + "\n".join(lines) + f"\n{notes}"
 
-    def to_text(self, width: int = 100) -> str:
+    def to_text(self, width: int = 100, most: int = 100) -> str:
         """Return the table for a terminal of so many columns.
 
         Numbers are never cut: columns that do not fit follow in a further block behind the names.
         """
-        heads = [column.full for column in self.columns]
-        widths = [max(map(_width, texts)) for texts in zip(heads, *self.texts, strict=True)]
-        names = list(range(self.names))
-        while sum(widths[at] + 2 for at in names) > SHORTENED * width:
+        every, words = [self.heads, *self.texts(most)], self.is_text
+        widths = [max(map(_width, texts)) for texts in zip(*every, strict=True)]
+        names = list(range(max(1, sum(1 for _ in itertools.takewhile(bool, words)))))
+        while sum(widths[at] + 2 for at in names) > 0.6 * width:
             widest = max(names, key=lambda at: widths[at])
-            if widths[widest] <= LEAST_NAME:
+            if widths[widest] <= 12:  # a shorter name says nothing
                 break
             widths[widest] -= 1
         room, blocks = width - sum(widths[at] + 2 for at in names), [list[int]()]
-        for place in range(self.names, len(heads)):
-            widths[place] = min(widths[place], max(room, LEAST_NAME))
+        for place in range(len(names), len(widths)):
+            widths[place] = min(widths[place], max(room, 12))
             if blocks[-1] and sum(widths[at] + 2 for at in [*blocks[-1], place]) > room + 2:
                 blocks.append([])
             blocks[-1].append(place)
-        words, parts = self.is_text, []
-        for block in blocks:
-            chosen = [*names, *block]
-            rule = ["-" * widths[at] for at in range(len(heads))]
-            lines = (
-                "  ".join(_padded(row[at], widths[at], left=words[at]) for at in chosen).rstrip()
-                for row in (heads, rule, *self.texts)
+        every.insert(1, ["-" * size for size in widths])
+        parts = [
+            "\n".join(
+                "  ".join(_padded(row[at], widths[at], left=words[at]) for at in [*names, *block])
+                .rstrip() for row in every
             )
-            parts.append("\n".join(lines))
-        notes = [textwrap.fill(note, width) for note in self.remarks]
+            for block in blocks
+        ]  # fmt: skip
+        notes = [textwrap.fill(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, *parts, *notes]) + "\n"
 
     def _repr_html_(self) -> str:
-        texts = [column.full for column in self.columns]
-        return pd.DataFrame(self.texts, columns=texts).style.hide(axis="index").to_html()
-
-
-def _csv_cell(cell: Value, least: float) -> str:
-    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
-        return ""
-    if isinstance(cell, float):
-        return f"{round(cell, round(-math.log10(least))) + 0.0 if least else cell:.6g}"
-    text = str(cell)
-    is_formula = isinstance(cell, str) and text.startswith(("=", "+", "-", "@", "\t", "\r"))
-    return f"'{text}" if is_formula else text
+        shown = pd.DataFrame(self.texts(60), columns=self.heads)
+        return shown.style.hide(axis="index").to_html()
 
 
 def _tex(text: str) -> str:

@@ -1,34 +1,37 @@
-"""The tables of a study: measures of groups of cases, and a few layouts of one purpose.
+"""The tables of a study: measures of groups of cases.
 
-A table groups the frame of cases by columns (`rows`) and summarises measures over each group. An
-entry of [outputs] is the name of a shipped table, of a function of the study's script, or a mapping
-of the fields of `Entry`.
+Every table is one group-by: columns of the frame tell its rows apart, and each of its columns is a
+measure of the cases of a row, summarised. Layouts differ in the measures that they make: one per
+level of a factor (`protocols`), per limit (`profiles`), per status and truth (`status`), per
+parameter (`coverage`). An entry of [outputs] is the name of a shipped table, of a function of the
+study's script, or a mapping of the fields of `Entry`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, suggestion
 from sparsefit.study import solver_times
 from sparsefit.study.entries import (
     Entry,
     Options,
     Script,
+    check_columns,
     factor_words,
     grouped,
     level_text,
+    levels_of,
     read_entry,
-    sort_levels,
 )
 from sparsefit.study.measures import (
+    MEASURES,
     OFF,
     PARAMETERS,
     STATUSES,
@@ -48,10 +51,9 @@ from sparsefit.study.measures import (
     parameters,
     three,
 )
-from sparsefit.study.statistics import (
+from sparsefit.study.resampling import (
     EXCHANGES,
     RESAMPLES,
-    Difference,
     by_unit,
     difference,
     exchange_p,
@@ -60,17 +62,19 @@ from sparsefit.study.statistics import (
     pooled,
     wilson,
 )
-from sparsefit.study.table import Column, Table, Value, cell_text, plain
+from sparsefit.study.table import Column, Row, Table, Value
 
 ROWS = ("condition", "title")
-NOISE = "flights.measurement_noise"
-STEPS = (0.1, 1.0, 5.0, 20.0)  # percent: limits of an error profile, unless a study names its own
 SUMMARY = (
     "answered", "median mean-velocity-size", "median length-scale-size",
     "95th percentile largest-error", "silent-misses", "length-scale-coverage", "median seconds",
     "largest certificate",
 )  # fmt: skip
 PREDICTION = ("holdout-error", "support", "precision", "recall", "f1", "stability", "median wall")
+INTERVALS = (
+    f"From, to: 95 %, by {RESAMPLES} draws of whole flights; a share of single cases: Wilson's."
+)
+CLOCK = ("first-call", "peak-memory", "median repeats", "median-known", "disturbed", "cores")
 
 
 def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
@@ -79,10 +83,7 @@ def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
     Raises:
         InputError: for a column that the cases do not have.
     """
-    for name in rows:
-        if name not in cases:
-            raise InputError(f'rows: the cases have no column "{name}"'
-                             f"{suggestion(name, map(str, cases.columns))}")  # fmt: skip
+    check_columns(cases, rows, "rows")
     several = [name for name in rows if cases[name].nunique(dropna=False) > 1]
     return several or list(rows[-1:])
 
@@ -99,205 +100,178 @@ def column_of(each: Measure) -> Column:
     return Column(name, unit, format, group, each.least, each.varies)
 
 
-def settings(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return a row per group: planned, answered, and each measure, with its interval if asked."""
-    names = name_columns(cases, entry.rows or ROWS)
-    columns = [*map(Column, names), Column("n", format="d"), Column("ok", format="d"),
-               Column("failures", format="d")]  # fmt: skip
-    values = [each.values(cases) for each in entry.measures]
-    for each in entry.measures:
-        column = column_of(each)
-        columns.append(column)
-        if entry.interval:
-            columns.append(Column("95 %", column.unit, group=column.group or column.name))
-    ok, failed, rows = ended(cases, "ok"), ~answered(cases), []
+class Part(NamedTuple):
+    """A column of a table: the values (rows,) of all cases, and the measure that summarises them.
+
+    interval: whether `from` and `to`, of 95 % over flights, stand behind it.
+    """
+
+    column: Column
+    each: Measure
+    values: Array
+    interval: bool = False
+
+
+def _counted(name: str, mask: BoolArray, group: str = "") -> Part:
+    """Return the column of the number of cases where a mask (rows,) holds."""
+    column = Column(name, format="d", group=group)
+    return Part(column, replace(MEASURES["bounded"], name=name), mask.astype(float))
+
+
+def _counts(cases: pd.DataFrame) -> list[Part]:
+    """Return the columns of how many cases were planned, are ok and have no answer."""
+    every = np.ones(len(cases), dtype=bool)
+    return [_counted("n", every), _counted("ok", ended(cases, "ok")),
+            _counted("failures", ~answered(cases))]  # fmt: skip
+
+
+def summarised(
+    entry: Entry, cases: pd.DataFrame, title: str, parts: Sequence[Part], names: Sequence[str] = ()
+) -> Table:
+    """Return a row per group of cases and a column per part: the one group-by of all tables.
+
+    Args:
+        names: the columns that tell rows apart, by default what varies of those of the entry.
+    """
+    names = names or name_columns(cases, entry.rows or ROWS)
+    columns = [*map(Column, names)]
+    for part in parts:
+        columns.append(part.column)
+        group = f"{part.column.group} {part.column.name}".strip()
+        ends = ("from", "to") if part.interval else ()
+        columns += (replace(part.column, name=name, group=group) for name in ends)
+    rows: list[Row] = []
     for key, places in grouped(cases, names):
         cells: list[Value] = []
-        for each, numbers_ in zip(entry.measures, values, strict=True):
-            here = numbers_[places]
-            empty = np.isnan(here).all()
-            summary = math.nan if empty and each.summary != "number" else float(each.reduce(here))
-            cells.append(int(summary) if each.summary == "number" else summary)
-            if entry.interval:
-                cells.append(_between(each, here, cases["flight"].iloc[places]))
-        counts = (len(places), int(ok[places].sum()), int(failed[places].sum()))
-        rows.append((*map(level_text, key), *counts, *cells))
+        for part in parts:
+            here = part.values[places]
+            summary = part.each.summary_of(here)
+            cells.append(int(summary) if part.each.summary == "number" else summary)
+            if part.interval:
+                grid = by_unit(here, cases["flight"].iloc[places])
+                if part.each.summary == "share" and grid.shape[1] == 1:
+                    cells += wilson(float(np.nansum(here)), int((~np.isnan(here)).sum()))
+                else:
+                    cells += interval(pooled(part.each.reduce), grid)
+        rows.append((*map(level_text, key), *cells))
+    return Table(entry.title or title, tuple(columns), rows, entry.notes)
+
+
+def _noted(made: Table, *notes: str) -> Table:
+    return replace(made, notes=(*made.notes, *notes))
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."
+
+
+def settings(entry: Entry, cases: pd.DataFrame) -> Table:
+    """Return a row per group: planned, answered, and each measure, with its interval if asked."""
+    parts = [
+        Part(column_of(each), each, each.values(cases), entry.interval and each.summary != "number")
+        for each in entry.measures
+    ]
+    title = entry.name.replace("-", " ").capitalize() or "Measures"
+    made = summarised(entry, cases, title, [*_counts(cases), *parts])
     conventions = dict.fromkeys(
-        f"{each.phrase[:1].upper()}{each.phrase[1:]}: {each.convention}."
+        _sentence(f"{each.phrase}: {each.convention}")
         for each in entry.measures if each.miss is not None
     )  # fmt: skip
-    more = (f"95 %: bootstrap over flights, {RESAMPLES} draws.",) if entry.interval else ()
-    title = entry.title or entry.name.replace("-", " ").capitalize() or "Measures"
-    return Table(title, tuple(columns), rows, (*entry.notes, *conventions, *more), 60, len(names))
-
-
-def _between(each: Measure, values: Array, flights: pd.Series) -> str | None:
-    """Return the 95 % interval of a summary over flights, Wilson's where all or none is a share."""
-    column, grid = column_of(each), by_unit(values, flights)
-    if each.summary == "share" and grid.shape[1] == 1:
-        low, high = wilson(float(np.nansum(values)), int((~np.isnan(values)).sum()))
-    else:
-        low, high = interval(pooled(each.reduce), grid)
-    return None if math.isnan(low) else f"{cell_text(low, column)} to {cell_text(high, column)}"
+    return _noted(made, *conventions, *([INTERVALS] if entry.interval else []))
 
 
 def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group and a column per level of the factor `along`, of the first measure."""
-    along, each = entry.along or _only_factor(cases), entry.measures[0]
-    levels = sort_levels(cases, along)
-    names = name_columns(cases, entry.rows or _all_rows(cases, along))
-    values, failed, rows = each.values(cases), ~answered(cases), []
-    texts_ = np.array([level_text(plain(value)) for value in cases[along]], dtype=object)
-    for key, places in grouped(cases, names):
-        cells = [
-            float(each.reduce(values[places[texts_[places] == level]]))
-            if (texts_[places] == level).any() else None
-            for level in levels
-        ]  # fmt: skip
-        rows.append((*map(level_text, key), *cells, f"{failed[places].sum()}/{len(places)}"))
-    base, words = column_of(each), factor_words(along)
-    columns = (
-        *map(Column, names),
-        *(replace(base, name=level, group=words) for level in levels),
-        Column("failures"),
-    )
-    title = entry.title or f"{each.phrase[:1].upper()}{each.phrase[1:]} along {words}"
-    return Table(title, columns, rows, (*entry.notes, f"{each.convention.capitalize()}."), 60,
-                 len(names))  # fmt: skip
-
-
-def _only_factor(cases: pd.DataFrame) -> str:
-    swept = factors(cases)
-    if len(swept) != 1:
+    swept, each = factors(cases), entry.measures[0]
+    if not entry.along and len(swept) != 1:
         raise InputError(f"along = … names which factor: {', '.join(swept) or 'none is swept'}")
-    return swept[0]
-
-
-def _all_rows(cases: pd.DataFrame, along: str) -> list[str]:
-    """Return what tells cases apart beside one factor: protocol, back-end, setting and the rest."""
-    names = ["protocol", "backend", "label", "settings"] if "protocol" in cases else []
-    others = [name for name in factors(cases) if name != along]
-    varied = [name for name in [*names, *others] if cases[name].nunique() > 1]
-    return varied or ["title"]
+    along = entry.along or swept[0]
+    others = ["protocol", "backend", "label", "settings"] if "protocol" in cases else []
+    others += [name for name in swept if name != along]
+    rows = entry.rows or [name for name in others if cases[name].nunique() > 1] or ["title"]
+    words, levels, values = factor_words(along), levels_of(cases, along), each.values(cases)
+    parts = [
+        Part(replace(column_of(each), name=level, group=words), each,
+             only((levels == level).to_numpy(), values))
+        for level in levels.cat.categories
+    ]  # fmt: skip
+    title = f"{_sentence(each.phrase)[:-1]} along {words}"
+    made = summarised(entry, cases, title, [*_counts(cases), *parts], name_columns(cases, rows))
+    return _noted(made, _sentence(each.convention))
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return how cases ended against what was true: within 5 %, off, no flow, nobody knows."""
-    names = name_columns(cases, entry.rows or ROWS)
-    if "est_mean_velocity" in cases:
-        truth = np.where(off(cases), "off", f"≤ {OFF:g} %").astype(object)
+    near, truth = f"≤ {OFF:g} %", np.full(len(cases), "all", dtype=object)
+    judged = "est_mean_velocity" in cases
+    if judged:
+        truth[in_flow(cases)] = np.where(off(cases), "off", near)[in_flow(cases)]
         truth[in_still_air(cases)] = "no flow"
-        truth[~in_flow(cases) & ~in_still_air(cases)] = ""
-    else:
-        truth = np.full(len(cases), "", dtype=object)
-    ends = cases["status"].to_numpy(dtype=object)
-    truth[~np.isin(ends, STATUSES[:4])] = ""
-    order = [
-        (name, fact)
-        for name in STATUSES for fact in (f"≤ {OFF:g} %", "off", "no flow", "")
-        if ((ends == name) & (truth == fact)).any()
-    ]  # fmt: skip
-    rows: list[tuple[Value, ...]] = [
-        (*map(level_text, key), len(places), *(
-            int(((ends[places] == name) & (truth[places] == fact)).sum()) for name, fact in order
-        ))
-        for key, places in grouped(cases, names)
-    ]  # fmt: skip
-    columns = (
-        *map(Column, names),
-        Column("n", format="d"),
-        *(Column(fact or "all", format="d", group=name) for name, fact in order),
-    )
+        truth[~ended(cases, *STATUSES[:4])] = "all"
+    parts = [_counts(cases)[0]]
+    for name in STATUSES:
+        for fact in (near, "off", "no flow", "all"):
+            both = ended(cases, name) & (truth == fact)
+            parts += [_counted(fact, both, name)] if both.any() else []
     note = (
         f"Off: U0, L_w or τ_w misses the truth by more than {OFF:g} %, or there is no number. "
         "Ok and off is a silent miss; ok without a flow a false alarm; unidentifiable and off was "
         "deserved."
     )
-    return Table(entry.title or "How cases ended, and what was true", columns, rows,
-                 (*entry.notes, *([note] if "est_mean_velocity" in cases else [])), 60,
-                 len(names))  # fmt: skip
+    made = summarised(entry, cases, "How cases ended, and what was true", parts)
+    return _noted(made, note) if judged else made
 
 
 def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of 95 % intervals that hold the truth, a row per group and parameter."""
-    names = name_columns(cases, entry.rows or ROWS)
-    shares = [measure(name) for name in three("coverage")]
-    halves = [measure(name) for name in three("half-width")]
-    covered, wide = ([each.values(cases) for each in kind] for kind in (shares, halves))
-    ok, rows = ended(cases, "ok"), list[tuple[Value, ...]]()
-    for key, places in grouped(cases, names):
-        for place, symbol in enumerate(SYMBOLS.values()):
-            here = covered[place][places]
-            count = int((~np.isnan(here)).sum())
-            if count:
-                part = float(np.nansum(here))
-                rows.append((
-                    *map(level_text, key), symbol, len(places), int(ok[places].sum()), count,
-                    100.0 * part / count, *wilson(part, count),
-                    float(halves[place].reduce(wide[place][places])),
-                ))  # fmt: skip
-    columns = (
-        *map(Column, [*names, "parameter"]),
-        *(Column(name, format="d") for name in ("n", "ok", "with interval")),
-        *(Column(name, "%", ".1f") for name in ("coverage", "from", "to")),
-        Column("half-width", "%"),
+    share, width = (MEASURES[name] for name in ("timescale-coverage", "timescale-half-width"))
+    covered, halves = (
+        np.column_stack([MEASURES[name].values(cases) for name in three(kind)]).ravel()
+        for kind in ("coverage", "half-width")
     )
+    names = [*name_columns(cases, entry.rows or ROWS), "parameter"]
+    each = cases.iloc[np.repeat(np.arange(len(cases)), 3)]
+    each = each.assign(parameter=np.tile(list(SYMBOLS.values()), len(cases)))
+    parts = [
+        *_counts(each)[:2], _counted("with interval", ~np.isnan(covered)),
+        Part(Column("coverage", "%", ".1f"), share, covered, interval=True),
+        Part(Column("half-width", "%"), width, halves),
+    ]  # fmt: skip
+    made = summarised(entry, each, "Coverage of the 95 % intervals", parts, names)
+    at = len(names) + 2
     note = (
-        "Share of the flights called ok whose 95 % interval holds the truth, with its 95 % Wilson "
-        "interval. Half-width: median, in percent of the estimate."
+        "Share of the flights called ok whose 95 % interval holds the truth, with its own 95 % "
+        "interval over flights. Half-width: median, in percent of the estimate."
     )
-    return Table(entry.title or "Coverage of the 95 % intervals", columns, rows,
-                 (*entry.notes, note), 90, len(names) + 1)  # fmt: skip
+    return _noted(replace(made, rows=[row for row in made.rows if row[at]]), note)
 
 
 def single(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return truth, estimate and percentage error of every case."""
-    names = name_columns(cases, entry.rows or ("flight", *ROWS))
-    percent = np.column_stack([measure(name).values(cases) for name in three("signed-error")])
-    true, estimate = parameters(cases, "true"), parameters(cases, "est")
-    rows: list[tuple[Value, ...]] = []
-    for key, places in grouped(cases, names):
-        words = list(map(level_text, key))
-        rows += [
-            (*words, *true[at].tolist(), *estimate[at].tolist(), *percent[at].tolist(),
-             str(cases["status"].iloc[at]))
-            for at in places
-        ]  # fmt: skip
-    columns = (
-        *map(Column, names),
-        *(Column(SYMBOLS[name], UNITS[name], ".4g", group)
-          for group in ("true", "estimated") for name in PARAMETERS),
-        *(Column(SYMBOLS[name], "%", "+.2f", "error") for name in PARAMETERS),
-        Column("status"),
-    )  # fmt: skip
-    return Table(entry.title or "True and estimated flow parameters", columns, rows, entry.notes,
-                 60, len(names))  # fmt: skip
+    """Return status, truth, estimate and percentage error of every case."""
+    values = {"true": parameters(cases, "true"), "estimated": parameters(cases, "est")}
+    parts = [
+        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), MEASURES["seconds"], every[:, at])
+        for group, every in values.items() for at, name in enumerate(PARAMETERS)
+    ]  # fmt: skip
+    for name, each in zip(PARAMETERS, map(measure, three("signed-error")), strict=True):
+        column = Column(SYMBOLS[name], "%", "+.2f", "error")
+        parts.append(Part(column, each, each.values(cases)))
+    names = [*name_columns(cases, entry.rows or ("flight", *ROWS)), "status"]
+    return summarised(entry, cases, "True and estimated flow parameters", parts, names)
 
 
 def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of planned cases within each limit; a failure is within none."""
-    names, each = name_columns(cases, entry.rows or ROWS), entry.measures[0]
-    values = np.abs(each.read(cases))
-    within = {limit: only(in_flow(cases), values <= limit) for limit in entry.limits or STEPS}
-    rows: list[tuple[Value, ...]] = [
-        (*map(level_text, key), len(places), *(
-            cell for inside in within.values() for cell in _share_cells(inside[places])
-        ))
-        for key, places in grouped(cases, names)
+    each, share = entry.measures[0], MEASURES["answered"]
+    sizes, flown = np.abs(each.read(cases)), in_flow(cases)
+    parts = [
+        Part(Column(f"≤ {limit:g} {each.unit}".strip(), "%", ".1f"), share,
+             only(flown, sizes <= limit), interval=True)
+        for limit in entry.limits or (0.1, 1.0, 5.0, 20.0)
     ]  # fmt: skip
-    columns = [*map(Column, names), Column("n", format="d")]
-    for limit in within:
-        head = f"≤ {limit:g} {each.unit}".strip()
-        columns += [Column(head, "%", ".1f"), Column("95 %", group=head)]
-    title = entry.title or f"Share of cases within so much: {each.words}"
-    return Table(title, tuple(columns), rows, (*entry.notes, "Failures are within no limit; 95 %: "
-                 "Wilson's interval."), 60, len(names))  # fmt: skip
-
-
-def _share_cells(held: Array) -> tuple[Value, Value]:
-    whole, part = int((~np.isnan(held)).sum()), float(np.nansum(held))
-    low, high = wilson(part, whole)
-    return (100.0 * part / whole, f"{low:.1f} to {high:.1f}") if whole else (None, None)
+    title = f"Share of cases within so much: {each.words}"
+    made = summarised(entry, cases, title, [_counts(cases)[0], *parts])
+    return _noted(made, "Failures are within no limit.", INTERVALS)
 
 
 def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -306,46 +280,36 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
     A name is a value of one column: a protocol, a title, a back-end, a label or a level; without
     any contrast each title stands against the first.
     """
-    pairs = entry.contrasts or _against_first(cases)
-    made: list[tuple[str, str, str, str, int, list[float], Difference]] = []
-    tests: list[float] = []
-    for first, second in pairs:
+    titles = [str(title) for title in cases["title"].unique()]
+    rows, tests = list[list[Value]](), list[float]()
+    for first, second in entry.contrasts or [(title, titles[0]) for title in titles[1:]]:
         sides = sides_of(cases, first, second)
         shared = pd.Index(sides[0]["flight"].unique()).intersection(sides[1]["flight"].unique())
         for each in entry.measures:
-            grids = [
-                by_unit(each.values(side), side["flight"], shared)
-                for side in (part[part["flight"].isin(shared)] for part in sides)
-            ]
             statistic = pooled(each.reduce)
+            grids = [by_unit(each.values(side), side["flight"], shared) for side in sides]
             apart = difference(statistic, *grids)
             tests.append(exchange_p(statistic, *grids))
             better = first if (apart.effect > 0) == each.more else second
-            pair = [float(statistic(grid)) for grid in grids]
-            made.append((each.phrase, first, second, better, len(shared), pair, apart))
+            verdict = "tie" if apart.tie else f"{better} is better"
+            summaries = [float(statistic(grid)) for grid in grids]
+            rows.append([each.phrase, first, second, verdict, len(shared), *summaries,
+                         apart.effect, apart.low, apart.high])  # fmt: skip
+    for row, p, adjusted in zip(rows, tests, holm(tests), strict=True):
+        row[3] = row[3] if adjusted <= 0.05 else "tie"
+        row += [p, adjusted]
     columns = (
         *map(Column, ("measure", "first", "second", "verdict")), Column("flights", format="d"),
         *(Column(name, group="summary") for name in ("first", "second")), Column("effect"),
-        Column("from", group="95 %"), Column("to", group="95 %"), Column("p", format=".4f"),
-        Column("p (Holm)", format=".4f"),
+        *(Column(name, group="95 %") for name in ("from", "to")),
+        *(Column(name, format=".4f") for name in ("p", "p (Holm)")),
     )  # fmt: skip
-    rows: list[tuple[Value, ...]] = [
-        (phrase, first, second,
-         "tie" if apart.tie or not adjusted <= 0.05 else f"{better} is better",
-         count, *pair, apart.effect, apart.low, apart.high, p, adjusted)
-        for (phrase, first, second, better, count, pair, apart), p, adjusted
-        in zip(made, tests, holm(tests), strict=True)
-    ]  # fmt: skip
     note = (
         f"Paired by flight, first minus second. 95 %: bootstrap over flights ({RESAMPLES}); "
         f"p by {EXCHANGES} exchanges within flights, adjusted for this table by Holm's rule."
     )
-    return Table(entry.title or "Contrasts", columns, rows, (*entry.notes, note), 60, 3)
-
-
-def _against_first(cases: pd.DataFrame) -> list[tuple[str, str]]:
-    titles = [str(title) for title in cases["title"].unique()]
-    return [(title, titles[0]) for title in titles[1:]]
+    return Table(entry.title or "Contrasts", columns, [tuple(row) for row in rows],
+                 (*entry.notes, note))  # fmt: skip
 
 
 def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
@@ -356,16 +320,15 @@ def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
     """
     columns = ("protocol", "world", "reading", "condition", "title", "backend", "label", "solver")
     values: set[str] = set()
-    for name in (*columns, *factors(cases)):
-        if name in cases:
-            levels = cases[name].map(lambda value: level_text(plain(value)))
-            values |= set(levels)
-            if set(pair) <= set(levels):
-                return [cases[levels == value] for value in pair]
-    missing = next((value for value in pair if value not in values), None)
-    if missing is None:
-        raise InputError(f'contrasts: "{pair[0]}" and "{pair[1]}" are of no one kind')
-    raise InputError(f'contrasts: "{missing}" is unknown{suggestion(missing, values)}')
+    for name in (*(name for name in columns if name in cases), *factors(cases)):
+        levels = levels_of(cases, name)
+        values |= set(levels.cat.categories)
+        if set(pair) <= set(levels.cat.categories):
+            return [cases[levels == value] for value in pair]
+    missing = [value for value in pair if value not in values]
+    if missing:
+        raise InputError(f'contrasts: "{missing[0]}" is unknown{suggestion(missing[0], values)}')
+    raise InputError(f'contrasts: "{pair[0]}" and "{pair[1]}" are of no one kind')
 
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
@@ -379,8 +342,8 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "solvers": lambda entry, cases: solver_times.summary(cases),
     "winners": lambda entry, cases: solver_times.winners(cases),
     "failed": lambda entry, cases: solver_times.failures(cases),
-    "clock": lambda entry, cases: solver_times.clock(cases),
 }
+MEASURED = {name: name in ("settings", "protocols", "profiles", "contrasts") for name in LAYOUTS}
 FAILED = "Errors are over the cases with an estimate; failures are counted beside them."
 NAMED: Mapping[str, Options] = {
     "solvers": {"compare": "solvers"},
@@ -401,7 +364,8 @@ NAMED: Mapping[str, Options] = {
         "measure": (*three("deviation"), *three("signed-error"), "hits"),
         "notes": (FAILED, "Errors of opposite sign cancel."),
     },
-    "methods": {"compare": "protocols", "measure": ("timescale-error",), "along": NOISE},
+    "methods": {"compare": "protocols", "measure": ("timescale-error",),
+                "along": "flights.measurement_noise"},
     "efficiency": {
         "title": "Errors against the Cramér-Rao bound",
         "measure": ("bounded", *three("bounded-error"), *three("bound"), *three("efficiency")),
@@ -420,7 +384,11 @@ NAMED: Mapping[str, Options] = {
         "measure": ("median seconds", "95th percentile seconds", "largest certificate"),
     },
     "failed": {"compare": "failed"},
-    "clock": {"compare": "clock"},
+    "clock": {
+        "title": "The clock", "measure": CLOCK, "rows": ("solver",),
+        "notes": ("First call: imports and compilation, in no other time. CPU / wall above 1: "
+                  "threads.",),
+    },
 }  # fmt: skip
 
 
@@ -450,51 +418,40 @@ def table(study: Any, entry: str | Options) -> Table:
     Raises:
         InputError: for what is unknown, or of which the cases have nothing.
     """
-    return _named_table(study, entry, study.cases, Script.of(study))[1]
+    (made,) = tables(study, study.cases, [entry]).values()
+    return made
 
 
-def _named_table(
-    study: Any, entry: str | Options, cases: pd.DataFrame, script: Script
-) -> tuple[str, Table]:
-    """Return a table and the name of its file."""
-    if isinstance(entry, str) and entry in script.functions:
-        made = script.call(entry, study, cases)
-        if isinstance(made, Table):
-            return entry, made
-        if not isinstance(made, pd.DataFrame):
-            raise InputError(f"{script.path}: {entry}(cases) returned no DataFrame and no Table")
-        title = str(made.attrs.get("title", entry.replace("_", " ").capitalize()))
-        return entry, Table.of(made, title, made.attrs.get("notes", ()))
-    read = read_entry(entry, NAMED, LAYOUTS, "table", script)
-    result = LAYOUTS[read.compare or "settings"](read, cases)
-    reference = study.definition.outputs.reference
-    if reference is not None:
-        result = _with_reference(result, read, reference)
-    return read.file_name, result
+def tables(
+    study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
+) -> dict[str, Table]:
+    """Return tables by file name: these, or those that the study asks for, or all that fit."""
+    script, outputs = Script(study), study.definition.outputs
+    every: dict[str, Table] = {}
+    for entry in names or outputs.tables or fitting(cases):
+        if isinstance(entry, str) and entry in script.functions:
+            made = script.call(entry, cases, (pd.DataFrame, Table))
+            made = made if isinstance(made, Table) else Table.of(made)
+            title = made.title or entry.replace("_", " ").capitalize()
+            every[entry] = replace(made, title=title)
+            continue
+        read = read_entry(entry, NAMED, MEASURED, "table", script)
+        made = LAYOUTS[read.compare or "settings"](read, cases)
+        reference = outputs.reference
+        if reference is not None and not read.compare and not read.interval:
+            printed = [printed_value(reference, each) for each in read.measures]
+            if any(value is not None for value in printed):
+                blank = [None] * (len(made.columns) - len(printed) - 4)
+                row = (reference.name, *blank, reference.flights, None, None, *printed)
+                made = replace(made, rows=[row, *made.rows])
+        every[read.file_name] = made
+    return {name: made for name, made in every.items() if made.rows or names}
 
 
 def printed_value(reference: Any, each: Measure) -> float | None:
     """Return what a reference prints of a measure, None where it prints nothing."""
     kinds = {"deviation": reference.deviation, "signed-error": reference.signed_error}
-    for place, name in enumerate(PARAMETERS):
-        for kind, values in kinds.items():
-            if values and each.name == f"{name.replace('_', '-')}-{kind}":
-                return float(values[place])
+    for kind, values in kinds.items():
+        if values and each.name in three(kind):
+            return float(values[three(kind).index(each.name)])
     return None
-
-
-def _with_reference(made: Table, entry: Entry, reference: Any) -> Table:
-    """Return a table with the printed numbers of a reference as its first row, if it has them."""
-    printed = [printed_value(reference, each) for each in entry.measures]
-    if entry.compare or entry.interval or all(value is None for value in printed):
-        return made
-    first = (reference.name, *[None] * (made.names - 1), reference.flights, None, None, *printed)
-    return replace(made, rows=[first, *made.rows])
-
-
-def tables(study: Any, cases: pd.DataFrame, names: Sequence[str] = ()) -> dict[str, Table]:
-    """Return tables by file name: these, or those that the study asks for, or all that fit."""
-    script = Script.of(study)
-    entries = names or study.definition.outputs.tables or fitting(cases)
-    every = [_named_table(study, entry, cases, script) for entry in entries]
-    return {name: made for name, made in every if made.rows or names}

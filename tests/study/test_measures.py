@@ -108,8 +108,6 @@ def test_several_scales():
             case(2, None, status="timeout", true_scales=listed)]  # fmt: skip
     assert told("scales-found", *rows) == pytest.approx(100 / 3)
     assert told("unseen", *rows) == 1
-    values = [told(name, rows[0]) for name in ("cells", "scale-ratio", "velocity-ratio")]
-    assert values == pytest.approx([10.0, 2.0, 0.2])
 
 
 @pytest.mark.parametrize("words", ["timescale-eror", "men timescale-error", "mean", ""])

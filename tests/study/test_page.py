@@ -127,8 +127,9 @@ class TestComparison:
             return frame(*(solve(f"p{n}", "ours", factor * 0.1 * (n + 1)) for n in range(6)))
 
         made = compare(timed(1.0), timed(1.5), ("a", "b"))
-        assert made.tables["effects"].rows[0][2] == "slower"
-        assert made.tables["effects"].rows[0][5] == pytest.approx(1.5)
+        effect = made.tables["effects"].frame.iloc[0]
+        assert effect["verdict"] == "worse"
+        assert effect["time, second / first effect"] == pytest.approx(1.5)
         assert made.worse
         assert not made.differs  # no time is like another
         with pytest.raises(InputError, match="differ in points"):

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from sparsefit.study import statistics
-from sparsefit.study.statistics import (
+from sparsefit.study import resampling
+from sparsefit.study.resampling import (
     QUANTILES,
     SUMMARIES,
     TINY,
@@ -23,7 +23,6 @@ from sparsefit.study.statistics import (
     quantile,
     ratio,
     resampled,
-    shifted_mean,
     wilson,
 )
 
@@ -76,7 +75,7 @@ def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
 
 def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
     whole = resampled(lambda at: at.sum(axis=1), 7, resamples=50)
-    monkeypatch.setattr(statistics, "CHUNK", 21)
+    monkeypatch.setattr(resampling, "CHUNK", 21)
     assert np.array_equal(resampled(lambda at: at.sum(axis=1), 7, resamples=50), whole)
 
 
@@ -130,10 +129,7 @@ def test_probability_to_be_the_best_and_holm_by_hand():
     assert holm([]) == []
 
 
-def test_shifted_means_and_ratios_by_hand():
-    seconds = np.array([[1.0, 4.0], [4.0, np.inf]])
-    assert shifted_mean(seconds, 0.0, 16.0) == pytest.approx([2.0, 8.0])
-    assert shifted_mean(seconds, 1.0, 16.0)[0] == pytest.approx(math.sqrt(10.0) - 1.0)
+def test_ratios_by_hand():
     middle, low, high = ratio(np.array([2.0, 8.0, np.inf]), np.ones(3))
     assert middle == pytest.approx(4.0)
     assert math.isnan(low)

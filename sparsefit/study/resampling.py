@@ -20,12 +20,10 @@ import pandas as pd
 from sparsefit.arrays import Array, IntArray
 
 Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
-RESAMPLES, EXCHANGES, SEED = 2000, 4999, 0
+RESAMPLES, EXCHANGES = 2000, 4999
 CHUNK = 4_000_000  # numbers drawn at once, by the memory that they take
-FEWEST = 5  # problems below which the interval of a ratio says nothing
 ROUNDING = 1e-9  # of the larger of two numbers: no difference
 TINY = 1e-6  # percent: a smaller error is quadrature and rounding
-NORMAL_95 = 1.959963984540054
 QUANTILES = {
     "median": 0.5,
     "first quartile": 0.25,
@@ -58,7 +56,7 @@ def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
     """Return the quantile (...,) of (..., n) numbers that are not NaN; infinity is the largest.
 
     Linear between observations (Hyndman and Fan's definition 7), or `observed`, the least value
-    that so large a share does not exceed (definition 1): nothing lies halfway to a failure.
+    that so large a share does not exceed (definition 1): there is no value halfway to a failure.
     """
     ordered = np.sort(values, axis=-1)  # NaN comes last
     count = (~np.isnan(ordered)).sum(axis=-1)
@@ -69,7 +67,7 @@ def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
     first, second = (
         np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (low, high)
     )
-    exact = (first == second) | (place == low)  # two infinities have nothing between them
+    exact = (first == second) | (place == low)  # two infinities have no number between them
     start, end = np.where(exact, 0.0, first), np.where(exact, 0.0, second)
     between: Array = start + (place - low) * (end - start)
     return np.where(count > 0, np.where(exact, first, between), np.nan)
@@ -80,12 +78,14 @@ def by_unit(values: Array, units: pd.Series, order: pd.Index | None = None) -> A
 
     Args:
         units: (rows,) the unit of each case.
-        order: the units of the grid's rows, where several grids are to be paired.
+        order: the units of the grid's rows, where several grids are to be paired; others are left
+            out.
     """
     rows = pd.Index(units.unique()) if order is None else order
+    place = rows.get_indexer(pd.Index(units))
     within = units.groupby(units, sort=False).cumcount().to_numpy()
     grid = np.full((len(rows), int(within.max(initial=-1)) + 1), np.nan)
-    grid[rows.get_indexer(pd.Index(units)), within] = values
+    grid[place[place >= 0], within[place >= 0]] = values[place >= 0]
     return grid
 
 
@@ -94,7 +94,7 @@ def pooled(reduce: Statistic) -> Statistic:
     return lambda grid: reduce(grid.reshape(*grid.shape[:-2], -1))
 
 
-def resampled(statistic: Callable[[IntArray], Array], units: int, width: int = 1, seed: int = SEED,
+def resampled(statistic: Callable[[IntArray], Array], units: int, width: int = 1, seed: int = 0,
               resamples: int = RESAMPLES) -> Array:  # fmt: skip
     """Return a statistic (resamples,) of units drawn with replacement, as many as there are.
 
@@ -122,12 +122,12 @@ def interval(statistic: Statistic, grid: Array) -> tuple[float, float]:
 
 
 def wilson(part: float, whole: int) -> tuple[float, float]:
-    """Return the Wilson score interval [%] of a share of `whole` units; NaN of none."""
+    """Return the 95 % Wilson score interval [%] of a share of `whole` units; NaN of none."""
     if not whole:
         return math.nan, math.nan
-    p, z2 = part / whole, NORMAL_95**2
+    p, z2 = part / whole, 1.959963984540054**2
     middle = (p + z2 / (2 * whole)) / (1 + z2 / whole)
-    half = NORMAL_95 / (1 + z2 / whole) * math.sqrt(p * (1 - p) / whole + z2 / (4 * whole**2))
+    half = math.sqrt(z2 * (p * (1 - p) / whole + z2 / (4 * whole**2))) / (1 + z2 / whole)
     return 100.0 * max(middle - half, 0.0), 100.0 * min(middle + half, 1.0)
 
 
@@ -163,12 +163,16 @@ class Difference:
         return max(1.0, math.ceil(self.units * ((half / self.effect) ** 2 - 1.0)))
 
 
-def difference(statistic: Statistic, first: Array, second: Array) -> Difference:
-    """Return statistic(first) - statistic(second) of two grids (units, ...) of one order of units.
+def _of_one_width(*grids: Array) -> list[Array]:
+    """Return grids (units, n) of the width of the widest, NaN where a unit has no case."""
+    width = max(grid.shape[-1] for grid in grids)
+    pads = [((0, 0), (0, width - grid.shape[-1])) for grid in grids]
+    return [np.pad(*pair, constant_values=np.nan) for pair in zip(grids, pads, strict=True)]
 
-    Their last axes may differ in length.
-    """
-    first, second = _alike(first, second)
+
+def difference(statistic: Statistic, first: Array, second: Array) -> Difference:
+    """Return statistic(first) - statistic(second) of two grids (units, n) of one order of units."""
+    first, second = _of_one_width(first, second)
     effect = float(statistic(first) - statistic(second))
     identical = bool(np.allclose(first, second, rtol=ROUNDING, atol=0.0, equal_nan=True))
     if len(first) < 2:
@@ -181,26 +185,17 @@ def difference(statistic: Statistic, first: Array, second: Array) -> Difference:
 
 def exchange_p(statistic: Statistic, first: Array, second: Array) -> float:
     """Return the p-value of |difference| under exchanges of two grids (units, n) within units."""
-    first, second = _alike(first, second)
+    first, second = _of_one_width(first, second)
     seen = abs(float(statistic(first) - statistic(second))) if first.size else math.nan
     if math.isnan(seen):
         return math.nan
-    rng, reached = np.random.default_rng(SEED), 0
+    rng, reached = np.random.default_rng(0), 0
     each = max(1, CHUNK // first.size)
     for start in range(0, EXCHANGES, each):
         swap = rng.random((min(each, EXCHANGES - start), len(first), 1)) < 0.5
         apart = statistic(np.where(swap, second, first)) - statistic(np.where(swap, first, second))
         reached += int((np.abs(apart) >= seen * (1.0 - ROUNDING)).sum())
     return (reached + 1) / (EXCHANGES + 1)
-
-
-def _alike(*grids: Array) -> list[Array]:
-    """Return grids of the width of the widest: a unit without a case has NaN there."""
-    width = max(grid.shape[-1] for grid in grids)
-    pads = [[(0, 0)] * (grid.ndim - 1) + [(0, width - grid.shape[-1])] for grid in grids]
-    return [
-        np.pad(grid, pad, constant_values=np.nan) for grid, pad in zip(grids, pads, strict=True)
-    ]
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -224,24 +219,14 @@ def best_probabilities(losses: Array) -> Array:
     return np.asarray((is_least / is_least.sum(axis=0)).mean(axis=1))
 
 
-def shifted_mean(seconds: Array, shift: float, limit: float) -> Array:
-    """Return the shifted geometric mean over problems of seconds (problems, solvers), (solvers,).
-
-    exp(mean(log(t + shift))) - shift, where an unsolved problem (infinite) counts as the limit.
-    """
-    charged = np.minimum(seconds, limit)
-    found: Array = np.exp(np.log(charged + shift).mean(axis=0)) - shift
-    return found
-
-
 def ratio(numerator: Array, denominator: Array) -> tuple[float, float, float]:
     """Return the geometric mean of paired ratios (n,) and its 95 % interval over the pairs.
 
-    Pairs with a value that is not finite are left out; the interval of fewer than `FEWEST` is NaN.
+    Pairs with a value that is not finite are left out; the interval of fewer than five is NaN.
     """
     logs = np.log(numerator) - np.log(denominator)
     logs = logs[np.isfinite(logs)]
     if not len(logs):
         return math.nan, math.nan, math.nan
-    low, high = interval(pooled(mean), logs[:, None]) if len(logs) >= FEWEST else (math.nan,) * 2
+    low, high = interval(pooled(mean), logs[:, None]) if len(logs) >= 5 else (math.nan, math.nan)
     return math.exp(logs.mean()), math.exp(low), math.exp(high)
