@@ -64,8 +64,8 @@ def add(verbs: Verbs) -> None:
 def run(args: argparse.Namespace) -> int:
     """Choose, write, and show the evidence; 1 where no candidate keeps the constraints."""
     check_output(args.output, force=args.force)
+    from sparsefit.study.choice import select
     from sparsefit.study.evidence import lines, provenance, write_selection
-    from sparsefit.study.selection import select
     from sparsefit.whole_file import write_whole
 
     study = read_study(args)
@@ -116,7 +116,7 @@ def _rule_names() -> list[str]:
 
 def _check(study: Study, selection: Selection, args: argparse.Namespace) -> Check | None:
     """The contenders on flights of fresh seeds; cases that are there are not run again."""
-    from sparsefit.study.selection import check
+    from sparsefit.study.choice import check
 
     if selection.chosen is None or not selection.rule.check or study.kind != "flights":
         return None

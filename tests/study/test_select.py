@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 
 from sparsefit.errors import InputError
+from sparsefit.study.choice import check, select
 from sparsefit.study.evidence import lines, provenance, write_selection
 from sparsefit.study.latency import Latency
 from sparsefit.study.measures import measure
-from sparsefit.study.selection import check, select
 from tests.study.frames import case, frame, select_rule, study
 
 FLIGHTS = 12
