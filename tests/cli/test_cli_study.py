@@ -10,7 +10,7 @@ import pytest
 from sparsefit.cli import main
 from sparsefit.cli.terminal import Progress
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.study import page, study
+from sparsefit.study import evidence, study
 from sparsefit.study.export import read_cases
 from sparsefit.study.latency import Latency
 from sparsefit.study.study import Study
@@ -275,7 +275,7 @@ def test_select_times_what_keeps_the_constraints_once(capsys, finished, monkeypa
         return dict.fromkeys(trials, Latency(0.25, 0.5, 90.0, flights))
 
     monkeypatch.setattr(study, "measure", measure)
-    monkeypatch.setattr(page, "write_selection", lambda *_, **__: [Path("evidence.md")])
+    monkeypatch.setattr(evidence, "write_selection", lambda *_, **__: [Path("evidence.md")])
     options = ("--max-failure", "0", "--latency-flights", "7", "--json")
     _, out, _ = run(capsys, "select", finished, *options)
     assert asked == [(json.loads(out)["eligible"], 7)]
