@@ -14,19 +14,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from sparsefit.arrays import Array, box
 from sparsefit.cached import cached_property
-from sparsefit.model.columns import across, sines_and_cosines
+from sparsefit.model.columns import sines_and_cosines
 from sparsefit.model.shapes import Shape
 
 RANK = 1e-12  # eigenvalues of a scaled Gram matrix below this, relative, are dropped
 ITERATIONS, HALVINGS = 25, 5  # of a descent, and of one of its moves
 LONGEST = 0.5  # of a move, in pi over the extent and over the duration
 END, SLIGHT = 1e-3, 1e-5  # of moves, in these units, and of RSS: where a descent ends
+CAUGHT = 0.05  # of moves in pieces: the whole goes on from there
 SEEN = 3  # of the last falls of RSS, by which a descent is judged
 
 
@@ -45,6 +45,27 @@ class FlowRows:
     target: Array
     unknowns: Array
     weight: Array | None = None
+
+    def cut(self, pieces: int) -> tuple[Array, Array, Array]:
+        """The target (s, n, 2), x, y and t (3, s, n), and weights (s, n) of s pieces of n rows.
+
+        Rows that fill the last piece have weight 0; of pieces the target is `rest`.
+        """
+        if pieces not in self._cuts:
+            count = -(-len(self.target) // pieces)
+            filled = (0, pieces * count - len(self.target))
+            own = np.ones(len(self.target)) if self.weight is None else self.weight
+            target = self.target if pieces == 1 else self.rest
+            self._cuts[pieces] = (
+                np.pad(target, (filled, (0, 0))).reshape(pieces, count, 2),
+                np.pad(self.place.T, ((0, 0), filled)).reshape(3, pieces, count),
+                np.pad(own, filled).reshape(pieces, count),
+            )
+        return self._cuts[pieces]
+
+    @cached_property
+    def _cuts(self) -> dict[int, tuple[Array, Array, Array]]:
+        return {}
 
     @cached_property
     def square(self) -> float:
@@ -104,60 +125,84 @@ class ShapeFit:
 
 
 def orthonormal(gram: Array, sizes: Array | None = None) -> Array:
-    """Weights (k, rank) of orthonormal columns, from the Gram matrix (k, k) less its null space.
+    """Weights (..., k, k) of orthonormal columns from Gram matrices, zero along null spaces.
 
     sizes (k,): squares beside which a diagonal entry may be rounding; None: the diagonal itself.
     """
-    if not len(gram):
-        return np.zeros((0, 0))
-    own = gram.diagonal()
+    if not gram.size:
+        return gram
+    own = np.diagonal(gram, axis1=-2, axis2=-1)
     scale = np.sqrt(np.where(own > (0.0 if sizes is None else RANK * sizes), own, np.inf))
-    roots, vectors = np.linalg.eigh(gram / (scale[:, None] * scale))
-    rank = roots > RANK * max(roots[-1], RANK)
-    basis: Array = vectors[:, rank] / np.sqrt(roots[rank]) / scale[:, None]
+    roots, vectors = np.linalg.eigh(gram / (scale[..., :, None] * scale[..., None, :]))
+    least = RANK * np.maximum(roots[..., -1:], RANK)
+    inverse = np.where(roots > least, 1.0 / np.sqrt(np.maximum(roots, least)), 0.0)
+    basis: Array = vectors * inverse[..., None, :] / scale[..., :, None]
     return basis
 
 
 def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
-    """Fit the rows by a shape at parameters q (p,); of pieces what is unknown is left out."""
+    """Fit the rows by a shape at parameters q (p,); of pieces what is unknown is left out.
+
+    A column is a vector, (k_y, -k_x), times one of g = (-sin theta, cos theta); the derivatives of
+    the flow by q are vectors times g and g x, g y, g t. So all inner products are those of these
+    functions of a row, times products of vectors; pieces of n rows are a stack of them.
+    """
     phases, by_q = shape.phases(q)
-    clock = np.array([1.0, 1.0, -1.0])  # theta = k.x - omega t
-    curvature = np.zeros((len(q), len(q)))
-    slope, sizes, rests = np.zeros(len(q)), np.zeros(len(q)), []
-    target = rows.target if pieces == 1 else rows.rest
-    ends = np.cumsum([0, *map(len, np.array_split(target, pieces))])
-    for first, last in pairwise(ends.tolist()):
-        place, part = rows.place[first:last], target[first:last].ravel()
-        own = 1.0 if rows.weight is None else rows.weight[first:last, None]
-        sine, cosine = sines_and_cosines(phases * clock @ place.T)
-        waves = across(phases, np.stack([-sine, cosine], axis=1)) * own
-        columns = waves.reshape(2 * len(phases), 2 * len(place))
-        if pieces == 1 and rows.unknowns.shape[2]:
-            unknowns = rows.unknowns.reshape(-1, rows.unknowns.shape[2])
-            columns = np.vstack([columns, unknowns.T])
-        basis = orthonormal(columns @ columns.T)
-        weights = basis @ (basis.T @ (columns @ part))
-        rest = part - weights @ columns
-        if len(q):
-            a, b = weights[: 2 * len(phases)].reshape(-1, 2).T[:, :, None]
-            flow, late = b * cosine - a * sine, -a * cosine - b * sine  # of psi by theta
-            moved = late * (by_q * clock @ place.T)
-            bent = np.stack([across(by, flow).sum(axis=0) for by in by_q])
-            bent += np.stack([across(phases, part).sum(axis=0) for part in moved])
-            bent = (bent * own).reshape(len(q), -1)
-            inside = bent @ columns.T @ basis
-            curvature += bent @ bent.T - inside @ inside.T
-            slope += bent @ rest
-            sizes += np.sum(bent**2, axis=1)
-        rests.append(rest)
-    whole = np.concatenate(rests)
-    move = np.zeros(0)
+    target, axes, weight = rows.cut(pieces)  # (s, n, 2), (3, s, n), (s, n)
+    clock, count = np.array([1.0, 1.0, -1.0]), 2 * len(phases)  # theta = k.x - omega t
+    angles = np.tensordot(phases * clock, axes, axes=1)
+    g = np.stack(sines_and_cosines(angles), axis=1)  # (waves, 2, s, n)
+    np.negative(g[:, 0], out=g[:, 0])
+    g = np.ascontiguousarray(g.reshape(count, *weight.shape).swapaxes(0, 1))
+    if pieces > 1 or rows.weight is not None:
+        g *= weight[:, None]
+    # the vector of each column (2 J, 2), and its derivatives (p, 2 J, 2)
+    across, turned = (
+        np.repeat(part[..., [1, 0]] * (1.0, -1.0), 2, axis=-2) for part in (phases, by_q)
+    )
+    gram = (g @ g.mT) * (across @ across.T)
+    load = np.sum((g @ target) * across, axis=2)
+    others = rows.unknowns if pieces == 1 else rows.unknowns[:0]
+    if others.size:
+        mixed = np.einsum("id,idj->ij", across, np.tensordot(g[0], others, axes=1))
+        flat = others.reshape(-1, others.shape[2])
+        gram = np.block([[gram[0], mixed], [mixed.T, flat.T @ flat]])[None]
+        load = np.concatenate([load[0], target.ravel() @ flat])[None]
+    basis = orthonormal(gram)
+    weights = (basis @ (basis.mT @ load[..., None]))[..., 0]
+    amplitudes, coefficients = weights[:, :count], weights[0, count:]
+    rest = target - g.mT @ (amplitudes[..., None] * across)
+    if others.size:
+        rest -= others @ coefficients
+    move = np.zeros(len(q))
     if len(q):
-        basis = orthonormal(curvature, sizes)
-        move = basis @ (basis.T @ slope)
-    amplitudes, coefficients = np.split(weights, [2 * len(phases)])
-    residual = float(whole @ whole)
-    return ShapeFit(shape, q, amplitudes, coefficients, whole.reshape(-1, 2), residual, move)
+        # d psi/d theta = a g_1 + b g_2, its derivative by theta b g_1 - a g_2
+        late = amplitudes.reshape(len(g), -1, 2)[..., ::-1] * (1.0, -1.0)
+        late = late.reshape(len(g), count, 1) * across
+        moved = np.repeat(by_q * clock, 2, axis=1)[..., : 2 + shape.drifting]
+        vectors = np.concatenate(
+            [(amplitudes[..., None] * turned[:, None]).swapaxes(0, 1)]
+            + [(late * by[..., None][:, None]).swapaxes(0, 1) for by in np.moveaxis(moved, 2, 0)],
+            axis=2,
+        )  # (s, p, functions, 2)
+        parts = [g, *(g * axis[:, None] for axis in axes[: moved.shape[2]])]
+        functions = np.concatenate(parts, axis=1)
+        products = functions @ functions.mT
+        bent = vectors.transpose(0, 3, 1, 2) @ products[:, None]  # (s, 2, p, functions)
+        curvature = np.sum(bent @ vectors.transpose(0, 3, 2, 1), axis=(0, 1))
+        sizes = np.diagonal(curvature).copy()
+        inside = np.einsum("sdpi,id->spi", bent[..., :count], across)
+        if others.size:
+            mixed = np.tensordot(vectors[0], np.tensordot(functions[0], others, axes=1), axes=2)
+            inside = np.concatenate([inside, mixed[None]], axis=2)
+        inside = inside @ basis
+        curvature -= np.sum(inside @ inside.mT, axis=0)
+        slope = np.tensordot(vectors, functions @ rest, axes=([0, 2, 3], [0, 1, 2]))
+        steps = orthonormal(curvature, sizes)
+        move = steps @ (steps.T @ slope)
+    whole = rest.reshape(-1, 2)[: len(rows.target)]
+    residual = float(np.sum(whole**2))
+    return ShapeFit(shape, q, amplitudes[0], coefficients, whole, residual, move)
 
 
 def descended(
@@ -175,7 +220,7 @@ def descended(
             return here
         moved = np.tensordot(here.move, shape.phases(here.q)[1], axes=1)
         longest = float(np.abs(moved / reach).max(initial=0.0))
-        if longest <= END:
+        if longest <= (END if pieces == 1 else CAUGHT):
             return here
         move = here.move * min(1.0, LONGEST / longest)
         for _ in range(HALVINGS):

@@ -113,15 +113,21 @@ class Lookout:
         return WaveScan.of(self.rows.place, self.radii, weight=self.rows.weight)
 
     @cached_property
-    def gains(self) -> Array:
-        """The fall of RSS by one standing wave over the plane."""
-        return np.zeros((1, 1)) if self.scan is None else self.scan.gains(self.rows.rest)[0]
+    def _scanned(self) -> dict[int, tuple[Array, Array]]:
+        return {}
+
+    def gains(self, rest: Array) -> Array:
+        """The fall of RSS of errors (m, 2) by one standing wave over the plane."""
+        if self.scan is None:
+            return np.zeros((1, 1))
+        if id(rest) not in self._scanned:  # each fit is asked for twice, and then no more
+            self._scanned.clear()
+            self._scanned[id(rest)] = rest, self.scan.gains(rest)[0]
+        return self._scanned[id(rest)][1]
 
     def strong(self, rest: Array, most: int) -> Array:
-        """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2)."""
-        if self.scan is None:
-            return np.zeros((0, 2))
-        return self.scan.waves(self.scan.gains(rest)[0], most)
+        """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2), strongest first."""
+        return np.zeros((0, 2)) if self.scan is None else self.scan.waves(self.gains(rest), most)
 
     def possible(self, fit: ShapeFit) -> bool:
         """Whether all waves are within the bounds, none are one, and none nearly cancel."""
@@ -158,7 +164,7 @@ class Lookout:
             return False
         if share < self.limits.part or self.scan is None:
             return True
-        gain = float(self.scan.gains(rest)[0].max())
+        gain = float(self.gains(rest).max())
         most = 2 * math.log(self.scan.count / self.limits.false_alarm) + 8
         return -self.worth * math.log(max(1 - gain / whole, self.limits.exact)) < most
 
@@ -273,16 +279,15 @@ class Ladder:
         """Squares that stand, from the peaks of the plane."""
         scan = self.lookout.scan
         if scan is not None:
-            k = scan.axis[scan.squares(self.lookout.gains, self.effort.ranked)]
+            gains = self.lookout.gains(self.rows.rest)
+            k = scan.axis[scan.squares(gains, self.effort.ranked)]
             self.stand([np.array([first, first[[1, 0]] * (1, -1)]) for first in k], SQUARE)
 
     def rectangles(self) -> None:
         """Rectangles that stand, of two strong waves that are equally long."""
         if self.lookout.scan is None:
             return
-        strong = self.lookout.scan.waves(
-            self.lookout.gains, self.effort.strong
-        )  # the strongest first
+        strong = self.lookout.strong(self.rows.rest, self.effort.strong)
         pairs = [
             np.array(pair)
             for pair in sorted(combinations(range(len(strong)), 2), key=sum)

@@ -78,7 +78,9 @@ def test_columns_that_are_combinations_are_dropped_by_one_rule():
     columns = RNG.standard_normal((50, 3))
     both = np.hstack([columns, columns @ [[1.0], [2.0], [-1.0]]])
     basis = orthonormal(both.T @ both)
-    assert basis.shape == (4, 3)
+    used = basis.any(axis=0)
+    assert used.sum() == 3
+    basis = basis[:, used]
     np.testing.assert_allclose((both @ basis).T @ (both @ basis), np.eye(3), atol=1e-10)
     assert orthonormal(np.zeros((0, 0))).shape == (0, 0)
 
