@@ -185,6 +185,31 @@ class Nodes:
 
 
 @dataclass(frozen=True, eq=False)
+class State:
+    """A filter on its way through the nodes; the arrays change in place.
+
+    Args:
+        delta: from the track (n,).
+        sensitivity: V (n, q) by the columns, then by the logarithms of the levels.
+        covariance: P (n, n).
+        score: b (q,).
+        information: J (q, q).
+    """
+
+    delta: Array
+    sensitivity: Array
+    covariance: Array
+    score: Array
+    information: Array
+
+    @classmethod
+    def of(cls, n: int, q: int) -> State:
+        """Return a filter of zeros."""
+        shapes = (n, (n, q), (n, n), q, (q, q))
+        return cls(*(np.zeros(shape) for shape in shapes))
+
+
+@dataclass(frozen=True, eq=False)
 class Smoothed:
     """A backward pass.
 

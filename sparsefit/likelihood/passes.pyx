@@ -185,10 +185,11 @@ cdef void transition(
 
 cdef void observation(
     const double* elements, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
-    const double* state, double* full, double* reading, double* by_state, double* by_column,
+    const double* state, double* full, double* reading, double (*by_state)[STATES],
+    double (*by_column)[STATES + COLUMNS],
 ) noexcept nogil:
-    """The readings (4,) of a state, H (4, 4 + w) and D (4, p), `by_column` (4, w + p)."""
-    cdef Py_ssize_t i, c, n = 4 + w, width = w + p
+    """The readings (4,) of a state, H (4, 4 + w), and the derivatives by the `ids` (4, w + p)."""
+    cdef Py_ssize_t i, c
     cdef double table[4][OWN]
     memset(table, 0, sizeof(table))
     for i in range(w):
@@ -204,15 +205,14 @@ cdef void observation(
     table[2][16] = table[3][17] = table[0][20] = table[1][21] = 1.0
     table[2][18], table[3][18] = -rate * vy, rate * vx
     table[0][19], table[1][19] = -place * state[2], -place * state[3]
-    memset(by_state, 0, 4 * n * sizeof(double))
-    by_state[0] = by_state[n + 1] = place
-    by_state[2 * n + 2] = by_state[3 * n + 3] = rate * co
-    by_state[2 * n + 3], by_state[3 * n + 2] = -rate * si, rate * si
+    memset(by_state, 0, 4 * STATES * sizeof(double))
+    by_state[0][0] = by_state[1][1] = place
+    by_state[2][2] = by_state[3][3] = rate * co
+    by_state[2][3], by_state[3][2] = -rate * si, rate * si
     for c in range(4):
-        for i in range(width):
-            by_column[c * width + i] = table[c][ids[i]] if ids[i] < OWN else 0.0
-        for i in range(w):
-            by_state[c * n + 4 + i] = by_column[c * width + i]
+        for i in range(w + p):
+            by_column[c][i] = table[c][ids[i]] if ids[i] < OWN else 0.0
+        memcpy(by_state[c] + 4, by_column[c], w * sizeof(double))
 
 
 def _room(states, columns, waves):
@@ -222,136 +222,117 @@ def _room(states, columns, waves):
 
 
 def forward(
-    space, nodes, Matrix track, Py_ssize_t first, Py_ssize_t end, last, double[:, ::1] state,
+    space, nodes, Matrix track, Py_ssize_t first, Py_ssize_t end, last, state,
     double[:, ::1] stored,
 ):
     """Filter a block of nodes, as `reference.forward` does; the state is changed in place."""
-    cdef Vector elements = space.elements, rates = space.rates, time = nodes.time
-    cdef Indices walkers = space.walkers, columns = space.columns
+    cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = nodes.time
     cdef Matrix kicks = space.kicks, noise = space.noise
     cdef Matrix push = nodes.push, measured = nodes.measured, weights = nodes.weights
     cdef Matrix adjoint = track if last is None else last.adjoint
     cdef Matrix scores = track if last is None else last.scores
-    cdef Py_ssize_t w = walkers.shape[0], p = columns.shape[0], n = 4 + w
-    cdef Py_ssize_t waves = (elements.shape[0] - OWN) // 5
+    cdef double[::1] delta = state.delta, score = state.score
+    cdef double[:, ::1] v = state.sensitivity, cov = state.covariance, info = state.information
+    cdef Py_ssize_t w = rates.shape[0] - 1, p = space.columns.shape[0], n = 4 + w
     cdef Py_ssize_t levels = 0 if last is None else kicks.shape[0], q = p + levels
+    cdef Py_ssize_t waves = (elements.shape[0] - OWN) // 5
     _room(n, w + q, waves)
-    cdef Py_ssize_t[::1] ids = np.concatenate([walkers, columns, [0]]).astype(np.intp)
-    cdef double[::1] full = np.array(elements), decay = np.append(rates, 0.0)
+    cdef Indices ids = np.concatenate([space.walkers, space.columns, [0]]).astype(np.intp)
+    cdef double[::1] full = np.array(elements)
     cdef double[::1] kick = np.sum(kicks, axis=0), spread = np.sum(noise, axis=0)
-    cdef double[:, ::1] given = np.asarray(state).copy()
-    cdef double[:, ::1] v = np.zeros((n, q + 1)), fresh = np.zeros((n, q + 1))
-    cdef double[:, ::1] cov = np.zeros((n, n)), half = np.zeros((n, n)), by_state = np.zeros((4, n))
-    cdef double[:, ::1] info = np.zeros((q + 1, q + 1)), by_column = np.zeros((4, w + p + 1))
-    cdef double[::1] score = np.zeros(q + 1), delta = np.zeros(n), moved = np.zeros(n)
-    cdef double[::1] gain = np.zeros(n), response = np.zeros(q + 1)
+    cdef double by_column[4][STATES + COLUMNS]
+    cdef double by_state[4][STATES]
+    cdef double fresh[STATES][COLUMNS]
+    cdef double half[STATES][STATES]
+    cdef double moved[STATES]
+    cdef double gain[STATES]
+    cdef double response[COLUMNS]
     cdef double reading[4]
-    cdef double total = 0.0, size, innovation, part, dt
-    cdef double* saved
+    cdef double total = 0.0, size, innovation, dt
+    cdef double* saved = NULL
+    cdef const double* h
     cdef Step step
-    cdef Py_ssize_t i, j, k, c
-    cdef bint storing = stored is not None
-    for k in range(n):
-        delta[k] = given[0, k]
-        for j in range(q):
-            v[k, j] = given[1 + j, k]
-        memcpy(&cov[k, 0], &given[1 + q + k, 0], n * sizeof(double))
-    with nogil:
-        for i in range(first, end):
-            if storing:
-                saved = &stored[i - first, 0]
-                memcpy(saved, &delta[0], n * sizeof(double))
-                for j in range(p):
-                    for k in range(n):
-                        saved[n + j * n + k] = v[k, j]
-                memcpy(saved + n * (1 + p), &cov[0, 0], n * n * sizeof(double))
-            observation(
-                &elements[0], &ids[0], w, p, &track[i, 0], &full[0], reading, &by_state[0, 0],
-                &by_column[0, 0],
-            )
-            for c in range(4):
-                if weights[i, c] <= 0.0:
-                    continue
-                memcpy(&response[0], &by_column[0, 0] + c * (w + p) + w, p * sizeof(double))
-                for k in range(levels):
-                    response[p + k] = noise[k, c] * scores[i, c] / weights[i, c]
-                memset(&gain[0], 0, n * sizeof(double))
-                for k in range(n):
-                    if by_state[c, k] != 0.0:
-                        add(n, by_state[c, k], &cov[k, 0], &gain[0])
-                        add(q, by_state[c, k], &v[k, 0], &response[0])
-                innovation = measured[i, c] - reading[c] - dot(n, &by_state[c, 0], &delta[0])
-                size = spread[c] / weights[i, c] + dot(n, &by_state[c, 0], &gain[0])
-                if not size > 0.0:  # the covariance has lost its sign
-                    with gil:
-                        return -INFINITY
-                total -= 0.5 * (innovation * innovation / size + log(2.0 * M_PI * size))
-                add(n, innovation / size, &gain[0], &delta[0])
-                add(q, innovation / size, &response[0], &score[0])
-                for k in range(n):
-                    add(q, -gain[k] / size, &response[0], &v[k, 0])
-                    add(n, -gain[k] / size, &gain[0], &cov[k, 0])
-                for k in range(q):
-                    add(k + 1, response[k] / size, &response[0], &info[k, 0])
-                if storing:
-                    saved = &stored[i - first, n * (1 + p + n) + c * (2 * n + p + 2)]
-                    memcpy(saved, &by_state[c, 0], n * sizeof(double))
-                    memset(saved + n, 0, n * sizeof(double))
-                    add(n, 1.0 / size, &gain[0], saved + n)
-                    memcpy(saved + 2 * n, &response[0], p * sizeof(double))
-                    saved[2 * n + p], saved[2 * n + p + 1] = innovation, size
-            if i + 1 == time.shape[0]:
-                break
-            dt = time[i + 1] - time[i]
-            transition(
-                &elements[0], waves, &ids[0], w, p, &decay[0], time[i], dt, &push[i, 0],
-                &track[i, 0], &full[0], &step,
-            )
+    cdef Py_ssize_t i, j, k, c, width = 2 * n + p + 2
+    for i in range(first, end):
+        if stored is not None:
+            saved = &stored[i - first, 0]
+            memcpy(saved, &delta[0], n * sizeof(double))
             for k in range(n):
-                for j in range(levels):
-                    v[k, p + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
-                cov[k, k] += 0.5 * dt * kick[k]
-            memset(&fresh[0, 0], 0, n * (q + 1) * sizeof(double))
-            memset(&half[0, 0], 0, n * n * sizeof(double))
-            for k in range(n):  # F times delta, V and P, then P times F'
-                moved[k] = step.following[k] - track[i + 1, k]
-                if k < 4:
-                    moved[k] += dot(n, step.slope[k], &delta[0])
-                    memcpy(&fresh[k, 0], step.slope[k] + n, p * sizeof(double))
-                    for c in range(n):
-                        add(q, step.slope[k][c], &v[c, 0], &fresh[k, 0])
-                        add(n, step.slope[k][c], &cov[c, 0], &half[k, 0])
-                else:
-                    moved[k] += step.fading[k - 4] * delta[k]
-                    add(q, step.fading[k - 4], &v[k, 0], &fresh[k, 0])
-                    add(n, step.fading[k - 4], &cov[k, 0], &half[k, 0])
+                memcpy(saved + n + k * p, &v[k, 0], p * sizeof(double))
+            memcpy(saved + n * (1 + p), &cov[0, 0], n * n * sizeof(double))
+        observation(
+            &elements[0], &ids[0], w, p, &track[i, 0], &full[0], reading, by_state, by_column
+        )
+        for c in range(4):
+            if weights[i, c] <= 0.0:
+                continue
+            h = by_state[c]
+            memcpy(response, by_column[c] + w, p * sizeof(double))
+            for k in range(levels):
+                response[p + k] = noise[k, c] * scores[i, c] / weights[i, c]
+            memset(gain, 0, n * sizeof(double))
             for k in range(n):
-                for j in range(k + 1):
-                    if j < 4:
-                        part = dot(n, &half[k, 0], step.slope[j])
-                    else:
-                        part = half[k, j] * step.fading[j - 4]
-                    cov[k, j] = cov[j, k] = part
-                cov[k, k] += 0.5 * dt * kick[k]
-                for j in range(levels):
-                    fresh[k, p + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
-            delta, moved, v, fresh = moved, delta, fresh, v
-            if storing:
-                for k in range(4):
-                    memcpy(
-                        &stored[i - first, stored.shape[1] - 4 * n + k * n], step.slope[k],
-                        n * sizeof(double),
-                    )
-    for k in range(n):
-        state[0, k] = delta[k]
-        for j in range(q):
-            state[1 + j, k] = v[k, j]
-        for j in range(n):
-            state[1 + q + k, j] = cov[k, j]
-    for k in range(q):
-        state[1 + q + n, k] += score[k]
-        for j in range(q):
-            state[2 + q + n + k, j] += info[k, j] if j <= k else info[j, k]
+                if h[k] != 0.0:
+                    add(n, h[k], &cov[k, 0], gain)
+                    add(q, h[k], &v[k, 0], response)
+            innovation = measured[i, c] - reading[c] - dot(n, h, &delta[0])
+            size = spread[c] / weights[i, c] + dot(n, h, gain)
+            if not size > 0.0:  # the covariance has lost its sign
+                return -INFINITY
+            total -= 0.5 * (innovation * innovation / size + log(2.0 * M_PI * size))
+            add(n, innovation / size, gain, &delta[0])
+            add(q, innovation / size, response, &score[0])
+            for k in range(n):
+                add(q, -gain[k] / size, response, &v[k, 0])
+                add(n, -gain[k] / size, gain, &cov[k, 0])
+            for k in range(q):
+                add(q, response[k] / size, response, &info[k, 0])
+            if stored is not None:
+                saved = &stored[i - first, n * (1 + p + n) + c * width]
+                memcpy(saved, h, n * sizeof(double))
+                for k in range(n):
+                    saved[n + k] = gain[k] / size
+                memcpy(saved + 2 * n, response, p * sizeof(double))
+                saved[2 * n + p], saved[2 * n + p + 1] = innovation, size
+        if i + 1 == time.shape[0]:
+            break
+        dt = time[i + 1] - time[i]
+        transition(
+            &elements[0], waves, &ids[0], w, p, &rates[0], time[i], dt, &push[i, 0],
+            &track[i, 0], &full[0], &step,
+        )
+        for k in range(n):
+            for j in range(levels):
+                v[k, p + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
+            cov[k, k] += 0.5 * dt * kick[k]
+        for k in range(n):  # F times delta, V and P
+            moved[k] = step.following[k] - track[i + 1, k]
+            memset(fresh[k], 0, q * sizeof(double))
+            memset(half[k], 0, n * sizeof(double))
+            if k < 4:
+                memcpy(fresh[k], step.slope[k] + n, p * sizeof(double))
+            for c in range(n if k < 4 else 0):
+                moved[k] += step.slope[k][c] * delta[c]
+                add(q, step.slope[k][c], &v[c, 0], fresh[k])
+                add(n, step.slope[k][c], &cov[c, 0], half[k])
+            if k >= 4:
+                moved[k] += step.fading[k - 4] * delta[k]
+                add(q, step.fading[k - 4], &v[k, 0], fresh[k])
+                add(n, step.fading[k - 4], &cov[k, 0], half[k])
+        for k in range(n):  # and P times F'
+            for j in range(k + 1):
+                cov[k, j] = dot(n, half[k], step.slope[j]) if j < 4 else (
+                    half[k][j] * step.fading[j - 4]
+                )
+                cov[j, k] = cov[k, j]
+            cov[k, k] += 0.5 * dt * kick[k]
+            for j in range(levels):
+                fresh[k][p + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
+            delta[k] = moved[k]
+            memcpy(&v[k, 0], fresh[k], q * sizeof(double))
+            if stored is not None and k < 4:
+                saved = &stored[i - first, stored.shape[1] - 4 * n + k * n]
+                memcpy(saved, step.slope[k], n * sizeof(double))
     return total
 
 
@@ -429,9 +410,8 @@ def backward(
                 sums[n + c, 1] += noise[c] / weights[i, c] * spread
             memcpy(&adjoint[i, 0], r, n * sizeof(double))
             add(n, 1.0, saved, &smoothed[i, 0])
-            for j in range(p):
-                add(n, change[j], saved + n + j * n, &smoothed[i, 0])
             for k in range(n):
+                smoothed[i, k] += dot(p, saved + n + k * p, &change[0])
                 smoothed[i, k] += dot(n, saved + n * (1 + p) + k * n, r)
     for k in range(n):
         carried[0, k] = r[k]

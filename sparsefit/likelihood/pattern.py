@@ -122,15 +122,17 @@ class StreamPattern:
         """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) where it stands."""
         return (self.values[-2], self.values[-1]) if self.drifting else (0.0, 0.0)
 
-    @property
+    @cached_property
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""
-        return self._expanded[0]
+        return _expanded(self.shape, np.array(self.values)[:, None], self.drifting)[:, :, 0]
 
-    @property
+    @cached_property
     def jacobian(self) -> Array:
-        """The derivatives (5 j, p) of the elementary quantities by the values."""
-        return self._expanded[1]
+        """The derivatives (5 j, p) of the elementary quantities by the values (complex steps)."""
+        pushed = np.array(self.values)[:, None] + 1e-30j * np.eye(len(self.values))
+        slopes: Array = _expanded(self.shape, pushed, self.drifting).imag / 1e-30
+        return slopes.reshape(-1, len(self.values))
 
     @property
     def mean_velocity(self) -> float:
@@ -168,55 +170,23 @@ class StreamPattern:
             bare[:, 2], bare[:, 3] = a * cos + b * sin, b * cos - a * sin
         return replace(self, values=tuple(values.tolist()), origin=origin)
 
-    @cached_property
-    def _expanded(self) -> tuple[Array, Array]:
-        """Elementary quantities (j, 5) and their derivatives (5 j, p) by the values."""
-        values = np.array(self.values)
-        size = len(values) - 2 * self.drifting
-        if self.shape in CELLS:
-            waves, slopes = _cells(dict(zip(self.names, self.values, strict=True)))
-            columns = [slopes[name] for name in CELLS[self.shape]]
-            jacobian = np.stack(columns, axis=-1)  # (2, 5, p)
-        else:
-            waves = np.zeros((size // 4, 5))
-            waves[:, :4] = values[:size].reshape(-1, 4)
-            jacobian = np.zeros((size // 4, 5, size))
-            for j in range(size // 4):
-                jacobian[j, :4, 4 * j : 4 * j + 4] = np.eye(4)
-        if self.drifting:  # omega = k . c
-            drift = values[-2:]
-            waves[:, 4] = waves[:, :2] @ drift
-            jacobian[:, 4] = np.einsum("d,jdp->jp", drift, jacobian[:, :2])
-            moving = np.zeros((len(waves), 5, 2))
-            moving[:, 4] = waves[:, :2]
-            jacobian = np.concatenate([jacobian, moving], axis=2)
-        return waves, jacobian.reshape(5 * len(waves), -1)
 
-
-def _cells(values: dict[str, float]) -> tuple[Array, dict[str, Array]]:
-    """The two waves (2, 5) of cells, and their derivatives (2, 5) by every parameter by name."""
-    side = values.get("length_scale", 0.0)
-    lengths = values.get("length_scale_x", side), values.get("length_scale_y", side)
-    heading, speed = values.get("heading", 0.0), values["mean_velocity"]
-    p, q = math.pi / lengths[0], math.pi / lengths[1]
-    along = p * math.cos(heading), p * math.sin(heading)
-    across = -q * math.sin(heading), q * math.cos(heading)
-    size = math.sqrt(2.0 * (p * p + q * q))
-    waves = np.zeros((2, 5))
-    slopes = {name: np.zeros((2, 5)) for name in dict.fromkeys(sum(CELLS.values(), ()))}
-    for j, sign in enumerate((1.0, -1.0)):
-        phase = values[f"phase_{j + 1}"]
-        c, s = math.cos(phase) / size, -math.sin(phase) / size
-        waves[j] = across[0] + sign * along[0], across[1] + sign * along[1], speed * c, speed * s, 0
-        slopes["mean_velocity"][j, 2:4] = c, s
-        slopes["heading"][j, :2] = -sign * along[1] - across[1], sign * along[0] + across[0]
-        slopes[f"phase_{j + 1}"][j, 2:4] = speed * s, -speed * c
-        for name, length, part, toward in (
-            ("length_scale_x", lengths[0], p, (-sign * along[0], -sign * along[1])),
-            ("length_scale_y", lengths[1], q, (-across[0], -across[1])),
-        ):
-            shrink = 2.0 * part * part / size**2 * speed
-            column = np.array([*toward, shrink * c, shrink * s, 0.0]) / length
-            slopes[name][j] = column
-            slopes["length_scale"][j] += column
-    return waves, slopes
+def _expanded(shape: str, values: Array, drifting: bool) -> Array:  # noqa: FBT001
+    """The elementary quantities (j, 5, c) of c sets of values (p, c), complex ones too."""
+    bare = values[: len(values) - 2 * drifting]
+    if shape in CELLS:
+        value = dict(zip(CELLS[shape], bare, strict=True))
+        heading, speed = value.get("heading", 0.0 * bare[0]), value["mean_velocity"]
+        p = math.pi / value.get("length_scale_x", value.get("length_scale", 1.0))
+        q = math.pi / value.get("length_scale_y", value.get("length_scale", 1.0))
+        c, s, height = np.cos(heading), np.sin(heading), speed / np.sqrt(2.0 * (p * p + q * q))
+        waves = np.array([
+            [-q * s + sign * p * c, q * c + sign * p * s,
+             height * np.cos(value[phase]), -height * np.sin(value[phase]), 0.0 * speed]
+            for sign, phase in ((1.0, "phase_1"), (-1.0, "phase_2"))
+        ])  # fmt: skip
+    else:
+        waves = np.pad(bare.reshape(-1, 4, bare.shape[1]), ((0, 0), (0, 1), (0, 0)))
+    if drifting:  # omega = k . c
+        waves[:, 4] = np.sum(waves[:, :2] * values[-2:], axis=1)
+    return waves

@@ -30,7 +30,7 @@ from sparsefit.arrays import Array
 
 if TYPE_CHECKING:
     from sparsefit.likelihood.model import StateSpace
-    from sparsefit.likelihood.nodes import Nodes, Smoothed
+    from sparsefit.likelihood.nodes import Nodes, Smoothed, State
 
 OWN = 22  # elements before those of the waves, in the order of `model.ELEMENTS`
 SMALL = 1e-30  # the complex step
@@ -117,7 +117,7 @@ def forward(
     first: int,
     end: int,
     last: Smoothed | None,
-    state: Array,
+    state: State,
     stored: Array | None,
 ) -> float:
     """Filter the nodes from `first` to `end`, and go on to the node at `end` if there is one.
@@ -128,27 +128,23 @@ def forward(
         track: s-bar (m, n).
         first, end: the block of nodes.
         last: the last backward pass, which the columns of the levels need; None: there are none.
-        state: delta, V, P, then b and J as rows (n + q + n + 1 + q, width): changed in place.
-        stored: written for the backward pass (end - first, `nodes.width`); None: not wanted.
+        state: of the filter at the first node; changed in place.
+        stored: written for the backward pass (end - first, ...); None: not wanted.
 
     Returns:
         The log-likelihood of the block at dtheta = 0, -inf where rounding has won.
     """
     p, n = len(space.columns), track.shape[1]
-    levels = 0 if last is None else len(space.kicks)
-    q = p + levels
-    delta, sensitivity = state[0, :n], state[1 : 1 + q, :n]
-    covariance = state[1 + q : 1 + q + n, :n]
-    score, information = state[1 + q + n, :q], state[2 + q + n : 2 + q + n + q, :q]
+    delta, sensitivity, covariance = state.delta, state.sensitivity, state.covariance
     part = slice(first, min(end + 1, len(nodes.time)))
     time, along = nodes.time[part], track[part]
     ahead, matrices, inputs = transitions(space, time, nodes.push[part], along)
     seen, slopes = derived(lambda e, s: reading(space, e, s), space, along.T)
     kick, spread = space.kicks.sum(axis=0), space.noise.sum(axis=0)
-    total, response, half = 0.0, np.zeros(q), np.diag_indices(n)
+    total, response, half = 0.0, np.zeros(len(state.score)), np.diag_indices(n)
     for i, node in enumerate(range(first, end)):
         if stored is not None:
-            before = (delta, sensitivity[:p].ravel(), covariance.ravel())
+            before = (delta, sensitivity[:, :p].ravel(), covariance.ravel())
             stored[i, : n * (1 + p + n)] = np.concatenate(before)
             gains = stored[i, n * (1 + p + n) : -4 * n].reshape(4, 2 * n + p + 2)
             gains[:] = 0.0
@@ -162,28 +158,28 @@ def forward(
             if not size > 0.0:  # the covariance has lost its sign
                 return -math.inf
             innovation = nodes.measured[node, channel] - seen[i, channel] - h @ delta
-            response += sensitivity @ h
+            response += h @ sensitivity
             if stored is not None:
                 gains[channel] = np.concatenate([h, gain / size, response[:p], [innovation, size]])
             delta += gain * (innovation / size)
-            sensitivity -= np.outer(response, gain / size)
+            sensitivity -= np.outer(gain / size, response)
             covariance -= np.outer(gain, gain / size)
-            score += response * (innovation / size)
-            information += np.outer(response, response / size)
+            state.score[:] += response * (innovation / size)
+            state.information[:] += np.outer(response, response / size)
             total -= 0.5 * (innovation**2 / size + math.log(2.0 * math.pi * size))
         if node + 1 == len(nodes.time):
             break
         step, matrix = time[i + 1] - time[i], matrices[i]
         if last is not None:
-            sensitivity[p:] += 0.5 * step * space.kicks * last.adjoint[node, n:]
+            sensitivity[:, p:] += 0.5 * step * (space.kicks * last.adjoint[node, n:]).T
         covariance[half] += 0.5 * step * kick
         delta[:] = matrix @ delta + ahead[i] - along[i + 1]
-        sensitivity[:] = sensitivity @ matrix.T
-        sensitivity[:p] += inputs[i].T
+        sensitivity[:] = matrix @ sensitivity
+        sensitivity[:, :p] += inputs[i]
         covariance[:] = matrix @ covariance @ matrix.T
         covariance[half] += 0.5 * step * kick
         if last is not None:
-            sensitivity[p:] += 0.5 * step * space.kicks * last.adjoint[node + 1, :n]
+            sensitivity[:, p:] += 0.5 * step * (space.kicks * last.adjoint[node + 1, :n]).T
         if stored is not None:
             stored[i, -4 * n :] = matrix[:4].ravel()
     return total
@@ -240,5 +236,5 @@ def backward(
             sums[n + channel] += variance * u * u, variance * spread
         result.adjoint[node, :n] = r
         delta, sensitivity, predicted = np.split(saved[: n * (1 + p + n)], [n, n * (1 + p)])
-        result.track[node] += delta + change @ sensitivity.reshape(p, n)
+        result.track[node] += delta + sensitivity.reshape(n, p) @ change
         result.track[node] += predicted.reshape(n, n) @ r

@@ -14,7 +14,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.likelihood.model import StateSpace
-from sparsefit.likelihood.nodes import Nodes, Smoothed
+from sparsefit.likelihood.nodes import Nodes, Smoothed, State
 
 passes: Any
 try:
@@ -36,7 +36,7 @@ class Pass:
         value: the log-likelihood at dtheta = 0.
         score: b (q,) by the columns and the levels.
         information: J (q, q).
-        starts: the state at the first node of each block.
+        starts: delta, V and P at the first node of each block.
         stored: what the backward pass reads of the only block, where there is one only.
     """
 
@@ -46,7 +46,7 @@ class Pass:
     value: float
     score: Array
     information: Array
-    starts: tuple[Array, ...]
+    starts: tuple[tuple[Array, Array, Array], ...]
     stored: Array | None
 
     @classmethod
@@ -71,27 +71,27 @@ class Pass:
             keep: whether a backward pass follows.
         """
         (m, n), p = track.shape, len(space.columns)
-        q = p if last is None else p + len(space.kicks)
-        state = np.zeros((2 + q + n + q, max(n, q)))
+        state = State.of(n, p if last is None else p + len(space.kicks))
         variance = space.spread.sum(axis=0)
         variance[:4] += spread
-        state[1 + q : 1 + q + n, :n] = np.diag(variance)
-        state[0, 4:n] = -track[0, 4:]  # walkers start about 0
+        state.covariance[:] = np.diag(variance)
+        state.delta[4:] = -track[0, 4:]  # walkers start about 0
         if last is not None:
-            state[1 + p : 1 + q, :n] = space.spread * last.adjoint[0, :n]
+            state.sensitivity[:, p:] = (space.spread * last.adjoint[0, :n]).T
         value, starts = 0.0, []
         stored = np.empty((m, _width(n, p))) if keep and m <= BLOCK else None
         for first in range(0, m, BLOCK):
-            starts.append(state.copy())
+            starts.append((state.delta.copy(), state.sensitivity[:, :p].copy(),
+                           state.covariance.copy()))  # fmt: skip
             end = min(first + BLOCK, m)
             value += passes.forward(space, nodes, track, first, end, last, state, stored)
-        score, information = state[1 + q + n, :q], state[2 + q + n :, :q]
+        score, information = state.score, state.information
         return cls(space, nodes, track, value, score, information, tuple(starts), stored)
 
     def backward(self, change: Array) -> Smoothed:
         """Smooth, with the elements of the columns changed by `change` (p,)."""
         space, nodes, (m, n) = self.space, self.nodes, self.track.shape
-        p, q = len(space.columns), len(self.score)
+        p = len(space.columns)
         carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
         result = Smoothed(
             self.track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)),
@@ -101,10 +101,9 @@ class Pass:
             first, stored = block * BLOCK, self.stored
             end = min(first + BLOCK, m)
             if stored is None:  # the states of the block once more, without the levels' columns
-                start, stored = self.starts[block], np.empty((end - first, _width(n, p)))
-                state = np.zeros((2 + p + n + p, max(n, p)))
-                state[: 1 + p, :n] = start[: 1 + p, :n]
-                state[1 + p : 1 + p + n, :n] = start[1 + q : 1 + q + n, :n]
+                stored = np.empty((end - first, _width(n, p)))
+                delta, sensitivity, covariance = (part.copy() for part in self.starts[block])
+                state = State(delta, sensitivity, covariance, np.zeros(p), np.zeros((p, p)))
                 passes.forward(space, nodes, self.track, first, end, None, state, stored)
             passes.backward(space, nodes, first, end, change, stored, carried, result, sums)
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
