@@ -284,7 +284,7 @@ def _goodness(posterior: Posterior, diagnosis: Diagnosis) -> Goodness:
     speed = pattern.mean_velocity
     turbulence = float(np.mean([_gusts(own) for own in posterior.models]))
     noise = float(np.mean([_kicks(own, pattern) for own in posterior.models]))
-    every = [whiteness(track.innovation) for track in posterior.tracks]
+    every = [whiteness(each) for each in posterior.innovations]
     least = 1 - (1 - min(every)) ** len(every)
     each: tuple[Goodness, ...] = ()
     if len(every) > 1:

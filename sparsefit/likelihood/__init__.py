@@ -3,7 +3,7 @@
 from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior, Track, bound, measure
+from sparsefit.likelihood.posterior import Posterior, bound, measure
 from sparsefit.likelihood.smoother import Smoothing
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "Process",
     "Smoothing",
     "StreamPattern",
-    "Track",
     "bound",
     "measure",
 ]

@@ -30,8 +30,8 @@ class FlightLog:
 
     Args:
         time: t (m,) [s], increasing.
-        position: (m, 2) [m], NaN where there is no reading; None: there is none at all.
-        velocity: (m, 2) [m/s], NaN or None likewise.
+        position: (m, 2) [m], NaN where there is no reading.
+        velocity: (m, 2) [m/s], NaN likewise.
         thrust: the thrust acceleration [m/s^2], (2,) or one per row (m, 2).
 
     Raises:
@@ -39,8 +39,8 @@ class FlightLog:
     """
 
     time: Array
-    position: Array | None
-    velocity: Array | None
+    position: Array
+    velocity: Array
     thrust: Array
 
     def __post_init__(self) -> None:
@@ -50,59 +50,46 @@ class FlightLog:
             raise InputError("a log needs three rows or more, of a time that increases")
         object.__setattr__(self, "time", time)
         for name in ("position", "velocity"):
-            given = getattr(self, name)
-            array = np.full((len(time), 2), np.nan) if given is None else np.array(given, float)
+            array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != (len(time), 2):
                 raise InputError(f"{name} must have shape ({len(time)}, 2); got {array.shape}")
             object.__setattr__(self, name, array)
         thrust = np.broadcast_to(np.asarray(self.thrust, dtype=np.float64), (len(time), 2))
         object.__setattr__(self, "thrust", np.ascontiguousarray(thrust))
-        if np.isfinite(self.places).sum() < 4:
+        if np.isfinite(self.position).sum() < 4:
             raise InputError("the log has fewer than two positions: nothing can be measured")
 
     @classmethod
     def of_flight(cls, flight: Flight) -> FlightLog:
         """Return the readings of a flight; its velocity only where it was measured."""
         thrust = flight.vehicle.thrust_acceleration if flight.thrust is None else flight.thrust
-        velocity = flight.velocity if flight.velocity_measured else None
+        velocity = flight.velocity if flight.velocity_measured else np.nan * flight.velocity
         return cls(flight.time, flight.position, velocity, np.asarray(thrust, dtype=np.float64))
-
-    @property
-    def places(self) -> Array:
-        """The positions (m, 2), NaN where missing."""
-        assert self.position is not None
-        return self.position
-
-    @property
-    def speeds(self) -> Array:
-        """The velocities (m, 2), NaN where missing."""
-        assert self.velocity is not None
-        return self.velocity
 
     @property
     def origin(self) -> tuple[float, float, float]:
         """The middle (x, y, t) of the box around the positions, and of the time."""
-        x, y = 0.5 * (np.nanmin(self.places, axis=0) + np.nanmax(self.places, axis=0))
+        x, y = 0.5 * (np.nanmin(self.position, axis=0) + np.nanmax(self.position, axis=0))
         return float(x), float(y), 0.5 * float(self.time[0] + self.time[-1])
 
     @cached_property
     def speed(self) -> float:
         """The speed [m/s] that 95 % of the flight does not exceed."""
-        speeds = np.hypot(*self.speeds.T)
+        speeds = np.hypot(*self.velocity.T)
         if not np.isfinite(speeds).any():
-            seen = np.isfinite(self.places).all(axis=1)
-            speeds = np.hypot(*np.diff(self.places[seen], axis=0).T) / np.diff(self.time[seen])
+            seen = np.isfinite(self.position).all(axis=1)
+            speeds = np.hypot(*np.diff(self.position[seen], axis=0).T) / np.diff(self.time[seen])
         return float(np.nanquantile(speeds, 0.95)) + 1e-9
 
     @cached_property
     def noise(self) -> tuple[float, float]:
         """The levels of white noise of position [m] and velocity [m/s], from the log alone."""
-        return noise_of(self.places), noise_of(self.speeds)
+        return noise_of(self.position), noise_of(self.velocity)
 
     @property
     def spread(self) -> Array:
         """The variance (4,) of the first position and velocity: of this log, whatever its model."""
-        measured = bool(np.isfinite(self.speeds).any())
+        measured = bool(np.isfinite(self.velocity).any())
         place, rate = self.noise
         deviations = DIFFUSE * place, DIFFUSE * rate if measured else 10.0 * self.speed
         return np.repeat(np.square(deviations), 2)
@@ -148,7 +135,7 @@ class Nodes:
         """
         rows = np.arange(0, len(log.time), stride)
         clock = log.time[rows] - origin[2]
-        place, speed = log.places[rows] - origin[:2], log.speeds[rows]
+        place, speed = log.position[rows] - origin[:2], log.velocity[rows]
         shift = latency if np.isfinite(speed).any() else 0.0
         times = np.union1d(clock, clock - shift) if shift else clock
         count = np.maximum(np.ceil(np.diff(times) / longest - 1e-9), 1.0).astype(np.intp)

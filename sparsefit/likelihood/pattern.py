@@ -44,6 +44,7 @@ class StreamPattern:
             [m/s], angles and phases [rad], wavevectors [rad/m], amplitudes of psi [m^2/s].
         drifting: whether the pattern moves; its velocity stands last in `values`.
         origin: (x0, y0, t0) [m, m, s], where the phases are counted from.
+        silent: wavevectors (kx, ky) [rad/m] of standing waves of amplitude 0 beside the others.
 
     Raises:
         InputError: if the shape is unknown, the number of values is not that of the shape, or a
@@ -54,6 +55,7 @@ class StreamPattern:
     values: tuple[float, ...]
     drifting: bool = False
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    silent: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shape and its values."""
@@ -125,14 +127,16 @@ class StreamPattern:
     @cached_property
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""
-        return _expanded(self.shape, np.array(self.values)[:, None], self.drifting)[:, :, 0]
+        waves = _expanded(self.shape, np.array(self.values)[:, None], self.drifting)[:, :, 0]
+        silent = np.pad(np.array(self.silent).reshape(-1, 2), ((0, 0), (0, 3)))
+        return np.concatenate([waves, silent])
 
     @cached_property
     def jacobian(self) -> Array:
         """The derivatives (5 j, p) of the elementary quantities by the values (complex steps)."""
         pushed = np.array(self.values)[:, None] + 1e-30j * np.eye(len(self.values))
         slopes: Array = _expanded(self.shape, pushed, self.drifting).imag / 1e-30
-        return slopes.reshape(-1, len(self.values))
+        return np.pad(slopes.reshape(-1, len(self.values)), ((0, 5 * len(self.silent)), (0, 0)))
 
     @property
     def mean_velocity(self) -> float:

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
-from sparsefit.likelihood.model import LEVELS, Model, StateSpace
+from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.smoother import (
     Ascent,
@@ -35,32 +35,10 @@ from sparsefit.likelihood.smoother import (
     noisier,
     summed,
 )
-from sparsefit.likelihood.trellis import Pass
 
 NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
 NEIGHBOURS = 30  # waves beside those of the flow
-NOTHING = 0.03  # degrees of freedom of a level: the parameters feel no less of it
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """A smoothed flight.
-
-    Args:
-        time: of the nodes (m,) [s], from the origin of the posterior.
-        state: (m, 4 + w): x, y [m], v_x, v_y [m/s], from that origin, and what wanders.
-        innovation: (m, 4), standardised; NaN where there is no reading.
-        residual: (m, 4), of each reading from all others, standardised; NaN likewise.
-        rows: the row of the log (m, 2) of the position and the velocity, -1 for none.
-        outliers: the number of readings that were left out.
-    """
-
-    time: Array
-    state: Array
-    innovation: Array
-    residual: Array
-    rows: IntArray
-    outliers: int
+NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,25 +93,14 @@ class Posterior:
         """(x, y, t), that the phases of the pattern and the tracks are counted from."""
         return self.model.pattern.origin
 
-    @cached_property
-    def tracks(self) -> tuple[Track, ...]:
-        """The smoothed flights."""
-        tracks = []
-        for leg in self.legs:
-            nodes, used = leg.nodes, leg.nodes.weights > 0.0
-            assert leg.last is not None
-            residual, innovation = leg.last.scores[:, 4:8], leg.last.scores[:, 8:]
-            tracks.append(
-                Track(
-                    nodes.time,
-                    leg.track,
-                    np.where(used, innovation, np.nan),
-                    np.where(used, residual, np.nan),
-                    nodes.rows,
-                    int((nodes.seen & ~used).sum()),
-                )
-            )
-        return tuple(tracks)
+    @property
+    def innovations(self) -> tuple[Array, ...]:
+        """Of each log, standardised (m, 4); NaN where there is no reading, or one left out."""
+        return tuple(
+            np.where(leg.nodes.weights > 0.0, leg.last.scores[:, 8:], np.nan)
+            for leg in self.legs
+            if leg.last is not None
+        )
 
     @property
     def bic(self) -> float:
@@ -190,9 +157,9 @@ class Posterior:
         rungs = [0.5 * math.log(NOTHING / degrees)]  # from where the level counts as nothing
         ladder = [(0.0, bare) if rungs[0] >= 0.0 else at(math.exp(rungs[0]))]
         while len(rungs) < 40 and (
-            rungs[-1] < 0.0 or ladder[-1][0] > max(value for value, _ in ladder) - 5.0
+            rungs[-1] < 0.0 or ladder[-1][0] > max(value for value, _ in ladder) - 4.0
         ):
-            rungs.append(rungs[-1] + math.log(2.0))
+            rungs.append(rungs[-1] + math.log(3.0))
             ladder.append(at(math.exp(rungs[-1])))
         likely = np.array([value for value, _ in ladder]) + 0.5 * np.array(rungs)
         weights = np.exp(likely - likely.max())
@@ -203,46 +170,36 @@ class Posterior:
     @cached_property
     def inflation(self) -> float:
         """The mean score of neighbouring waves where something wanders, 1 or more."""
-        model = self.model
-        if not model.disturbance.processes:
+        pattern, settings = self.model.pattern, self.settings
+        if not self.model.disturbance.processes:
             return 1.0
-        waves, away = model.pattern.waves[:, :2], np.zeros((0, 2))
+        waves, silent = pattern.waves[:, :2], np.zeros((0, 2))
         box = np.ptp(np.concatenate([leg.track[:, :2] for leg in self.legs]), axis=0)
         cell, random = 2.0 * math.pi / box, np.random.default_rng(0)
         for _ in range(100 * NEIGHBOURS):  # half to twice as long, apart from each other
             angle = random.uniform(0.0, math.pi)
             size = np.hypot(*waves.T).mean() * 2.0 ** random.uniform(-1.0, 1.0)
             wave = size * np.array([math.cos(angle), math.sin(angle)])
-            near = np.concatenate([waves, -waves, away, -away])
+            near = np.concatenate([waves, -waves, silent, -silent])
             if (np.hypot(*((wave - near) / cell).T) > 2.0).all():
-                away = np.concatenate([away, wave[None]])
-            if len(away) == NEIGHBOURS:
+                silent = np.concatenate([silent, wave[None]])
+            if len(silent) == NEIGHBOURS:
                 break
-        if not len(away):
+        if not len(silent):
             return 1.0
-        names, places = joined(model.names, len(self.legs))
-        p, q = len(names), 2 * len(away)
-        own = np.arange(p, p + q)
-        silent = np.column_stack([away, np.zeros((len(away), 3))]).ravel()
-        every = []
-        for leg in self.legs:
-            chain = leg.model.jacobian(model.names)
-            chain = np.block([[chain, np.zeros((len(chain), q))],
-                              [np.zeros((len(silent), chain.shape[1])),
-                               np.kron(np.eye(len(away)), np.eye(5)[:, 2:4])]])  # fmt: skip
-            columns = np.flatnonzero(np.abs(chain).sum(axis=1))
-            space = StateSpace.of(leg.model, columns)
-            space = replace(space, elements=np.concatenate([space.elements, silent]))
-            each = Pass.forward(space, leg.nodes, leg.track, leg.log.spread, keep=False)
-            every.append((each, chain[columns]))
-        score, information = summed(every, [[*place, *own] for place in places], p + q)
-        across = inverted(information[:p, :p], self.settings.dependent)[0] @ information[:p, p:]
-        score = (score[p:] - across.T @ score[:p]).reshape(-1, 2)
-        information = information[p:, p:] - information[p:, :p] @ across
-        pairs = own.reshape(-1, 2) - p
+        more = replace(pattern, silent=tuple(map(tuple, silent.tolist())))
+        legs = [replace(leg, model=replace(leg.model, pattern=more)) for leg in self.legs]
+        extra = [f"{part}_{len(waves) + j}" for j in range(1, 1 + len(silent))
+                 for part in ("cosine", "sine")]  # fmt: skip
+        names, score, information = replace(self, legs=tuple(legs)).scores(extra)
+        own = np.isin(names, self.names)
+        among, across = information[np.ix_(own, own)], information[np.ix_(own, ~own)]
+        regression = inverted(among, settings.dependent)[0] @ across
+        pairs = (score[~own] - regression.T @ score[own]).reshape(-1, 2)
+        block = information[np.ix_(~own, ~own)] - across.T @ regression
         shares = [
-            0.5 * float(b @ np.linalg.solve(information[np.ix_(pair, pair)], b))
-            for b, pair in zip(score, pairs, strict=True)
+            0.5 * float(pair @ np.linalg.solve(block[j : j + 2, j : j + 2], pair))
+            for j, pair in zip(range(0, len(block), 2), pairs, strict=True)
         ]
         return max(float(np.mean(shares)), 1.0)
 

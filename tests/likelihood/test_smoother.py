@@ -139,7 +139,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
             return np.concatenate([s[2:], (flow - s[2:]) / TAU + THRUST])
 
         path = solve_ivp(motion, (0, log.time[-1]), p[:4], "DOP853", log.time, rtol=1e-10).y.T
-        return ((path - np.hstack([log.places, log.speeds])) / [0.05, 0.05, 0.2, 0.2]).ravel()
+        return ((path - np.hstack([log.position, log.velocity])) / [0.05, 0.05, 0.2, 0.2]).ravel()
 
     fit = least_squares(misfit, [*states[0], *TRUE.values], x_scale="jac", xtol=1e-12)
     errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))[4:6]
@@ -181,7 +181,7 @@ def test_parameters_that_a_log_cannot_tell_apart_are_named():
 @pytest.mark.parametrize("case", ["gaps", "positions", "velocities missing", "uneven", "outliers"])
 def test_logs_with_faults_are_measured(case):
     log, _ = flown(6, count=500)
-    time, places, speeds = log.time.copy(), log.places.copy(), log.speeds.copy()
+    time, places, speeds = log.time.copy(), log.position.copy(), log.velocity.copy()
     rng = np.random.default_rng(1)
     rows = np.ones(len(time), dtype=bool)
     if case == "gaps":
@@ -202,7 +202,9 @@ def test_logs_with_faults_are_measured(case):
         true = dict(zip(TRUE.names, TRUE.values, strict=True))[name]
         assert abs(posterior.value(name) - true) < 4.0 * posterior.error(name)
         assert posterior.error(name) < 1e-3 * true
-    assert (posterior.tracks[0].outliers > 5) == (case == "outliers")
+    nodes = posterior.legs[0].nodes
+    outliers = np.count_nonzero(nodes.seen & (nodes.weights == 0.0))
+    assert (outliers > 5) == (case == "outliers")
 
 
 def test_the_bound_is_the_covariance_at_the_truth():
@@ -250,7 +252,7 @@ def test_flights_share_the_flow_and_have_vehicles_of_their_own():
 def test_a_parameter_that_is_free_is_measured(name, value):
     """The log of a vehicle or an instrument that is as believed, believed to be otherwise."""
     log, _ = flown(11, count=500)
-    motion, places, speeds, time = {"response_time": TAU}, log.places, log.speeds, log.time
+    motion, places, speeds, time = {"response_time": TAU}, log.position, log.velocity, log.time
     model = Model(nearby(), motion).free(name)
     if name == "response_time":
         model = Model(nearby(), {"response_time": value}).free(name)
@@ -294,7 +296,7 @@ def test_turbulence_has_its_level():
 
 def test_a_log_that_no_number_describes_is_an_answer_with_a_reason():
     log, _ = flown(13, count=60)
-    wild = FlightLog(log.time, 1e170 * log.places, log.speeds, THRUST)
+    wild = FlightLog(log.time, 1e170 * log.position, log.velocity, THRUST)
     posterior = measure(wild, Model(nearby(), {"response_time": TAU}))
     assert not posterior.converged
     assert "cannot be raised" in posterior.reason
