@@ -55,7 +55,7 @@ class StreamPattern:
     values: tuple[float, ...]
     drifting: bool = False
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    silent: tuple[tuple[float, float], ...] = ()
+    silent: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shape and its values."""
@@ -175,7 +175,7 @@ class StreamPattern:
         return replace(self, values=tuple(values.tolist()), origin=origin)
 
 
-def _expanded(shape: str, values: Array, drifting: bool) -> Array:  # noqa: FBT001
+def _expanded(shape: str, values: Array, drifting: bool) -> Array:
     """The elementary quantities (j, 5, c) of c sets of values (p, c), complex ones too."""
     bare = values[: len(values) - 2 * drifting]
     if shape in CELLS:
