@@ -172,8 +172,7 @@ def _draw(
     estimate: Estimate,
 ) -> None:
     """Write the picture: all tracks, and the residual of the first flight."""
-    from sparsefit.plot.estimate import draw_estimate
-    from sparsefit.plot.style import encoded
+    from sparsefit.plot import draw_estimate, encoded
     from sparsefit.whole_file import write_whole
 
     more = f" and {len(flights) - 1} more" if len(flights) > 1 else ""

@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -105,14 +104,14 @@ def level_axis(axes: Axes, levels: Array) -> None:
     axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
 
 
-def legend(figure: Figure, every: Iterable[Axes], more: Sequence[Artist] = ()) -> None:
+def legend(figure: Figure, every: Iterable[Axes]) -> None:
     """Put one legend above all panels, of what they draw and label, in room of its own."""
     handles = {
         str(label): handle
         for axes in every
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    shown = [*handles.values(), *more]
+    shown = list(handles.values())
     if not shown:
         return
     longest = max(len(str(handle.get_label())) for handle in shown)

@@ -37,6 +37,26 @@ for (const table of document.querySelectorAll("table.sorts")) {
   });
 }
 
+// Columns under one heading (a tolerance, a summary) hide and show together.
+for (const button of document.querySelectorAll("button[data-group]")) {
+  const table = document.getElementById(button.getAttribute("aria-controls"));
+  button.addEventListener("click", () => {
+    const shown = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", String(shown));
+    let place = 0;
+    for (const head of table.tHead.rows[0].cells) {
+      const span = head.colSpan;
+      if (head.textContent === button.dataset.group) {
+        head.hidden = !shown;
+        for (const row of [table.tHead.rows[1], ...table.tBodies[0].rows]) {
+          for (let at = place; at < place + span; at += 1) row.cells[at].hidden = !shown;
+        }
+      }
+      place += span;
+    }
+  });
+}
+
 for (const field of document.querySelectorAll("input[type=search]")) {
   const rows = [...document.getElementById(field.getAttribute("aria-controls")).tBodies[0].rows];
   const texts = rows.map((row) => row.textContent.toLowerCase());

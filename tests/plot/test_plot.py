@@ -7,8 +7,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.plot import draw_estimate, draw_flow, draw_path, encoded
-from sparsefit.plot.estimate import spectrum
-from sparsefit.plot.flow import axis_unit, vorticity
+from sparsefit.plot.pictures import axis_unit, spectrum, vorticity
 
 FLOW = sf.CellularFlow(15.43, 4.21)
 

@@ -1,31 +1,111 @@
-"""One estimate as a picture: its tracks over the flow, weights, residual and its spectrum."""
+"""Pictures of a flow, an estimate and a path of weights."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from sparsefit.arrays import Array
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.plot.flow import axis_unit, draw_map
-from sparsefit.plot.style import COLOURS, GREY, labels, logarithmic, panels, styled
+from sparsefit.plot.style import COLOURS, GREY, STYLES, labels, legend, logarithmic, panels, styled
 
 if TYPE_CHECKING:
     from sparsefit.estimator import Estimate, Estimator
 
-GAP = 3.0  # median steps: a longer one is a gap, over which no line is drawn
-ROOM = 1.4  # of the residual's range, for a legend above it
-SEGMENTS = 8  # of a spectrum, half of each in the next: Welch (1967)
-FEWEST = 32  # samples of a segment
-LEAST = 1e-5  # of the largest power that is drawn
-NARROW = 0.2  # of a length scale: a range of fewer tells nothing
+UNITS = {"m": ((5e3, 1e3, "km"),), "s": ((3e5, 86400.0, "days"), (2e4, 3600.0, "h"))}
+AXES = {"": ("x", "y"), "ENU": ("x east", "y north"), "NED": ("x north", "y east")}
+
+
+class Field(Protocol):
+    """Anything with the velocity (..., 2) [m/s] of the air at x, y [m] and time t [s]."""
+
+    def velocity(self, x: Array, y: Array, t: float, /) -> Array:
+        """Return the velocity of the air."""
+        ...
+
+
+def vorticity(
+    flow: Field, position: Array, time: float = 0.0, points: int = 160
+) -> tuple[tuple[float, float, float, float], Array]:
+    """Return the edges (left, right, bottom, top) [m] of a map around positions (m, 2) [m], and
+    there dv_y/dx - dv_x/dy [1/s] of the flow at a time [s], rows along y."""
+    low, high = position.min(axis=0), position.max(axis=0)
+    room = 0.06 * float((high - low).max()) or 1.0
+    low, high = low - room, high + room
+    step = float((high - low).max()) / points
+    x, y = (np.arange(first, last + step, step) for first, last in zip(low, high, strict=True))
+    velocity = flow.velocity(*np.meshgrid(x, y), time)
+    turning = np.gradient(velocity[..., 1], step, axis=1)
+    turning -= np.gradient(velocity[..., 0], step, axis=0)
+    return (float(x[0]), float(x[-1]), float(y[0]), float(y[-1])), turning
+
+
+def draw_map(
+    axes: Axes,
+    flow: Field | None,
+    flights: Sequence[Flight],
+    length_scale: float = np.nan,
+    drift: tuple[float, float] = (0.0, 0.0),
+) -> AxesImage | None:
+    """Draw tracks over the vorticity of a flow, in the frame that moves with its drift [m/s]."""
+    middle = float(np.median(flights[0].time))
+    tracks = [
+        flight.position - (flight.time - middle)[:, None] * np.array(drift) for flight in flights
+    ]
+    every = np.concatenate(tracks)
+    scale, unit = axis_unit(float(np.abs(every).max()), "m")
+    shades = None
+    if flow is not None:
+        cells = float(np.ptp(every, axis=0).max()) / length_scale if length_scale > 0 else 0.0
+        points = min(max(160, int(8 * cells)), 640)
+        edges, turning = vorticity(flow, every, middle, points)
+        most = float(np.quantile(np.abs(turning), 0.99)) or 1.0
+        west, east_edge, bottom, top = (edge / scale for edge in edges)
+        shades = axes.imshow(
+            turning, origin="lower", extent=(west, east_edge, bottom, top), cmap="RdBu", vmin=-most,
+            vmax=most, alpha=0.7, interpolation="bilinear", aspect="equal",
+        )  # fmt: skip
+    for place, track in enumerate(tracks):
+        x, y = track.T / scale
+        axes.plot(x, y, color="black", lw=0.6 if place else 0.9)
+        axes.plot(x[0], y[0], "o", color="black", ms=4)
+    axes.set_aspect("equal", adjustable="datalim" if flow is None else "box")
+    axes.locator_params(nbins=5)
+    axes.grid(False)
+    east, north = AXES[flights[0].frame]
+    begin = "flights begin at the dots" if len(flights) > 1 else "the flight begins at the dot"
+    axes.set_xlabel(f"{east} [{unit}], {begin}")
+    axes.set_ylabel(f"{north} [{unit}]")
+    return shades
+
+
+def draw_flow(flow: Field, *flights: Flight, length_scale: float = np.nan) -> Figure:
+    """Return a picture of flights over the vorticity of a flow."""
+
+    def draw() -> Figure:
+        figure, ((axes,),) = panels(1, 1, height=5.0)
+        shades = draw_map(axes, flow, flights, length_scale)
+        if shades is not None:
+            figure.colorbar(shades, ax=axes, label="vorticity [1/s]", shrink=0.8)
+        return figure
+
+    return styled(draw)
+
+
+def axis_unit(largest: float, unit: str) -> tuple[float, str]:
+    """Return by what the values of an axis are divided, and the unit that they then have."""
+    for least, factor, larger in UNITS[unit]:
+        if largest >= least:
+            return factor, larger
+    return 1.0, unit
 
 
 def draw_estimate(
@@ -103,8 +183,8 @@ def _draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> Non
     used = weights != 0
     axes.plot(candidates[used], weights[used], "o", color=COLOURS[0], ms=2.5, zorder=4)
     low, high = axes.get_xlim()
-    if high - low < NARROW * high:  # a few candidates side by side
-        axes.set_xlim((1 - NARROW) * low, (1 + NARROW) * high)
+    if high - low < 0.2 * high:  # a few candidates side by side
+        axes.set_xlim(0.8 * low, 1.2 * high)
     axes.set_ylabel("weight")
     axes.set_xlabel(f"length scale [{unit}]")
     if axes.get_legend_handles_labels()[1]:
@@ -135,30 +215,30 @@ def _draw_left(
     axes.set_title(f"{words}{several}, {'less the flow' if flow is not None else 'no flow found'}")
     scale, unit = axis_unit(float(np.abs(samples.time).max()), "s")
     steps = np.diff(samples.time)
-    cuts = np.flatnonzero(steps > GAP * np.median(steps)) + 1
+    cuts = np.flatnonzero(steps > 3.0 * np.median(steps)) + 1  # no line over a gap
     time, shown = np.insert(samples.time, cuts, np.nan), np.insert(residual, cuts, np.nan, axis=0)
     for place, name in enumerate("xy"):
         axes.plot(time / scale, shown[:, place], color=COLOURS[place], lw=0.7, label=name)
     low, high = float(residual.min()), float(residual.max())
     if high > low:
-        axes.set_ylim(low - 0.05 * (high - low), low + ROOM * (high - low))
+        axes.set_ylim(low - 0.05 * (high - low), low + 1.4 * (high - low))  # a legend above
     axes.legend(loc="upper right", ncols=2)
     axes.set_xlabel(f"time [{unit}]")
     axes.set_ylabel(f"{words} [m/s]")
     pieces = np.split(np.arange(len(samples.time)), cuts)
     piece = max(pieces, key=len)
     power.set_title("spectrum")
-    if len(piece) < 2 * FEWEST:
+    if len(piece) < 64:
         power.text(0.5, 0.5, "too few samples", transform=power.transAxes, ha="center")
         power.set_axis_off()
         return
     step = float(np.median(np.diff(samples.time[piece])))
     frequency, whole = spectrum(air[piece], step)
     power.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
-    lowest = LEAST * float(whole.max())
+    lowest = 1e-5 * float(whole.max())
     if flow is not None:
         rest = spectrum(residual[piece], step)[1]
-        lowest = LEAST * max(float(rest.max()), lowest)
+        lowest = max(1e-5 * float(rest.max()), lowest)
         for place, name in enumerate("xy"):
             power.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,
                          label=f"residual {name}")  # fmt: skip
@@ -190,20 +270,48 @@ def _vehicle(believed: PointMassVehicle, estimate: Estimate) -> PointMassVehicle
 def spectrum(values: Array, step: float) -> tuple[Array, Array]:
     """Return frequencies (f,) [Hz] and the power (f, c) of even samples (m, c), in their unit²/Hz.
 
-    One-sided, by Welch's method: the mean of segments under a Hann window, half of each in the
-    next, their means taken out. The sum over frequencies times their step is the variance.
+    One-sided, by Welch's method, Hann windows of which half lies in the next. The sum over
+    frequencies times their step is the variance.
 
     Args:
         step: between the samples [s].
     """
-    width = max(2 * len(values) // (SEGMENTS + 1), FEWEST)
-    window = np.hanning(width + 1)[:-1]
-    starts = range(0, len(values) - width + 1, width // 2)
-    total = np.zeros((width // 2 + 1, values.shape[1]))
-    for start in starts:
-        part = values[start : start + width]
-        transformed = np.fft.rfft(window[:, None] * (part - part.mean(axis=0)), axis=0)
-        total += np.abs(transformed) ** 2
-    power = 2.0 * step * total / (len(starts) * float(np.sum(window**2)))
-    frequency: Array = np.arange(1, width // 2 + 1) / (width * step)
-    return frequency, power[1:]
+    from scipy.signal import welch
+
+    width = max(2 * len(values) // 9, 32)  # eight segments
+    frequency, power = welch(values, 1.0 / step, nperseg=width, axis=0)
+    return np.asarray(frequency[1:]), np.asarray(power[1:])
+
+
+def draw_path(alphas: Array, weights: Array, names: Sequence[str] = ()) -> Figure:
+    """Return the size of the weights along a path of penalties.
+
+    Args:
+        alphas: (p,) penalties, or shares of alpha_max; weights: (p, k) in scaled columns, or
+            (p, k, n), of which the norm over the targets is drawn.
+        names: of the k columns; their places where they are not given.
+    """
+
+    def draw() -> Figure:
+        sizes = weights if weights.ndim == 2 else np.linalg.norm(weights, axis=2)
+        figure, ((axes,),) = panels(1, 1, height=4.0)
+        titles = list(names) or [f"column {place}" for place in range(sizes.shape[1])]
+        order = np.argsort(-np.abs(sizes).max(axis=0), kind="stable")
+        short = labels([titles[at] for at in order[:10]], 30)
+        for rank, at in enumerate(order[np.abs(sizes[:, order]).max(axis=0) > 0].tolist()):
+            named = rank < 10
+            axes.plot(
+                alphas, sizes[:, at], lw=1.2 if named else 0.5,
+                color=COLOURS[rank % len(COLOURS)] if named else GREY,
+                ls=STYLES[rank // len(COLOURS) % len(STYLES)] if named else "-",
+                label=short[titles[at]] if named else None, zorder=3 if named else 2,
+            )  # fmt: skip
+        axes.set_xscale("log")
+        axes.set_xlim(float(alphas.max()), float(alphas.min()))
+        logarithmic(axes.xaxis, float(alphas.min()), float(alphas.max()))
+        axes.set_xlabel("penalty, as a share of the smallest that gives zero")
+        axes.set_ylabel("weight in columns of unit rms")
+        legend(figure, [axes])
+        return figure
+
+    return styled(draw)
