@@ -9,15 +9,19 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from sparsefit.cli import backends, estimate, export, select, simulate, study
-from sparsefit.cli.options import Parser, Verbs, verb
+from sparsefit.cli import (
+    verb_backends,
+    verb_estimate,
+    verb_export,
+    verb_select,
+    verb_simulate,
+    verb_study,
+)
+from sparsefit.cli.options import Option, Parser, declare, print_help, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 
-INTERRUPTED = 130
-BROKEN_PIPE = 141
 BAD_INPUT = 2
-
 EXAMPLE = """\
 example:
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 -o flight.csv
@@ -39,11 +43,19 @@ def parser() -> Parser:
         epilog=EXAMPLE,
     )
     top.add_argument("--version", action="version", version=f"sparsefit {__version__}")
-    top.set_defaults(run=_help, parser=top, stopped="stopped")
+    top.set_defaults(run=print_help, parser=top, stopped="stopped")
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
-    for module in (simulate, estimate, study, select, export, backends):
+    for module in (
+        verb_simulate, verb_estimate, verb_study, verb_select, verb_export, verb_backends
+    ):  # fmt: skip
         module.add(verbs)
-    _add_completion(verbs)
+    shells = {"choices": ("bash", "zsh", "tcsh")}
+    declare(
+        verb(verbs, "completion", _completion,
+             summary="print a script that completes verbs and options in a shell",
+             example='  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'),
+        [Option("shell", "bash, zsh or tcsh", "SHELL", extra=shells)],
+    )  # fmt: skip
     return top
 
 
@@ -61,27 +73,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if argv is None:  # the process ends here: a second Ctrl-C has nothing to stop
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(f"\n{args.stopped}", file=sys.stderr)
-        return INTERRUPTED
+        return 130
     except BrokenPipeError:  # `sparsefit ... | head`: the null device takes what is still flushed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+        return 141
     except (Exception, MemoryError) as error:
         return _refused(error)
     return code
-
-
-def _help(args: argparse.Namespace) -> int:
-    args.parser.print_help()
-    return 0
-
-
-def _add_completion(verbs: Verbs) -> None:
-    """Declare `sparsefit completion SHELL`."""
-    example = '  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'
-    summary = "print a script that completes verbs and options in a shell"
-    declared = verb(verbs, "completion", _completion, summary=summary, example=example)
-    declared.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "tcsh"),
-                          help="bash, zsh or tcsh")  # fmt: skip
 
 
 def _completion(args: argparse.Namespace) -> int:

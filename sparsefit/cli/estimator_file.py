@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import SETTING, Option, collected, declare, number, whole
+from sparsefit.cli.options import SETTING, Option, collected, number, whole
 from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
@@ -53,12 +53,6 @@ OPTIONS = {  # (section, key) of an estimator's record: the option that sets it
         "auto: whatever is found", "NAME", extra={"nargs": "+"}),
 }  # fmt: skip
 ESTIMATOR = Option("--estimator", "estimator.json, as written by sparsefit select", "FILE")
-
-
-def add_estimator(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the estimator."""
-    group = parser.add_argument_group("estimator")
-    declare(group, (ESTIMATOR, *OPTIONS.values()))
 
 
 def estimator_of(args: argparse.Namespace) -> Estimator:

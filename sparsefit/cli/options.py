@@ -60,14 +60,12 @@ class Parser(argparse.ArgumentParser):
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a verb: flags, the reader of its value and the help text.
+    """An option of a verb, or a value without a flag.
 
-    Args:
-        flags: names as typed, `--length-scale` or `-o --output`, separated by blanks.
-        help: the sentence of `--help`.
-        metavar: the placeholder of the value; several, separated by blanks, for several values.
-        read: the argparse type of a value; None for a flag, which is True where it is given.
-        extra: further arguments of `add_argument` (default, choices, action, dest ...).
+    flags: names as typed, `--length-scale` or `-o --output`, separated by blanks; help: the
+    sentence of `--help`; metavar: the placeholder of the value, several for several values; read:
+    the argparse type of a value, None for a flag, which is True where it is given; extra: further
+    arguments of `add_argument`.
     """
 
     flags: str
@@ -76,25 +74,27 @@ class Option:
     read: Callable[[str], Any] | None = str
     extra: Mapping[str, Any] | None = None
 
-    def declare(self, parser: argparse._ActionsContainer) -> None:
-        """Declare the option in a parser or a group of one."""
-        settings: dict[str, Any] = {"help": self.help, **(self.extra or {})}
-        if self.read is None:
-            settings.setdefault("action", "store_true")
-        else:
-            names = tuple(self.metavar.split())
-            settings["type"] = self.read
-            if names:
-                settings["metavar"] = names if len(names) > 1 else names[0]
-            if len(names) > 1:
-                settings["nargs"] = len(names)
-        parser.add_argument(*self.flags.split(), **settings)
-
 
 def declare(parser: argparse._ActionsContainer, options: Iterable[Option]) -> None:
     """Declare options in a parser or a group of one."""
     for option in options:
-        option.declare(parser)
+        settings: dict[str, Any] = {"help": option.help, **(option.extra or {})}
+        if option.read is None:
+            settings.setdefault("action", "store_true")
+        else:
+            names = tuple(option.metavar.split())
+            settings["type"] = option.read
+            if names:
+                settings["metavar"] = names if len(names) > 1 else names[0]
+            if len(names) > 1:
+                settings["nargs"] = len(names)
+        parser.add_argument(*option.flags.split(), **settings)
+
+
+def print_help(args: argparse.Namespace) -> int:
+    """Print the help of a verb that was given without an action."""
+    args.parser.print_help()
+    return 0
 
 
 def verb(verbs: Verbs, name: str, run: Run, *, summary: str, example: str) -> Parser:

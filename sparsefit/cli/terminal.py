@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,18 +22,13 @@ PLAIN_SECONDS = 5.0  # between two lines of progress where there is no terminal
 BAR = "{percentage:3.0f} % |{bar}| {n_fmt}/{total_fmt} cases, {elapsed} gone{postfix}"
 
 
-def emit(record: Any, lines: Callable[[], Iterable[str]], *, as_json: bool) -> None:
-    """Print a record: one JSON document where asked for, else its lines.
-
-    Args:
-        record: JSON-ready values; None for what is not finite.
-        lines: makes the lines for people; not called for JSON.
-        as_json: whether `--json` was given.
-    """
+def emit(record: Any, lines: Iterable[str], *, as_json: bool) -> int:
+    """Print a JSON-ready record as one document where asked for, else its lines; returns 0."""
     if as_json:
         print(json.dumps(record, indent=2, allow_nan=False, ensure_ascii=False))
     else:
-        print("\n".join(lines()))
+        print("\n".join(lines))
+    return 0
 
 
 def coloured(status: str, text: str | None = None) -> str:
@@ -54,13 +49,7 @@ def rows_of(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
 def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> None:
     """Refuse, before any work, a file that cannot be written or would be overwritten.
 
-    Args:
-        path: of the file.
-        force: whether a file that is there may be overwritten.
-        endings: suffixes, lower case, of the formats that can be written; empty for any.
-
-    Raises:
-        InputError: with the cause and the remedy.
+    endings: suffixes, lower case, of the formats that can be written; empty for any.
     """
     file = Path(path)
     if not path.strip():
@@ -78,13 +67,7 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
 def check_folder(path: str, *, force: bool = False, own: str = "") -> Path:
     """The folder to write, refused before any work where it holds files of others.
 
-    Args:
-        path: of the folder.
-        force: whether a folder with files may be written into.
-        own: the name of a file by which a folder shows that this verb has written it.
-
-    Raises:
-        InputError: with the cause and the remedy.
+    own: the name of a file by which a folder shows that this verb has written it.
     """
     folder = Path(path)
     if not path.strip():
@@ -139,7 +122,15 @@ class Progress:
         """Show that `done` of `planned` cases are finished, with the seconds left where known."""
         words = "" if done == planned or left is None else f"about {duration(left)} left"
         if sys.stderr.isatty():
-            self._draw(done, planned, words)
+            if self._bar is None:
+                from tqdm import tqdm
+
+                self._bar = tqdm(
+                    total=planned, initial=done, bar_format=BAR, file=sys.stderr, dynamic_ncols=True
+                )
+            self._bar.n = done
+            self._bar.set_postfix_str(words, refresh=False)
+            self._bar.refresh()
             return
         now = time.monotonic()
         if done == planned or now - self._last >= PLAIN_SECONDS:
@@ -147,18 +138,10 @@ class Progress:
             share = f"{done}/{planned} cases, {100 * done // max(planned, 1)} %"
             print(f"{share}{', ' + words if words else ''}", file=sys.stderr, flush=True)
 
-    def _draw(self, done: int, planned: int, words: str) -> None:
-        if self._bar is None:
-            from tqdm import tqdm
+    def __enter__(self) -> Progress:
+        return self
 
-            self._bar = tqdm(
-                total=planned, initial=done, bar_format=BAR, file=sys.stderr, dynamic_ncols=True
-            )
-        self._bar.n = done
-        self._bar.set_postfix_str(words, refresh=False)
-        self._bar.refresh()
-
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the last state of the bar on the screen."""
         if self._bar is not None:
             self._bar.close()

@@ -98,20 +98,15 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class BackendChoice:
-    """One [[backends]] entry: every setting with the values it takes."""
+    """One [[backends]] entry: every setting with the values it takes.
+
+    points: every point of the grid, the last key fastest, and all its settings as canonical JSON.
+    """
 
     name: str
     label: str
     grid: Mapping[str, tuple[Setting, ...]]
-
-    @property
-    def size(self) -> int:
-        """The number of settings in the grid."""
-        return math.prod(len(values) for values in self.grid.values())
-
-    def settings(self) -> Iterator[dict[str, Setting]]:
-        """Every point of the grid, the last key fastest."""
-        return points_of(self.grid)
+    points: tuple[tuple[Mapping[str, Setting], str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,11 +195,7 @@ def cross(
     Raises:
         InputError: with the protocol and levels that resolve to something that cannot be.
     """
-    fitted = [
-        (choice, settings, canonical_json(backends.settings_of(_backend(choice.name, settings))))
-        for choice in choices
-        for settings in choice.settings()
-    ]
+    fitted = [(choice, *point) for choice in choices for point in choice.points]
     parts: dict[object, Any] = {}
     index = itertools.count()
     for protocol, levels in itertools.product(protocols, level_sets(sweep)):
@@ -274,24 +265,26 @@ def _dotted(entries: Section, place: Place) -> dict[str, object]:
 
 def read_backends(document: Section, place: Place) -> tuple[BackendChoice, ...]:
     """The [[backends]] of flights, each name and setting accepted by the back-end itself."""
-    choices, seen, here = [], set(), place.within("backends")
+    choices, here = [], place.within("backends")
+    seen: set[str] = set()
     for entry in read_sections(required(document, "backends", place), here):
         names, rest = taken(Named, entry, here)
         grid = read_grid(dict(sorted(rest.items())), here)
-        choice = BackendChoice(names.name, names.label or names.name, grid)
-        if choice.size > 100_000:
-            words = f'"{choice.name}" has a grid of {choice.size} settings: 100000 are the most'
+        size, name, points = math.prod(map(len, grid.values())), names.name, []
+        if size > 100_000:
+            words = f'"{name}" has a grid of {size} settings: 100000 are the most'
             raise here.error(words)
-        for settings in choice.settings():
+        for settings in points_of(grid):
             try:
-                _backend(choice.name, settings)
+                backend = backends.get(name, **settings)
             except (SparsefitError, TypeError, ValueError) as error:
                 raise here.error(str(error)) from None
-            identity = canonical_json([choice.name, settings])
+            identity = canonical_json([name, settings])
             if identity in seen:
-                raise here.error(f'"{choice.name}" is listed twice with {shown(settings)}')
+                raise here.error(f'"{name}" is listed twice with {shown(settings)}')
             seen.add(identity)
-        choices.append(choice)
+            points.append((settings, canonical_json(backends.settings_of(backend))))
+        choices.append(BackendChoice(name, names.label or name, grid, tuple(points)))
     return tuple(choices)
 
 
@@ -308,7 +301,3 @@ def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]
                 raise place.at(name).error(f"{words}, not {shown(item)}")
         grid[name] = tuple(item for item in listed if isinstance(item, bool | str | int | float))
     return grid
-
-
-def _backend(name: str, settings: Mapping[str, Any]) -> backends.Backend:
-    return backends.get(name, **settings)

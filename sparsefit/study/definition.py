@@ -353,7 +353,7 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
             {key: value for key, value in entry.items() if key not in ("world", "reading")}
             for entry in entries
         ]
-    settings = sum(choice.size for choice in backends)
+    settings = sum(len(choice.points) for choice in backends)
     planned = count * len(protocols) * math.prod(len(f.levels) for f in sweep) * settings
     if planned > MOST_CASES:
         shorten = "shorten [sweep], the back-end settings or flights.count"

@@ -23,6 +23,7 @@ from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells
+from sparsefit.onboard import as_flown
 from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.fit import path
 from sparsefit.score import (
@@ -41,13 +42,14 @@ Result = TypeVar("Result")
 
 def estimator_of(definition: Definition, cell: Cell) -> Estimator:
     """The estimator of a cell: how it derives, fits and reads, to the study's tolerance."""
-    return Estimator(
+    estimator = Estimator(
         derivative=cell.setup.derivative,
         library=cell.setup.library,
         backend=backends.get(cell.choice.name, **cell.settings),
         readout=cell.setup.readout,
         tolerance=definition.run.tolerance,
     )
+    return as_flown(estimator) if definition.on_board else estimator
 
 
 def draw_of(definition: Definition, unit: int, cell: Cell) -> Draw | Logged:
@@ -154,7 +156,7 @@ class FlightDesk:
                 yield from (_error(unit, cell, failed) for cell in cells)
                 return
         assert isinstance(flown, Flown)
-        assert isinstance(prepared, Prepared)
+        assert not isinstance(prepared, Failure)
         for cell, fit in self._fits(prepared, cells):
             if isinstance(fit, Failure):
                 yield _error(unit, cell, fit)

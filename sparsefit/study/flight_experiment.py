@@ -330,7 +330,8 @@ def _identities(definition: Definition) -> Iterator[str]:
     counts as absent, so that a new one leaves the rest as it is.
     """
     design, run = definition.flights, definition.run
-    common = canonical_json([definition.seed, run.tolerance, run.prediction_flights])
+    flown = ["on board"] if definition.on_board else []
+    common = canonical_json([definition.seed, run.tolerance, run.prediction_flights, *flown])
     setups: dict[int, str] = {}
     defaults: dict[str, dict[str, object]] = {}
     for cell in design.cells:
@@ -436,8 +437,9 @@ def level_words(key: str, level: object) -> str:
 def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
     """Words for what each protocol changes of the flights, or of the estimator.
 
-    Protocols that agree in this half share them: the name of the only one, the parts between
-    commas that the names of all of them have in common, or else the keys and values.
+    Protocols that agree in this half share them: what the first of them gives as `world` or
+    `reading`, the name of the only one, the parts between commas that the names of all of them have
+    in common, or else the keys and values.
     """
     halves = {
         protocol.name: canonical_json(
@@ -445,7 +447,10 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
         )
         for protocol in protocols
     }
-    if len(set(halves.values())) == 1:
+    given = {
+        halves[p.name]: p.words.world if flights else p.words.reading for p in reversed(protocols)
+    }
+    if len(set(halves.values())) == 1 and not any(given.values()):
         alone = len(protocols) == 1 and protocols[0].overrides and not flights
         return {name: name if alone else "" for name in halves}
     words = {}
@@ -457,7 +462,7 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
         if not word or counts[word] > 1:
             content = (level_words(key, value) for key, value in json.loads(half).items())
             words[half] = ", ".join(content) or "as the study says"
-    return {name: words[half] for name, half in halves.items()}
+    return {name: given[half] or words[half] for name, half in halves.items()}
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:

@@ -234,19 +234,54 @@ class Study:
         cell = self.definition.flights.cells[self.cells_of(candidate)[0]]
         return estimator_of(self.definition, cell)
 
+    @cached_property
+    def refusals(self) -> dict[str, str]:
+        """Why each candidate that cannot fly as it is cannot, by title.
+
+        Raises:
+            InputError: if none of them can.
+        """
+        from sparsefit.onboard import refusal
+
+        cells = self.experiment.cells()
+        titles = dict(zip(cells["candidate"], cells["title"], strict=True))
+        reasons = {title: refusal(self.estimator(name)) for name, title in titles.items()}
+        refused = {title: reason for title, reason in reasons.items() if reason}
+        if len(refused) == len(titles):
+            raise InputError(f"on_board: no candidate can fly: {next(iter(refused.values()))}")
+        return refused
+
+    def flown(self) -> Study:
+        """The candidates that can fly, on the flights of the study, sample by sample as exported.
+
+        Its cases lie in the folder ``on-board`` within the study's own.
+        """
+        cells = self.experiment.cells()
+        pairs = zip(cells["candidate"], cells["title"], strict=True)
+        able = dict.fromkeys(name for name, title in pairs if title not in self.refusals)
+        return self._with(list(able), "on-board", seed=self.seed, on_board=True)
+
     def variant(self, candidates: Sequence[str], count: int, name: str = "fresh") -> Study:
         """These candidates on flights of fresh seeds, in a folder within the study's own."""
-        design = self.definition.flights
+        seed = int(sha256(f"{name} {self.seed}".encode()).hexdigest()[:8], 16)
+        return self._with(candidates, name, seed=seed, count=count, validate_count=None)
+
+    def _with(self, candidates: Sequence[str], name: str, *, seed: int, on_board: bool = False,
+              **design: Any) -> Study:  # fmt: skip
+        """These candidates in a folder within the study's own; design: what differs in that."""
+        own = self.definition.flights
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
-        cells = tuple(replace(design.cells[cell], index=i) for i, cell in enumerate(chosen))
+        cells = tuple(replace(own.cells[cell], index=i) for i, cell in enumerate(chosen))
+        count = design.get("count", own.count)
         content = f"{self.hash} {name} {count} {' '.join(cell.key for cell in cells)}"
         definition = replace(
             self.definition,
             name=name,
-            seed=int(sha256(f"{name} {self.seed}".encode()).hexdigest()[:8], 16),
+            seed=seed,
             hash=sha256(content.encode()).hexdigest(),
             outputs=Outputs(),
-            design=replace(design, count=count, cells=cells, validate_count=None),
+            design=replace(own, cells=cells, **design),
+            on_board=on_board or self.definition.on_board,
         )
         return Study(definition, self.folder / name)
 

@@ -381,7 +381,7 @@ def test_backends_are_listed_with_settings_and_certificate(capsys):
     assert "group-lasso\n  1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g| (Yuan" in out
     assert "certificate: duality_gap\n  settings: alpha_fraction=0.1" in out
     assert "solvers that cvxpy finds here: clarabel" in out
-    assert "osqp-direct" in out.partition("other solvers: ")[2]
+    assert "scikit-learn-lars" in out.partition("other solvers: ")[2]
     for argv in (("backends", "--json"), ("backends", "list", "--json")):
         listed = json.loads(run(capsys, *argv)[1])
         assert [one["name"] for one in listed["backends"]][:2] == ["least-squares", "stlsq"]

@@ -124,12 +124,19 @@ def test_check_says_on_one_line_what_is_planned(capsys, fresh):
 
 def test_plan_counts(capsys, fresh):
     _, out, _ = run(capsys, "study", "plan", fresh)
-    assert "sweep library.target" in out
-    assert "2 settings, 64 cases" in out
-    assert "8 simulations, 32 regression problems, 96 fits" in out
-    found = json.loads(run(capsys, "study", "plan", fresh, "--json")[1])
-    assert found["cases"] == PLANNED
-    assert found["tables"] == ["errors", "times"]
+    assert "level library.target" in out
+    record = json.loads(run(capsys, "study", "plan", fresh, "--json")[1])
+    assert record["settings"] == {"lasso": 2, "stlsq": 1}
+    assert [record[name] for name in ("simulations", "problems", "fits")] == [8, 32, 96]
+    assert (record["cases"], record["tables"]) == (PLANNED, ["errors", "times"])
+
+
+def test_keys_of_a_section_are_listed(capsys):
+    out = run(capsys, "study", "keys", "run")[1]
+    assert "Seconds that one case may take. [s] (above 0) Default 60.0." in out
+    assert set(json.loads(run(capsys, "study", "keys", "--json")[1])) >= {"flights", "select"}
+    code, _, err = run(capsys, "study", "keys", "flihgts")
+    assert (code, 'did you mean "flights"?' in err) == (2, True)
 
 
 def test_run_leaves_report_and_prints_the_main_table(capsys, finished):

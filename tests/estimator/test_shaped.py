@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.cli.answer import Log, lines
+from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.logs.checks import quality_of
 from sparsefit.model import Readout
@@ -59,7 +59,7 @@ def test_an_estimate_with_its_shape_is_json(turned):
 
 def test_the_command_line_tells_the_shape(turned):
     _, flight, estimate = turned
-    words = "\n".join(lines([Log("turned", flight, quality_of(flight), ())], estimate, ()))
+    words = "\n".join(lines([ReadLog("turned", flight, quality_of(flight), ())], estimate, ()))
     assert "shape                 square cells\n" in words
     assert f"heading               {math.degrees(estimate.heading):.4f} degrees" in words
     assert "drift" not in words
@@ -79,7 +79,7 @@ def test_two_flows_are_read_each_by_itself():
         assert abs(read.length_scale - true.length_scale) < 4 * read.uncertainty.length_scale
         assert read.uncertainty.mean_velocity < 0.02 * true.mean_velocity
         assert read.heading == pytest.approx(true.heading, abs=0.01)
-    log = Log("f", flight, quality_of(flight), ())
+    log = ReadLog("f", flight, quality_of(flight), ())
     assert any(line.split()[-1:] == ["heading"] for line in lines([log], found, ()))
 
 

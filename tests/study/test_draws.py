@@ -209,3 +209,23 @@ def test_bad_logs_are_refused_by_key(folder, old, new, message):
     with pytest.raises(InputError, match=message) as caught:
         load_logs(folder, LOGGED.replace(old, new))
     assert "\n" not in str(caught.value)
+
+
+def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
+    peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "peak"\nreading = "peak velocity"\n'
+    study = together(tmp_path, sweep=peak + '"readout.mean_velocity" = "peak"')
+    assert study.plan()["title"].unique().tolist() == [
+        "rms: best-scale",
+        "peak velocity: best-scale",
+    ]
+    assert list(study.refusals) == ["peak velocity: best-scale"]
+    assert "U0 is the rms" in study.refusals["peak velocity: best-scale"]
+    flown = study.flown()
+    assert flown.folder == study.folder / "on-board"
+    assert flown.plan()["title"].tolist() == ["rms: best-scale"] * 2
+    assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
+    (row,) = FlightDesk(flown.definition).answer("cases", unit=0, cells=[0])["rows"]
+    assert row["status"] == "unidentifiable"  # two seconds are few for a board
+    alone = together(tmp_path, '[readout]\nmean_velocity = "peak"')
+    with pytest.raises(InputError, match="no candidate can fly"):
+        _ = alone.refusals

@@ -8,8 +8,8 @@ import sys
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.options import FORCE, JSON, RESULTS, Option, Verbs, declare, number, verb, whole
-from sparsefit.cli.study import read_study, unfinished
 from sparsefit.cli.terminal import Progress, check_output, emit
+from sparsefit.cli.verb_study import STUDY, finished_study
 
 if TYPE_CHECKING:
     from sparsefit.study.selection import Check, Selection
@@ -19,7 +19,7 @@ EXAMPLE = """\
   sparsefit select studies/NAME.toml
   sparsefit select studies/NAME.toml --over worst --max-failure 0.02 --max-silent-misses 0
   sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
-  sparsefit estimate flight.csv --estimator estimator.json
+  sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
 """
 RULE = (  # a key of [select] is the name of its option
     Option("--criterion", "a summary and a measure; default: mean timescale-error", "WORDS"),
@@ -39,6 +39,8 @@ RULE = (  # a key of [select] is the name of its option
     Option("--seed", "of the bootstrap", "N", whole),
     Option("--regime", "a factor whose levels are the regimes, world or flights.KEY; repeat it "
            "for more", "FACTOR", extra={"action": "append", "dest": "regimes"}),
+    Option("--on-board", "score candidates as they would fly, sample by sample, as `export` writes "
+           "them; flies them first where that was not done", read=None, extra={"default": None}),
 )  # fmt: skip
 RUN = (
     Option("--processes", "of --check; default: one per processor", "N", whole),
@@ -54,8 +56,7 @@ def add(verbs: Verbs) -> None:
     """Declare the verb."""
     summary = "choose one estimator from a finished study, and write it and the evidence"
     parser = verb(verbs, "select", run, summary=summary, example=EXAMPLE)
-    parser.add_argument("study", metavar="STUDY", help="study file, .toml, with a [split]")
-    declare(parser, (RESULTS,))
+    declare(parser, (STUDY, RESULTS))
     rule = parser.add_argument_group("rule", "in place of what [select] of the study file says")
     declare(rule, RULE)
     declare(parser, RUN)
@@ -68,50 +69,56 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.study.evidence import lines, provenance, write_selection
     from sparsefit.whole_file import write_whole
 
-    study = read_study(args)
-    options = {name: getattr(args, name) for name in _rule_names()}
-    rule = study.definition.selection.changed(
-        **{name: value for name, value in options.items() if value is not None}
-    )
-    found = study.status()  # refuses the results of another study
-    if not found.finished:
-        raise unfinished(args.study, found)
-    untimed = rule.changed(simplest="listed", max_latency_p99=None, max_memory=None)
+    study = finished_study(args)
+    options = {}
+    for option in RULE:
+        name = option.flags.removeprefix("--").replace("-", "_")
+        key = "regimes" if name == "regime" else name
+        if getattr(args, key) is not None:
+            options[key] = getattr(args, key)
+    rule = study.definition.selection.changed(**options)
+    flown, refused = study, {}
+    if rule.on_board:
+        flown, refused = _flown(study, args), study.refusals
     latencies = {}
     if rule.latency_flights and study.kind == "flights":
-        passing = select(study, untimed, latencies={}).passing
-        latencies = study.latency(
-            [scored.candidate for scored in passing],
+        untimed = rule.changed(simplest="listed", max_latency_p99=None, max_memory=None)
+        latencies = flown.latency(
+            [scored.candidate for scored in select(flown, untimed, latencies={}).passing],
             rule.latency_flights,
             again=args.measure_again,
             progress=_announce,
         )
-    selection = select(study, rule, latencies=latencies)
-    checked = _check(study, selection, args)
-    if selection.chosen is not None and study.kind == "flights":
-        estimator = json.loads(study.estimator(selection.chosen.candidate).to_json())
-        estimator["provenance"] = provenance(study, selection)
-        text = json.dumps(estimator, indent=2, allow_nan=False) + "\n"
-        write_whole(args.output, text.encode())
-    path = write_selection(study, selection, check=checked)[-1]
-    record = selection.record(checked) | {"evidence": str(path)}
-    closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
+    selection = select(flown, rule, latencies=latencies)
+    checked = _check(flown, selection, args)
     usage = f"use it: sparsefit estimate FLIGHT --estimator {args.output}"
     if selection.chosen is None:
         usage = f"nothing was chosen, and {args.output} is not written"
     elif study.kind == "problems":
         usage = f"use it: sf.fit(problem, study.backend({selection.chosen.candidate!r}))"
     else:
+        estimator = json.loads(study.estimator(selection.chosen.candidate).to_json())
+        estimator["provenance"] = provenance(study, selection)
+        text = json.dumps(estimator, indent=2, allow_nan=False) + "\n"
+        write_whole(args.output, text.encode())
+    path = write_selection(study, selection, check=checked)[-1]
+    record = selection.record(checked) | {"evidence": str(path), "refused": refused}
+    if selection.chosen is not None and study.kind == "flights":
         record |= {"output": args.output}
     said = [selection.headline, *(f"- {line}" for line in lines(selection, checked))]
-    emit(record, lambda: [*said, closing, usage], as_json=args.json)
+    said += [f"- left out, as it cannot fly: {title}: {why}" for title, why in refused.items()]
+    closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
+    emit(record, [*said, closing, usage], as_json=args.json)
     return 0 if selection.chosen is not None else 1
 
 
-def _rule_names() -> list[str]:
-    """The keys of [select] that options set."""
-    names = [option.flags.removeprefix("--").replace("-", "_") for option in RULE]
-    return [name if name != "regime" else "regimes" for name in names]
+def _flown(study: Study, args: argparse.Namespace) -> Study:
+    """The candidates that can fly, on the flights of the study; cases that are there stay."""
+    args.stopped = "stopped; run the same command again to continue"
+    flown = study.flown()
+    with Progress() as progress:
+        flown.run(processes=args.processes, progress=progress)
+    return flown
 
 
 def _check(study: Study, selection: Selection, args: argparse.Namespace) -> Check | None:
@@ -122,11 +129,8 @@ def _check(study: Study, selection: Selection, args: argparse.Namespace) -> Chec
         return None
     args.stopped = "stopped; run the same command again to continue"
     fresh = study.variant(selection.contenders, selection.rule.check)
-    progress = Progress()
-    try:
+    with Progress() as progress:
         fresh.run(processes=args.processes, progress=progress)
-    finally:
-        progress.close()
     return check(selection, fresh.cases)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from typing import Any
 
 from sparsefit.cli.options import JSON, SETTING, Option, Verbs, collected, declare, number, verb
@@ -14,10 +13,13 @@ EXAMPLE = """\
   sparsefit backends
   sparsefit backends check group-lasso --setting solver=clarabel
 """
-
-
 LIST_SECONDS = 20.0  # for a plug-in to be imported
 CHECK_SECONDS = 60.0
+
+
+NAME = Option("name", "a back-end, see sparsefit backends list", "NAME")
+TIMEOUT = Option("--timeout", f"how long a plug-in may take; default: {CHECK_SECONDS:g}", "SECONDS",
+                 number("s"), {"default": CHECK_SECONDS})  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
@@ -26,20 +28,16 @@ def add(verbs: Verbs) -> None:
     parser = verb(verbs, "backends", run_list, summary=summary, example=EXAMPLE)
     declare(parser, (JSON,))
     actions = parser.add_subparsers(metavar="ACTION", title="actions")
-    summary = "list the back-ends, plug-ins included, with their settings and defaults"
-    example = "  sparsefit backends list --json\n"
-    listing = verb(actions, "list", run_list, summary=summary, example=example)
-    summary = "run a back-end on a small flight whose answer is known"
-    example = "  sparsefit backends check lasso --setting alpha_fraction=0.05\n"
-    check = verb(actions, "check", run_check, summary=summary, example=example)
-    check.add_argument("name", metavar="NAME", help="a back-end, see sparsefit backends list")
-    limit = f"how long a plug-in may take; default: {CHECK_SECONDS:g}"
-    timeout = Option("--timeout", limit, "SECONDS", number("s"), {"default": CHECK_SECONDS})
-    declare(check, (SETTING, timeout))
     # Not to undo a --json that stands before the action.
     below = Option("--json", "print JSON", read=None, extra={"default": argparse.SUPPRESS})
-    for action in (listing, check):
-        declare(action, (below,))
+    for name, run, summary, options, example in (
+        ("list", run_list, "list the back-ends, plug-ins included, with their settings and "
+         "defaults", (), "--json"),
+        ("check", run_check, "run a back-end on a small flight whose answer is known",
+         (NAME, SETTING, TIMEOUT), "lasso --setting alpha_fraction=0.05"),
+    ):  # fmt: skip
+        line = f"  sparsefit backends {name} {example}\n"
+        declare(verb(actions, name, run, summary=summary, example=line), (*options, below))
 
 
 def run_list(args: argparse.Namespace) -> int:
@@ -55,17 +53,13 @@ def run_list(args: argparse.Namespace) -> int:
     ]
     solvers = installed_solvers()
     others = [Recipe(name) for name in solver_names()]
-    public = [{"name": one.name, "form": one.form, "installed": not one.missing} for one in others]
-
-    def lines() -> Iterator[str]:
-        yield "\n\n".join(_entry(record) for record in records)
-        yield f"\nsolvers that cvxpy finds here: {', '.join(solvers)}"
-        yield f"other solvers: {', '.join(one.name for one in others if not one.missing)}"
-        yield from (f"  missing: {one.missing}" for one in others if one.missing)
-
+    public = [{"name": o.name, "form": o.form, "installed": not o.missing} for o in others]
+    lines = ["\n\n".join(_entry(record) for record in records)]
+    lines.append(f"\nsolvers that cvxpy finds here: {', '.join(solvers)}")
+    lines.append(f"other solvers: {', '.join(o.name for o in others if not o.missing)}")
+    lines += [f"  missing: {other.missing}" for other in others if other.missing]
     record = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
-    emit(record, lines, as_json=args.json)
-    return 0
+    return emit(record, lines, as_json=args.json)
 
 
 def _record_apart(name: str) -> dict[str, Any]:
@@ -99,15 +93,13 @@ def _record(name: str) -> dict[str, Any]:
 
 
 def _entry(record: dict[str, Any]) -> str:
-    if "missing" in record:
-        return f"{record['name']}\n  missing: {record['missing']}"
-    if "error" in record:
-        return f"{record['name']}\n  broken: {record['error']}"
-    settings = typed(record["settings"]) or "none"
-    return (
-        f"{record['name']}\n  {record['summary']}\n"
-        f"  certificate: {record['certificate']}\n  settings: {settings}"
+    for key, word in (("missing", "missing"), ("error", "broken")):
+        if key in record:
+            return f"{record['name']}\n  {word}: {record[key]}"
+    words = (
+        f"certificate: {record['certificate']}\n  settings: {typed(record['settings']) or 'none'}"
     )
+    return f"{record['name']}\n  {record['summary']}\n  {words}"
 
 
 def run_check(args: argparse.Namespace) -> int:
@@ -126,7 +118,7 @@ def run_check(args: argparse.Namespace) -> int:
             named = "" if args.name in str(error) else f"back-end {args.name!r} "
             raise InputError(f"{named}{error}") from None
     answer = {key: value for key, value in record.items() if key != "lines"}
-    emit(answer, lambda: record["lines"], as_json=args.json)
+    emit(answer, record["lines"], as_json=args.json)
     return 0 if record["status"] == "ok" and not record["faults"] else 1
 
 
@@ -150,14 +142,14 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     estimator = Estimator(Derivative(), Library(LengthScaleGrid(3.0, 5.0, 1.0)), backend)
     prepared = estimator.prepare(flight)
     wrong = [] if name in backends.BACKENDS else faults(backend, prepared.problem)
-    told = [f"  fault: {sentence}" for sentence in wrong]
+    faulty = [f"  fault: {sentence}" for sentence in wrong]
     try:
         estimate = estimator.read(prepared, estimator.fit(prepared))
     except Exception:  # whatever it raises: where a fault is known, that says it better
         if not wrong:
             raise
         head = f"{name}: error, it breaks the contract of a back-end"
-        return {"backend": name, "status": "error", "faults": wrong, "lines": [head, *told]}
+        return {"backend": name, "status": "error", "faults": wrong, "lines": [head, *faulty]}
     reason = f" ({estimate.reason})" if estimate.reason else ""
     lines = [
         f"{name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
@@ -166,7 +158,7 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
         f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
         f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)",
         f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}",
-        *told,
+        *faulty,
     ]
     machinery = {"cvxpy_solvers": installed_solvers()}
     return {**estimate.to_dict(), **machinery, "faults": wrong, "lines": lines}

@@ -9,7 +9,18 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import FORCE, JSON, RESULTS, Option, Verbs, declare, number, verb, whole
+from sparsefit.cli.options import (
+    FORCE,
+    JSON,
+    RESULTS,
+    Option,
+    Verbs,
+    declare,
+    number,
+    print_help,
+    verb,
+    whole,
+)
 from sparsefit.cli.terminal import (
     Progress,
     check_folder,
@@ -42,11 +53,7 @@ MERGE = """\
   sparsefit study run studies/table2.toml --only stlsq          # on another
   sparsefit study merge studies/table2.toml copied/table2
 """
-STOPPED = "stopped; run the same command again to continue"
-STOPPED_FRESH = "stopped; run the same command without --fresh to continue"
-STOPPING = "finishing the fits at hand; Ctrl-C again to stop at once"
-STOPPED_WRITING = "stopped while writing the report; run the same command again to continue"
-SUFFIXES = (".html", ".svg", ".png")
+STUDY = Option("study", "study file, .toml", "STUDY")
 REPEATED = {"action": "append", "default": []}
 RUN = (
     Option("--processes", "default: one per processor of this machine", "N", whole),
@@ -72,6 +79,9 @@ SHOW = (
     FORCE,
 )  # fmt: skip
 COMPARED = (
+    *(Option(name, f"the {name} run: a results folder, or a study file whose results are there",
+             name.upper()) for name in ("first", "second")),
+    RESULTS,
     Option("--tolerance", "a number that changed by less is the same; default: 1e-6 of itself",
            "SHARE", number(), {"default": 1e-6}),
     Option("--fail-on", "exit code 1 when anything changed (default), when it became worse, or "
@@ -79,55 +89,44 @@ COMPARED = (
            extra={"choices": ("changed", "worse", "never"), "default": "changed"}),
     Option("-o --output", "write tables and a picture there", "FOLDER"),
 )  # fmt: skip
-KEEP_FIRST = Option(
-    "--keep-first", "where parts differ in a case keep the row that is there, or the first part's",
-    read=None,
+MERGED = (
+    STUDY,
+    Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"}),
+    RESULTS,
+    Option("--keep-first", "where parts differ in a case keep the row that is there, or the first "
+           "part's", read=None),
 )  # fmt: skip
+SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
+                 extra={"nargs": "?"})  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb and its actions."""
     summary = "check, plan, run and read a study"
-    parser = verb(verbs, "study", _help, summary=summary, example=EXAMPLE)
+    parser = verb(verbs, "study", print_help, summary=summary, example=EXAMPLE)
     actions = parser.add_subparsers(metavar="ACTION", title="actions", dest="action")
-    for run, summary, options in (
-        (check, "check a study file, and say on one line what it plans", ()),
-        (plan, "count what a study will do and write", ()),
-        (run_study, "run a study, or go on with one that was stopped", RUN),
-        (status, "tell how far a study is, also while it runs", ()),
-        (errors, "list the cases that are not ok, grouped by reason", ()),
-        (show, "print the tables of a study, also unfinished; or run one case again", SHOW),
-        (report, "write tables, figures and report again from the stored cases", ()),
-    ):
-        name = run.__name__.removesuffix("_study")
-        example = f"  sparsefit study {name} studies/NAME.toml\n"
-        action = verb(actions, name, run, summary=summary, example=example)
-        action.add_argument("study", metavar="STUDY", help="study file, .toml")
-        declare(action, (RESULTS, *options, *([] if run is report else [JSON])))
-    _add_compare(actions)
-    _add_merge(actions)
-
-
-def _add_compare(actions: Verbs) -> None:
-    summary = "hold two runs of a study against each other, case by case"
-    action = verb(actions, "compare", compare, summary=summary, example=COMPARE)
-    for name in ("first", "second"):
-        words = f"the {name} run: a results folder, or a study file whose results are there"
-        action.add_argument(name, metavar=name.upper(), help=words)
-    declare(action, (RESULTS, *COMPARED, JSON))
-
-
-def _add_merge(actions: Verbs) -> None:
-    summary = "bring parts of a study together that were run in several places"
-    action = verb(actions, "merge", merge, summary=summary, example=MERGE)
-    action.add_argument("study", metavar="STUDY", help="study file, .toml")
-    action.add_argument("parts", metavar="FOLDER", nargs="+", help="results folder of a part")
-    declare(action, (RESULTS, KEEP_FIRST, JSON))
-
-
-def _help(args: argparse.Namespace) -> int:
-    args.parser.print_help()
-    return 0
+    own = "  sparsefit study {} studies/NAME.toml\n"
+    of_study = (STUDY, RESULTS)
+    for name, run, summary, options, example in (
+        ("check", check, "check a study file, and say on one line what it plans", of_study, own),
+        ("plan", plan, "count what a study will do and write", of_study, own),
+        ("run", run_study, "run a study, or go on with one that was stopped", (*of_study, *RUN),
+         own),
+        ("status", status, "tell how far a study is, also while it runs", of_study, own),
+        ("errors", errors, "list the cases that are not ok, grouped by reason", of_study, own),
+        ("show", show, "print the tables of a study, also unfinished; or run one case again",
+         (*of_study, *SHOW), own),
+        ("report", report, "write tables, figures and report again from the stored cases",
+         of_study, own),
+        ("compare", compare, "hold two runs of a study against each other, case by case", COMPARED,
+         COMPARE),
+        ("merge", merge, "bring parts of a study together that were run in several places",
+         MERGED, MERGE),
+        ("keys", keys, "list the keys of a study file, with their units, ranges and defaults",
+         (SECTION,), "  sparsefit study keys flights\n"),
+    ):  # fmt: skip
+        action = verb(actions, name, run, summary=summary, example=example.format(name))
+        declare(action, (*options, *([] if name == "report" else [JSON])))
 
 
 def read_study(args: argparse.Namespace) -> Study:
@@ -147,6 +146,8 @@ def _checked(args: argparse.Namespace) -> Study:
         check_outputs(study)
         with told_with("[select]"):
             check_rule(study)
+            if study.definition.selection.on_board:
+                _ = study.refusals  # none can fly
     return study
 
 
@@ -158,61 +159,78 @@ def check(args: argparse.Namespace) -> int:
     kind = "" if study.kind == "flights" else f" of {study.kind}"
     heading = f"{args.study}: ok, study {study.name}{kind} plans {cases} cases"
     missing = [f"  missing: {name}: {reason}" for name, reason in study.missing.items()]
-    emit(record, lambda: [heading, *missing], as_json=args.json)
-    return 0
+    return emit(record, [heading, *missing], as_json=args.json)
 
 
 def plan(args: argparse.Namespace) -> int:
     """Count what will be computed."""
     study = read_study(args)
-    record = study.counts()
-    pairs = [("study", study.name), ("question", study.question), *record["rows"]]
-    written = {key: value for key, value in record.items() if key != "rows"}
-    emit({"study": study.name, **written}, lambda: rows_of(pairs), as_json=args.json)
-    return 0
+    record = {"study": study.name, "question": study.question, **study.counts()}
+    return emit(record, rows_of(_told(record)), as_json=args.json)
+
+
+def _told(record: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Rows of a record; of a mapping in it one for each of its items."""
+    for name, value in record.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{name.rstrip('s')} {key}", str(item)) for key, item in value.items())
+        elif isinstance(value, list):
+            yield name, ", ".join(map(str, value))
+        else:
+            yield name, str(value)
+
+
+def keys(args: argparse.Namespace) -> int:
+    """List the keys of one section, or of all."""
+    from sparsefit.study.keys import RECORDS, keys_of
+
+    sections = [args.section] if args.section else list(RECORDS)
+    record = {section: keys_of(section) for section in sections}
+    lines = [
+        line
+        for section, words in record.items()
+        for line in ([] if args.section else ["", f"[{section}]"]) + rows_of(words.items())
+    ]
+    return emit(record, lines, as_json=args.json)
 
 
 def run_study(args: argparse.Namespace) -> int:
     """Run to the end; write and print what came out."""
     from sparsefit.study import page
 
-    args.stopped = STOPPED_FRESH if args.fresh else STOPPED
+    again = "without --fresh to continue" if args.fresh else "again to continue"
+    args.stopped = f"stopped; run the same command {again}"
     study = _checked(args)
-    progress = Progress()
-    try:
+    finishing = "finishing the fits at hand; Ctrl-C again to stop at once"
+    names = ("processes", "fresh", "retry_failed", "stale", "only", "executor", "scheduler")
+    with Progress() as progress:
         summary = study.run(
-            processes=args.processes,
             progress=progress,
-            fresh=args.fresh,
-            retry_failed=args.retry_failed,
-            stale=args.stale,
-            only=args.only,
-            executor=args.executor,
-            scheduler=args.scheduler,
-            stopping=lambda: print(f"\n{STOPPING}", file=sys.stderr),
+            stopping=lambda: print(f"\n{finishing}", file=sys.stderr),
+            **{name: getattr(args, name) for name in names},
         )
-    finally:
-        progress.close()
     for note in _notes(summary):
         print(note, file=sys.stderr)
-    args.stopped = STOPPED_WRITING
-    record, lines = _run_record(study, summary), [_done(summary)]
+    args.stopped = "stopped while writing the report; run the same command again to continue"
+    record = {
+        "study": study.name,
+        "folder": str(summary.folder),
+        "cases": summary.planned,
+        "statuses": dict(summary.statuses),
+        **{name: getattr(summary, name) for name in
+           ("done", "resumed", "computed", "stale", "dropped", "seconds", "solver_seconds")},
+    }  # fmt: skip
+    lines = [_done(summary)]
     if summary.finished:
-        written = page.write(study)
-        cases = study.cases
-        headline = page.headline(study, cases)
-        record |= {"headline": headline, "written": [str(path) for path in written]}
-        if not args.json:
-            shown = page.show(study, cases, width=terminal_width())
-            lines = [shown.rstrip("\n"), "", *lines]
-            lines.append(f"written to {summary.folder}; start with {written[-1]}")
+        written, cases = page.write(study), study.cases
+        record |= {"headline": page.headline(study, cases), "written": list(map(str, written))}
+        shown = "" if args.json else page.show(study, cases, width=terminal_width())
+        lines = [shown.rstrip("\n"), "", *lines]
+        lines.append(f"written to {summary.folder}; start with {written[-1]}")
     else:
-        lines.append(
-            f"{summary.done} of {summary.planned} cases are there: run without --only for the "
-            "rest, and the report"
-        )
-    emit(record, lambda: lines, as_json=args.json)
-    return 0
+        rest = "run without --only for the rest, and the report"
+        lines.append(f"{summary.done} of {summary.planned} cases are there: {rest}")
+    return emit(record, lines, as_json=args.json)
 
 
 def _notes(summary: RunSummary) -> Iterator[str]:
@@ -228,17 +246,6 @@ def _notes(summary: RunSummary) -> Iterator[str]:
 def _stale(stale: int) -> str:
     rows = "1 case was" if stale == 1 else f"{stale} cases were"
     return f"{rows} computed by other code than this; study run --stale renews"
-
-
-def _run_record(study: Study, summary: RunSummary) -> dict[str, Any]:
-    names = ["done", "resumed", "computed", "stale", "dropped", "seconds", "solver_seconds"]
-    return {
-        "study": study.name,
-        "folder": str(summary.folder),
-        "cases": summary.planned,
-        "statuses": dict(summary.statuses),
-        **{name: getattr(summary, name) for name in names},
-    }
 
 
 def _done(summary: RunSummary) -> str:
@@ -266,53 +273,35 @@ def _by_status(statuses: Mapping[str, int]) -> str:
 def status(args: argparse.Namespace) -> int:
     """Count planned and finished cases, by status."""
     study = read_study(args)
-    found = study.status()
-    record = {key: getattr(found, key) for key in ("planned", "done", "finished", "stale")}
-    record |= {"statuses": dict(found.statuses), "versions": dict(found.versions)}
-    state = "finished" if found.finished else "not finished" if found.done else "not begun"
-    counted = f"{found.done} of {found.planned} cases ({_by_status(found.statuses)})"
-    lines = [f"{study.name}: {state}, {counted} in {found.folder}"]
-    lines += [_stale(found.stale)] if found.stale else []
-    emit({"study": study.name, "folder": str(found.folder), **record}, lambda: lines,
-         as_json=args.json)  # fmt: skip
-    return 0
+    state = study.status()
+    content = {"folder": str(state.folder), "statuses": dict(state.statuses)}
+    record = {"study": study.name, **vars(state), **content, "versions": dict(state.versions)}
+    words = "finished" if state.finished else "not finished" if state.done else "not begun"
+    counted = f"{state.done} of {state.planned} cases ({_by_status(state.statuses)})"
+    lines = [f"{study.name}: {words}, {counted} in {state.folder}"]
+    return emit(record, lines + [_stale(state.stale)] * bool(state.stale), as_json=args.json)
 
 
 def errors(args: argparse.Namespace) -> int:
     """List cases that are not ok, by candidate, status and reason; numbers in a reason may vary."""
-    study, found, cases = _stored(args)
-    groups = _grouped(cases[cases["status"] != "ok"])
-    total = sum(group["cases"] for group in groups)
-    state = "" if found.finished else f" (not finished: {found.done} of {found.planned} so far)"
-    heading = f"{study.name}: {total} of {found.done} cases are not ok{state}"
-
-    def lines() -> Iterator[str]:
-        yield heading
-        for group in groups:
-            count = f"{group['cases']} x {coloured(group['status'], one_line(group['status']))}"
-            yield f"\n{count}, {one_line(group['label'])}"
-            yield f"  {one_line(group['reason']) or 'no reason given'}"
-            yield f"  first case: {group['first_case']}"
-
-    record = {"study": study.name, "done": found.done, "groups": groups}
-    emit(record, lines, as_json=args.json)
-    return 0
-
-
-def _grouped(cases: pd.DataFrame) -> list[dict[str, Any]]:
+    study, state, cases = _stored(args)
+    cases = cases[cases["status"] != "ok"]
     pattern = cases["reason"].str.replace(r"[-+]?\d[\d.,e+-]*", "#", regex=True)
-    keys = [cases["title"], cases["status"], pattern]
-    groups = [
-        {
-            "cases": len(rows),
-            "status": str(rows["status"].iloc[0]),
-            "label": str(rows["title"].iloc[0]),
-            "reason": str(rows["reason"].iloc[0]),
-            "first_case": str(rows["case_id"].iloc[0]),
-        }
-        for _, rows in cases.groupby(keys, sort=False, dropna=False)
-    ]
-    return sorted(groups, key=lambda group: -group["cases"])
+    names = {"status": "status", "label": "title", "reason": "reason", "first_case": "case_id"}
+    groups: list[dict[str, Any]] = [
+        {"cases": len(rows), **{key: str(rows[name].iloc[0]) for key, name in names.items()}}
+        for _, rows in cases.groupby([cases["title"], cases["status"], pattern], sort=False,
+                                     dropna=False)
+    ]  # fmt: skip
+    groups.sort(key=lambda group: -group["cases"])
+    so_far = "" if state.finished else f" (not finished: {state.done} of {state.planned} so far)"
+    lines = [f"{study.name}: {len(cases)} of {state.done} cases are not ok{so_far}"]
+    for group in groups:
+        status, label, reason, case = (one_line(str(group[name])) for name in names)
+        lines += [f"\n{group['cases']} x {coloured(status)}, {label}"]
+        lines += [f"  {reason or 'no reason given'}", f"  first case: {case}"]
+    record = {"study": study.name, "done": state.done, "groups": groups}
+    return emit(record, lines, as_json=args.json)
 
 
 def show(args: argparse.Namespace) -> int:
@@ -322,28 +311,26 @@ def show(args: argparse.Namespace) -> int:
     from sparsefit.study import page, tables
 
     study, _, cases = _stored(args)
+    width = terminal_width()
     if not args.table and not args.json:
-        print(page.show(study, cases, width=terminal_width()), end="")
+        print(page.show(study, cases, width=width), end="")
         return 0
     made = tables.tables(study, cases, tuple(args.table))
-    records = {name: table.record() for name, table in made.items()}
-    width = terminal_width()
-    emit(records, lambda: (table.to_text(width) for table in made.values()), as_json=args.json)
-    return 0
+    texts = (table.to_text(width) for table in made.values())
+    return emit({name: table.record() for name, table in made.items()}, texts, as_json=args.json)
 
 
 def _show_case(args: argparse.Namespace) -> int:
     """Run one case again, write its picture, and print its numbers beside the stored ones."""
     from sparsefit.study import case_page
 
-    study = read_study(args)
+    study, suffixes = read_study(args), (".html", ".svg", ".png")
     file: Path | None = None
-    if args.output is not None and Path(args.output).suffix.lower() not in SUFFIXES:
-        words = f"{args.output} must end in {', '.join(SUFFIXES)}: no other is drawn"
+    if args.output is not None and Path(args.output).suffix.lower() not in suffixes:
+        words = f"{args.output} must end in {', '.join(suffixes)}: no other is drawn"
         raise InputError(f"--output: {words}")
     if study.kind == "flights":
-        default = study.folder / f"case-{args.case}.html"
-        file = default if args.output is None else Path(args.output)
+        file = Path(args.output or study.folder / f"case-{args.case}.html")
         if args.output is not None:
             check_output(args.output, force=args.force)
     elif args.output is not None:
@@ -351,20 +338,16 @@ def _show_case(args: argparse.Namespace) -> int:
     table = case_page.write_case(study, args.case, file)
     record = {"case": args.case, "picture": None if file is None else str(file), **table.record()}
     written = [] if file is None else [f"written to {file}"]
-    emit(record, lambda: [table.to_text(terminal_width()), *written], as_json=args.json)
-    return 0
+    return emit(record, [table.to_text(terminal_width()), *written], as_json=args.json)
 
 
 def report(args: argparse.Namespace) -> int:
     """Write tables, figures and report anew; the cases stay as they are."""
     from sparsefit.study import page
 
-    study = read_study(args)
-    found = study.status()
-    if not found.finished:
-        raise unfinished(args.study, found)
-    if found.stale:
-        print(_stale(found.stale), file=sys.stderr)
+    study = finished_study(args)
+    if stale := study.status().stale:
+        print(_stale(stale), file=sys.stderr)
     written = page.write(study)
     print("\n".join([page.headline(study, study.cases), *map(str, written)]).lstrip("\n"))
     return 0
@@ -373,34 +356,27 @@ def report(args: argparse.Namespace) -> int:
 def compare(args: argparse.Namespace) -> int:
     """Show what changed; exit 1 where that is more than was asked for."""
     from sparsefit.study import compare as comparing
+    from sparsefit.study.export import read_cases
+    from sparsefit.study.study import Study
+
+    def cases(name: str) -> pd.DataFrame:
+        if Path(name).is_dir():
+            return read_cases(name)
+        return Study.from_file(name, results=args.results).cases
 
     tolerance = non_negative("--tolerance", args.tolerance)
     folder = None if args.output is None else check_folder(args.output, own="comparison.md")
     names = (args.first, args.second)
-    first, second = (_cases(name, args.results) for name in names)
+    first, second = map(cases, names)
     both = comparing.compare(first, second, names, tolerance)
-    written = comparing.write_comparison(both, folder) if folder else []
-    record = both.record() | {"written": [str(path) for path in written]}
-
-    def lines() -> Iterator[str]:
-        for table in both.tables.values():
-            if len(table.frame):
-                yield table.to_text(terminal_width())
-        yield both.sentence
-        yield from (f"written: {path}" for path in written[-1:])
-
-    emit(record, lines, as_json=args.json)
+    written = list(map(str, comparing.write_comparison(both, folder) if folder else []))
+    tables = (table for table in both.tables.values() if len(table.frame))
+    lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
+    lines += [f"written: {path}" for path in written[-1:]]
+    emit(both.record() | {"written": written}, lines, as_json=args.json)
     if args.fail_on == "worse":
         return int(both.worse)
     return int(both.differs and args.fail_on == "changed")
-
-
-def _cases(name: str, results: str | None) -> pd.DataFrame:
-    """The rows of a results folder, or of a study file by its results."""
-    from sparsefit.study.export import read_cases
-    from sparsefit.study.study import Study
-
-    return read_cases(name) if Path(name).is_dir() else Study.from_file(name, results=results).cases
 
 
 def merge(args: argparse.Namespace) -> int:
@@ -411,34 +387,38 @@ def merge(args: argparse.Namespace) -> int:
     merged = study.merge(args.parts, keep_first=args.keep_first)
     if merged.finished:
         page.write(study)
-
-    def lines() -> Iterator[str]:
-        for part in merged.parts:
-            counts = ((part.alike, "alike"), (part.other, "different and left out"))
-            beside = "".join(f", {count} {words}" for count, words in counts if count)
-            yield f"{part.folder}: {part.taken} of its {part.rows} rows were new{beside}"
-        missing = merged.planned - merged.done
-        rest = f"{missing} left to run: sparsefit study run {args.study}"
-        state = "finished" if merged.finished else rest
-        yield f"{merged.folder}: {merged.done} of {merged.planned} cases, {state}"
-
+    lines = []
+    for part in merged.parts:
+        counts = ((part.alike, "alike"), (part.other, "different and left out"))
+        beside = "".join(f", {count} {words}" for count, words in counts if count)
+        lines.append(f"{part.folder}: {part.taken} of its {part.rows} rows were new{beside}")
+    rest = f"{merged.planned - merged.done} left to run: sparsefit study run {args.study}"
+    state = "finished" if merged.finished else rest
+    lines.append(f"{merged.folder}: {merged.done} of {merged.planned} cases, {state}")
     parts = [{**dataclasses.asdict(part), "folder": str(part.folder)} for part in merged.parts]
     counted = {"planned": merged.planned, "done": merged.done, "parts": parts}
     record = {"study": study.name, "folder": str(merged.folder), **counted}
-    emit(record, lines, as_json=args.json)
-    return 0
+    return emit(record, lines, as_json=args.json)
 
 
 def _stored(args: argparse.Namespace) -> tuple[Study, RunStatus, pd.DataFrame]:
     """The study, its state and its rows. Raises InputError where there is none yet."""
     study = read_study(args)
-    found = study.status()
-    if not found.done:
-        raise unfinished(args.study, found)
-    return study, found, study.cases
+    state = study.status()
+    if not state.done:
+        raise _unfinished(args.study, state)
+    return study, state, study.cases
 
 
-def unfinished(name: str, found: RunStatus) -> InputError:
-    """The refusal of what needs more cases of a study file than there are; returned, not raised."""
-    there = f"{found.done} of {found.planned} cases are there; run them first"
-    return InputError(f"{found.folder}: {there}: sparsefit study run {name}")
+def finished_study(args: argparse.Namespace) -> Study:
+    """The study, of which all cases are there; else InputError with the command that runs them."""
+    study = read_study(args)
+    state = study.status()  # refuses the results of another study
+    if not state.finished:
+        raise _unfinished(args.study, state)
+    return study
+
+
+def _unfinished(name: str, state: RunStatus) -> InputError:
+    there = f"{state.done} of {state.planned} cases are there; run them first"
+    return InputError(f"{state.folder}: {there}: sparsefit study run {name}")

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.estimator_file import add_estimator, estimator_of
+from sparsefit.cli.estimator_file import ESTIMATOR, OPTIONS, estimator_of
 from sparsefit.cli.options import FORCE, JSON, Option, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output, emit
 from sparsefit.errors import InputError, one_line, told_with
 
 if TYPE_CHECKING:
-    from sparsefit.cli.answer import Log
+    from sparsefit.cli.printed import ReadLog
     from sparsefit.estimator import Estimate, Estimator
     from sparsefit.flight import Flight
     from sparsefit.logs.flight_table import FlightTable
@@ -38,6 +38,13 @@ exit code: 0 when the status is ok, 1 when it is not (the estimate is printed al
 2 for bad input. `sparsefit backends` lists back-ends and their settings.
 """
 PICTURES = (".png", ".svg", ".pdf")
+FLIGHT = Option(
+    "flight", "flight log: a table (.csv, .parquet; .txt, .tsv, .dat), .ulg of PX4, .igc of a "
+    "glider; several are flights through one flow, in one frame and by one clock", "FLIGHT",
+    extra={"nargs": "+"},
+)  # fmt: skip
+PLOT = Option("--plot", "draw track, cells, weights, residual and its spectrum: .png, .svg or .pdf",
+              "FILE")  # fmt: skip
 LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
@@ -64,24 +71,16 @@ def add(verbs: Verbs) -> None:
     """Declare the verb."""
     summary = "estimate mean velocity, length scale and timescale from a flight, or several"
     parser = verb(verbs, "estimate", run, summary=summary, example=EXAMPLE)
-    parser.add_argument(
-        "flight",
-        metavar="FLIGHT",
-        nargs="+",
-        help="flight log: a table (.csv, .parquet; .txt, .tsv, .dat), .ulg of PX4, .igc of a "
-        "glider; several are flights through one flow, in one frame and by one clock",
-    )
-    plot = "draw track, cells, weights, residual and its spectrum: .png, .svg or .pdf"
-    declare(parser, (JSON, Option("--plot", plot, "FILE"), FORCE))
+    declare(parser, (FLIGHT, JSON, PLOT, FORCE))
     declare(parser.add_argument_group("log"), LOG)
-    add_estimator(parser)
+    declare(parser.add_argument_group("estimator"), (ESTIMATOR, *OPTIONS.values()))
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
     declare(vehicle, VEHICLE.values())
 
 
 def run(args: argparse.Namespace) -> int:
     """Estimate, print, and return 0 where the status is ok, else 1."""
-    from sparsefit.cli.answer import lines
+    from sparsefit.cli.printed import lines
 
     if args.plot is not None:
         check_output(args.plot, force=args.force, endings=PICTURES)
@@ -93,19 +92,16 @@ def run(args: argparse.Namespace) -> int:
         _draw(args.plot, args.flight, estimator, flights, estimate)
     records = [log.record(estimate) for log in logs]
     read = {"log": records[0]} if len(logs) == 1 else {"logs": records}
-    emit(
-        estimate.to_dict() | read,
-        lambda: lines(logs, estimate, estimator.library.unknown),
-        as_json=args.json,
-    )
+    said = lines(logs, estimate, estimator.library.unknown)
+    emit(estimate.to_dict() | read, said, as_json=args.json)
     if estimate.status != "ok" and not sys.stdout.isatty():  # there it has just been read
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
     return 0 if estimate.status == "ok" else 1
 
 
-def _logs(args: argparse.Namespace, estimator: Estimator) -> list[Log]:
+def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
-    from sparsefit.cli.answer import Log
+    from sparsefit.cli.printed import ReadLog
     from sparsefit.logs.checks import check_log, quality_of
     from sparsefit.logs.files import read_table
     from sparsefit.rows import Derivative
@@ -135,7 +131,7 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[Log]:
         with told_with(path):
             check_log(flight, smallest=grid.lower, largest=grid.upper, longest_gap=args.longest_gap)
         quality = quality_of(flight, Derivative()(flight).smoothing)
-        logs.append(Log(path, flight, quality, table.notes))
+        logs.append(ReadLog(path, flight, quality, table.notes))
     return logs
 
 

@@ -1,0 +1,62 @@
+"""`sparsefit export`: an estimator as C99 for the processor on board."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sparsefit.cli.estimator_file import read_estimator
+from sparsefit.cli.options import Option, Verbs, declare, verb
+from sparsefit.cli.terminal import check_folder
+from sparsefit.errors import one_line
+
+EXAMPLE = """\
+  sparsefit export estimator.json --c flow
+  sparsefit export estimator.json --c flow --float --flight flight.csv
+  cmake -S flow -B flow/build && cmake --build flow/build && ctest --test-dir flow/build
+"""
+OPTIONS = (
+    Option("estimator", "estimator file, .json, as sparsefit select writes", "ESTIMATOR"),
+    Option("--c", "folder to write", "DIR", extra={"required": True, "dest": "folder"}),
+    Option("--flight", "recorded flight of the test; default: a simulated one", "FILE"),
+    Option("--compiler", "that measures the flash; default: cc, where there is one", "CC"),
+    Option("--force", "write into DIR though it has files", read=None),
+)
+REAL = {"action": "store_const", "dest": "real", "default": "double"}
+REALS = (
+    Option(
+        "--double", "numbers of 8 bytes (default)", read=None, extra={**REAL, "const": "double"}
+    ),
+    Option("--float", "numbers of 4 bytes", read=None, extra={**REAL, "const": "float"}),
+)
+
+
+def add(verbs: Verbs) -> None:
+    """Declare the verb."""
+    words = "write an estimator as C99: no heap, bounded work, with a test that replays a flight"
+    parser = verb(verbs, "export", run, summary=words, example=EXAMPLE)
+    declare(parser, OPTIONS)
+    declare(parser.add_mutually_exclusive_group(), REALS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the C, and say what it takes."""
+    from sparsefit.logs import read_flight
+    from sparsefit.onboard.c_source import package
+    from sparsefit.whole_file import write_whole
+
+    folder = check_folder(args.folder, force=args.force)
+    estimator = read_estimator(args.estimator)
+    flight = None if args.flight is None else read_flight(args.flight)
+    source = Path(args.estimator).name
+    content = package(estimator, args.real, flight, source=source, compiler=args.compiler)
+    for path, file in content.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / path, file)
+    grid = estimator.library.grid
+    print(f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
+    print(f"       {grid.lower:g} to {grid.upper:g} m, {args.real}")
+    costs = ("RAM ", "flas", "stac", "work", "    ")
+    readme = content["README.md"].decode().splitlines()
+    print("\n".join(line[4:] for line in readme if line[4:8] in costs))
+    return 0
