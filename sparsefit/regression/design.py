@@ -108,8 +108,15 @@ class Design:
 
     @cached_property
     def csc(self) -> Any:
-        """The matrix of a sparse design with its weights, off which no means were taken."""
-        return self._weighted
+        """The matrix of a sparse design with its weights, off which no means were taken.
+
+        Its indices are 32-bit integers, as compiled loops read them, unless they are too many.
+        """
+        matrix = self._weighted
+        if matrix.indices.dtype == np.int32 or matrix.nnz >= 2**31:
+            return matrix
+        places = (matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32))
+        return type(matrix)((matrix.data, *places), shape=matrix.shape)
 
     @cached_property
     def means(self) -> Array:

@@ -151,10 +151,13 @@ def _along(
     zero = Points(np.zeros((count, k, q)), np.ones(count, bool), np.zeros(count, np.intp), "zero")
     if level == 0.0 or not cross.any():
         return zero
-    descends = type(penalty) is AbsoluteValues and k > FEW and compiled("sweeps") is not None
-    if design.kind == "sparse" and isinstance(penalty, AbsoluteValues) and descends:
-        found = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
-        return Points(found[0][:, :, None], *found[1:], "descent")
+    if design.kind == "sparse" and isinstance(penalty, AbsoluteValues) and k > FEW:
+        plain = type(penalty) is AbsoluteValues and design.csc.nnz < 2**31
+        if plain and compiled("sweeps") is not None:
+            weights, complete, steps = descent_path(
+                design, target[:, 0], cross[:, 0], penalty, alphas
+            )
+            return Points(weights[:, :, None], complete, steps, "descent")
     units = Units.of(penalty, cross, level)
     single = len(alphas) < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
     if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:

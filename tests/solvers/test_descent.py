@@ -56,7 +56,9 @@ def test_its_weights_are_those_of_the_referee():
     penalty = AbsoluteValues(np.ones(150), ridge=0.2)
     cross = design.correlate(target[:, None])[:, 0]
     alphas = np.abs(cross).max() * np.array([0.5, 0.1, 0.02])
-    weights, _, _ = descent_path(design, target, cross, penalty, alphas)
+    long = design.source.astype(float)
+    long.indices, long.indptr = long.indices.astype(np.int64), long.indptr.astype(np.int64)
+    weights, _, _ = descent_path(Design(long, 100), target, cross, penalty, alphas)
     reference = solver("clarabel").path(design, target[:, None], penalty, alphas, 1e-10)
     np.testing.assert_allclose(weights, reference[:, :, 0], atol=1e-6)
 
