@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from sparsefit.errors import InputError, SparsefitError, is_integer, unknown
+from sparsefit.errors import InputError, SparsefitError, described, is_integer, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import Backend, Solution, quiet, settings_of
@@ -79,13 +79,9 @@ PUBLIC: Mapping[str, str] = MappingProxyType(
 def _plugins() -> "Mapping[str, EntryPoint]":
     from importlib.metadata import entry_points  # of no use to our own back-ends, and slow
 
-    return MappingProxyType(
-        {
-            entry.name: entry
-            for entry in entry_points(group="sparsefit.backends")
-            if entry.name not in BACKENDS and entry.name not in PUBLIC
-        }
-    )
+    listed = entry_points(group="sparsefit.backends")
+    ours = {*BACKENDS, *PUBLIC}
+    return MappingProxyType({entry.name: entry for entry in listed if entry.name not in ours})
 
 
 def known() -> tuple[str, ...]:
@@ -109,25 +105,17 @@ def load(name: str) -> type[Backend]:
         return cast(type[Backend], getattr(import_module(module), attribute))
     if name not in _plugins():
         raise unknown("back-end", name, (*known(), *PUBLIC))
+    where = f"back-end {name!r} (plug-in {_plugins()[name].value})"
     try:
         with quiet():
             loaded = _plugins()[name].load()
     except (Exception, SystemExit) as error:  # a plug-in may raise anything on import
-        raise InputError(
-            f"back-end {name!r} (plug-in {_plugins()[name].value}) cannot be loaded: "
-            f"{type(error).__name__}: {error}"
-        ) from error
+        raise InputError(f"{where} cannot be loaded: {described(error)}") from error
     if not (is_dataclass(loaded) and callable(getattr(loaded, "solve", None))):
-        raise InputError(
-            f"back-end {name!r} (plug-in {_plugins()[name].value}) is not a frozen dataclass with "
-            "a `solve` method"
-        )
+        raise InputError(f"{where} is not a frozen dataclass with a `solve` method")
     for needed in ("name", "certificate_kind"):
         if not isinstance(getattr(loaded, needed, None), str):
-            raise InputError(
-                f"back-end {name!r} (plug-in {_plugins()[name].value}) has no `{needed}`, a text "
-                "that its class holds"
-            )
+            raise InputError(f"{where} has no `{needed}`, a text that its class holds")
     return cast(type[Backend], loaded)
 
 
@@ -143,26 +131,15 @@ def get(name: str, **settings: Any) -> Backend:
     Raises InputError on an unknown name, an unknown setting or a value out of range.
     """
     backend = load(name)
-    valid = [item.name for item in fields(cast(Any, backend))]
+    own = {item.name: item.type for item in fields(cast(Any, backend))}
     for key in settings:
-        if key not in valid:
-            raise unknown(f"setting of {name}", key, valid)
+        if key not in own:
+            raise unknown(f"setting of {name}", key, own)
     if name in BACKENDS or name in PUBLIC:
         return backend(**settings)
-    return _plugin(name, backend, settings)
-
-
-def named(backend: Backend | str) -> Backend:
-    """The back-end, or the one of that name with its default settings."""
-    return get(backend) if isinstance(backend, str) else backend
-
-
-def _plugin(name: str, backend: type[Backend], settings: Mapping[str, Any]) -> Backend:
-    """A plug-in with these settings: it may check none of them itself, or refuse in any words."""
-    for item in fields(cast(Any, backend)):
-        value = settings.get(item.name)
-        if item.type in (int, float, "int", "float") and isinstance(value, str):
-            raise InputError(f"{name}: {item.name} must be a number, not {value!r}")
+    for key, value in settings.items():  # a plug-in may check none of them, or refuse in any words
+        if own[key] in (int, float, "int", "float") and isinstance(value, str):
+            raise InputError(f"{name}: {key} must be a number, not {value!r}")
     try:
         with quiet():
             return backend(**settings)
@@ -170,6 +147,11 @@ def _plugin(name: str, backend: type[Backend], settings: Mapping[str, Any]) -> B
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"back-end {name!r} refuses these settings: {error}") from None
+
+
+def named(backend: Backend | str) -> Backend:
+    """The back-end, or the one of that name with its default settings."""
+    return get(backend) if isinstance(backend, str) else backend
 
 
 def fit(

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, Slope
 
@@ -29,11 +29,6 @@ class GroupNorms(Penalty):
     groups: IntArray
     weights: Array
     together: bool = True
-
-    @property
-    def columns(self) -> int:
-        """The number k of columns."""
-        return len(self.groups)
 
     @property
     def blocks(self) -> IntArray:
@@ -82,12 +77,9 @@ class GroupNorms(Penalty):
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
         """The root of (1 - s) (I - u u') + u u' by group, u = U_g/|U_g|, s = step omega/|U_g|."""
-        on = np.flatnonzero(np.broadcast_to(self._live(origin, step), values.shape))
+        live = (self.block_norms(origin) > step * self.weights[:, None])[self.groups]
+        on = np.flatnonzero(np.broadcast_to(live, values.shape))
         return on, self.root(on, origin, step)
-
-    def _live(self, origin: Array, step: float) -> BoolArray:
-        live: BoolArray = (self.block_norms(origin) > step * self.weights[:, None])[self.groups]
-        return live
 
     def root(self, on: IntArray, origin: Array, step: float) -> Any:
         """N (c, c) on the coefficients ``on`` of groups that are not zero."""
@@ -133,11 +125,6 @@ class NestedNorms(Penalty):
 
     outer: GroupNorms
     inner: AbsoluteValues | GroupNorms
-
-    @property
-    def columns(self) -> int:
-        """The number k of columns."""
-        return self.outer.columns
 
     @property
     def joint(self) -> bool:

@@ -22,7 +22,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import InputError
 from sparsefit.regression.losses import SQUARES, Squares
 
@@ -41,9 +41,11 @@ class Penalty(ABC):
     loss: Squares = SQUARES
 
     @property
-    @abstractmethod
     def columns(self) -> int:
-        """The number k of columns."""
+        """The number k of columns; a subclass states them, or its blocks."""
+        if type(self).blocks is Penalty.blocks:
+            raise InputError(f"{type(self).__name__} states neither `columns` nor `blocks`")
+        return len(self.blocks)
 
     @abstractmethod
     def norm(self, values: Array) -> Array:
@@ -140,11 +142,6 @@ class AbsoluteValues(Penalty):
     weights: Array
 
     @property
-    def columns(self) -> int:
-        """The number k of columns."""
-        return len(self.weights)
-
-    @property
     def blocks(self) -> IntArray:
         """Each column is a block."""
         return np.arange(len(self.weights))
@@ -199,17 +196,19 @@ class BoundedValues(AbsoluteValues):
 
     def block_dual_norms(self, values: Array) -> Array:
         """How much C_jt / omega_j pulls in a direction that is free at zero."""
-        up = np.where(self.upper[:, None] > 0, values, 0.0)
-        down = np.where(self.lower[:, None] < 0, -values, 0.0)
-        duals: Array = np.maximum(np.maximum(up, down), 0.0) / self.weights[:, None]
-        return duals
+        return self._pull(values, self.upper > 0, self.lower < 0)
 
     def constraint(self, values: Array) -> Array:
         """The gauge of the directions without a bound."""
-        up = np.where(np.isinf(self.upper)[:, None], values, 0.0)
-        down = np.where(np.isinf(self.lower)[:, None], -values, 0.0)
-        duals: Array = (np.maximum(np.maximum(up, down), 0.0) / self.weights[:, None]).max(axis=-2)
-        return duals
+        peaks: Array = self._pull(values, np.isinf(self.upper), np.isinf(self.lower)).max(axis=-2)
+        return peaks
+
+    def _pull(self, values: Array, up: BoolArray, down: BoolArray) -> Array:
+        """C_jt / omega_j upwards and downwards, where each (k,) is allowed; 0 elsewhere."""
+        rise = np.where(up[:, None], values, 0.0)
+        fall = np.where(down[:, None], -values, 0.0)
+        pull: Array = np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
+        return pull
 
     def excess(self, values: Array, alpha: Array) -> Array:
         """The conjugate in the directions with a bound: the bound times what exceeds alpha."""
