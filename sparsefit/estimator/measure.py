@@ -221,8 +221,8 @@ def _models(prepared: Prepared, proposal: Proposal) -> list[Model]:
             "thrust_bias_x": bias[0],
             "thrust_bias_y": bias[1],
             "quadratic_drag": vehicle.drag * tau,
-            "wind_x": proposal.wind[0],
-            "wind_y": proposal.wind[1],
+            "wind_x": proposal.background[0],
+            "wind_y": proposal.background[1],
         }
         models.append(Model(pattern, own))
     return models

@@ -60,6 +60,11 @@ class PointMassVehicle:
         object.__setattr__(self, "thrust_scale", finite("thrust_scale", self.thrust_scale))
 
     @property
+    def linear(self) -> bool:
+        """Whether the flow velocity is linear in the vehicle's acceleration: c is 0."""
+        return not self.drag
+
+    @property
     def rate(self) -> float:
         """1/tau [1/s], 0 where drag is quadratic only."""
         return 1.0 / self.response_time

@@ -201,21 +201,21 @@ def peak_mean_velocity(weights: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CandidateFlow:
-    """A sum of weighted candidates and a wind; its weights are free, so it may have a divergence.
+    """A sum of weighted candidates and a constant; with free weights it may have a divergence.
 
-    w(x) = sum_j C(k_j, x - x0) W_j + wind, C the 8 candidates of a wavenumber (Eq. 17).
+    w(x) = sum_j C(k_j, x - x0) W_j + background, C the 8 candidates of a wavenumber (Eq. 17).
 
     Args:
         wavenumbers: k = pi/L (s,) [1/m].
         weights: W (s, 8, 2) [m/s].
         origin: x0 (2,) [m], where the phases of the candidates are 0.
-        wind: [m/s], (x, y).
+        background: a uniform velocity beside them [m/s], (x, y).
     """
 
     wavenumbers: Array
     weights: Array
     origin: Array
-    wind: tuple[float, float] = (0.0, 0.0)
+    background: tuple[float, float] = (0.0, 0.0)
 
     def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at x, y [m]; t [s] changes nothing."""
@@ -224,5 +224,5 @@ class CandidateFlow:
         )
         place = np.column_stack([east.ravel(), north.ravel()]) - self.origin
         theta = candidate_columns(place, math.pi / self.wavenumbers)
-        total: Array = theta @ self.weights.reshape(-1, 2) + np.array(self.wind)
+        total: Array = theta @ self.weights.reshape(-1, 2) + np.array(self.background)
         return total.reshape(*east.shape, 2)

@@ -312,7 +312,7 @@ class Ladder:
                 break
 
     def moving(self) -> None:
-        """Square cells that drift, followed from pieces of the track to the whole."""
+        """Square cells that move, followed from pieces of the track to the whole."""
         rest = self.rows.rest
         fastest = self.limits.fastest * math.sqrt(2 * float(np.mean(np.sum(rest**2, axis=1))))
         scan = WaveScan.of(self.rows.place, self.lookout.radii, fastest, self.rows.weight)
@@ -349,9 +349,9 @@ class Ladder:
 
     def with_waves(self, here: ShapeFit, waves: Array) -> ShapeFit | None:
         """Waves k (j, 2) moved together; None where BIC does not fall, or two nearly cancel."""
-        drift = here.q[-2:] if here.shape.drifting else np.zeros(0)
+        motion = here.q[-2:] if here.shape.drifting else np.zeros(0)
         shape = free_waves(len(waves), drifting=here.shape.drifting)
-        fit = descended(self.rows, shape, np.concatenate([waves.ravel(), drift]))
+        fit = descended(self.rows, shape, np.concatenate([waves.ravel(), motion]))
         if self.bic(fit) >= self.bic(here) or not self.lookout.possible(fit):
             return None
         self.tried.append(fit)

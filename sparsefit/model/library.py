@@ -10,8 +10,9 @@ components share their weights, theta has a row for each, x before y, sample aft
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -23,7 +24,7 @@ from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, w
 from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
 from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
 from sparsefit.model.shapes import CELLS, WAVE
-from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out, refuse_spanned
+from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out
 from sparsefit.regression.given import compressed
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
@@ -73,9 +74,15 @@ class GridColumns:
             return candidate_columns(position, self.scales)
         return wave_theta(position, self.wavevectors)
 
-    def blocks(self, source: Samples) -> Iterator[tuple[slice, Array]]:
-        """Rows of theta in blocks, of samples or of averages of them, and which they are."""
+    def blocks(self, source: Samples, *, whole: bool) -> Iterator[tuple[slice, Array]]:
+        """Rows of theta in blocks, of samples or of averages of them, and which they are.
+
+        whole: whether all samples are one block.
+        """
         per, size = self.components, len(self.names)
+        if whole and source.operator is None:
+            yield slice(0, per * len(source.time)), self.at(source.position)
+            return
         for rows, psi, position in source.blocks():
             values = self.at(position)
             if psi is not None:
@@ -89,9 +96,8 @@ class Library:
 
     ``target``: ``flow-velocity`` Phi = tau (v' - a) + v (Eq. 23), ``acceleration`` v', or
     ``state-derivative`` (x', v'), the literal reading of Eq. 20.
-    ``unknown``: what is estimated with the flow, of ``response_time``, ``drag``, ``thrust_scale``,
-    ``thrust_acceleration`` and ``wind`` (`sparsefit.model.unknowns`); what is not is as the
-    vehicle says, the wind 0.
+    ``unknown``: what is estimated with the flow, of `sparsefit.model.unknowns.UNKNOWNS`; the rest
+    is as the vehicle says, and the air at rest but for the flow.
     ``family``: ``cells``, ``stream`` or ``waves``. Those of a stream function have one weight for
     both velocity components, and their one target is the flow velocity.
     ``waves``: how fine the wavevectors of ``waves`` are; ``grid`` gives the bounds of the length
@@ -199,12 +205,25 @@ class Library:
         rows, size = sum(map(len, targets)), len(columns.names)
         large = rows * size * 8 > STREAM_BYTES and rows > size + targets[0].shape[1]
 
+        def rows_of(number: int) -> Iterator[tuple[slice, Array, Array]]:
+            source, target, weight = sources[number], targets[number], weights[number]
+            for rows, theta in columns.blocks(source, whole=not large):
+                own = target[rows]
+                yield (rows, theta, own) if weight == 1.0 else (rows, weight * theta, weight * own)
+
         def blocks() -> Iterator[tuple[Array, Array]]:
-            each = zip(sources, vehicles, targets, weights, strict=True)
-            for number, (source, vehicle, target, weight) in enumerate(each, 1):
-                with told_of("flight", number, len(flights)):
-                    for theta, own in self._blocks(source, vehicle, target, columns, large):
-                        yield (theta, own) if weight == 1.0 else (weight * theta, weight * own)
+            again: Callable[[], Iterable[tuple[slice, Array, Array]]]
+            for number, (source, vehicle) in enumerate(zip(sources, vehicles, strict=True)):
+                with told_of("flight", number + 1, len(flights)):
+                    if not self.unknown:
+                        yield from ((theta, target) for _, theta, target in rows_of(number))
+                        continue
+                    unknowns = UnknownColumns(self.unknown, vehicle)
+                    basis = unknowns.basis(source, shared=columns.components == 2)
+                    again = partial(rows_of, number)
+                    if not large:  # built once, as they are few
+                        again = partial(list, list(rows_of(number)))
+                    yield from project_out(basis, again)
 
         count: int | None = rows
         continuum: ShapeContinuum | None = None
@@ -245,39 +264,6 @@ class Library:
                 "it out, or use a larger window"
             )
         return samples.every(self.every)
-
-    def _blocks(
-        self,
-        source: Samples,
-        vehicle: PointMassVehicle,
-        target: Array,
-        columns: GridColumns,
-        large: bool,
-    ) -> Iterator[tuple[Array, Array]]:
-        """Rows of theta and of the target of a flight, less what its unknowns explain."""
-        if not self.unknown and source.operator is None and not large:
-            yield columns.at(source.position), target
-            return
-        pieces = ((block, target[rows]) for rows, block in columns.blocks(source))
-        if not self.unknown:
-            yield from pieces
-            return
-        unknowns = UnknownColumns(self.unknown, vehicle)
-        basis = unknowns.basis(source, shared=columns.components == 2)
-        if not large:
-            yield project_out(basis, np.vstack([block for block, _ in pieces]), target)
-            return
-        # Folding [Q, theta, target] into a triangle, Q the basis, and dropping the first rows and
-        # columns of it, takes the projection in the same pass.
-        skip, size = basis.shape[1], len(columns.names)
-        triangle, _, _ = compressed(
-            (np.hstack([basis[rows], block]), target[rows])
-            for rows, block in columns.blocks(source)
-        )
-        rest = triangle[skip:, skip:].copy()
-        before = np.linalg.norm(triangle[:, skip : skip + size], axis=0)
-        refuse_spanned(np.linalg.norm(rest[:, :size], axis=0), before)
-        yield rest[:, :size].copy(), rest[:, size:].copy()
 
     def _continuum(
         self, position: Array, columns: GridColumns, weight: Array | None

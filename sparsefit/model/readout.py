@@ -6,13 +6,14 @@ On the grid these are the answer; off the grid they say where the search starts.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
@@ -29,7 +30,7 @@ from sparsefit.model.grid import Bounds, extent_of, middle
 from sparsefit.model.library import Library
 from sparsefit.model.search import Search, Start
 from sparsefit.model.shapes import read_cells
-from sparsefit.model.unknowns import UnknownColumns
+from sparsefit.model.unknowns import JointUnknowns, Read
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
@@ -43,13 +44,8 @@ Correction = Literal["none", "first-order"]
 
 UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
 MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
-PROPOSED = 0.02  # of the largest |W_g|: what is smaller proposes nothing
 OFF_GRID = ("gridless-group-lasso", "parametric-nls")  # back-ends with places of their own
-SLOWEST = 0.05  # of the fastest mode's velocity: systematic errors of a derivative reach 2 %
-Vehicles = tuple[tuple[PointMassVehicle | None, tuple[float, float]], ...]
-Window = tuple[
-    float, float, float
-]  # the wavenumber of a candidate, and from where to where to look
+Window = tuple[float, float, float]  # the wavenumber of a candidate, from where, and to where
 
 
 @dataclass(frozen=True)
@@ -169,7 +165,7 @@ def windows(fit: Fit, lobe: float, bounds: Bounds, *, on_grid: bool) -> tuple[Wi
     order = np.argsort(-scales, kind="stable")
     k, strength = math.pi / scales[order], np.sqrt(squares[order])
     below, above = k - lobe, k + lobe
-    top = strength > PROPOSED * strength.max()
+    top = strength > 0.02 * strength.max()  # what is smaller proposes nothing
     if on_grid:
         below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
         around = np.concatenate([[0.0], strength, [0.0]])
@@ -200,13 +196,13 @@ class GridReading:
         scales: of each mode, fastest first.
         flow: that the weights say; None where they are not those of a flow velocity, or no vehicle
             could have flown so.
-        vehicles: of each flight with its unknowns and the wind [m/s]; empty where all is known,
-            None of one that cannot be.
+        vehicles: of each flight with its unknowns, None of one that cannot be, and the steady
+            velocity [m/s] beside the flow; empty where all is known.
     """
 
     scales: tuple[GridScale, ...]
     flow: CandidateFlow | WaveFlow | None
-    vehicles: Vehicles = ()
+    vehicles: tuple[Read, ...] = ()
 
 
 def read_grid(
@@ -221,36 +217,37 @@ def read_grid(
 
     weights: of the rows of each flight. Raises InputError where the flight does not move.
     """
-    rows = _GridRows.of(flights, vehicles, library, weights)
     position = np.concatenate([samples.position for samples in flights])
+    several, extent = readout.scales == "several", extent_of(position)
+    averaged = any(samples.averages for samples in flights)
+    if not (several or library.unknown or averaged or library.family == "waves"):
+        weights = (1.0,) * len(flights)
+    rows = _GridRows(flights, vehicles, library, weights)
     if library.family == "waves":
-        return _read_waves(fit, rows, extent_of(position))
-    by_scale = readout.by_scale(fit, library)
-    k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
-    if readout.scales == "several":
-        extent = extent_of(position)
+        return _read_waves(fit, rows, extent)
+    if several:
         if not extent > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
-        on_grid = windows(fit, 2 * math.pi / extent, (0.0, math.inf), on_grid=_on_grid(fit))
-        k = np.array([window[0] for window in on_grid])
-        speeds = np.array([readout.velocity(own) for own in rows.cells(k)[0]])
-        k = k[speeds >= SLOWEST * speeds.max()]
-    own, coefficients = rows.cells(k)
-    pairs = rows.read(coefficients)
-    possible = all(vehicle is not None for vehicle, _ in pairs)
-    ratio = rows.ratio(coefficients)
-    if readout.scales == "several":
-        speeds = np.array([readout.velocity(mode / ratio) for mode in own])
-        order = np.argsort(-speeds)
-        scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in order)
+        places = windows(fit, 2 * math.pi / extent, (0.0, math.inf), on_grid=_on_grid(fit))
+        k = np.array([place[0] for place in places])
+        speeds = np.array([readout.velocity(mode) for mode in rows.cells(k)[0]])
+        k = k[speeds >= 0.05 * speeds.max()]  # systematic errors of a derivative reach 2 %
     else:
-        scales = (
-            GridScale(_velocity(rows, readout, k, own / ratio, pairs), math.pi / float(k[0])),
-        )
+        by_scale = readout.by_scale(fit, library)
+        k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
+    own, coefficients = rows.cells(k)
+    own, pairs = own / rows.ratio(coefficients), rows.unknowns.read(coefficients)
+    possible = all(vehicle is not None for vehicle, _ in pairs)
+    speeds = np.array([readout.velocity(mode) for mode in own])
+    if readout.mean_velocity == "paper":
+        speeds = np.array([_paper_velocity(rows, readout, k, pairs)])
+    elif not several and not possible:
+        speeds = np.array([math.nan])
+    scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
     flow: CandidateFlow | WaveFlow | None = None
-    if readout.scales == "several" and possible:
-        flow = CandidateFlow(k, own / ratio, rows.origin, pairs[0][1] if pairs else (0.0, 0.0))
-    elif library.target == "flow-velocity" and not library.unknown:
+    if several and possible:
+        flow = CandidateFlow(k, own, rows.origin, pairs[0][1] if pairs else (0.0, 0.0))
+    elif not several and library.target == "flow-velocity" and not library.unknown:
         flow = _weighed(fit, library)
     return GridReading(scales, flow, pairs)
 
@@ -275,41 +272,27 @@ def _read_waves(fit: Fit, rows: _GridRows, extent: float) -> GridReading:
     k, own = fit.problem.parameters, fit.weights.reshape(-1, 2)
     tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
     amplitudes, coefficients = rows.waves(k[tops])
-    ratio, pairs = rows.ratio(coefficients), rows.read(coefficients)
-    used = own.any(axis=1)
+    ratio, used = rows.ratio(coefficients), own.any(axis=1)
     cells = read_cells(k[tops], amplitudes / ratio)
     flow = WaveFlow(k[used], *(own[used] / ratio).T)
     reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
-    return GridReading((reading,), flow, pairs)
+    return GridReading((reading,), flow, rows.unknowns.read(coefficients))
 
 
-def _velocity(
-    rows: _GridRows, readout: Readout, k: Array, weights: Array, refitted: Vehicles
-) -> float:
-    """U0 of the one mode of cells at k (1,), by the vehicles that fit best where these are unknown.
-
-    weights (1, 8, 2): fitted to the rows of the regression. Known vehicles on plain samples, and
-    the paper's readout, take a refit on all samples.
-    """
-    plain = not refitted and not any(samples.averages for samples in rows.flights)
-    if not plain and readout.mean_velocity != "paper":
-        possible = all(vehicle is not None for vehicle, _ in refitted)
-        return readout.velocity(weights[0]) if possible else math.nan
-    pairs = list(zip(rows.flights, rows.vehicles, strict=True))
-    phi = target = np.concatenate([own.flow_velocity(vehicle) for own, vehicle in pairs])
-    if plain or not refitted:
-        target = np.concatenate([rows.library.response(own, vehicle) for own, vehicle in pairs])
-    else:
+def _paper_velocity(rows: _GridRows, readout: Readout, k: Array, pairs: tuple[Read, ...]) -> float:
+    """U0 by Eqs. 22-24 at k (1,), by the vehicles that fit best where these are unknown."""
+    believed = list(zip(rows.flights, rows.vehicles, strict=True))
+    phi = np.concatenate([own.flow_velocity(vehicle) for own, vehicle in believed])
+    target = np.concatenate([rows.library.response(own, vehicle) for own, vehicle in believed])
+    if pairs:
         parts = []
-        for samples, (vehicle, wind) in zip(rows.flights, refitted, strict=True):
+        for samples, (vehicle, background) in zip(rows.flights, pairs, strict=True):
             if vehicle is None:
                 return math.nan
-            parts.append(samples.flow_velocity(vehicle) - np.array(wind))
+            parts.append(samples.flow_velocity(vehicle) - np.array(background))
         phi = target = np.concatenate(parts)
     position = np.concatenate([samples.position for samples in rows.flights])
     columns = candidate_columns(position, np.pi / k)
-    if readout.mean_velocity != "paper":
-        return readout.velocity(_least_squares(columns, phi))
     field = columns @ _least_squares(columns, target[:, -2:])
     return paper_mean_velocity(field, phi, readout.eq24)
 
@@ -337,86 +320,60 @@ class _GridRows:
         vehicles: of each, as they are believed to be.
         library: of the regression.
         weights: of the rows of each flight.
-        origin: from which phases count, (2,) [m].
     """
 
     flights: Sequence[Samples]
     vehicles: Sequence[PointMassVehicle]
     library: Library
     weights: Sequence[float]
-    origin: Array
 
-    @classmethod
-    def of(
-        cls,
-        flights: Sequence[Samples],
-        vehicles: Sequence[PointMassVehicle],
-        library: Library,
-        weights: Sequence[float],
-    ) -> _GridRows:
-        sources = [samples.source.position for samples in flights]
-        return cls(flights, vehicles, library, weights, middle(np.concatenate(sources)))
+    @cached_property
+    def origin(self) -> Array:
+        """The place (2,) [m] from which the phases of cells count."""
+        return middle(np.concatenate([samples.source.position for samples in self.flights]))
 
-    @property
-    def unknowns(self) -> list[UnknownColumns]:
-        """The unknowns of each flight."""
-        return [UnknownColumns(self.library.unknown, vehicle) for vehicle in self.vehicles]
+    @cached_property
+    def unknowns(self) -> JointUnknowns:
+        """The unknowns of the flights."""
+        return JointUnknowns.of(self.library.unknown, self.vehicles)
 
     def cells(self, k: Array) -> tuple[Array, Array]:
         """Weights (s, 8, 2) [m/s] of cells at k (s,), and the coefficients of the unknowns."""
-        scales = math.pi / k
-        theta = [
-            candidate_columns(samples.source.position - self.origin, scales)
-            for samples in self.flights
-        ]
-        weights, coefficients = self.fitted(theta, shared=False)
+        weights, coefficients = self.fitted(
+            lambda position: candidate_columns(position - self.origin, math.pi / k), shared=False
+        )
         return weights.reshape(2, len(k), 8).transpose(1, 2, 0), coefficients
 
     def waves(self, k: Array) -> tuple[Array, Array]:
         """Weights a, b (w, 2) [m^2/s] of waves k (w, 2) in the flight's own coordinates."""
-        theta = [wave_theta(samples.source.position, k) for samples in self.flights]
-        weights, coefficients = self.fitted(theta, shared=True)
+        weights, coefficients = self.fitted(lambda position: wave_theta(position, k), shared=True)
         return weights.reshape(-1, 2), coefficients
 
-    def fitted(self, theta: Sequence[Array], *, shared: bool) -> tuple[Array, Array]:
+    def fitted(self, theta: Callable[[Array], Array], *, shared: bool) -> tuple[Array, Array]:
         """Weights of the columns and coefficients of the unknowns, by least squares.
 
         shared: whether both velocity components share their weights, theta with rows x before y of
         each sample; else weights of x come before those of y.
         """
-        parts, targets = [], []
-        unknowns = [
-            own.columns(s.source) for own, s in zip(self.unknowns, self.flights, strict=True)
-        ]
-        ends = np.cumsum([0, *(part.shape[2] for part in unknowns)]).tolist()
-        for number, (columns, samples) in enumerate(zip(theta, self.flights, strict=True)):
-            source = samples.source
-            if source.operator is not None:
-                flat = columns.reshape(len(source.position), -1)
-                columns = (source.operator @ flat).reshape(-1, columns.shape[1])
-            both = columns if shared else np.kron(np.eye(2), columns)
-            own, target = unknowns[number], source.flow_velocity(self.vehicles[number])
+        sources = [samples.source for samples in self.flights]
+        others, parts, targets = self.unknowns.columns(sources), [], []
+        for number, source in enumerate(sources):
+            columns = source.averaged(theta(source.position))
+            own, target = others[number], source.flow_velocity(self.vehicles[number])
             if not shared:
                 own, target = own.swapaxes(0, 1), target.T
-            own = own.reshape(len(both), -1)
-            padded = np.pad(own, ((0, 0), (ends[number], ends[-1] - ends[number + 1])))
-            parts.append(self.weights[number] * np.hstack([both, padded]))
+            both = columns if shared else np.asarray(np.kron(np.eye(2), columns), dtype=float)
+            joint = np.hstack([both, own.reshape(len(both), -1)])
+            parts.append(self.weights[number] * joint)
             targets.append(self.weights[number] * target.ravel())
         solution = _least_squares(np.concatenate(parts), np.concatenate(targets))
-        return solution[: len(solution) - ends[-1]], solution[len(solution) - ends[-1] :]
-
-    def read(self, coefficients: Array) -> Vehicles:
-        """The vehicle and the wind of each flight from coefficients; empty where all is known."""
-        if not len(coefficients):
-            return ()
-        parts = np.array_split(coefficients, len(self.flights))
-        return tuple(own.read(part) for own, part in zip(self.unknowns, parts, strict=True))
+        count = len(solution) - others[0].shape[2]
+        return solution[:count], solution[count:]
 
     def ratio(self, coefficients: Array) -> float:
         """Phi of the believed vehicle over the true one's, where one flight tells it."""
-        if len(self.flights) > 1 or not len(coefficients):
-            return 1.0
-        return self.unknowns[0].ratio(coefficients)
+        ratios = self.unknowns.ratios(coefficients)
+        return ratios[0] if len(ratios) == 1 else 1.0
 
 
 def _least_squares(columns: Array, target: Array) -> Array:

@@ -2,9 +2,9 @@
 
 Phi_t = C(k) w_t + e_t for the two components t, C (m, 8) the candidates at k = pi/L. With e of
 variance s^2 a function of theta = (k, w_1, w_2) with the gradient g has at least the variance
-s^2 g'(J'J)^+ g, infinite along what the flight does not tell. Under quadratic drag e is the
-vehicle's response dr/dF times the noise, and the rows of J are multiplied by its inverse. What the
-log itself can tell, trajectory included, is `sparsefit.likelihood.limit`.
+s^2 g'(J'J)^+ g, infinite along what the flight does not tell. Of a vehicle that does not respond
+linearly e is dr/dF times the noise, and the rows of J are multiplied by its inverse. What the log
+itself can tell, trajectory included, is `sparsefit.likelihood.limit`.
 """
 
 from __future__ import annotations
@@ -53,20 +53,21 @@ def cramer_rao(
         process_noise: sigma of iid noise of v' in each component [m/s^2].
         model: ``parametric``, the flow known up to U0 and L; ``semiparametric``, the 2 x 8 weights
             free and profiled out, U0 their root mean square over the cell.
-        velocity: (m, 2) [m/s], needed where drag is quadratic.
+        velocity: (m, 2) [m/s], needed where the vehicle's response is not linear.
 
     Raises:
-        InputError: for an unknown model, sigma < 0, or quadratic drag without velocities.
+        InputError: for an unknown model, sigma < 0, or a vehicle that does not respond linearly
+            without velocities.
     """
     sigma = non_negative("process_noise", process_noise, "m/s^2")
-    deviation = vehicle.response_time * sigma if not vehicle.drag else sigma
+    deviation = vehicle.response_time * sigma if vehicle.linear else sigma
     one_of("model", model, get_args(FlowModel))
-    if vehicle.drag and velocity is None:
-        raise InputError("the bound under quadratic drag needs the velocities too: give velocity=")
+    if not vehicle.linear and velocity is None:
+        raise InputError("the bound of this vehicle needs the velocities too: give velocity=")
     if deviation == 0.0:
         return Bound(0.0, 0.0, 0.0)
     rows, gradients = jacobian(position, flow, model)
-    if vehicle.drag and velocity is not None:
+    if not vehicle.linear and velocity is not None:
         slopes = vehicle.slope(flow.velocity(*position.T) - velocity)
         halves = rows.reshape(2, -1, rows.shape[1])
         rows = np.einsum("abm,bmn->amn", slopes, halves).reshape(rows.shape)

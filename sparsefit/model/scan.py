@@ -3,7 +3,7 @@
 With s_k = sum exp(i k.x) Phi the columns of a wave k have the inner products (k_y, -k_x) . s_k with
 Phi, and their Gram matrix needs the sums of exp(i k.x) and exp(2 i k.x) alone: non-uniform Fourier
 transforms (finufft; Barnett, Magland and af Klinteberg, 2019) give them at all k of a uniform grid,
-along a line (1-D), over the plane (2-D), or with the frequency of waves that drift (3-D).
+along a line (1-D), over the plane (2-D), or with the frequency of waves that move (3-D).
 
 A track that is long beside the waves is cut into pieces, each with amplitudes of its own: a piece
 resolves less, and so needs fewer waves. There the Gram matrix is m/2.
@@ -162,7 +162,7 @@ class WaveScan:
     Args:
         place: (x, y, t) of the rows from their middle (m, 3) [m], [s].
         radii: the least and the largest |k| [rad/m].
-        fastest: the largest drift [m/s]; 0: waves stand.
+        fastest: the largest velocity of waves [m/s]; 0: they stand.
         pieces: of the track, each with amplitudes of its own.
         weight: of the rows (m,); None: all are 1.
     """

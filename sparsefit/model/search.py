@@ -23,7 +23,7 @@ from sparsefit.model.ladder import Ladder, Lookout
 from sparsefit.model.library import Library
 from sparsefit.model.scan import line_steps
 from sparsefit.model.shapes import AXIS
-from sparsefit.model.unknowns import UnknownColumns
+from sparsefit.model.unknowns import JointUnknowns
 from sparsefit.rows import Samples
 
 CORRELATION = 5.0  # samples: errors of smoothed derivatives and of positions are not white
@@ -65,7 +65,7 @@ class Proposal:
         bic: n ln RSS + p ln n.
         vehicles: of each flight with its unknowns as the rows have them; as believed where the
             rows say what cannot be.
-        wind: [m/s], of the first flight.
+        background: the steady uniform velocity beside the flow [m/s], of the first flight.
     """
 
     shape: str
@@ -77,7 +77,7 @@ class Proposal:
     residual: float
     bic: float
     vehicles: tuple[PointMassVehicle, ...]
-    wind: tuple[float, float] = (0.0, 0.0)
+    background: tuple[float, float] = (0.0, 0.0)
 
     @property
     def flow(self) -> WaveFlow:
@@ -115,7 +115,7 @@ class Search:
 
     lookout: Lookout
     origin: Array
-    unknowns: tuple[UnknownColumns, ...]
+    unknowns: JointUnknowns
     counts: tuple[int, ...]
 
     @classmethod
@@ -140,7 +140,7 @@ class Search:
                 f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m: "
                 "too many lobes; raise the grid's lower bound"
             )
-        unknowns = tuple(UnknownColumns(library.unknown, vehicle) for vehicle in vehicles)
+        unknowns = JointUnknowns.of(library.unknown, vehicles)
         time = np.concatenate([samples.time for samples in flights])
         origin = np.array([*middle(position), 0.5 * (time.min() + time.max())])
         thin, worth = [], 0.0
@@ -154,12 +154,6 @@ class Search:
             most = MOST_ROWS // len(flights) + 1
             stride = max(int(0.5 * correlation), min(far, len(way) // most))
             thin.append(samples.every(max(1, stride, len(way) // LONGEST_ROWS)))
-        columns = [own.columns(samples) for own, samples in zip(unknowns, thin, strict=True)]
-        ends = np.cumsum([0, *(part.shape[2] for part in columns)])
-        padded = [
-            np.pad(part, ((0, 0), (0, 0), (first, ends[-1] - first - part.shape[2])))
-            for part, first in zip(columns, ends[:-1].tolist(), strict=True)
-        ]
         counts = tuple(len(samples.time) for samples in thin)
         own = np.repeat(np.array(weights, dtype=float), counts)
         place = [np.column_stack([samples.position, samples.time]) for samples in thin]
@@ -169,7 +163,7 @@ class Search:
         rows = FlowRows(
             np.concatenate(place) - origin,
             own[:, None] * np.concatenate(phi),
-            own[:, None, None] * np.concatenate(padded),
+            own[:, None, None] * np.concatenate(unknowns.columns(thin)),
             own if len(flights) > 1 else None,
         )
         worth = min(worth, 2.0 * len(own))
@@ -197,15 +191,13 @@ class Search:
         a, b = fit.weights.reshape(-1, 2).T
         cosine = a * np.cos(shift) - b * np.sin(shift)
         sine = a * np.sin(shift) + b * np.cos(shift)
-        vehicles, winds, ratios = [], [(0.0, 0.0)], [1.0]
-        parts = np.array_split(fit.coefficients, len(self.unknowns))
-        for own, coefficients in zip(self.unknowns, parts, strict=True):
-            vehicle, wind = own.read(coefficients) if len(coefficients) else (None, (0.0, 0.0))
-            vehicles.append(vehicle or own.believed)
-            if vehicle is not None:
-                winds.append(wind)
-                ratios.append(own.ratio(coefficients))
-        ratio, wind = float(np.mean(ratios[1:] or ratios)), winds[min(1, len(winds) - 1)]
+        read = self.unknowns.read(fit.coefficients)
+        pairs = zip(read, self.unknowns.ratios(fit.coefficients), strict=True)
+        possible = [(steady, own) for (vehicle, steady), own in pairs if vehicle is not None]
+        ratio = float(np.mean([own for _, own in possible])) if possible else 1.0
+        vehicles = [part.believed for part in self.unknowns.parts]
+        if read:
+            vehicles = [own or other for (own, _), other in zip(read, vehicles, strict=True)]
         drift = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else (0.0, 0.0)
         return Proposal(
             fit.shape.name,
@@ -217,7 +209,7 @@ class Search:
             fit.residual / self.lookout.rows.square,
             bic,
             tuple(vehicles),
-            wind,
+            possible[0][0] if possible else (0.0, 0.0),
         )
 
 

@@ -16,8 +16,9 @@ exactly, for every back-end.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,8 +28,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.rows import Samples
 
 UNKNOWNS = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
-RANK = 1e-10  # singular values of N below this, relative, are dropped
-SPANNED = 1e-9  # of a candidate's norm; what is left of it beside N is rounding
+Read = tuple[PointMassVehicle | None, tuple[float, float]]
 
 
 def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
@@ -96,12 +96,12 @@ class UnknownColumns:
         """
         columns = [source.velocity] if self.scaled else []
         if "thrust_scale" in self.unknown:
-            if source.thrust is None:
+            if source.push is None:
                 raise InputError(
                     "unknown 'thrust_scale' needs a measured thrust: the flight has none (columns "
                     "ax, ay of its file)"
                 )
-            columns.append(source.thrust)
+            columns.append(source.push)
         if {"thrust_acceleration", "wind"} & set(self.unknown):
             columns += [np.broadcast_to(unit, source.velocity.shape) for unit in np.eye(2)]
         if not columns:
@@ -124,14 +124,14 @@ class UnknownColumns:
             series = moving.swapaxes(1, 2).reshape(len(columns), -1)
             columns = np.hstack([series, constant])
         vectors, roots, _ = np.linalg.svd(columns, full_matrices=False)
-        basis: Array = vectors[:, roots > RANK * roots[0]]
+        basis: Array = vectors[:, roots > 1e-10 * roots[0]]
         return basis
 
     def ratio(self, coefficients: Array) -> float:
         """tau_0 / tau, or sqrt(c / c_0), by which Phi of the believed vehicle is the true one's."""
         return 1.0 - float(coefficients[0]) if self.scaled else 1.0
 
-    def read(self, coefficients: Array) -> tuple[PointMassVehicle | None, tuple[float, float]]:
+    def read(self, coefficients: Array) -> Read:
         """The vehicle and the wind [m/s] from coefficients (p,); None of one that cannot be."""
         ratio, vehicle = self.ratio(coefficients), self.believed
         if not ratio > 0 or not np.isfinite(coefficients).all():
@@ -155,16 +155,60 @@ class UnknownColumns:
         return replace(vehicle, **changes), wind  # type: ignore[arg-type]
 
 
-def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
-    """(I - Q Q') theta and target, Q (m, r); InputError where a candidate is a combination of Q."""
-    rest = theta - basis @ (basis.T @ theta)
-    refuse_spanned(np.linalg.norm(rest, axis=0), np.linalg.norm(theta, axis=0))
-    return rest, target - basis @ (basis.T @ target)
+@dataclass(frozen=True)
+class JointUnknowns:
+    """The unknowns of flights through one flow: those of each flight beside those of the others."""
+
+    parts: tuple[UnknownColumns, ...]
+
+    @classmethod
+    def of(cls, unknown: tuple[str, ...], vehicles: Sequence[PointMassVehicle]) -> JointUnknowns:
+        """The unknowns of flights with these vehicles."""
+        return cls(tuple(UnknownColumns(unknown, vehicle) for vehicle in vehicles))
+
+    def columns(self, sources: Sequence[Samples]) -> list[Array]:
+        """N (m, 2, p) of each flight's rows, p the unknowns of all flights."""
+        own = [part.columns(source) for part, source in zip(self.parts, sources, strict=True)]
+        ends = np.cumsum([0, *(columns.shape[2] for columns in own)]).tolist()
+        return [
+            np.pad(columns, ((0, 0), (0, 0), (first, ends[-1] - last)))
+            for columns, (first, last) in zip(own, pairwise(ends), strict=True)
+        ]
+
+    def read(self, coefficients: Array) -> tuple[Read, ...]:
+        """The vehicle and the steady velocity of each flight, as `UnknownColumns.read` has them.
+
+        From coefficients (p,); empty where all is known.
+        """
+        if not len(coefficients):
+            return ()
+        shares = np.array_split(coefficients, len(self.parts))
+        return tuple(part.read(share) for part, share in zip(self.parts, shares, strict=True))
+
+    def ratios(self, coefficients: Array) -> list[float]:
+        """Phi of each vehicle as believed over that of the one that is read; none of known ones."""
+        shares = np.array_split(coefficients, len(self.parts)) if len(coefficients) else []
+        return [part.ratio(share) for part, share in zip(self.parts, shares, strict=False)]
 
 
-def refuse_spanned(rest: Array, norms: Array) -> None:
-    """InputError if nothing is left of a candidate, norms (k,) before and after."""
-    if (rest <= SPANNED * norms).any():
+def project_out(
+    basis: Array, blocks: Callable[[], Iterable[tuple[slice, Array, Array]]]
+) -> Iterator[tuple[Array, Array]]:
+    """Blocks of (I - Q Q') theta and target, Q (m, r), from blocks of theta, target and their rows.
+
+    Raises InputError where a candidate is a combination of Q.
+    """
+    products = [
+        (basis[rows].T @ theta, basis[rows].T @ target, np.sum(theta**2, axis=0))
+        for rows, theta, target in blocks()
+    ]
+    of_theta, of_target, squares = (np.sum(part, axis=0) for part in zip(*products, strict=True))
+    rest = np.zeros_like(squares)
+    for rows, theta, target in blocks():
+        theta = theta - basis[rows] @ of_theta
+        rest += np.sum(theta**2, axis=0)
+        yield theta, target - basis[rows] @ of_target
+    if (np.sqrt(rest) <= 1e-9 * np.sqrt(squares)).any():  # what is left is rounding
         raise InputError(
             "a candidate is a combination of the velocity and a constant: the flight is too "
             "straight to tell what is unknown; turn, or give the vehicle"

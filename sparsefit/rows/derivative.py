@@ -12,7 +12,7 @@ from sparsefit.flight import Flight
 from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.logs.checks import ONE_STEP, clock_rounding
 from sparsefit.rows.clean import Pieces, Repairs, repaired
-from sparsefit.rows.samples import ORDER, Samples, averaged
+from sparsefit.rows.samples import ORDER, Samples, weak_form
 from sparsefit.rows.smoothing import FEWEST, Rates, Smoothing, polynomial_kernels, smooth
 
 METHODS = ("forward", "central", "midpoint", "savgol", "auto", "weak")
@@ -98,7 +98,7 @@ class Derivative:
             log, repairs = repaired(flight, even=smoothed, shortest=shortest)
         time, state, rate, smoothing = self._rates(log)
 
-        def thrust_at(times: Array) -> Array | None:
+        def push_at(times: Array) -> Array | None:
             if flight.thrust is None:
                 return None
             return np.stack([np.interp(times, flight.time, a) for a in flight.thrust.T], axis=1)
@@ -109,9 +109,9 @@ class Derivative:
             times, states = (time, state) if smooth_ else (log.time, log.state)
             width = smoothing.window if smooth_ else 1
             settings = self.window, self.order or ORDER
-            averages = averaged(times, states, *settings, thrust_at(times), smoothed=width)
+            averages = weak_form(times, states, *settings, push_at(times), smoothed=width)
         halves = state[:, :2], state[:, 2:], rate[:, :2], rate[:, 2:]
-        return Samples(time, *halves, smoothing, averages, repairs, thrust_at(time))
+        return Samples(time, *halves, smoothing, averages, repairs, push_at(time))
 
     def _rates(self, log: Pieces) -> Rates:
         """States and rates of a log in pieces, none of which a difference crosses."""

@@ -46,7 +46,7 @@ class Samples:
         averages: the weak form, which the regression and the readout take in place of the
             samples; these, by ``auto``, then only serve the search.
         repairs: the samples that were replaced or dropped before.
-        thrust: that was measured [m/s^2], (m, 2), or None.
+        push: the measured acceleration by the vehicle's engines [m/s^2], (m, 2), or None.
         operator: Psi of averages, each row of sum 1; None of samples.
     """
 
@@ -58,7 +58,7 @@ class Samples:
     smoothing: Smoothing | None = None
     averages: Samples | None = None
     repairs: Repairs = Repairs()
-    thrust: Array | None = None
+    push: Array | None = None
     operator: csr_array | None = None
 
     @property
@@ -69,14 +69,21 @@ class Samples:
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
         """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13).
 
-        Raises InputError on averages under quadratic drag.
+        Raises InputError on averages where the vehicle's response is not linear.
         """
-        if vehicle.drag and self.operator is not None:
+        if not vehicle.linear and self.operator is not None:
             raise InputError(
-                "the weak form averages the equation of motion, which quadratic drag does not "
-                "allow: use the derivative 'auto'"
+                "the weak form averages the equation of motion, which this vehicle's quadratic "
+                "response does not allow: use the derivative 'auto'"
             )
-        return vehicle.flow_velocity(self.velocity, self.acceleration, self.thrust)
+        return vehicle.flow_velocity(self.velocity, self.acceleration, self.push)
+
+    def averaged(self, values: Array) -> Array:
+        """Psi times values of one row or more per sample, (r m, k); the values of samples."""
+        if self.operator is None:
+            return values
+        flat = values.reshape(len(self.position), -1)
+        return np.asarray(self.operator @ flat).reshape(-1, values.shape[1])
 
     def blocks(self) -> Iterator[tuple[slice, csr_array | None, Array]]:
         """Rows in blocks: which they are, their rows of Psi, and the positions of the samples."""
@@ -110,12 +117,12 @@ class Samples:
         return cls(**both)
 
 
-def averaged(
+def weak_form(
     time: Array,
     state: Array,
     window: int | None,
     order: int = ORDER,
-    thrust: Array | None = None,
+    push: Array | None = None,
     *,
     smoothed: int = 1,
 ) -> Samples:
@@ -166,6 +173,6 @@ def averaged(
         rates[:, :2],
         rates[:, 2:],
         Smoothing("weak", window=window),
-        thrust=None if thrust is None else mean @ thrust,
+        push=None if push is None else mean @ push,
         operator=mean,
     )

@@ -118,7 +118,7 @@ def test_unknown_vehicles_are_linear_columns_of_the_rows():
     best = search.propose(Start())[0]
     assert best.shape == "axis"
     assert best.vehicles[0].response_time == pytest.approx(0.4, rel=0.01)
-    assert best.wind == pytest.approx((0.0, 0.0), abs=0.05)
+    assert best.background == pytest.approx((0.0, 0.0), abs=0.05)
     assert best.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.02)
 
 

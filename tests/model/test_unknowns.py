@@ -63,7 +63,7 @@ def test_quadratic_drag_and_a_measured_thrust_by_hand():
     scale = UnknownColumns(("thrust_scale",), sf.PointMassVehicle(0.5))
     assert scale.read(np.array([0.1]))[0].thrust_scale == pytest.approx(1.2)
     zeros = np.zeros((5, 2))
-    samples = Samples(np.arange(5.0), zeros, zeros, zeros, zeros, thrust=np.ones((5, 2)))
+    samples = Samples(np.arange(5.0), zeros, zeros, zeros, zeros, push=np.ones((5, 2)))
     assert scale.columns(samples).tolist() == np.ones((5, 2, 1)).tolist()
     with pytest.raises(InputError, match="needs a measured thrust"):
         scale.columns(Samples(np.arange(5.0), zeros, zeros, zeros, zeros))
@@ -74,7 +74,9 @@ def test_projecting_out_is_the_joint_penalised_problem():
     rng = np.random.default_rng(5)
     theta, free = rng.standard_normal((40, 6)), rng.standard_normal((40, 2))
     target = theta[:, :1] + free @ [[3.0], [-2.0]] + rng.standard_normal((40, 1))
-    left, rest = project_out(np.linalg.qr(free)[0], theta, target)
+    blocks = [(slice(0, 25), theta[:25], target[:25]), (slice(25, 40), theta[25:], target[25:])]
+    pieces = project_out(np.linalg.qr(free)[0], lambda: blocks)
+    left, rest = map(np.concatenate, zip(*pieces, strict=True))
     problem = RegressionProblem.from_arrays(left, rest)
     found = sf.fit(problem, sf.backends.get("lasso", alpha_fraction=0.2))
     alpha = (

@@ -8,7 +8,7 @@ from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.rows import Derivative
-from sparsefit.rows.samples import averaged
+from sparsefit.rows.samples import weak_form
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = CellularFlow(15.0, 4.21)
@@ -16,7 +16,7 @@ FLOW = CellularFlow(15.0, 4.21)
 
 def rows_of(time, values, window, order=8):
     """Weak rows whose position and velocity are both ``values`` (m,)."""
-    return averaged(time, np.column_stack([values] * 4), window, order)
+    return weak_form(time, np.column_stack([values] * 4), window, order)
 
 
 def uneven(count=400, seed=1):
@@ -73,7 +73,7 @@ def test_no_row_spans_a_gap_in_the_log():
 )
 def test_the_window_is_the_smoothers_if_none_is_given(samples, smoothed, window):
     time = np.arange(float(samples))
-    rows = averaged(time, np.zeros((samples, 4)), None, smoothed=smoothed)
+    rows = weak_form(time, np.zeros((samples, 4)), None, smoothed=smoothed)
     assert rows.smoothing.window == window
 
 
@@ -108,5 +108,5 @@ def test_refuses_windows_longer_than_the_flight_and_quadratic_drag():
     with pytest.raises(InputError, match="no weak test function of 1201 samples"):
         Derivative("weak", 1201)(flight)
     weak = Derivative("weak")(flight).averages
-    with pytest.raises(InputError, match="quadratic drag does not allow"):
+    with pytest.raises(InputError, match="quadratic response does not allow"):
         weak.flow_velocity(PointMassVehicle(0.5, drag=0.1))
