@@ -26,15 +26,14 @@ from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.smoother import (
     Ascent,
-    Leg,
     Smoothing,
     Step,
     inverted,
     joined,
-    longest_step,
     noisier,
     summed,
 )
+from sparsefit.likelihood.trellis import Leg, longest_step
 
 NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
 NEIGHBOURS = 30  # waves beside those of the flow
@@ -207,8 +206,8 @@ class Posterior:
         """Score (q,) and information (q, q) by the free parameters and others, and their names."""
         local = tuple(dict.fromkeys((*self.model.names, *extra)))
         names, places = joined(local, len(self.legs))
-        every = [replace(leg, last=None).filtered(local, keep=False) for leg in self.legs]
-        return names, *summed(every, places, len(names))
+        passes = [replace(leg, last=None).forward(local, keep=False) for leg in self.legs]
+        return names, *summed(passes, places)
 
 
 def measure(
@@ -258,19 +257,21 @@ def measure(
             strides = [
                 min(
                     len(log.time) / settings.coarse,
-                    4.0 * longest_step(log, each, settings) / float(np.median(np.diff(log.time))),
+                    4.0
+                    * longest_step(log, each, settings.phase)
+                    / float(np.median(np.diff(log.time))),
                 )
                 for log, each in pairs
             ]
             stride, hold = max(int(min(strides)), 1), 2
-            legs = tuple(_noisy(Leg.of(*pair, settings, stride)) for pair in pairs)
+            legs = tuple(_noisy(Leg.of(*pair, settings.phase, stride)) for pair in pairs)
             if stride > 1:
                 step, smoothed, few, _ = ascent.climbed(legs, settings.passes)
                 hold = 0
-                legs = tuple(leg.again(settings, 1) for leg in step.moved(smoothed))
+                legs = tuple(leg.again(settings.phase, 1) for leg in step.moved(smoothed))
         else:
             legs = tuple(
-                Leg.of(*pair, settings, 1, (leg.nodes.time, leg.track))
+                Leg.of(*pair, settings.phase, 1, (leg.nodes.time, leg.track))
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         step, smoothed, whole, reason = ascent.climbed(legs, hold)
@@ -316,7 +317,7 @@ def bound(
             x, y, t = each.pattern.origin
             paths.append((log.time - t, np.asarray(state, dtype=np.float64) - [x, y, 0.0, 0.0]))
     legs = tuple(
-        Leg.of(log, each, settings, 1, path)
+        Leg.of(log, each, settings.phase, 1, path)
         for log, each, path in zip(records, models, paths, strict=True)
     )
     step = Step.of(legs, settings.dependent, keep=False)

@@ -17,9 +17,9 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.likelihood.levels import LevelSteps
-from sparsefit.likelihood.model import ELEMENTS, Model, StateSpace
-from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed
-from sparsefit.likelihood.trellis import Pass
+from sparsefit.likelihood.model import ELEMENTS, StateSpace
+from sparsefit.likelihood.nodes import Smoothed
+from sparsefit.likelihood.trellis import Leg, Pass
 
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 
@@ -58,81 +58,12 @@ class Smoothing:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
-    """One log on the way to the optimum.
-
-    Args:
-        log: the readings.
-        model: at the values and levels reached.
-        nodes: of every `stride`-th row.
-        track: the states (m, n) at the nodes.
-        last: the last smoothed pass, of these nodes; None: none of use.
-        stride: of the rows.
-    """
-
-    log: FlightLog
-    model: Model
-    nodes: Nodes
-    track: Array
-    last: Smoothed | None = None
-    stride: int = 1
-
-    @classmethod
-    def of(
-        cls,
-        log: FlightLog,
-        model: Model,
-        settings: Smoothing,
-        stride: int = 1,
-        path: tuple[Array, Array] | None = None,
-    ) -> Leg:
-        """Place the nodes of a log, and a track on them.
-
-        Args:
-            log: the readings.
-            model: whose pattern has the origin that nodes are counted from.
-            settings: of the smoother.
-            stride: of the rows.
-            path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
-        """
-        longest = longest_step(log, model, settings) * (1.0 + (stride > 1))
-        nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
-        near = nodes.track() if path is None else _between(*path, nodes.time)
-        track = np.zeros((len(near), 4 + len(StateSpace.of(model).walkers)))
-        width = min(track.shape[1], near.shape[1])
-        track[:, :width] = near[:, :width]
-        return cls(log, model, nodes, track, None, stride)
-
-    def again(self, settings: Smoothing, stride: int) -> Leg:
-        """The leg on the nodes of another stride, or of a latency that has moved."""
-        leg = Leg.of(self.log, self.model, settings, stride, (self.nodes.time, self.track))
-        if not np.array_equal(leg.nodes.rows, self.nodes.rows):
-            return leg
-        nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
-        return replace(leg, nodes=nodes, last=self.last)
-
-    def at(self, levels: dict[str, float]) -> Leg:
-        """The leg at other levels, of which no pass was made."""
-        disturbance = self.model.disturbance.at(levels)
-        return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
-
-    def filtered(self, names: Sequence[str], *, keep: bool = True) -> tuple[Pass, Array]:
-        """A forward pass, and the derivatives of its columns by named parameters."""
-        chain = self.model.jacobian(names)
-        columns = np.flatnonzero(np.abs(chain).sum(axis=1))
-        space, spread = StateSpace.of(self.model, columns), self.log.spread
-        each = Pass.forward(space, self.nodes, self.track, spread, self.last, keep=keep)
-        return each, chain[columns]
-
-
-@dataclass(frozen=True, eq=False)
 class Step:
     """One pass of all logs, forward and, where it was wanted, backward.
 
     Args:
-        legs: where it was linearised.
         passes: the forward passes.
-        chains: per log, the derivatives of the columns' elements by its free parameters.
+        places: per log, the places of its parameters among all.
         value: the log-likelihood at the start.
         gain: that the step should gain.
         change: of the free parameters (p,).
@@ -142,38 +73,39 @@ class Step:
         blind: the names that the logs cannot tell from each other, if any.
     """
 
-    legs: tuple[Leg, ...]
     passes: tuple[Pass, ...]
-    chains: tuple[Array, ...]
+    places: list[list[int]]
     value: float
     gain: float
     change: Array
     information: Array
     covariance: Array
-    levels: tuple[Array, ...]
+    levels: list[Array]
     blind: tuple[str, ...]
 
     @classmethod
-    def of(cls, legs: tuple[Leg, ...], dependent: float, *, keep: bool = True) -> Step:
+    def of(cls, legs: Sequence[Leg], dependent: float, *, keep: bool = True) -> Step:
         """Filter all logs, and solve for the change of the free parameters."""
         local = legs[0].model.names
         names, places = joined(local, len(legs))
-        every = [leg.filtered(local, keep=keep) for leg in legs]
-        score, information = summed(every, places, len(names))
+        passes, p = tuple(leg.forward(local, keep=keep) for leg in legs), len(local)
+        score, information = summed(passes, places)
         covariance, blind = inverted(information, dependent)
         change, levels = covariance @ score, []
-        for (each, chain), place in zip(every, places, strict=True):
-            p = len(chain)
-            cross = each.information[p:, :p] @ chain
+        for each, place in zip(passes, places, strict=True):
+            cross = each.information[p:, :p]
             known = cross @ covariance[np.ix_(place, place)] @ cross.T
             levels.append(0.5 * (each.information[p:, p:] - known))
-        passes, chains = zip(*every, strict=True)
-        value = float(sum(each.value for each in passes))
+        value, gain = float(sum(each.value for each in passes)), 0.5 * float(score @ change)
         unseen = tuple(names[j] for j in blind)
         return cls(
-            legs, passes, chains, value, 0.5 * float(score @ change), change, information,
-            covariance, tuple(levels), unseen,
+            passes, places, value, gain, change, information, covariance, levels, unseen
         )  # fmt: skip
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """The logs, where the step was linearised."""
+        return tuple(each.leg for each in self.passes)
 
     @property
     def reached(self) -> float:
@@ -182,11 +114,8 @@ class Step:
 
     def smoothed(self) -> tuple[Smoothed, ...]:
         """The backward passes."""
-        places = joined(self.legs[0].model.names, len(self.legs))[1]
-        return tuple(
-            each.backward(chain @ self.change[place])
-            for each, chain, place in zip(self.passes, self.chains, places, strict=True)
-        )
+        pairs = zip(self.passes, self.places, strict=True)
+        return tuple(each.backward(self.change[place]) for each, place in pairs)
 
     def moved(
         self,
@@ -195,19 +124,17 @@ class Step:
         levels: list[Array] | None = None,
     ) -> tuple[Leg, ...]:
         """The legs after a share of the step of tracks, parameters and logarithms of variances."""
-        local, legs = self.legs[0].model.names, []
-        places = joined(local, len(self.legs))[1]
-        for i, (leg, each, place) in enumerate(zip(self.legs, smoothed, places, strict=True)):
-            steps = zip(local, (share * self.change[place]).tolist(), strict=True)
+        moved = []
+        for i, (leg, each) in enumerate(zip(self.legs, smoothed, strict=True)):
+            steps = zip(leg.model.names, share * self.change[self.places[i]], strict=True)
             model = leg.model.at({name: leg.model.values[name] + step for name, step in steps})
             if levels is not None:
-                factors = np.exp(0.5 * share * levels[i]).tolist()
-                old = model.disturbance.levels.items()
-                new = {name: level * f for (name, level), f in zip(old, factors, strict=True)}
+                pairs = zip(model.disturbance.levels.items(), levels[i].tolist(), strict=True)
+                new = {name: level * math.exp(0.5 * share * e) for (name, level), e in pairs}
                 model = replace(model, disturbance=model.disturbance.at(new))
             track = leg.track + share * (each.track - leg.track)
-            legs.append(replace(leg, model=model, track=track, last=each))
-        return tuple(legs)
+            moved.append(replace(leg, model=model, track=track, last=each))
+        return tuple(moved)
 
 
 @dataclass(frozen=True)
@@ -331,7 +258,7 @@ class Ascent:
         """The legs on nodes of their latency, where that may have moved."""
         if "latency" not in legs[0].model.names:
             return legs
-        return tuple(leg.again(self.settings, leg.stride) for leg in legs)
+        return tuple(leg.again(self.settings.phase, leg.stride) for leg in legs)
 
     def _gated(self, legs: tuple[Leg, ...], smoothed: tuple[Smoothed, ...]) -> bool:
         """Leave readings out that all others contradict, take in those that they bear out.
@@ -355,12 +282,6 @@ class Ascent:
         return changed
 
 
-def longest_step(log: FlightLog, model: Model, settings: Smoothing) -> float:
-    """The longest step [s] of the motion in a model's flow."""
-    size = float(np.hypot(*model.pattern.waves[:, :2].T).max())
-    return min(settings.phase / (size * log.speed), 0.5 * model.values["response_time"])
-
-
 def noisier(leg: Leg, level: float) -> Leg:
     """The leg with at least this process noise."""
     return leg.at({"acceleration": max(level, leg.model.disturbance.acceleration)})
@@ -377,15 +298,13 @@ def joined(names: Sequence[str], count: int) -> tuple[tuple[str, ...], list[list
     return tuple(every), places
 
 
-def summed(
-    every: Sequence[tuple[Pass, Array]], places: Sequence[list[int]], size: int
-) -> tuple[Array, Array]:
+def summed(passes: Sequence[Pass], places: Sequence[list[int]]) -> tuple[Array, Array]:
     """The score (p,) and information (p, p) of parameters of all logs."""
+    size, p = 1 + max((max(place, default=-1) for place in places), default=-1), len(places[0])
     score, information = np.zeros(size), np.zeros((size, size))
-    for (each, chain), place in zip(every, places, strict=True):
-        p = len(chain)
-        score[place] += chain.T @ each.score[:p]
-        information[np.ix_(place, place)] += chain.T @ each.information[:p, :p] @ chain
+    for each, place in zip(passes, places, strict=True):
+        score[place] += each.score[:p]
+        information[np.ix_(place, place)] += each.information[:p, :p]
     return score, information
 
 
@@ -400,18 +319,3 @@ def inverted(information: Array, least: float) -> tuple[Array, IntArray]:
     unseen = np.flatnonzero((np.abs(vectors[:, blind]) > 0.2).any(axis=1))
     half = vectors[:, ~blind] / np.sqrt(values[~blind]) / scale[:, None]
     return half @ half.T, unseen
-
-
-def _between(old: Array, track: Array, new: Array) -> Array:
-    """A track (m, n) at other times, by cubics through values and slopes; straight beyond it."""
-    slope = np.gradient(track, old, axis=0)
-    slope[:, :2] = track[:, 2:4]
-    inside = np.clip(new, old[0], old[-1])
-    first = np.clip(np.searchsorted(old, inside, side="right") - 1, 0, len(old) - 2)
-    step = (old[first + 1] - old[first])[:, None]
-    u = (inside - old[first])[:, None] / step
-    start, end = track[first], track[first + 1]
-    leaving, coming = step * slope[first] - (end - start), (end - start) - step * slope[first + 1]
-    between: Array = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * leaving + u * coming)
-    between[:, :2] += (new - inside)[:, None] * between[:, 2:4]
-    return between

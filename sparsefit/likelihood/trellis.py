@@ -1,20 +1,21 @@
-"""One pass over a log: the filter forward, the smoother backward, in blocks of bounded memory.
+"""A log with a model and a track through its nodes, and one pass over it.
 
-Only the state at the start of each block is stored; what the way back needs of a block is filtered
-once more when it gets there.
+A pass filters forward and smooths backward, in blocks: only the filter at the start of each is
+stored, and what the way back needs of a block is filtered once more when it gets there.
 """
 
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.likelihood.model import StateSpace
-from sparsefit.likelihood.nodes import Nodes, Smoothed, State
+from sparsefit.likelihood.model import Model, StateSpace
+from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed, State
 
 passes: Any
 try:
@@ -26,93 +27,166 @@ BLOCK = 2048  # nodes whose passes are stored at once
 
 
 @dataclass(frozen=True, eq=False)
+class Leg:
+    """One log on the way to the optimum.
+
+    Args:
+        log: the readings.
+        model: at the values and levels reached; phases count from the origin of the nodes.
+        nodes: of every `stride`-th row.
+        track: the states (m, n) at the nodes, which the motion is linearised along.
+        last: the last smoothed pass, of these nodes; None: none of use.
+        stride: of the rows.
+    """
+
+    log: FlightLog
+    model: Model
+    nodes: Nodes
+    track: Array
+    last: Smoothed | None = None
+    stride: int = 1
+
+    @classmethod
+    def of(
+        cls,
+        log: FlightLog,
+        model: Model,
+        phase: float,
+        stride: int = 1,
+        path: tuple[Array, Array] | None = None,
+    ) -> Leg:
+        """Place the nodes of a log, and a track on them.
+
+        Args:
+            log: the readings.
+            model: of the log.
+            phase: the largest step of the motion [rad], twice that where rows are left out.
+            stride: of the rows.
+            path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
+        """
+        longest = longest_step(log, model, phase) * (1.0 + (stride > 1))
+        nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
+        near = nodes.track() if path is None else _between(*path, nodes.time)
+        track = np.zeros((len(near), 4 + len(StateSpace.of(model).walkers)))
+        width = min(track.shape[1], near.shape[1])
+        track[:, :width] = near[:, :width]
+        return cls(log, model, nodes, track, None, stride)
+
+    def again(self, phase: float, stride: int) -> Leg:
+        """The leg on the nodes of another stride, or of a latency that has moved."""
+        leg = Leg.of(self.log, self.model, phase, stride, (self.nodes.time, self.track))
+        if not np.array_equal(leg.nodes.rows, self.nodes.rows):
+            return leg
+        nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
+        return replace(leg, nodes=nodes, last=self.last)
+
+    def at(self, levels: dict[str, float]) -> Leg:
+        """The leg at other levels, of which no pass was made."""
+        disturbance = self.model.disturbance.at(levels)
+        return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
+
+    def forward(self, names: Sequence[str], *, keep: bool = True) -> Pass:
+        """Filter the log; keep: whether a backward pass follows.
+
+        names: the parameters (p,) by which the score and the information are wanted.
+        """
+        chain = self.model.jacobian(names)
+        columns = np.flatnonzero(np.abs(chain).sum(axis=1))
+        chain, space = chain[columns], StateSpace.of(self.model, columns)
+        (m, n), c, last = self.track.shape, len(columns), self.last
+        state = State.of(n, c if last is None else c + len(space.kicks))
+        state.covariance[:] = np.diag(space.spread.sum(axis=0))
+        state.covariance[range(4), range(4)] += self.log.spread
+        state.delta[4:] = -self.track[0, 4:]  # walkers start about 0
+        if last is not None:
+            state.sensitivity[:, c:] = (space.spread * last.adjoint[0, :n]).T
+        value, starts = 0.0, []
+        stored = np.empty((m, _width(n, c))) if keep and m <= BLOCK else None
+        for first in range(0, m, BLOCK):
+            carried = state.delta, state.sensitivity[:, :c], state.covariance
+            starts.append(tuple(part.copy() for part in carried))
+            end = min(first + BLOCK, m)
+            value += passes.forward(space, self.nodes, self.track, first, end, last, state, stored)
+        score = np.concatenate([state.score[:c] @ chain, state.score[c:]])
+        half = np.concatenate([chain.T @ state.information[:c], state.information[c:]])
+        information = np.concatenate([half[:, :c] @ chain, half[:, c:]], axis=1)
+        return Pass(self, space, chain, value, score, information, tuple(starts), stored)
+
+
+@dataclass(frozen=True, eq=False)
 class Pass:
     """A forward pass, and what a backward one needs.
 
     Args:
-        space: the model.
-        nodes: the readings.
-        track: s-bar (m, n) [m, m/s], that the motion is linearised along.
+        leg: that was filtered.
+        space: its model.
+        chain: the derivatives (c, p) of the columns' elements by the parameters.
         value: the log-likelihood at dtheta = 0.
-        score: b (q,) by the columns and the levels.
-        information: J (q, q).
+        score: b (p + l,) by the parameters, and by the levels where a last pass gave them.
+        information: J (p + l, p + l).
         starts: delta, V and P at the first node of each block.
         stored: what the backward pass reads of the only block, where there is one only.
     """
 
+    leg: Leg
     space: StateSpace
-    nodes: Nodes
-    track: Array
+    chain: Array
     value: float
     score: Array
     information: Array
-    starts: tuple[tuple[Array, Array, Array], ...]
+    starts: tuple[tuple[Array, ...], ...]
     stored: Array | None
 
-    @classmethod
-    def forward(
-        cls,
-        space: StateSpace,
-        nodes: Nodes,
-        track: Array,
-        spread: Array,
-        last: Smoothed | None = None,
-        *,
-        keep: bool = True,
-    ) -> Pass:
-        """Filter a log.
-
-        Args:
-            space: the model.
-            nodes: the readings.
-            track: s-bar (m, n).
-            spread: the variance of the first position and velocity (4,), beside the walkers'.
-            last: the last smoothed pass, for the columns of the levels.
-            keep: whether a backward pass follows.
-        """
-        (m, n), p = track.shape, len(space.columns)
-        state = State.of(n, p if last is None else p + len(space.kicks))
-        variance = space.spread.sum(axis=0)
-        variance[:4] += spread
-        state.covariance[:] = np.diag(variance)
-        state.delta[4:] = -track[0, 4:]  # walkers start about 0
-        if last is not None:
-            state.sensitivity[:, p:] = (space.spread * last.adjoint[0, :n]).T
-        value, starts = 0.0, []
-        stored = np.empty((m, _width(n, p))) if keep and m <= BLOCK else None
-        for first in range(0, m, BLOCK):
-            starts.append((state.delta.copy(), state.sensitivity[:, :p].copy(),
-                           state.covariance.copy()))  # fmt: skip
-            end = min(first + BLOCK, m)
-            value += passes.forward(space, nodes, track, first, end, last, state, stored)
-        score, information = state.score, state.information
-        return cls(space, nodes, track, value, score, information, tuple(starts), stored)
-
     def backward(self, change: Array) -> Smoothed:
-        """Smooth, with the elements of the columns changed by `change` (p,)."""
-        space, nodes, (m, n) = self.space, self.nodes, self.track.shape
-        p = len(space.columns)
+        """Smooth, with the parameters changed by `change` (p,)."""
+        space, nodes, track, (m, n) = (
+            self.space,
+            self.leg.nodes,
+            self.leg.track,
+            self.leg.track.shape,
+        )
+        c, levels = len(self.chain), len(space.kicks)
         carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
         result = Smoothed(
-            self.track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)),
-            np.zeros((len(space.kicks), 2)),
-        )  # fmt: skip
+            track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)), np.zeros((levels, 2))
+        )
         for block in range(len(self.starts) - 1, -1, -1):
             first, stored = block * BLOCK, self.stored
             end = min(first + BLOCK, m)
-            if stored is None:  # the states of the block once more, without the levels' columns
-                stored = np.empty((end - first, _width(n, p)))
+            if stored is None:  # the block once more, without the levels' columns
+                stored = np.empty((end - first, _width(n, c)))
                 delta, sensitivity, covariance = (part.copy() for part in self.starts[block])
-                state = State(delta, sensitivity, covariance, np.zeros(p), np.zeros((p, p)))
-                passes.forward(space, nodes, self.track, first, end, None, state, stored)
-            passes.backward(space, nodes, first, end, change, stored, carried, result, sums)
+                state = State(delta, sensitivity, covariance, np.zeros(c), np.zeros((c, c)))
+                passes.forward(space, nodes, track, first, end, None, state, stored)
+            moved = self.chain @ change
+            passes.backward(space, nodes, first, end, moved, stored, carried, result, sums)
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
-        result.squares[:] = space.kicks @ sums[:n] + space.spread @ initial
-        result.squares[:] += (space.noise > 0.0) @ sums[n:]
-        result.squares[:] *= 0.5
+        squares = space.kicks @ sums[:n] + space.spread @ initial + (space.noise > 0.0) @ sums[n:]
+        result.squares[:] = 0.5 * squares
         return result
 
 
-def _width(n: int, p: int) -> int:
+def longest_step(log: FlightLog, model: Model, phase: float) -> float:
+    """The step [s] in which the flow's waves turn by a phase [rad] at the speed of a log."""
+    size = float(np.hypot(*model.pattern.waves[:, :2].T).max())
+    return min(phase / (size * log.speed), 0.5 * model.values["response_time"])
+
+
+def _between(old: Array, track: Array, new: Array) -> Array:
+    """A track (m, n) at other times, by cubics through values and slopes; straight beyond it."""
+    slope = np.gradient(track, old, axis=0)
+    slope[:, :2] = track[:, 2:4]
+    inside = np.clip(new, old[0], old[-1])
+    first = np.clip(np.searchsorted(old, inside, side="right") - 1, 0, len(old) - 2)
+    step = (old[first + 1] - old[first])[:, None]
+    u = (inside - old[first])[:, None] / step
+    start, end = track[first], track[first + 1]
+    leaving, coming = step * slope[first] - (end - start), (end - start) - step * slope[first + 1]
+    between: Array = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * leaving + u * coming)
+    between[:, :2] += (new - inside)[:, None] * between[:, 2:4]
+    return between
+
+
+def _width(n: int, c: int) -> int:
     """The numbers that a node stores for the backward pass."""
-    return n * (1 + p + n) + 4 * (2 * n + p + 2) + 4 * n
+    return n * (1 + c + n) + 4 * (2 * n + c + 2) + 4 * n

@@ -1,13 +1,15 @@
 """The passes: exact derivatives, the compiled against the plain ones, blocks, a pattern's waves."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from sparsefit.likelihood import reference, trellis
 from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process, StateSpace
 from sparsefit.likelihood.nodes import Nodes, Smoothed
-from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.trellis import Pass
+from sparsefit.likelihood.pattern import WAVE, StreamPattern
+from sparsefit.likelihood.trellis import Leg
 
 WAVES = np.array([[1.1, 0.4], [-0.3, 0.9]])
 HEIGHTS = [2.0, 1.0], [0.5, -1.5]
@@ -65,11 +67,12 @@ def test_steps_and_readings_have_the_derivatives_of_finite_differences():
             np.testing.assert_allclose(slopes[..., place], slope, rtol=1e-6, atol=1e-7)
 
 
-def passed(space, nodes, track, last):
-    """Everything that a pass gives."""
-    forward = Pass.forward(space, nodes, track, np.arange(1.0, 5.0), last)
-    change = 0.01 * np.cos(np.arange(len(space.columns)))
-    smoothed = forward.backward(change)
+def passed(nodes, track, last):
+    """Everything that a pass gives, by every element of the model."""
+    log, model = SimpleNamespace(spread=np.arange(1.0, 5.0)), odd_model()
+    waves = [f"{name}_{j}" for j in (1, 2) for name in WAVE]
+    forward = Leg(log, model, nodes, track, last).forward((*ELEMENTS, *waves))
+    smoothed = forward.backward(0.01 * np.cos(np.arange(32)))
     return (
         *(forward.value, forward.score, forward.information),
         *(smoothed.track, smoothed.adjoint, smoothed.scores, smoothed.squares),
@@ -80,16 +83,15 @@ def passed(space, nodes, track, last):
 @pytest.mark.parametrize("way", ["plain", "blocks"])
 def test_the_compiled_pass_is_the_plain_one_and_that_of_blocks(levels, way, monkeypatch):
     pytest.importorskip("sparsefit.likelihood.passes")
-    model, (nodes, track) = odd_model(), odd_nodes()
-    space, rng = StateSpace.of(model, range(len(model.elements))), np.random.default_rng(5)
+    (nodes, track), rng = odd_nodes(), np.random.default_rng(5)
     adjoint, scores = rng.normal(size=(41, 18)), rng.normal(size=(40, 12))
     last = Smoothed(track, adjoint, scores, np.zeros((6, 2))) if levels else None
-    compiled = passed(space, nodes, track, last)
+    compiled = passed(nodes, track, last)
     if way == "plain":
         monkeypatch.setattr(trellis, "passes", reference)
     else:
         monkeypatch.setattr(trellis, "BLOCK", 16)
-    for expected, value in zip(passed(space, nodes, track, last), compiled, strict=True):
+    for expected, value in zip(passed(nodes, track, last), compiled, strict=True):
         size = np.abs(expected).max()
         np.testing.assert_allclose(value, expected, rtol=1e-8, atol=1e-9 * size)
 

@@ -1,5 +1,8 @@
 """The iterated smoother: the maximum of the likelihood, found from a start, by independent ways."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,10 +16,11 @@ from sparsefit.likelihood import (
     StreamPattern,
     bound,
     measure,
+    reference,
 )
 from sparsefit.likelihood.model import LEVELS, StateSpace
 from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.trellis import Pass
+from sparsefit.likelihood.trellis import Leg
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
 THRUST = (5.0, 3.0)
@@ -53,16 +57,13 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5)
     model = Model(pattern, {"response_time": TAU}, Disturbance(0.8, 0.05, 0.2, (turbulence,)))
     model = model.free("wind_x", "thrust_scale")
-    names = ("wind_x", "thrust_scale")
-    chain = model.jacobian(names)
-    columns = np.flatnonzero(chain.sum(axis=1))
-    space = StateSpace.of(model, columns)
+    names = ("thrust_scale", "wind_x")
+    space = StateSpace.of(model, np.flatnonzero(model.jacobian(names).sum(axis=1)))
     nodes = Nodes.of(log, log.origin, 1.0)
     track, spread = np.pad(nodes.track(), ((0, 0), (0, 2))), np.array([1.0, 2.0, 3.0, 4.0])
-    forward = Pass.forward(space, nodes, track, spread)
+    leg = Leg(SimpleNamespace(spread=spread), model, nodes, track)
+    forward = leg.forward(names)
     m, n = track.shape
-    from sparsefit.likelihood import reference
-
     following, matrices, slopes = reference.transitions(space, nodes.time, nodes.push, track)
     # every state as a linear map of the first state, of all kicks and of theta
     size = n + 2 * n * (m - 1)
@@ -110,7 +111,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
         squares = 0.5 * weights @ slope @ weights, expected
         np.testing.assert_allclose(smoothed.squares[level], squares, rtol=1e-8, err_msg=name)
     # and the average information, with the columns of the levels
-    again = Pass.forward(space, nodes, track, spread, smoothed)
+    again = replace(leg, last=smoothed).forward(names)
     pushed = []
     for level in range(4):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
@@ -300,3 +301,31 @@ def test_a_log_that_no_number_describes_is_an_answer_with_a_reason():
     posterior = measure(wild, Model(nearby(), {"response_time": TAU}))
     assert not posterior.converged
     assert "cannot be raised" in posterior.reason
+
+
+def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
+    """The level falls to 0 first; errors allow for as much of it as the log does not exclude."""
+    log, states = flown(14)
+    kicks = 0.05 * np.random.default_rng(3).normal(size=(len(states), 2))
+    wander = np.cumsum(np.cumsum(kicks, axis=0), axis=0) * 0.04**1.5
+    noisy = FlightLog(log.time, log.position + wander, log.velocity, THRUST)
+    model = Model(nearby(), {"response_time": TAU})
+    still, moved = (measure(each, model) for each in (log, noisy))
+    assert still.model.disturbance.acceleration < moved.model.disturbance.acceleration
+    for posterior in (still, moved):
+        bare = np.sqrt(np.linalg.inv(posterior.information)[0, 0])
+        assert bare < posterior.error("mean_velocity") < 4.0 * bare
+        assert abs(posterior.value("mean_velocity") - 9.0) < 4.0 * posterior.error("mean_velocity")
+
+
+def test_waves_beside_those_of_the_flow_widen_what_only_wanders_in_time():
+    log, states = flown(15, count=600)
+    x, y = states[:, :2].T
+    waves = np.array([[0.6, 0.9], [-0.9, 0.5], [1.1, 0.1], [0.2, -1.2], [0.8, -0.7]])
+    gust = sum(0.1 * np.cos(k @ np.array([x, y]) + j) for j, k in enumerate(waves))
+    field = FlightLog(log.time, log.position, log.velocity + gust[:, None], THRUST)
+    turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
+    model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
+    posterior = measure(field, model, (*LEVELS, "turbulence"))
+    assert posterior.inflation > 1.2
+    assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
