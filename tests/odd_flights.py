@@ -5,7 +5,7 @@ import numpy as np
 import sparsefit as sf
 from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.study.data_sets import ALTERATIONS
+from sparsefit.study.data_sets import ALTERATIONS, altered
 from tests.problems import VEHICLE
 
 SAMPLE_RATE, WINDOW = 100.0, 5  # the derivative drops half a window at either end
@@ -31,6 +31,6 @@ def odd_problem(seed):
     problem = Library(grid).build(sf.Derivative("savgol", WINDOW, 4)(flight), VEHICLE)
     names = tuple(ALTERATIONS)
     name = names[0] if seed % 2 == 0 else names[1 + (seed // 2) % (len(names) - 1)]
-    theta, target = ALTERATIONS[name](problem.theta, problem.target, draw)
-    altered = RegressionProblem.from_arrays(theta, target, groups=problem.groups)
-    return f"{name}, seed {seed}", altered
+    theta, target = altered(name, problem.theta, problem.target, draw)
+    odd = RegressionProblem.from_arrays(theta, target, groups=problem.groups)
+    return f"{name}, seed {seed}", odd

@@ -268,10 +268,11 @@ def _read_contenders(
             label = keys.label or " ".join([keys.name, *words])
             base = Contender(label, keys.name, settings, keys.name, stops, limit=limit)
             for solver in keys.solver or ("",):
-                resolved = _resolved(base, solver, recipes, here)
-                if keys.certified:
-                    resolved = (_certified(contender, here) for contender in resolved)
-                contenders += resolved
+                for contender in _resolved(base, solver, recipes, here):
+                    if keys.certified and contender.form != EXACT:
+                        why = "is for an exact path of sparsefit: no other certifies its answers"
+                        raise here.at("certified").error(why)
+                    contenders.append(_charged(contender) if keys.certified else contender)
     contenders = _described(contenders, here)
     counts = Counter((contender.objective, contender.solver) for contender in contenders)
     for (objective, solver), count in counts.items():
@@ -302,11 +303,8 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[Recipe]]:
     return recipes
 
 
-def _certified(contender: Contender, place: Place) -> Contender:
-    """The contender, charged for checks of the data and every certificate."""
-    if contender.form != EXACT:
-        words = "is for an exact path of sparsefit: no other solver certifies its answers"
-        raise place.at("certified").error(words)
+def _charged(contender: Contender) -> Contender:
+    """The exact path, charged for checks of the data and every certificate."""
     form = f"{EXACT}, the checks of the data and every certificate"
     return replace(contender, solver=f"{contender.solver}, certified", form=form, certified=True)
 

@@ -22,12 +22,12 @@ import hashlib
 import itertools
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_array, issparse
@@ -281,58 +281,46 @@ GENERATORS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 )
 """Name -> the settings of `Generator` that it stands for, where a study gives no others."""
 
-Alter: TypeAlias = Callable[[Array, Array, np.random.Generator], tuple[Array, Array]]
 AS_IT_IS = "as it is"
-
-
-def _copied(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """A fifth of the columns replaced by copies, negatives and multiples of others."""
-    theta, k = theta.copy(), theta.shape[1]
-    count = max(1, k // 5)
-    to, source = draw.choice(k, count, replace=False), draw.integers(0, k, count)
-    theta[:, to] = theta[:, source] * draw.choice([-2.0, -1.0, 1.0, 3.0], count)
-    return theta, target
-
-
-def _dependent(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Columns that differ from others in the ninth digit."""
-    theta, k = theta.copy(), theta.shape[1]
-    to, source = draw.choice(k, k // 4, replace=False), draw.integers(0, k, k // 4)
-    theta[:, to] = theta[:, source] + 1e-9 * draw.standard_normal((len(theta), k // 4))
-    return theta, target
-
-
-def _dead(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Columns that are zero in all samples but one."""
-    theta = theta.copy()
-    for column in draw.choice(theta.shape[1], theta.shape[1] // 8, replace=False):
-        theta[:, column] = 0.0
-        theta[draw.integers(len(theta)), column] = 1.0
-    return theta, target
-
-
-def _units(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Tiny and huge units, of each column and of the target."""
-    scale = 10.0 ** draw.uniform(-12, 12, theta.shape[1])
-    return theta * scale, target * 10.0 ** draw.uniform(-12, 12)
-
-
-def _few(theta: Array, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Fewer samples than columns."""
-    rows = draw.integers(4, max(5, min(theta.shape) // 2))
-    return theta[:rows], target[:rows]
-
-
-ALTERATIONS: Mapping[str, Alter] = MappingProxyType(
+ALTERATIONS: Mapping[str, str] = MappingProxyType(
     {
-        AS_IT_IS: lambda theta, target, _: (theta, target),
-        "duplicated columns": _copied,
-        "nearly dependent columns": _dependent,
-        "dead columns": _dead,
-        "units 1e-12 to 1e12": _units,
-        "fewer samples than columns": _few,
-        "a target of zeros": lambda t, y, _: (t, np.column_stack([y[:, :-1], 0.0 * y[:, -1]])),
-        "a target of noise": lambda t, y, draw: (t, draw.standard_normal(y.shape)),
+        AS_IT_IS: "",
+        "duplicated columns": "a fifth replaced by copies, negatives and multiples of others",
+        "nearly dependent columns": "a quarter differs from others in the ninth digit",
+        "dead columns": "an eighth is zero in all samples but one",
+        "units 1e-12 to 1e12": "tiny and huge units, of each column and of the target",
+        "fewer samples than columns": "at most half as many samples as columns",
+        "a target of zeros": "the last one",
+        "a target of noise": "in place of the target",
     }
 )
-"""Name, as a study file has it -> what is done to theta and target: degenerate problems."""
+"""Name, as a study file has it -> what it does to theta and target: degenerate problems."""
+
+
+def altered(name: str, theta: Any, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
+    """Theta (m, k) and target (m, n) of a degenerate problem, by a name of `ALTERATIONS`."""
+    theta = np.array(theta if isinstance(theta, np.ndarray) else theta.toarray())
+    target, k = target.copy(), theta.shape[1]
+    match name:
+        case "duplicated columns":
+            count = max(1, k // 5)
+            to, source = draw.choice(k, count, replace=False), draw.integers(0, k, count)
+            theta[:, to] = theta[:, source] * draw.choice([-2.0, -1.0, 1.0, 3.0], count)
+        case "nearly dependent columns":
+            to, source = draw.choice(k, k // 4, replace=False), draw.integers(0, k, k // 4)
+            theta[:, to] = theta[:, source] + 1e-9 * draw.standard_normal((len(theta), k // 4))
+        case "dead columns":
+            for column in draw.choice(k, k // 8, replace=False):
+                theta[:, column] = 0.0
+                theta[draw.integers(len(theta)), column] = 1.0
+        case "units 1e-12 to 1e12":
+            theta *= 10.0 ** draw.uniform(-12, 12, k)
+            target *= 10.0 ** draw.uniform(-12, 12)
+        case "fewer samples than columns":
+            rows = draw.integers(4, max(5, min(theta.shape) // 2))
+            theta, target = theta[:rows], target[:rows]
+        case "a target of zeros":
+            target[:, -1] = 0.0
+        case "a target of noise":
+            target = draw.standard_normal(target.shape)
+    return theta, target

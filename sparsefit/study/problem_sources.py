@@ -33,6 +33,7 @@ from sparsefit.study.data_sets import (
     GENERATORS,
     Data,
     Generator,
+    altered,
     digest_of,
     read_data,
     read_public,
@@ -146,7 +147,7 @@ class ProblemSource:
             data = replace(data, test=(rows.theta, rows.target))
         if self.alter != AS_IT_IS:
             random = np.random.default_rng(stream(self.seed, 0, ALTERED))
-            data = Data(*ALTERATIONS[self.alter](data.theta, data.target, random), data.groups)
+            data = Data(*altered(self.alter, data.theta, data.target, random), data.groups)
         if isinstance(self.groups, int):
             return replace(data, groups=np.arange(data.theta.shape[1]) // self.groups)
         return data if self.groups is None else replace(data, groups=np.array(self.groups))

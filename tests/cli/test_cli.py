@@ -17,6 +17,7 @@ from sparsefit.flight.flow import ShapedCells, SuperposedFlow
 from sparsefit.flight.turbulence import Turbulence
 from sparsefit.logs import read_flight, write_flight
 from sparsefit.model import LengthScaleGrid, Library
+from tests.cli.verbs import refused, run
 
 SIMULATE = ("simulate", "--mean-velocity", "15.43", "--length-scale", "4.21", "--seed", "7")
 COARSE = ("--grid-lower", "3.2", "--grid-upper", "5.2")
@@ -31,28 +32,6 @@ def in_empty_folder(tmp_path, monkeypatch):
 def flight():
     assert main([*SIMULATE, "--duration", "5", "-o", "flight.csv"]) == 0
     return "flight.csv"
-
-
-def run(capsys, *argv):
-    """Exit code, stdout and stderr of a verb; argparse leaves by SystemExit."""
-    capsys.readouterr()
-    try:
-        code = main([str(word) for word in argv])
-    except SystemExit as left:
-        code = left.code
-    return (code, *capsys.readouterr())
-
-
-def refused(capsys, *argv):
-    """The one line on stderr of a verb that exits 2 and writes nothing."""
-    before = sorted(os.listdir())
-    code, out, err = run(capsys, *argv)
-    assert (code, out) == (2, "")
-    assert err.startswith("sparsefit: error: ")
-    assert err.count("\n") == 1
-    assert err.endswith("\n")
-    assert sorted(os.listdir()) == before
-    return err
 
 
 def edited(name, change):

@@ -9,6 +9,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.onboard import c_source
+from tests.cli import verbs
 
 GRID = sf.LengthScaleGrid(2.0, 8.0)
 
@@ -29,12 +30,7 @@ def unmeasured(monkeypatch):
 
 
 def refused(capsys, *arguments):
-    """The one line on which an export is refused."""
-    assert main(["export", *map(str, arguments)]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    assert err.count("\n") == 1
-    return err
+    return verbs.refused(capsys, "export", *arguments)
 
 
 def test_an_export_is_a_folder_that_builds_and_replays(saved, tmp_path, capsys):

@@ -10,6 +10,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.logs import read_flight, write_flight
+from tests.cli import verbs
 from tests.logs.log_writers import igc
 
 GRID = ("--grid-lower", "3.2", "--grid-upper", "5.2")
@@ -32,19 +33,11 @@ def in_empty_folder(tmp_path, monkeypatch, flight):
 
 
 def run(capsys, *argv):
-    capsys.readouterr()
-    code = main(["estimate", *map(str, argv)])
-    return (code, *capsys.readouterr())
+    return verbs.run(capsys, "estimate", *argv)
 
 
 def refused(capsys, *argv):
-    """The one line on stderr of an estimate that exits 2 and writes nothing."""
-    before = sorted(os.listdir())
-    code, out, err = run(capsys, *argv)
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("sparsefit: error: ")
-    assert sorted(os.listdir()) == before
-    return err
+    return verbs.refused(capsys, "estimate", *argv)
 
 
 def written(flight):

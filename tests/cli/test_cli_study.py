@@ -14,6 +14,7 @@ from sparsefit.study import evidence, study
 from sparsefit.study.export import read_cases
 from sparsefit.study.latency import Latency
 from sparsefit.study.study import Study
+from tests.cli.verbs import refused, run
 
 STUDY = """
 name = "small"
@@ -95,25 +96,6 @@ def half(home, tmp_path, monkeypatch):
     shutil.copytree(home.parent / f"{home.name}-half", tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return "small.toml"
-
-
-def run(capsys, *argv):
-    capsys.readouterr()
-    try:
-        code = main([str(word) for word in argv])
-    except SystemExit as left:
-        code = left.code
-    return (code, *capsys.readouterr())
-
-
-def refused(capsys, *argv):
-    before = sorted(map(str, Path().rglob("*")))
-    code, out, err = run(capsys, *argv)
-    assert (code, out) == (2, "")
-    assert err.startswith("sparsefit: error: ")
-    assert err.count("\n") == 1
-    assert sorted(map(str, Path().rglob("*"))) == before
-    return err
 
 
 def test_check_says_on_one_line_what_is_planned(capsys, fresh):
