@@ -178,12 +178,14 @@ def _steps(entry: Entry, each: Measure, level: str, title: str, cases: pd.DataFr
     ends = low / 1.5, max(1.5 * high, 10.0 * low)
     if each.name == "ratio":  # from the fastest on
         ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
-    for (name,), places in grouped(cases, [entry.lines]):
+    groups = list(grouped(cases, [entry.lines]))
+    steps = int(np.clip(6000 // max(len(groups), 1), 40, 300))  # an eye sees no more
+    for (name,), places in groups:
         here = values[places[planned[places]]]
         sizes = np.sort(here[np.isfinite(here)])
         share = 100.0 * np.arange(1, sizes.size + 1) / max(len(here), 1)
-        if sizes.size > 300:  # an eye sees no more steps
-            at = np.linspace(0, sizes.size - 1, 300).astype(int)
+        if sizes.size > steps:
+            at = np.linspace(0, sizes.size - 1, steps).astype(int)
             sizes, share = sizes[at], share[at]
         if sizes.size:
             start, end = min(ends[0], float(sizes[0])), max(ends[1], float(sizes[-1]))

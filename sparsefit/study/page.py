@@ -85,7 +85,7 @@ def to_html(name: str, question: str, answers: Sequence[str], sections: Sequence
 def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
     """Return a picture, drawn already as `svg` or not, as a part of a page; or its caption."""
     figure = picture.figure
-    if figure is None:
+    if figure is None or not (svg := svg or encoded(figure, ".svg", name)):
         return picture.caption
 
     def inline(vector: bytes) -> str:
@@ -96,7 +96,7 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
         for artist in (*axes.lines, *axes.collections):
             if artist.get_gid() and not str(artist.get_label()).startswith("_"):
                 lines.setdefault(str(artist.get_gid()), str(artist.get_label()))
-    vector, linear = inline(svg or encoded(figure, ".svg", name)), ""
+    vector, linear = inline(svg), ""
     turned = [
         (axes, axis, view) for axes in figure.axes if lines
         for axis, view in (("x", axes.get_xlim()), ("y", axes.get_ylim()))

@@ -107,19 +107,22 @@ class Looks:
         short = labels(self.names, 36) if self.names else {}
         self.words = {
             name: f"{short[name]} and {twins[name] - 1} alike" if twins[name] > 1 else short[name]
-            for name in self.names
+            for name in self.names[:NAMED_CURVES]
         }
         for panel in panels_:
             curves = {curve.name: curve for curve in panel.curves}
             panel.curves = [curves[name] for name in self.names if name in curves]
 
+    def grey(self, more: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the look of the curves that a legend does not name, and their number."""
+        look = {"color": GREY, "ls": "-", "lw": 0.6, "alpha": 0.6, "ms": 3.0, "mew": 0, **more}
+        look["marker"] = "." if look["ls"] == "" else ""
+        words = f"{len(self.names) - NAMED_CURVES} others"
+        return {**look, "gid": "line-others", "label": words, "zorder": 2}
+
     def of(self, name: str, more: Mapping[str, Any]) -> dict[str, Any]:
         """Return the look, the name in an SVG and the label of a line as arguments of `plot`."""
         place = self.names.index(name)
-        if place >= NAMED_CURVES:
-            grey = {"color": GREY, "ls": "-", "lw": 0.6, "alpha": 0.6, "marker": "", **more}
-            words = f"{len(self.names) - NAMED_CURVES} others"
-            return {**grey, "gid": "line-others", "label": words, "zorder": 2}
         colour, turn = place % len(COLOURS), place // len(COLOURS)
         look = {"color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
                 "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)]}  # fmt: skip
@@ -157,7 +160,8 @@ def _draw(axes: Axes, panel: Panel, looks: Looks, heights: Array) -> None:
     """Draw a panel; `heights` are those of its whole row."""
     names = [] if isinstance(panel.levels, np.ndarray) else list(panel.levels)
     count = len(panel.curves)
-    for order, curve in enumerate(panel.curves):
+    others = [curve for curve in panel.curves if curve.name not in looks.words]
+    for order, curve in enumerate(panel.curves[: count - len(others)]):
         look, x = looks.of(curve.name, panel.style), curve.x
         if look["ls"] == "":
             look["marker"] = look["marker"] or "."
@@ -165,6 +169,13 @@ def _draw(axes: Axes, panel: Panel, looks: Looks, heights: Array) -> None:
         if curve.bars is not None and (names or count <= 4):
             axes.vlines(x, *curve.bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
         axes.plot(x, curve.y, **look)
+    if others:  # one line of all, in pieces
+        gap = np.array([np.nan])
+        axes.plot(
+            np.concatenate([part for curve in others for part in (curve.x, gap)]),
+            np.concatenate([part for curve in others for part in (curve.y, gap)]),
+            **looks.grey(panel.style),
+        )
     if not panel.heights.size:
         axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
     for axis, value in panel.marks:

@@ -93,29 +93,30 @@ def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
 
 def summary(cases: pd.DataFrame) -> Table:
     """Return each solver of each objective: verdict, success, mean time, times the fastest."""
-    levels, limit, shift = accuracies(cases), clock_of(cases, "limit"), clock_of(cases, "shift")
+    levels = accuracies(cases)[::-1]  # the strictest first: it gives order and verdict
+    limit, shift = clock_of(cases, "limit"), clock_of(cases, "shift")
     every = [dict(times_to(cases, level)) for level in levels]
     rows: list[Row] = []
-    for objective, strict in every[-1].items():
+    for objective, strict in every[0].items():
         for name in strict:
             cells: list[Value] = []
+            verdict = "fastest" if name == strict.columns[0] else ""
             for seconds in (level[objective] for level in every):
-                own, first = seconds[name], seconds.iloc[:, 0]
-                middle, low, high = ratio(_charged(own, limit), _charged(first, limit))
-                solved = np.isfinite(own)
-                mean = np.exp(np.log(_charged(own, limit) + shift).mean()) - shift
-                is_first = name == seconds.columns[0]
+                own, is_first = seconds[name], name == seconds.columns[0]
+                solved, charged = np.isfinite(own), _charged(own, limit)
+                middle, low, high = ratio(charged, _charged(seconds.iloc[:, 0], limit))
+                bound, is_sure = "" if solved.all() else "≥ ", not math.isnan(low)
+                between = f"{significant(low)} … {significant(high)}"
                 cells += [
-                    f"{solved.sum()}/{len(own)}", 1e3 * float(mean),
-                    f"{'' if solved.all() else '≥ '}{significant(middle)}",
-                    "–" if is_first or math.isnan(low)
-                    else f"{significant(low)} … {significant(high)}",
-                ]  # fmt: skip
-            verdict = "slower" if low > 1.0 else "tie"
-            if not solved.any():
+                    f"{solved.sum()}/{len(own)}",
+                    1e3 * float(np.exp(np.log(charged + shift).mean()) - shift),
+                    f"{bound}{significant(middle)}",
+                    between if is_sure and not is_first else "–",
+                ]
+                rank = "slower" if low > 1.0 else "tie"
+                verdict = verdict or (rank if is_sure else "too few problems")
+            if not np.isfinite(strict[name]).any():
                 verdict = "solved none"
-            elif is_first or math.isnan(low):
-                verdict = "fastest" if is_first else "too few problems"
             rows.append((objective, str(name), verdict, *cells))
         absent = cases[(cases["objective"] == objective) & (cases["status"] == "skipped")]
         blank = [None] * (4 * len(levels))
@@ -131,7 +132,7 @@ def summary(cases: pd.DataFrame) -> Table:
         "solved: problems whose answers are certified to lie within that share of the objective "
         f"at zero above its minimum. mean time: geometric, shifted by {1e3 * shift:g} ms, on the "
         f"wall; what is not solved counts as the limit, {limit:g} s, and makes × fastest a bound "
-        f"(≥). × fastest: with its interval over problems. Verdict: to {accuracy_text(levels[-1])}."
+        f"(≥). × fastest: with its interval over problems. Verdict: to {accuracy_text(levels[0])}."
     )
     return Table("Solvers: success and time", tuple(columns), rows, (note,))
 

@@ -319,10 +319,10 @@ class TestSolvers:
         rows = {row[1]: row for row in made("solvers", self.cases).rows}
         assert [rows[name][2] for name in rows] == ["fastest", "slower", "solved none", "missing"]
         assert [rows["slow"][place] for place in (3, 7, 11)] == ["6/6"] * 3
-        assert rows["slow"][13:] == ("4.00", "4.00 … 4.00")
-        assert rows["lost"][13].startswith("≥ ")
+        assert rows["slow"][5:7] == ("4.00", "4.00 … 4.00")
+        assert rows["lost"][5].startswith("≥ ")
         seconds = np.log([0.041, 0.081, 0.121, 0.161, 0.201, 0.241]).mean()
-        assert rows["slow"][12] == pytest.approx(1e3 * (np.exp(seconds) - 1e-3))
+        assert rows["slow"][4] == pytest.approx(1e3 * (np.exp(seconds) - 1e-3))
 
     def test_no_accuracy_is_asked_of_a_solver_that_was_never_asked_for_it(self):
         loose = self.cases[~((self.cases["solver"] == "slow") & (self.cases["tolerance"] < 1e-5))]
