@@ -28,7 +28,7 @@ docs: $(VENV)/.docs
 	@echo "open build/docs/index.html"
 
 # Compiled kernels of older sources would be tested otherwise.
-COMPILED := $(wildcard sparsefit/*/*.pyx sparsefit/*/*.pxd sparsefit/*/*.h)
+COMPILED := $(wildcard sparsefit/*/*.pyx)
 
 $(VENV)/.installed: pyproject.toml setup.py $(COMPILED)
 	$(PYTHON) -m venv $(VENV)

@@ -9,7 +9,7 @@ import os
 from setuptools import Extension, setup
 
 TYPED = (
-    *("likelihood/passes", "solvers/homotopy", "solvers/variational", "solvers/sweeps"),
+    *("likelihood/passes", "solvers/homotopy", "solvers/variances", "solvers/sweeps"),
 )  # sparsefit/NAME.pyx
 STABLE = {
     "extra_compile_args": [] if os.name == "nt" else ["-g0"],  # no debugging symbols
@@ -31,8 +31,6 @@ def kernels() -> list[Extension]:
             Extension(
                 f"sparsefit.{name.replace('/', '.')}",
                 [f"sparsefit/{name}.pyx"],
-                include_dirs=["sparsefit/solvers"],
-                depends=["sparsefit/solvers/dense.h"],
                 **STABLE,
             )
             for name in TYPED

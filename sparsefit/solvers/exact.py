@@ -25,7 +25,6 @@ from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
     HomotopyKernel,
     Kernel,
-    NewtonKernel,
     Points,
     Units,
     compiled,
@@ -163,8 +162,6 @@ def _along(
     if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
         normal = Normal(statistics.gram, None, design.samples)
         kernel = kernel_for(penalty, q)(normal, cross, penalty, units)
-        if isinstance(kernel, HomotopyKernel):
-            kernel.resumes = False
         stretch = kernel.advance(alphas)
         return Points(
             stretch.values, stretch.complete, stretch.steps, f"{kernel.name}, all columns"
@@ -184,15 +181,15 @@ def _with_working_set(
 ) -> Points:
     """The path on the columns in play, ``start`` of them or more at first."""
     (k, q), count = cross.shape, len(alphas)
-    kind = kernel_for(penalty, q, wide=k > design.shape[0])
-    play = InPlay.of(design, _first(penalty, cross, start), kind is NewtonKernel)
+    kind = kernel_for(penalty, q)
+    play = InPlay.of(design, _first(penalty, cross, start), kind is not HomotopyKernel)
     part = penalty.restricted(play.index)
     assert part is not None
     kernel: Kernel = kind(play.normal, cross[play.index], part, units)
     weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
-    steps, done = np.zeros(count, np.intp), 0
+    steps, done, ahead = np.zeros(count, np.intp), 0, AHEAD
     while done < count:
-        here = alphas[done : done + AHEAD]
+        here = alphas[done : done + ahead]
         stretch = kernel.advance(here)
         accepted, new = _objections(play, target, penalty, here, stretch.values, done)
         until = done + accepted
@@ -200,6 +197,7 @@ def _with_working_set(
         complete[done:until] = stretch.complete[:accepted]
         steps[done:until] = stretch.steps[:accepted]
         done = until
+        ahead = min(AHEAD, 2 * ahead) if accepted == len(here) else max(accepted, 1)
         if len(new):
             play = play.joined(new)
             part = penalty.restricted(play.index)

@@ -1,131 +1,109 @@
-"""Exact LASSO path in Gram space by homotopy (LARS with the LASSO modification), compiled.
+"""Exact path of the LASSO and the elastic net in Gram space, from event to event, compiled.
 
-    minimise over w (k,):   1/2 w'G w - c'w + alpha |w|_1
+    minimise over w (k,):   1/2 w'G w - c'w + alpha (|w|_1 + 1/2 sum_j rho_j w_j^2)
 
-Between two events the solution is linear in alpha: with active columns A, signs s and
-H = S G_AA S, the signed weights grow by H^-1 1 for each unit alpha loses. An event is a column
-whose correlation |c - G w| reaches alpha (it enters) or an active weight that reaches zero (it
-leaves). Each requested alpha is polished by a Newton step on the exact Gram rows and checked
-against the optimality conditions; what fails is settled at that alpha by a primal active-set
-method, in which a column that depends on active ones is exchanged for one of them; what fails
-that too is reported as incomplete, with the weights that came closest.
+With active columns A, signs s and the diagonal mu = alpha rho at the penalty that is walked to,
+H = S (G_AA + mu) S, an optimum at one alpha is the end of a walk in t from 0 to 1,
 
-What an active column owns is stored times its sign: active correlations are +alpha and active
-weights positive. M = H^-1 is kept by bordering (enter) and by elimination (leave): M +- x x'/pivot.
-The product G x, which the path needs anyway, shows how far x is from exact, so one step of iterative
-refinement happens only where digits are missing; M is rebuilt when they are many.
+    S (c - G w + (1 - t) delta)_A - mu w_A = alpha(t),    |c - G w + (1 - t) delta| <= alpha(t)
+
+outside A, with alpha(t) linear. The drift delta is what the weights at t = 0 lack of an optimum of
+(alpha(0), mu): zero but for rounding along the LASSO's path; of the elastic net it holds the change
+of mu since the last penalty; and at weights from anywhere it makes the walk a repair. The signed
+weights, all positive, grow by H^-1 (alpha(0) - alpha(1) - s delta_A) for each unit of t, until an
+event: a column whose correlation reaches alpha enters, an active weight that reaches zero leaves.
+
+M = H^-1 is bordered and eliminated by M +- x x'/pivot; the product G x, which the path needs
+anyway, shows how far x is from exact: x is refined where digits are missing, and the walk begins
+afresh, on an M by pivoted Cholesky, where they are many. A column that depends on active ones waits
+until one of these leaves. At each requested alpha exact correlations tell whether it is an optimum.
 
 Sources: Osborne, Presnell and Turlach, IMA J. Numer. Anal. 20 (2000) 389-403; Efron, Hastie,
-Johnstone and Tibshirani, Ann. Statist. 32 (2004) 407-499; for the repair, Lee, Battle, Raina
-and Ng, NIPS 19 (2006) 801-808; Golub and Van Loan, Matrix Computations (2013), section 2.1.4.
+Johnstone and Tibshirani, Ann. Statist. 32 (2004) 407-499; Asif and Romberg, IEEE Trans. Signal
+Process. 62 (2014) 4209-4223, from warm starts; Golub and Van Loan (2013), section 2.1.4.
 """
 
 import numpy as np
 
-from libc.math cimport fabs
-
-from sparsefit.solvers cimport dense
+from libc.math cimport INFINITY, fabs
+from libc.string cimport memcpy
+from scipy.linalg.cython_blas cimport daxpy, ddot, dgemv, dger
+from scipy.linalg.cython_lapack cimport dpotri, dpstrf
 
 cdef enum:
     FINE = 0
     DEPENDENT = 1  # the column lies in the span of the active ones
-    SINGULAR = 2  # M no longer describes the active block: start again from fewer columns
+    WORN = 2  # M no longer describes the active block: walk on with another
     NO_MEMORY = 3
-    EARLY = 4  # a rebuilt inverse would gain nothing yet
+    OPEN = 0  # a column outside, that may enter; others are WAITING,
+    WAITING = 1  # as they depend on active ones, or
+    ACTIVE = 2
     ROOM = 64  # active columns that there is room for at first
-    STALE_AGE = 10  # updates between rebuilds: on a nearly singular block they gain little
-    REPAIRS = 4  # from known weights, each with a larger factor on what counts as dependent
-    NEWTON_STEPS = 3  # at a requested alpha
+    STALE_AGE = 10  # updates of M before another is worth its price
+    ATTEMPTS = 8  # at one alpha, those after the third with a larger factor on what is dependent
+    FRESH_STARTS = 60  # at one alpha, with another M
     STEPS_PER_COLUMN = 3  # to one requested alpha, and
     STEPS_AT_LEAST = 50  # these; more is taken for cycling
 
 cdef:
     double REFINE_ABOVE = 1e-11  # error of a direction on the active rows that is worth refining
-    double STALE_ABOVE = 1e-8  # error at which M is rebuilt, STALE_AGE permitting
-    double WRONG_ABOVE = 1e-3  # error at which M is rebuilt at once
+    double STALE_ABOVE = 1e-8  # error at which M is made again, STALE_AGE permitting
+    double WRONG_ABOVE = 1e-3  # error at which M is made again at once
     double DEPENDENT_BELOW = 1e-13  # pivot, per unit of x'x: what rounding in G alone can produce
-    double TINY = 1e-300  # what divisors and pivots are at least
+    double CAUTION = 1e2  # by which it grows where attempts fail
+    double TINY = 1e-300  # what divisors are at least
     double OPTIMAL_WITHIN = 1e-9  # excess of a correlation over alpha, relative to alpha
     double ROUNDING = 1e-13  # the same, absolute, in units of the largest |c|
+    double SHARE = 1e-4  # part of that margin above which another walk, of rounding alone, pays
     double FLAT = 1e-16  # distance to an event below which it is at hand, relative to alpha
-    double FRESH_SLOPE_ABOVE = 1e-11  # error of the slope that is corrected at a requested alpha
-    double CAUTION = 1e2  # the ratio of the factors of `REPAIRS`
-    double NEWTON_SHARE = 1e-2  # part of the margin that Newton steps aim at
-    double HOPELESS = 1e8  # breach, in units of the margin, of weights not worth returning
 
 
 cdef class Homotopy:
-    """Where the path stands, for G (k, k), its largest diagonal about one, and c (k,): at w = 0.
+    """Where the path stands, for G (k, k), its largest diagonal about one, c (k,) and rho (k,).
 
-    index and sign (k + 1,): the n active columns, in no particular order, and their signs;
-    inverse: M in its leading n x n block, `age` updates old; weights and slope (k + 1,): the signed
-    active weights and their growth per unit of alpha; correlation c - G w (k,) and descent, its
-    decrease; open (k,): 0 for columns that may not enter, active ones and the first `waits` of
-    waiting, which depend on these; known (k,): the weights at the last penalty where they are an
-    optimum; step x and product G x: the last direction, pivot that of its update.
+    index, sign (n,): the active columns, in no particular order; rows (n, k): those of G, times the
+    sign; inverse: M in its leading n x n block, `age` updates old; weights and slope (n,): signed
+    weights and their growth by t; mu (n,); correlation c - G w + (1 - t) delta (k,) and descent,
+    its decrease by t; standing (k,): OPEN, WAITING or ACTIVE; known (k,): the weights of the last
+    optimum; step x and product G x: the last direction.
     """
 
-    cdef Py_ssize_t k, n, age, waits
+    cdef Py_ssize_t k, n, age
     cdef public Py_ssize_t steps
-    cdef double below, pivot, alpha, highest
+    cdef double below, alpha
+    cdef bint ridged
     cdef const double[:, ::1] gram
-    cdef const double[::1] cross
-    cdef double[:, ::1] inverse
-    cdef Py_ssize_t[::1] index, waiting
-    cdef double[::1] sign, step, product, error, fix, spare, change
-    cdef double[::1] weights, slope, correlation, descent, open, known, rates
+    cdef const double[::1] cross, ridge
+    cdef double[:, ::1] rows, inverse
+    cdef int[::1] pivots
+    cdef Py_ssize_t[::1] index, standing
+    cdef double[::1] sign, weights, slope, mu, step, error, fix, work
+    cdef double[::1] correlation, descent, drift, product, known
 
-    def __init__(self, gram, cross):
-        room = min(ROOM, len(cross))
-        self.inverse, self.index = np.zeros((room, room)), np.zeros(len(cross) + 1, np.intp)
-        self._place(gram, cross)
-        start(self, 1.0)
-        self.alpha = self.highest = dense.largest(self.k, self.cross)
+    def __init__(self, gram, cross, ridge):
+        self.gram, self.cross, self.ridge, self.k = gram, cross, ridge, len(cross)
+        k, room = self.k, min(ROOM, len(cross))
+        if self.gram.shape[0] != k or self.gram.shape[1] != k or len(self.ridge) != k:
+            raise ValueError("a homotopy wants gram (k, k), cross (k,) and ridge (k,)")
+        self.rows, self.inverse = np.zeros((room, k)), np.zeros((room, room))
+        self.index, self.standing = np.zeros(k, np.intp), np.zeros(k, np.intp)
+        self.pivots, self.work = np.zeros(k, np.intc), np.zeros(2 * k)
+        cdef double[:, ::1] vectors = np.zeros((12, k))
+        self.sign, self.weights, self.slope, self.mu = vectors[0], vectors[1], vectors[2], vectors[3]
+        self.step, self.error, self.fix, self.known = vectors[4], vectors[5], vectors[6], vectors[7]
+        self.correlation, self.descent, self.drift = vectors[8], vectors[9], vectors[10]
+        self.product, self.below = vectors[11], DEPENDENT_BELOW
+        self.ridged = bool(np.any(ridge))
+        self.start(np.zeros(k), 0.0)
 
-    def _place(self, gram, cross):
-        """Give each vector its memory for G (k, k) and c (k,)."""
-        self.gram, self.cross, self.k = gram, cross, len(cross)
-        if self.gram.shape[0] != self.k or self.gram.shape[1] != self.k:
-            raise ValueError("a homotopy wants gram (k, k) and cross (k,)")
-        cdef double[:, ::1] rows = np.zeros((13, self.k + 1))
-        self.sign, self.step, self.product, self.change = rows[0], rows[1], rows[2], rows[3]
-        self.error, self.fix, self.spare, self.weights = rows[4], rows[5], rows[6], rows[7]
-        self.slope, self.known, self.correlation = rows[8], rows[9], rows[10]
-        self.descent, self.open = rows[11], rows[12]
-        self.waiting, self.rates = np.zeros(self.k + 1, np.intp), np.zeros(2 * self.k + 2)
-
-    def state(self):
-        """All that `resume` needs to go on from here, as arrays of their own."""
-        n = self.n
-        inverse, waiting = np.asarray(self.inverse)[:n, :n], np.asarray(self.waiting)[: self.waits]
-        active = [np.array(np.asarray(part)[:n]) for part in self._active()]
-        numbers = (self.alpha, self.age, self.below)
-        return numbers, inverse.copy(), active, waiting.copy(), np.array(np.asarray(self.known))
-
-    def _active(self):
-        index, sign = np.asarray(self.index), np.asarray(self.sign)
-        return [index, sign, np.asarray(self.weights), np.asarray(self.slope)]
-
-    def resume(self, state, gram, cross):
-        """Go on from a state on G (k, k) and c (k,), whose leading columns are those of then."""
-        numbers, inverse, active, waiting, known = state
-        steps, highest, n = self.steps, self.highest, len(inverse)
-        self.index = np.zeros(len(cross) + 1, np.intp)
-        self._place(gram, cross)
-        start(self, 1.0)
-        room = min(max(2 * n, ROOM), self.k)
-        self.inverse, self.n = np.zeros((room, room)), n
-        np.asarray(self.inverse)[:n, :n] = inverse
-        for part, values in zip(self._active(), active, strict=True):
-            part[:n] = values
-        np.asarray(self.waiting)[: len(waiting)] = waiting
-        np.asarray(self.known)[: len(known)] = known
-        np.asarray(self.open)[active[0]] = 0.0
-        np.asarray(self.open)[waiting] = 0.0
-        self.alpha, self.age, self.below = numbers
-        self.waits, self.steps, self.highest = len(waiting), steps, highest
-        correlate(self, self.alpha)
-        product_of(self, self.slope, n, self.descent)
+    def start(self, const double[::1] weights, double alpha):
+        """Stand at the weights (k,) of the optimum at alpha; where they are zero, at the largest."""
+        for j in range(self.k):
+            self.known[j] = weights[j]
+        if return_to_known(self, alpha) == NO_MEMORY:
+            raise MemoryError
+        if not self.n:
+            self.alpha = float(np.abs(self.cross).max())
 
     def advance(self, const double[::1] alphas, double[:, ::1] weights, unsigned char[::1] complete):
         """Fill weights (p, k) and complete (p,), given as zeros, at descending penalties.
@@ -135,16 +113,60 @@ cdef class Homotopy:
         points = len(alphas)
         if weights.shape[0] != points or weights.shape[1] != self.k or len(complete) != points:
             raise ValueError("a homotopy fills weights (p, k) and complete (p,) at alphas (p,)")
-        cdef dense.PyThreadState *held = dense.unlock()
-        cdef int outcome = visit(self, alphas, weights, complete)
-        dense.lock(held)
+        cdef int outcome = FINE
+        with nogil:
+            for point in range(points):
+                if self.n == 0 and alphas[point] >= self.alpha:
+                    complete[point] = True
+                    continue
+                outcome = reach(self, alphas[point], weights[point])
+                if outcome == NO_MEMORY:
+                    break
+                complete[point] = outcome == FINE
+                if outcome == FINE:
+                    memcpy(&self.known[0], &weights[point, 0], self.k * sizeof(double))
         if outcome == NO_MEMORY:
             raise MemoryError
 
 
-cdef void product_of(Homotopy h, const double[::1] x, Py_ssize_t n, double[::1] out) noexcept nogil:
+cdef void products(Homotopy h, Py_ssize_t n, const double[::1] x, double[::1] out) noexcept nogil:
     """G x (k,) of the first n signed active weights x."""
-    dense.combine(n, h.gram, h.index, h.sign, x, out)
+    cdef int k = h.k, count = n, one = 1
+    cdef double unit = 1.0, zero = 0.0
+    dgemv(
+        "N", &k, &count, &unit, &h.rows[0, 0], &k, <double *>&x[0], &one, &zero, &out[0], &one
+    )
+
+
+cdef void apply(Homotopy h, const double[::1] x, double[::1] out) noexcept nogil:
+    """M x (n,)."""
+    cdef int n = h.n, stride = h.inverse.shape[1], one = 1
+    cdef double unit = 1.0, zero = 0.0
+    if n:
+        dgemv(
+            "N", &n, &n, &unit, &h.inverse[0, 0], &stride, <double *>&x[0], &one, &zero, &out[0], &one
+        )
+
+
+cdef void add(Py_ssize_t n, double a, double[::1] x, double[::1] y) noexcept nogil:
+    """y (n,) += a x."""
+    cdef int count = n, one = 1
+    daxpy(&count, &a, &x[0], &one, &y[0], &one)
+
+
+cdef void update(Homotopy h, double a) noexcept nogil:
+    """M += a x x' of the step x (n,)."""
+    cdef int n = h.n, stride = h.inverse.shape[1], one = 1
+    dger(&n, &n, &a, &h.step[0], &one, &h.step[0], &one, &h.inverse[0, 0], &stride)
+
+
+cdef double largest(Py_ssize_t n, const double[::1] x) noexcept nogil:
+    """The largest |x| (n,); NaN where there is one."""
+    cdef double most = 0.0
+    for i in range(n):
+        if not fabs(x[i]) <= most:
+            most = fabs(x[i])
+    return most
 
 
 cdef bint grown(Homotopy h) noexcept with gil:
@@ -153,348 +175,302 @@ cdef bint grown(Homotopy h) noexcept with gil:
     if n < len(h.inverse):
         return True
     try:
-        fresh = np.zeros((room, room))
+        rows, inverse = np.zeros((room, h.k)), np.zeros((room, room))
     except MemoryError:
         return False
-    fresh[:n, :n] = np.asarray(h.inverse)[:n, :n]
-    h.inverse = fresh
+    rows[:n], inverse[:n, :n] = np.asarray(h.rows)[:n], np.asarray(h.inverse)[:n, :n]
+    h.rows, h.inverse = rows, inverse
     return True
 
 
-cdef int rebuilt(Homotopy h, double error) noexcept nogil:
-    """Replace M by a fresh inverse, unless it is too EARLY, at this error, to gain anything.
+cdef void place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign) noexcept nogil:
+    """Write the row of an active column."""
+    h.index[position] = column
+    h.sign[position] = sign
+    for j in range(h.k):
+        h.rows[position, j] = sign * h.gram[column, j]
 
-    Gauss-Jordan steps, largest diagonal first: rows and columns that were swept hold -inverse.
+
+cdef int inverted(Homotopy h, double alpha) noexcept nogil:
+    """M afresh, with mu at this alpha; active columns that depend on others wait, at zero.
+
+    Correlations are exact then.
     """
-    cdef Py_ssize_t n = h.n, p
-    cdef double pivot
-    if h.age < 1 or (h.age < STALE_AGE and error < WRONG_ABOVE):
-        return EARLY
-    dense.block(n, h.gram, h.index, h.sign, h.inverse)
-    dense.fill(n, 1.0, h.spare)
-    for _ in range(n):
-        p = dense.highest_diagonal(n, h.inverse, h.spare)
-        pivot = h.inverse[p, p]
-        if not TINY < pivot < 1.0 / TINY:
-            return SINGULAR
-        dense.copy(n, h.inverse[p], h.fix)
-        dense.rank_one(n, -1.0 / pivot, h.fix, h.inverse)
-        dense.scale(n, 1.0 / pivot, h.fix)
-        dense.border(n, p, h.fix, h.inverse)
-        h.inverse[p, p] = -1.0 / pivot
-        h.spare[p] = 0.0
-    dense.negate(n, h.inverse)
+    cdef int n = h.n, rank = h.n, stride = h.inverse.shape[1], failed = 0
+    for i in range(n):
+        h.mu[i] = alpha * h.ridge[h.index[i]]
+        for j in range(i + 1):
+            h.inverse[i, j] = h.rows[i, h.index[j]] * h.sign[j]
+        h.inverse[i, i] += h.mu[i]
+    if n:
+        dpstrf(
+            "U", &n, &h.inverse[0, 0], &stride, &h.pivots[0], &rank, &h.below, &h.work[0], &failed
+        )
+    for i in range(n):  # in the order of the pivots
+        h.step[i] = h.sign[i] * (h.index[i] + 1)
+        h.fix[i] = h.weights[i]
+    for i in range(n):
+        column = <Py_ssize_t>fabs(h.step[h.pivots[i] - 1]) - 1
+        h.standing[column] = ACTIVE if i < rank else WAITING
+        h.weights[i] = h.fix[h.pivots[i] - 1]
+        place(h, i, column, 1.0 if h.step[h.pivots[i] - 1] > 0.0 else -1.0)
+        h.mu[i] = alpha * h.ridge[column]
+    h.n = n = rank
     h.age = 0
+    if n:
+        dpotri("U", &n, &h.inverse[0, 0], &stride, &failed)
+    for i in range(n):
+        for j in range(i):
+            h.inverse[j, i] = h.inverse[i, j]
+    correlate(h)
+    return WORN if failed else FINE
+
+
+cdef int return_to_known(Homotopy h, double alpha) noexcept nogil:
+    """Stand at the known weights, for alpha."""
+    h.n = 0
+    h.alpha = alpha
+    for j in range(h.k):
+        h.standing[j] = OPEN
+        if h.known[j] != 0.0:
+            if h.n == h.inverse.shape[0] and not grown(h):
+                return NO_MEMORY
+            place(h, h.n, j, 1.0 if h.known[j] > 0.0 else -1.0)
+            h.weights[h.n] = fabs(h.known[j])
+            h.n += 1
+    return inverted(h, alpha)
+
+
+cdef void correlate(Homotopy h) noexcept nogil:
+    """Exact correlations c - G w (k,)."""
+    if h.n:
+        products(h, h.n, h.weights, h.correlation)
+        for j in range(h.k):
+            h.correlation[j] = h.cross[j] - h.correlation[j]
+    else:
+        memcpy(&h.correlation[0], &h.cross[0], h.k * sizeof(double))
+
+
+cdef void excess(Homotopy h, double alpha) noexcept nogil:
+    """By how much the active correlations, less mu w, exceed alpha, into `error` (n,)."""
+    for i in range(h.n):
+        h.error[i] = h.sign[i] * h.correlation[h.index[i]] - h.mu[i] * h.weights[i] - alpha
+
+
+cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale) noexcept nogil:
+    """Refine the step x (count,) and its product by what is wrong with H x on the active rows.
+
+    That should be zero, but one at `position`, if >= 0. WORN: M is too old.
+    """
+    cdef double worst
+    products(h, count, h.step, h.product)
+    for i in range(h.n):
+        h.error[i] = h.sign[i] * h.product[h.index[i]] + h.mu[i] * h.step[i]
+    if position >= 0:
+        h.error[position] -= 1.0
+    worst = largest(h.n, h.error) / scale
+    if not worst < STALE_ABOVE and (h.age >= STALE_AGE or (h.age > 0 and not worst < WRONG_ABOVE)):
+        return WORN
+    if worst > REFINE_ABOVE:
+        apply(h, h.error, h.fix)
+        add(h.n, -1.0, h.fix, h.step)
+        products(h, count, h.step, h.product)
     return FINE
 
 
-cdef int corrected(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale) noexcept nogil:
-    """G x of the x in `step`, both refined where M is worn; FINE: M is fresh, find x again.
+cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double fall) noexcept nogil:
+    """Let a column in with weight zero and bend the slope; a dependent one has to wait.
 
-    x has `count` entries and should have a unit active correlation at `position`, if >= 0.
+    The step x is one unit of the column, the others reacting so that their correlations stay.
     """
     cdef Py_ssize_t n = h.n
-    cdef double worst
-    cdef int outcome
-    product_of(h, h.step, count, h.product)
-    dense.gather(n, h.product, h.index, h.sign, h.error)
-    if position >= 0:
-        h.error[position] -= 1.0
-    worst = dense.largest(n, h.error) / scale
-    if not worst < STALE_ABOVE:
-        outcome = rebuilt(h, worst)
-        if outcome != EARLY:
-            return outcome
-    if worst > REFINE_ABOVE:
-        dense.apply(n, h.inverse, h.error, h.fix)
-        dense.add(n, -1.0, h.fix, h.step)
-        product_of(h, h.fix, n, h.change)
-        dense.add(h.k, -1.0, h.change, h.product)
-    return EARLY
-
-
-cdef int entering(Homotopy h, Py_ssize_t column, double sign) noexcept nogil:
-    """One unit of a new column, the others reacting so that their correlations stay."""
-    cdef Py_ssize_t n = h.n
-    cdef int outcome = FINE
-    if n == h.k:
-        return SINGULAR
-    h.index[n] = column
-    h.sign[n] = sign
-    while outcome == FINE:
-        dense.gather(n, h.gram[column], h.index, h.sign, h.error)
-        dense.apply(n, h.inverse, h.error, h.step)
-        dense.scale(n, -sign, h.step)
-        h.step[n] = 1.0
-        outcome = corrected(h, n + 1, -1, 1.0)
-    h.pivot = sign * h.product[column]
-    if outcome == SINGULAR or not h.pivot <= 2.0 * h.gram[column, column] + DEPENDENT_BELOW:
-        return SINGULAR
-    return DEPENDENT if h.pivot <= h.below * dense.square(n + 1, h.step) else FINE
-
-
-cdef int enter(Homotopy h, Py_ssize_t column, double sign) noexcept nogil:
-    """Let a column in with weight zero and bend the slope; a dependent one has to wait."""
-    cdef Py_ssize_t n = h.n
-    cdef double amount
-    h.open[column] = 0.0
-    cdef int outcome = entering(h, column, sign)
-    if outcome == DEPENDENT:
-        h.waiting[h.waits] = column
-        h.waits += 1
-    if outcome != FINE:
-        return outcome
+    cdef int count = n + 1, one = 1
+    cdef double pivot, amount
     if n == h.inverse.shape[0] and not grown(h):
         return NO_MEMORY
-    dense.fill(n + 1, 0.0, h.spare)
-    dense.border(n + 1, n, h.spare, h.inverse)
-    dense.rank_one(n + 1, 1.0 / h.pivot, h.step, h.inverse)
+    place(h, n, column, sign)
+    h.mu[n] = alpha * h.ridge[column]
+    for i in range(n):
+        h.error[i] = -sign * h.rows[i, column]
+    apply(h, h.error, h.step)
+    h.step[n] = 1.0
+    if refined(h, n + 1, -1, 1.0) == WORN:
+        return WORN
+    pivot = sign * h.product[column] + h.mu[n]
+    if not pivot <= 2.0 * h.gram[column, column] + h.mu[n] + DEPENDENT_BELOW and h.age > 0:
+        return WORN
+    if not pivot > h.below * ddot(&count, &h.step[0], &one, &h.step[0], &one):
+        h.standing[column] = WAITING
+        return DEPENDENT
+    for i in range(n + 1):
+        h.inverse[n, i] = h.inverse[i, n] = 0.0
     h.n += 1
     h.age += 1
-    amount = (1.0 - sign * h.descent[column]) / h.pivot
+    update(h, 1.0 / pivot)
+    h.standing[column] = ACTIVE
+    amount = (fall - sign * h.descent[column]) / pivot
     h.weights[n] = h.slope[n] = 0.0
-    dense.add(n + 1, amount, h.step, h.slope)
-    dense.add(h.k, amount, h.product, h.descent)
+    add(n + 1, amount, h.step, h.slope)
+    add(h.k, amount, h.product, h.descent)
     return FINE
 
 
 cdef int leave(Homotopy h, Py_ssize_t position) noexcept nogil:
-    """Take a column out at weight zero and bend the slope; those that waited may try again."""
-    cdef Py_ssize_t n = h.n, last = h.n - 1, column = h.index[position]
-    cdef int outcome = FINE
-    cdef double amount
-    while outcome == FINE:  # one active correlation changes by one, the others held: a column of M
-        dense.copy(n, h.inverse[position], h.step)
-        outcome = corrected(h, n, position, fabs(h.step[position]))
-    h.pivot = h.step[position]
-    if outcome == SINGULAR or not h.pivot > 0.1:
-        return SINGULAR
-    amount = h.slope[position] / h.pivot
-    dense.add(n, -amount, h.step, h.slope)
-    dense.add(h.k, -amount, h.product, h.descent)
-    dense.rank_one(n, -1.0 / h.pivot, h.step, h.inverse)
-    h.index[position] = h.index[last]
-    h.sign[position] = h.sign[last]
-    dense.copy(n, h.inverse[last], h.spare)
-    h.spare[position] = h.spare[last]
-    dense.border(n, position, h.spare, h.inverse)
+    """Take a column out at weight zero and bend the slope; those that waited may try again.
+
+    The step x changes one active correlation by one and no other: it is a column of M.
+    """
+    cdef Py_ssize_t last = h.n - 1
+    cdef double pivot, amount
+    memcpy(&h.step[0], &h.inverse[position, 0], h.n * sizeof(double))
+    if refined(h, h.n, position, fabs(h.step[position])) == WORN:
+        return WORN
+    pivot = h.step[position]
+    if not pivot * (1.0 + h.mu[position]) > 0.1:
+        return WORN
+    amount = -h.slope[position] / pivot
+    add(h.n, amount, h.step, h.slope)
+    add(h.k, amount, h.product, h.descent)
+    update(h, -1.0 / pivot)
+    for j in range(h.k):
+        if h.standing[j] == WAITING:
+            h.standing[j] = OPEN
+    h.standing[h.index[position]] = OPEN
+    if position != last:
+        memcpy(&h.rows[position, 0], &h.rows[last, 0], h.k * sizeof(double))
+        memcpy(&h.inverse[position, 0], &h.inverse[last, 0], h.n * sizeof(double))
+        h.inverse[position, position] = h.inverse[last, last]
+        for i in range(last):
+            h.inverse[i, position] = h.inverse[position, i]
+    h.index[position], h.sign[position] = h.index[last], h.sign[last]
+    h.weights[position], h.slope[position] = h.weights[last], h.slope[last]
+    h.mu[position] = h.mu[last]
     h.n = last
     h.age += 1
-    h.weights[position] = h.weights[last]
-    h.slope[position] = h.slope[last]
-    h.open[column] = 1.0
-    while h.waits > 0:
-        h.waits -= 1
-        h.open[h.waiting[h.waits]] = 1.0
     return FINE
 
 
-cdef void start(Homotopy h, double caution) noexcept nogil:
-    """Back to w = 0; `caution` makes more columns count as dependent."""
-    h.n = h.age = h.waits = 0
-    h.below = caution * DEPENDENT_BELOW
-    dense.copy(h.k, h.cross, h.correlation)
-    dense.fill(h.k, 0.0, h.descent)
-    dense.fill(h.k, 1.0, h.open)
-
-
-cdef int start_at(Homotopy h, const double[::1] weights, double caution) noexcept nogil:
-    """At `weights` (k,), entered largest first and without those that depend on others."""
-    cdef Py_ssize_t column
-    cdef double size
+cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept nogil:
+    """Walk from exact correlations to alpha `goal`; WORN: as far as M went."""
+    cdef double alpha = h.alpha, fall = h.alpha - goal, remains = 1.0
+    cdef double soonest, rate, near, sign, length
+    cdef Py_ssize_t at
+    cdef bint exits
     cdef int outcome
-    start(h, caution)
-    dense.sizes(h.k, weights, h.open, h.rates)
-    for _ in range(h.k):
-        column = dense.highest(h.k, h.rates)
-        size = h.rates[column]
-        if not size > 0.0:
-            break
-        h.rates[column] = 0.0
-        outcome = enter(h, column, 1.0 if weights[column] > 0.0 else -1.0)
-        if outcome == FINE:
-            h.weights[h.n - 1] = size
-        elif outcome != DEPENDENT:
-            return outcome
-    return FINE
-
-
-cdef int follow(Homotopy h, double alpha, double goal, Py_ssize_t limit) noexcept nogil:
-    """Walk from event to event until alpha is `goal`, or `limit` events are past."""
-    cdef double near, exit_, entry, soonest, length
-    cdef Py_ssize_t n, position, first
-    cdef bint arrived
-    cdef int outcome
+    excess(h, alpha)
+    for j in range(h.k):
+        h.drift[j] = 0.0
+        if h.standing[j] != ACTIVE and fabs(h.correlation[j]) > alpha:
+            h.drift[j] = (alpha if h.correlation[j] > 0.0 else -alpha) - h.correlation[j]
+    for i in range(h.n):
+        h.drift[h.index[i]] = -h.sign[i] * h.error[i]
+        h.fix[i] = fall + h.error[i]
+    if h.n:
+        apply(h, h.fix, h.slope)
+        products(h, h.n, h.slope, h.descent)
+        for i in range(h.n):
+            h.error[i] = h.fix[i] - h.sign[i] * h.descent[h.index[i]] - h.mu[i] * h.slope[i]
+        if largest(h.n, h.error) > REFINE_ABOVE * largest(h.n, h.fix):
+            apply(h, h.error, h.step)
+            add(h.n, 1.0, h.step, h.slope)
+            products(h, h.n, h.slope, h.descent)
+    else:
+        for j in range(h.k):
+            h.descent[j] = 0.0
+    add(h.k, 1.0, h.drift, h.correlation)
+    add(h.k, 1.0, h.drift, h.descent)
     for _ in range(limit):
-        n, near, exit_ = h.n, FLAT * alpha + TINY, 0.0
-        # Events per unit of alpha: the largest rate comes first, and 0 means never.
-        entry = dense.rates(h.k, h.correlation, h.descent, h.open, alpha, near, h.rates)
-        position = dense.soonest(n, h.slope, h.weights, near)
-        if position >= 0:
-            exit_ = -h.slope[position] / max(h.weights[position], near)
-        soonest = max(entry, exit_)
-        arrived = not soonest * (alpha - goal) > 1.0  # a NaN ends the walk too
-        length = alpha - goal if arrived else 1.0 / soonest
-        dense.add(n, length, h.slope, h.weights)
-        dense.add(h.k, -length, h.descent, h.correlation)
-        if arrived:
+        near, soonest, at, exits, sign = FLAT * alpha + TINY, 0.0, -1, False, 1.0
+        # Events per unit of t: the largest rate comes first, and 0 means never.
+        for j in range(h.k):
+            if h.standing[j] != OPEN:
+                continue
+            rate = (fall - h.descent[j]) / max(alpha - h.correlation[j], near)
+            if rate > soonest:
+                soonest, at, sign = rate, j, 1.0
+            rate = (fall + h.descent[j]) / max(alpha + h.correlation[j], near)
+            if rate > soonest:
+                soonest, at, sign = rate, j, -1.0
+        for i in range(h.n):
+            rate = -h.slope[i] / max(h.weights[i], near)
+            if rate > soonest or (rate > 0.0 and rate == soonest):
+                soonest, at, exits = rate, i, True
+        length = 1.0 / soonest if soonest * remains > 1.0 else remains
+        if h.n:
+            add(h.n, length, h.slope, h.weights)
+        add(h.k, -length, h.descent, h.correlation)
+        remains -= length
+        alpha = goal + remains * fall
+        h.alpha = alpha
+        if not soonest * (remains + length) > 1.0:  # a NaN ends the walk too
+            h.alpha = goal
             return FINE
         h.steps += 1
-        alpha -= length
-        if exit_ >= entry:
-            outcome = leave(h, position)
-        else:
-            first = dense.position(2 * h.k, entry, h.rates)
-            outcome = enter(h, first % h.k, 1.0 if first < h.k else -1.0)
-        if outcome == SINGULAR or outcome == NO_MEMORY:
+        outcome = leave(h, at) if exits else enter(h, at, sign, goal, fall)
+        if outcome == WORN or outcome == NO_MEMORY:
             return outcome
-    return FINE
+    return WORN
 
 
-cdef void correlate(Homotopy h, double alpha) noexcept nogil:
-    """Exact c - G w into `correlation`, the active ones less `alpha` into `error`."""
-    product_of(h, h.weights, h.n, h.correlation)
-    dense.subtract(h.k, h.cross, h.correlation)
-    dense.gather(h.n, h.correlation, h.index, h.sign, h.error)
-    dense.shift(h.n, -alpha, h.error)
+cdef double breach(Homotopy h, double alpha) noexcept nogil:
+    """By how much the weights miss the optimum, in units of the margin: at most 1 is one.
 
-
-cdef double polish(Homotopy h, double alpha) noexcept nogil:
-    """Newton steps from exact correlations; the breach of optimality left, in units of the margin.
-
-    At most 1 is optimal.
+    Correlations become exact, weights below zero are cut.
     """
-    cdef Py_ssize_t n = h.n
-    cdef double margin = OPTIMAL_WITHIN * alpha + ROUNDING, slack = 0.0, excess, lowest, wrong
-    correlate(h, alpha)
-    for _ in range(NEWTON_STEPS):
-        dense.apply(n, h.inverse, h.error, h.fix)
-        dense.add(n, 1.0, h.fix, h.weights)
-        correlate(h, alpha)
-        slack = dense.largest(n, h.error)
-        if slack <= NEWTON_SHARE * margin:
-            break
-        if rebuilt(h, 1.0) == SINGULAR:
-            return HOPELESS
-    dense.gather(n, h.descent, h.index, h.sign, h.error)  # H slope = 1, where updates have worn it
-    dense.shift(n, -1.0, h.error)
-    if not dense.largest(n, h.error) < FRESH_SLOPE_ABOVE:
-        dense.apply(n, h.inverse, h.error, h.fix)
-        dense.add(n, -1.0, h.fix, h.slope)
-        product_of(h, h.slope, n, h.descent)
-    excess = (dense.largest(h.k, h.correlation) - alpha) / margin
-    lowest, wrong = dense.least(n, h.weights), 0.0
-    if lowest < 0.0:
-        wrong = -lowest / (ROUNDING * dense.largest(n, h.weights))
-    dense.clip(n, h.weights)  # an exit that lies within rounding of this alpha
-    # A NaN compares as false.
-    if not slack / margin + excess + wrong < HOPELESS:
-        return HOPELESS
-    return max(slack / margin, excess, wrong)
-
-
-cdef int exchange(Homotopy h, Py_ssize_t column, double sign) noexcept nogil:
-    """Let a dependent column in for the active one that its entering drives to zero first.
-
-    Along a null direction of G no correlation changes and the objective falls in proportion.
-    """
-    cdef Py_ssize_t n = h.n, position
-    cdef double amount
-    cdef int outcome
-    if entering(h, column, sign) == SINGULAR:
-        return SINGULAR
-    position = dense.soonest(n, h.step, h.weights, TINY)
-    if position < 0:
-        return FINE
-    amount = max(h.weights[position], TINY) / -h.step[position]
-    dense.add(n, amount, h.step, h.weights)
-    outcome = leave(h, position)
-    if outcome == FINE:
-        outcome = enter(h, column, sign)
-    if outcome == FINE:
-        h.weights[h.n - 1] = amount
-    return outcome
-
-
-cdef int settle(Homotopy h, double alpha, Py_ssize_t limit) noexcept nogil:
-    """Primal active set at one `alpha` from any weights: descends until no column objects."""
-    cdef double enough = alpha * (1.0 + 0.1 * OPTIMAL_WITHIN) + 0.1 * ROUNDING
-    cdef double near = FLAT * alpha + TINY, ratio, sign
-    cdef Py_ssize_t n, position, column
-    cdef int outcome
-    for _ in range(limit):
-        n, ratio = h.n, 0.0
-        correlate(h, alpha)
-        dense.apply(n, h.inverse, h.error, h.fix)
-        position = dense.soonest(n, h.fix, h.weights, near)
-        if position >= 0:
-            ratio = -h.fix[position] / max(h.weights[position], near)
-        if ratio > 1.0:
-            dense.add(n, 1.0 / ratio, h.fix, h.weights)
-            outcome = leave(h, position)
-        else:
-            dense.add(n, 1.0, h.fix, h.weights)
-            correlate(h, alpha)
-            dense.sizes(h.k, h.correlation, h.open, h.rates)
-            column = dense.highest(h.k, h.rates)
-            if not h.rates[column] > max(enough, 0.0):  # a NaN, too
-                return FINE
-            sign = 1.0 if h.correlation[column] > 0.0 else -1.0
-            outcome = enter(h, column, sign)
-            if outcome == DEPENDENT:
-                outcome = exchange(h, column, sign)
-        h.steps += 1
-        if outcome == SINGULAR or outcome == NO_MEMORY:
-            return outcome
-    return FINE
+    cdef double margin = OPTIMAL_WITHIN * alpha + ROUNDING, worst, lowest = 0.0
+    correlate(h)
+    excess(h, alpha)
+    worst = largest(h.n, h.error) / margin
+    for j in range(h.k):
+        if h.standing[j] != ACTIVE and not (fabs(h.correlation[j]) - alpha) / margin <= worst:
+            worst = (fabs(h.correlation[j]) - alpha) / margin
+    for i in range(h.n):
+        if h.weights[i] < 0.0:
+            lowest = max(lowest, -h.weights[i])
+            h.weights[i] = 0.0  # an exit that lies within rounding of this alpha
+    if lowest > 0.0:
+        worst = max(worst, lowest / (ROUNDING * max(largest(h.n, h.weights), TINY)))
+    return worst
 
 
 cdef int reach(Homotopy h, double goal, double[::1] out) noexcept nogil:
-    """Follow the path to `goal`; where it breaks, settle there, at last from the `known` weights.
+    """Walk to `goal`, where it is worn with another M, at last from the known weights.
 
     out (k,) becomes the weights of the optimum, or of the attempt that came closest: FINE tells
-    the one, SINGULAR the other.
+    the one, WORN the other.
     """
-    cdef Py_ssize_t limit = STEPS_PER_COLUMN * h.k + STEPS_AT_LEAST
-    cdef double least = HOPELESS, caution = 1.0, breach
-    cdef int outcome, attempt
-    dense.copy(h.k, h.known, out)
-    for attempt in range(REPAIRS + 2):
-        outcome = FINE
-        if attempt == 0:
-            outcome = follow(h, h.alpha, goal, limit)
-        elif attempt > 1:
-            outcome = start_at(h, h.known, caution)
-            caution *= CAUTION
-        if attempt > 0 and outcome == FINE:
-            outcome = settle(h, goal, limit)
+    cdef Py_ssize_t limit = STEPS_PER_COLUMN * h.k + STEPS_AT_LEAST, starts = 0, attempt = 0
+    cdef double least = INFINITY, here
+    cdef int outcome = FINE
+    if h.ridged:
+        outcome = inverted(h, goal)
+    while attempt < ATTEMPTS and starts < FRESH_STARTS:
+        outcome = walk(h, goal, limit)
         if outcome == NO_MEMORY:
             return NO_MEMORY
-        breach = polish(h, goal) if outcome == FINE else HOPELESS
-        if breach < least:
-            least = breach
-            dense.fill(h.k, 0.0, out)
-            dense.multiply(h.n, h.sign, h.weights, h.fix)
-            dense.put(h.n, h.fix, h.index, out)
-        if breach <= 1.0:
-            return FINE
-    return SINGULAR
-
-
-cdef int visit(
-    Homotopy h, const double[::1] alphas, double[:, ::1] weights, unsigned char[::1] complete
-) noexcept nogil:
-    """Every penalty in turn."""
-    cdef int outcome
-    for point in range(alphas.shape[0]):
-        if alphas[point] >= h.highest:
-            complete[point] = True
+        if outcome == WORN:
+            starts += 1
+            if h.age == 0 or starts > FRESH_STARTS // 2:
+                attempt += 1
+                h.below *= CAUTION
+                outcome = return_to_known(h, goal)
+            else:
+                outcome = inverted(h, goal)
             continue
-        outcome = reach(h, alphas[point], weights[point])
-        if outcome == NO_MEMORY:
-            return NO_MEMORY
-        if outcome == FINE:
-            complete[point] = True
-            dense.copy(h.k, weights[point], h.known)
-        h.alpha = alphas[point]
-    return FINE
+        here = breach(h, goal)
+        if here < least:
+            least = here
+            for j in range(h.k):
+                out[j] = 0.0
+            for i in range(h.n):
+                out[h.index[i]] = h.sign[i] * h.weights[i]
+        if here <= SHARE or (here <= 1.0 and attempt > 0):
+            break
+        attempt += 1
+        if attempt > 1:
+            outcome = inverted(h, goal)
+        if attempt > 3:
+            h.below *= CAUTION
+            outcome = return_to_known(h, goal)
+    h.below = DEPENDENT_BELOW
+    return FINE if least <= 1.0 else WORN

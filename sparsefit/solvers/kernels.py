@@ -2,7 +2,7 @@
 
 A kernel solves at descending penalties on G and B of the columns in play. It keeps where the path
 stood after every penalty: where a column outside objects to one of them, the path goes on from the
-penalty before, with that column beside the others. ``homotopy`` and ``variational`` are compiled;
+penalty before, with that column beside the others. ``homotopy`` and ``variances`` are compiled;
 where they are not built, the generic Newton's method runs in their place, slower.
 """
 
@@ -71,53 +71,50 @@ def compiled(name: str) -> Any:
 
 
 class HomotopyKernel:
-    """The LASSO of one target, from event to event; z_j / omega_j has the weight omega_j v_j."""
+    """The LASSO or elastic net of one target, from event to event; z_j/omega_j has omega_j v_j."""
 
     name: ClassVar[str] = "homotopy"
     stop: float = STOP
-    resumes: bool = True  # whether it may have to go on from a point that is past
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
         assert isinstance(penalty, AbsoluteValues)
-        self.units, self.omega = units, penalty.weights
-        self.walk = compiled("homotopy").Homotopy(*self._scaled(normal, cross))
-        self.states: list[Any] = []
-
-    def _scaled(self, normal: Normal, cross: Array) -> tuple[Array, Array]:
         assert normal.gram is not None
-        gram, pull, omega, units = normal.gram, cross[:, 0], self.omega, self.units
+        self.units, self.penalty, self.normal, self.cross = units, penalty, normal, cross
+        gram, pull, omega = normal.gram, cross[:, 0], penalty.weights
         if np.any(omega != 1.0):
             gram, pull = gram / np.multiply.outer(omega, omega), pull / omega
-        return np.ascontiguousarray(
-            gram / units.square if units.square != 1.0 else gram
-        ), pull / units.height
+        gram = np.ascontiguousarray(gram / units.square if units.square != 1.0 else gram)
+        ridge = penalty.ridge * units.height / (units.square * omega**2)
+        self.walk = compiled("homotopy").Homotopy(gram, pull / units.height, ridge)
+        self.known, self.alphas = [np.zeros(len(omega))], np.zeros(1)
 
     def advance(self, alphas: Array) -> Stretch:
         """The path at further penalties."""
-        states = self.resumes
         height = self.units.height
-        values, complete = np.zeros((len(alphas), len(self.omega))), np.zeros(len(alphas), bool)
-        before, self.states = self.walk.steps, [self.walk.state()] if states else []
-        steps = np.zeros(len(alphas), np.intp)
-        with np.errstate(all="ignore"):  # what a broken inverse overflows to is caught by checks
-            for i in range(len(alphas)) if states else [slice(None)]:
-                here = slice(i, i + 1) if isinstance(i, int) else i
-                self.walk.advance(alphas[here] / height, values[here], complete[here])
-                if states:
-                    self.states.append(self.walk.state())
+        values, complete = np.zeros((len(alphas), len(self.known[-1]))), np.zeros(len(alphas), bool)
+        before, steps = self.walk.steps, np.zeros(len(alphas), np.intp)
+        with np.errstate(all="ignore"):
+            self.walk.advance(alphas / height, values, complete)
+        self.known = [self.known[-1], *values]
+        self.alphas = np.append(self.alphas[-1:], alphas)
         steps[-1] = self.walk.steps - before
-        return Stretch(
-            (values * (height / self.units.square) / self.omega)[:, :, None], complete, steps
-        )
+        solved = (values * (height / self.units.square / self.penalty.weights))[:, :, None]
+        level = self.units.level
+        for i in np.flatnonzero(~complete):  # on columns that nearly depend on each other
+            point = (self.normal, self.cross / level, self.penalty.in_units(level))
+            values, gap, _ = settled(*point, alphas[i] / level, solved[i] / level, self.stop)
+            solved[i], complete[i] = values * level, gap <= self.stop
+        return Stretch(solved, complete, steps)
 
     def enlarged(
         self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
     ) -> HomotopyKernel:
-        """The walk from its state then, on more columns."""
-        assert isinstance(penalty, AbsoluteValues)
-        self.omega = penalty.weights
-        self.walk.resume(self.states[accepted], *self._scaled(normal, cross))
-        return self
+        """A walk from the weights then, on more columns."""
+        kernel, start = HomotopyKernel(normal, cross, penalty, self.units), self.known[accepted]
+        kernel.known = [np.pad(start, (0, len(cross) - len(start)))]
+        kernel.alphas = self.alphas[accepted : accepted + 1]
+        kernel.walk.start(kernel.known[0], float(kernel.alphas[0]) / self.units.height)
+        return kernel
 
 
 class NewtonKernel:
@@ -161,55 +158,62 @@ class VariationalKernel:
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
         assert isinstance(penalty, GroupNorms)
-        assert normal.gram is not None
-        self.level, self.units, self.penalty = units.level, units, penalty
-        labels = penalty.groups
-        self.order = np.argsort(labels, kind="stable")
-        self.scale = penalty.weights[labels[self.order]]
-        gram, pull = normal.gram, cross / units.level
+        self.level, self.units = units.level, units
+        # Groups by their first column, so that those that join come last.
+        _, first, label = np.unique(penalty.groups, return_index=True, return_inverse=True)
+        place = np.argsort(np.argsort(first))[label]
+        self.order = np.argsort(place, kind="stable")
+        self.scale = penalty.weights[penalty.groups[self.order]]
+        gram, rows, pull = normal.gram, normal.rows, cross / units.level
         if np.any(self.order[1:] < self.order[:-1]):
-            gram, pull = gram[np.ix_(self.order, self.order)], pull[self.order]
+            pull = pull[self.order]
+            gram = None if gram is None else gram[np.ix_(self.order, self.order)]
+            rows = None if rows is None else rows[:, self.order]
         if np.any(self.scale != 1.0):
-            gram = gram / np.multiply.outer(self.scale, self.scale)
             pull = pull / self.scale[:, None]
-        self.gram, self.cross = np.ascontiguousarray(gram), np.ascontiguousarray(pull.T)
-        self.starts = np.concatenate([[0], np.cumsum(np.bincount(labels))]).astype(np.intp)
-        self.known, self.alphas = [np.zeros(cross.shape)], np.zeros(1)
+            gram = None if gram is None else gram / np.multiply.outer(self.scale, self.scale)
+            rows = None if rows is None else rows / self.scale
+        label = place[self.order]
+        starts, none = np.searchsorted(label, np.arange(len(first) + 1)), np.zeros((0, 0))
+        self.problem = (
+            none if gram is None else np.ascontiguousarray(gram),
+            none if rows is None else np.ascontiguousarray(rows.T),
+            *(float(normal.samples), np.ascontiguousarray(pull.T), starts.astype(np.intp)),
+        )
+        self.eta = [np.zeros(len(first))]
 
     def advance(self, alphas: Array) -> Stretch:
         """The path at further penalties."""
-        spread, start = np.zeros(len(self.penalty.weights)), self.known[-1]
-        if start.any():
-            norms = GroupNorms(self.penalty.groups, self.penalty.weights).block_norms(start)[:, 0]
-            spread = norms * self.penalty.weights / (self.alphas[-1])
+        kernels = compiled("variances")
+        search = kernels.Search(kernels.Groups(*self.problem), self.eta[-1], self.stop)
+        values = np.zeros((len(alphas), len(self.order), len(self.problem[3])))
+        gaps, steps = np.zeros(len(alphas)), np.zeros(len(alphas), np.intp)
+        self.eta = self.eta[-1:]
         with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
-            solved, steps, gaps = compiled("variational").path(
-                self.gram, self.cross, self.starts, spread, alphas / self.level, self.stop
-            )
-        values = np.zeros((len(alphas), *start.shape))
-        values[:, self.order] = solved.transpose(0, 2, 1) * (self.level / self.scale)[:, None]
-        self.known, self.alphas = [start, *values], np.append(self.alphas[-1:], alphas)
+            for i, alpha in enumerate((alphas / self.level).tolist()):
+                solved, gaps[i], steps[i] = search.minimised(alpha)
+                values[i, self.order] = solved.T * (self.level / self.scale)[:, None]
+                self.eta.append(search.eta)
         return Stretch(values, gaps <= self.stop, steps)
 
     def enlarged(
         self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
     ) -> VariationalKernel:
         """The same variances, with zeros for the new groups."""
-        kernel, start = VariationalKernel(normal, cross, penalty, self.units), self.known[accepted]
-        kernel.known = [np.pad(start, ((0, len(cross) - len(start)), (0, 0)))]
-        kernel.alphas = self.alphas[accepted : accepted + 1]
+        kernel = VariationalKernel(normal, cross, penalty, self.units)
+        start = self.eta[min(accepted + 1, len(self.eta) - 1)]
+        kernel.eta = [np.pad(start, (0, len(kernel.eta[0]) - len(start)))]
         return kernel
 
 
 def kernel_for(
-    penalty: Penalty, targets: int, *, wide: bool = False
+    penalty: Penalty, targets: int
 ) -> type[HomotopyKernel | VariationalKernel | NewtonKernel]:
-    """The fastest kernel for a penalty on so many targets; wide: columns are more than rows."""
-    if not penalty.ridge:
-        if type(penalty) is AbsoluteValues and targets == 1 and compiled("homotopy"):
-            return HomotopyKernel
-        if isinstance(penalty, GroupNorms) and compiled("variational"):
-            return VariationalKernel
+    """The fastest kernel for a penalty on so many targets."""
+    if type(penalty) is AbsoluteValues and targets == 1 and compiled("homotopy"):
+        return HomotopyKernel
+    if not penalty.ridge and isinstance(penalty, GroupNorms) and compiled("variances"):
+        return VariationalKernel
     return NewtonKernel
 
 

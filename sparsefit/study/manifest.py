@@ -40,7 +40,7 @@ COMPUTING = (  # files of `study/` that a worker, its questions or its answers p
     *("problem_sources", "holdout"),
     *("quantities", "reading", "schema", "toml_file", "worker", "manifest", "__init__"),
 )
-SOURCES = (".py", ".pyx", ".pxd")
+SOURCES = (".py", ".pyx")
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
 COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
 
