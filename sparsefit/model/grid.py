@@ -149,7 +149,7 @@ class Rings:
 
 @dataclass(frozen=True)
 class WaveGrid:
-    """How fine the wavevectors of a wave library are, and how many there may be.
+    """The spacing of the wavevectors of a wave library, and how many there may be.
 
     The bounds of the length scale are those of the library's ``grid``.
 

@@ -13,6 +13,7 @@ orders them (Schwarz, 1978). All steps are bounded in number.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -58,8 +59,7 @@ class ClimbLimits:
     fastest: float = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 
 
-BINS = 16  # of the residuals' spectrum, averaged: its level is then known to 18 %
-WEAKEST = 0.05  # of the fastest of several length scales: systematic errors of a derivative are 2 %
+STAND = (AXIS, SQUARE, RECTANGLE)  # cells, the simplest first
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,18 +112,9 @@ class Lookout:
         """The scan of standing waves over the plane; None of a track that is too long."""
         return WaveScan.of(self.rows.place, self.radii, weight=self.rows.weight)
 
-    @cached_property
-    def _scanned(self) -> dict[int, tuple[Array, Array]]:
-        return {}
-
     def gains(self, rest: Array) -> Array:
         """The fall of RSS of errors (m, 2) by one standing wave over the plane."""
-        if self.scan is None:
-            return np.zeros((1, 1))
-        if id(rest) not in self._scanned:  # each fit is asked for twice, and then no more
-            self._scanned.clear()
-            self._scanned[id(rest)] = rest, self.scan.gains(rest)[0]
-        return self._scanned[id(rest)][1]
+        return np.zeros((1, 1)) if self.scan is None else self.scan.gains(rest)[0]
 
     def strong(self, rest: Array, most: int) -> Array:
         """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2), strongest first."""
@@ -232,7 +223,15 @@ class Ladder:
         if len(proposed) and not self.done:
             self.join(proposed)
             self.around()
-        for look in (self.squares, self.rectangles, self.moving, self.pairs, self.several):
+        scan = self.lookout.scan
+        looks: tuple[Callable[[], None], ...] = (
+            lambda: self.follow(SQUARE, scan, self.squares(scan)),
+            lambda: self.follow(RECTANGLE, scan, self.rectangles()),
+            self.moving,
+            self.pairs,
+            self.several,
+        )
+        for look in looks:
             if self.done:
                 break
             look()
@@ -241,7 +240,7 @@ class Ladder:
 
     def around(self) -> None:
         """Every shape of two waves from the best one, where one could have a lower BIC."""
-        price = math.log(self.lookout.worth)
+        price = self.lookout.worth ** (1 / self.lookout.worth)  # of RSS, for a parameter more
         for _ in range(self.effort.around):
             here = self.best
             far = here.residual > self.limits.far * self.rows.square and not self.lookout.quiet(
@@ -250,61 +249,49 @@ class Ladder:
             if len(here.phases) != 2 or far or any(here is fit for fit in self.surrounded):
                 return
             self.surrounded.append(here)
-            order = [shape.name for shape in (AXIS, SQUARE, RECTANGLE)]
-            simpler = (AXIS, SQUARE, RECTANGLE)[
-                : order.index(here.shape.name) if here.shape.cells else None
-            ]
+            drifting = here.shape.drifting
+            simpler = [shape for shape in STAND if shape.size < here.shape.steady.size]
             for shape in reversed(simpler):
-                self.from_waves(shape.moving if here.shape.drifting else shape, here.phases)
-            if here.shape.drifting:
+                self.from_waves(shape.moving if drifting else shape, here.phases)
+            if drifting:
                 self.from_waves(here.shape.steady, here.phases)
             best = self.best
-            free, least = (
-                self.from_waves(PAIR.moving, best.phases),
-                self.limits.exact * self.rows.square,
-            )
-            gained = 0.0
-            if free is not None:
-                ratio = max(best.residual, least) / max(free.residual, least)
-                gained = self.lookout.worth * math.log(ratio)
-            if free is not None and gained > price:
-                for shape in (RECTANGLE, SQUARE, AXIS):
+            free = self.from_waves(PAIR.moving, best.phases)
+            least = self.limits.exact * self.rows.square
+            if free is not None and max(best.residual, least) > max(free.residual, least) * price:
+                for shape in reversed(STAND):
                     self.from_waves(shape.moving, free.phases)
                     self.from_waves(shape, free.phases)
                 self.from_waves(PAIR, free.phases)
             if self.bic(here) - self.bic(self.best) < 0.1:
                 return
 
-    def squares(self) -> None:
-        """Squares that stand, from the peaks of the plane."""
-        scan = self.lookout.scan
-        if scan is not None:
-            gains = self.lookout.gains(self.rows.rest)
-            k = scan.axis[scan.squares(gains, self.effort.ranked)]
-            self.stand([np.array([first, first[[1, 0]] * (1, -1)]) for first in k], SQUARE)
+    def squares(self, scan: WaveScan | None) -> list[Array]:
+        """Two waves (2, 3) at right angles, k and its clockwise turn (k_y, -k_x), from a scan."""
+        if scan is None:
+            return []
+        gains, omega = scan.gains(self.rows.rest)
+        waves = []
+        for i, j in scan.squares(gains, self.effort.ranked):
+            x, y = scan.axis[[i, j]]
+            waves.append(np.array([[x, y, omega[i, j]], [y, -x, omega[j, len(omega) - 1 - i]]]))
+        return waves
 
-    def rectangles(self) -> None:
-        """Rectangles that stand, of two strong waves that are equally long."""
-        if self.lookout.scan is None:
-            return
+    def rectangles(self) -> list[Array]:
+        """Two strong waves (2, 3) that stand and are equally long."""
         strong = self.lookout.strong(self.rows.rest, self.effort.strong)
+        lengths = np.hypot(*strong.T)
         pairs = [
-            np.array(pair)
+            list(pair)
             for pair in sorted(combinations(range(len(strong)), 2), key=sum)
-            if np.ptp(lengths := np.hypot(*strong[list(pair)].T))
-            <= self.limits.alike * lengths.max()
+            if np.ptp(lengths[list(pair)]) <= self.limits.alike * lengths[list(pair)].max()
         ]
-        self.stand([strong[pair] for pair in pairs[: self.effort.ranked]], RECTANGLE)
+        return [np.pad(strong[pair], ((0, 0), (0, 1))) for pair in pairs[: self.effort.ranked]]
 
-    def stand(self, pairs: list[Array], shape: Shape) -> None:
-        """A shape that stands, from pairs of waves (2, 2)."""
-        assert self.lookout.scan is not None
-        starts = [shape.nearest(np.pad(pair, ((0, 0), (0, 1)))) for pair in pairs]
-        self.follow(shape, starts, self.lookout.scan.pieces)
-
-    def follow(self, shape: Shape, starts: list[Array], pieces: int) -> None:
-        """A shape from starts (p,) of most promise, from pieces of the track to the whole."""
-        fits = [fitted(self.rows, shape, q, pieces) for q in starts]
+    def follow(self, shape: Shape, scan: WaveScan | None, waves: list[Array]) -> None:
+        """A shape from waves (2, 3) of most promise, from pieces of the track to the whole."""
+        pieces = 1 if scan is None else scan.pieces
+        fits = [fitted(self.rows, shape, shape.nearest(pair), pieces) for pair in waves]
         most = self.effort.descended if pieces == 1 else 2
         for fit in sorted(fits, key=lambda fit: fit.residual)[:most]:
             self.descend(shape, joined(self.rows, shape, fit.q, pieces))
@@ -313,18 +300,10 @@ class Ladder:
 
     def moving(self) -> None:
         """Square cells that move, followed from pieces of the track to the whole."""
-        rest = self.rows.rest
-        fastest = self.limits.fastest * math.sqrt(2 * float(np.mean(np.sum(rest**2, axis=1))))
+        speed = math.sqrt(2 * float(np.mean(np.sum(self.rows.rest**2, axis=1))))
+        fastest = self.limits.fastest * speed
         scan = WaveScan.of(self.rows.place, self.lookout.radii, fastest, self.rows.weight)
-        if scan is None:
-            return
-        gains, omega = scan.gains(rest)
-        shape, starts = SQUARE.moving, []
-        for i, j in scan.squares(gains, self.effort.ranked):
-            k = scan.axis[[i, j]]
-            later = omega[j, len(omega) - 1 - i]  # of the wave turned clockwise, (k_y, -k_x)
-            starts.append(shape.nearest(np.array([[*k, omega[i, j]], [k[1], -k[0], later]])))
-        self.follow(shape, starts, scan.pieces)
+        self.follow(SQUARE.moving, scan, self.squares(scan))
 
     def pairs(self) -> None:
         """Any two waves that stand: the strongest, and the strongest beside it."""
@@ -412,9 +391,9 @@ class Ladder:
         if not len(here.q):
             here = descended(self.rows, AXIS, np.array([windows[0][0]]))
         speeds = np.hypot(*here.strengths.reshape(-1, 2).T)
-        if np.any(speeds < WEAKEST * speeds.max()):
-            q = here.q[speeds >= WEAKEST * speeds.max()]
-            here = descended(self.rows, axis_cells(len(q)), q)
+        fast = speeds >= 0.05 * speeds.max()  # systematic errors of a derivative are 2 %
+        if not fast.all():
+            here = descended(self.rows, axis_cells(int(fast.sum())), here.q[fast])
         self.tried.append(here)
 
     def ranked(self) -> list[tuple[ShapeFit, float]]:
@@ -428,7 +407,7 @@ class Ladder:
         worth, rest = self.lookout.worth, self.best.rest
         if not self.lookout.quiet(rest):
             power = np.cumsum(np.concatenate([[0.0], _power(rest)]))
-            bins = min(BINS, len(power) - 1)
+            bins = min(16, len(power) - 1)  # averaged: the level is then known to 18 %
             highest = float((power[bins:] - power[:-bins]).max()) / bins
             worth = min(worth, 2 * len(rest) * float(power[-1] / (len(power) - 1)) / highest)
         pairs = sorted(

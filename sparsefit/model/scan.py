@@ -157,7 +157,7 @@ def axis_gains(
 
 @dataclass(frozen=True, eq=False)
 class WaveScan:
-    """What one wave explains of rows, over the grid of wavevectors that the track resolves.
+    """The share of rows that one wave explains, over the wavevectors that the track resolves.
 
     Args:
         place: (x, y, t) of the rows from their middle (m, 3) [m], [s].
@@ -222,8 +222,17 @@ class WaveScan:
         """The wavevectors that the scan tells apart."""
         return max(1.0, 0.5 * float(self._inside.sum()))
 
+    @cached_property
+    def _latest(self) -> list[tuple[Array, tuple[Array, Array]]]:
+        return []
+
     def gains(self, rest: Array) -> tuple[Array, Array]:
         """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""
+        if not self._latest or self._latest[0][0] is not rest:  # a fit is asked for twice
+            self._latest[:] = [(rest, self._gains(rest))]
+        return self._latest[0][1]
+
+    def _gains(self, rest: Array) -> tuple[Array, Array]:
         own = np.ones(len(self.place)) if self.weight is None else self.weight
         cuts = (np.array_split(part, self.pieces) for part in (self.place, rest, own))
         total = np.zeros(1)

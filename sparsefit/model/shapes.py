@@ -54,7 +54,7 @@ class Shape:
 
     @property
     def cells(self) -> bool:
-        """Whether its two waves are equally long sides of cells."""
+        """True where its two waves are equally long sides of cells."""
         return self.name in ("axis", "square", "rectangle")
 
     @property
