@@ -73,6 +73,7 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
     with quiet():
         raw, seconds = backend.solve(problem), perf_counter() - start
     solution = _received(raw, backend, problem)
+    problem.refuse_changes()
     certificate = certificate_of(problem, backend, solution)
     seconds += solution.shared_seconds
     return _judged(problem, backend, solution, certificate, seconds, tolerance)
@@ -128,6 +129,7 @@ def _along(
         words = f"{len(raw)} solutions for a path of {len(points)} penalties"
         raise InputError(f"back-end {backend.name!r} returned {words}")
     solutions = [_received(solution, backend, problem) for solution in raw]
+    problem.refuse_changes()
     penalty = backend.penalty(problem)
     if not isinstance(penalty, Penalty):
         raise InputError(

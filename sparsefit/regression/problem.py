@@ -123,6 +123,7 @@ class RegressionProblem(Brief):
                 values.flags.writeable = False
                 object.__setattr__(self, name, values)
         refuse_unfit(self.design.squares, self.names)
+        _ = self.digest  # of the data as they are now
         refuse_unfit(squares_of(self.target), self.target_names, self.target)
 
     @classmethod
@@ -142,7 +143,9 @@ class RegressionProblem(Brief):
         theta may be sparse (scipy), a memory map, a dask array, a DataFrame, whose columns' names
         are kept, or anything with a shape whose rows can be sliced. Arrays that are float64 in C or
         Fortran order are not copied but read where they are: leave them unchanged while the problem
-        is in use, or hand in copies. The problem's own are read-only.
+        is in use, or hand in copies. The problem's own are read-only. `fit` and `path` refuse an
+        array in memory that was changed in place, by a digest of 512 of its entries; of files and
+        dask arrays no change is noticed.
 
         ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
         them every column is a group of its own. ``subgroups``: k labels of smaller groups within
@@ -206,6 +209,16 @@ class RegressionProblem(Brief):
         if direction is not None:
             direction = direction / np.linalg.norm(direction)
         return Design(self.theta, self.samples, roots, direction)
+
+    @cached_property
+    def digest(self) -> bytes:
+        """The digest of the design when the problem was made; see `refuse_changes`."""
+        return self.design.digest()
+
+    def refuse_changes(self) -> None:
+        """Raise InputError where the design is not what it was, as far as its digest tells."""
+        if self.design.digest() != self.digest:
+            raise InputError("theta was changed while the problem was in use: hand in a copy")
 
     @property
     def rows(self) -> Array:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 import sparsefit as sf
 from sparsefit import backends
@@ -109,3 +110,17 @@ def test_problems_from_blocks_have_the_same_fit_and_certificate(name):
     assert found.certificate.primal == pytest.approx(
         expected.certificate.primal, rel=1e-12, nan_ok=True
     )
+
+
+@pytest.mark.parametrize("kind", ["array", "sparse"])
+def test_a_design_that_is_changed_under_a_problem_is_refused(kind):
+    theta = np.random.default_rng(0).normal(size=(200, 100))
+    held = theta if kind == "array" else sparse.csc_matrix(theta)
+    problem = RegressionProblem.from_arrays(held, theta[:, 0])
+    assert sf.fit(problem, "lasso").status == "ok"
+    if kind == "array":
+        theta *= 2.0
+    else:
+        held.data *= 2.0
+    with pytest.raises(InputError, match="theta was changed"):
+        sf.fit(problem, "lasso")
