@@ -192,7 +192,12 @@ def _certificates(
     size = penalty.value(scaled)
     primal = loss.primal(residual.square, residual.overlap, level) + alphas * size
     extended = _with_ridge(residual, scaled, alphas, penalty) if penalty.ridge else residual
-    peaks, error = _constraint(extended, penalty)
+    # The gauges (p, n), or (p, 1) where targets are coupled, of C and bounds of their errors.
+    peaks = penalty.constraint(extended.correlation)
+    error = penalty.constraint(np.ones(extended.correlation.shape[1:]))
+    error = error * extended.correlation_error
+    if penalty.coupled:
+        peaks, error = (part.max(axis=1, keepdims=True) for part in (peaks, error))
     dual, _ = _dual(extended, alphas, peaks, extended.square, penalty, level)
     peaks = peaks * (1.0 + gamma) + error
     square = extended.square * (1.0 + gamma) + extended.square_error
@@ -214,16 +219,6 @@ def _certificates(
         Certificate("duality_gap", float(g), float(p), float(d), float(r))
         for g, p, d, r in zip(gaps, primal, dual, rounding, strict=True)
     ]
-
-
-def _constraint(residual: _Residual, penalty: Penalty) -> tuple[Array, Array]:
-    """The gauges (p, n), or (p, 1) where targets are coupled, of C and bounds of their errors."""
-    peaks = penalty.constraint(residual.correlation)
-    unit = penalty.constraint(np.ones(residual.correlation.shape[1:]))
-    error = unit * residual.correlation_error
-    if penalty.coupled:
-        peaks, error = (part.max(axis=1, keepdims=True) for part in (peaks, error))
-    return peaks, error
 
 
 def _with_ridge(residual: _Residual, scaled: Array, alphas: Array, penalty: Penalty) -> _Residual:

@@ -5,7 +5,6 @@ it compared. Nothing is drawn at random, the truth is not asked, and units do no
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -56,7 +55,12 @@ def choose_penalty(
     weights (p, k, n): the path on all samples, in original units, NaN where it failed.
     Raises InputError where cross-validation or stability selection cannot cut the samples up.
     """
-    return RULES[backend.selection](problem, backend, weights)
+    rules = {"cross-validation": cross_validation, "stability": stability_selection}
+    choose = rules.get(backend.selection, information_criterion)
+    if not np.isfinite(weights).all(axis=(1, 2)).any():
+        missing = np.full(len(weights), np.nan)
+        return PenaltyChoice(backend.selection, np.array(FRACTIONS), missing, 0)
+    return choose(problem, backend, weights)
 
 
 def information_criterion(
@@ -71,14 +75,12 @@ def information_criterion(
     points, columns, targets = weights.shape
     design, rms = problem.design, problem.design.rms
     solved = np.flatnonzero(np.isfinite(weights).all(axis=(1, 2)))
-    if not len(solved):
-        return _choice(backend, np.full(points, np.nan), 0)
     values = (weights * rms[:, None]).transpose(1, 0, 2).reshape(columns, points * targets)
     fitted = design.predict(np.where(np.isfinite(values), values, 0.0))
     residuals = problem.target[:, None, :] - fitted.reshape(-1, points, targets)
     null = np.einsum("it,it->t", problem.target, problem.target)
     size = float(problem.samples)
-    if not _compressed(problem):  # rows that mix samples say nothing of their order
+    if not problem.is_compressed:  # rows that mix samples say nothing of their order
         size = effective_samples(residuals[:, solved[-1]])
     penalty = backend.penalty(problem)
     alphas = problem.alpha_max(penalty) * np.array(FRACTIONS)
@@ -90,9 +92,14 @@ def information_criterion(
         freedom = degrees_of_freedom(design, scaled, pull, float(alphas[i]), penalty)
         criterion[i] = size * np.log(np.maximum(share, FLOOR)).sum() + math.log(size) * freedom
         if backend.selection == "ebic":
-            criterion[i] += 2.0 * _log_models(scaled, penalty)
+            used = scaled.any(axis=1, keepdims=True) if penalty.joint else scaled != 0
+            blocks = int(penalty.blocks.max()) + 1
+            for active in (len(np.unique(penalty.blocks[on])) for on in used.T):
+                rest = math.lgamma(active + 1) + math.lgamma(blocks - active + 1)
+                criterion[i] += 2.0 * (math.lgamma(blocks + 1) - rest)  # log C(G, s)
     chosen = int(np.nanargmin(criterion))
-    return replace(_choice(backend, criterion, chosen), effective_samples=size)
+    fractions = np.array(FRACTIONS)
+    return PenaltyChoice(backend.selection, fractions, criterion, chosen, None, size)
 
 
 def degrees_of_freedom(
@@ -156,19 +163,19 @@ def cross_validation(
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
     losses = np.empty((FOLDS, len(FRACTIONS)))
     for i, fold in enumerate(folds):
-        found, levels = _path_on(problem, backend, folds[:i] + folds[i + 1 :])
-        held_out = problem.theta[fold]
-        fitted = np.stack([held_out @ each for each in found]) + levels[:, None, :]
+        path, levels = _path_on(problem, backend, folds[:i] + folds[i + 1 :])
+        rows = problem.theta[fold]
+        fitted = np.stack([rows @ each for each in path]) + levels[:, None, :]
         misfit = problem.raw_target[fold] - fitted
         losses[i] = np.einsum("pit,pit->p", misfit, misfit) / (len(fold) * square)
     losses[:, ~np.isfinite(weights).all(axis=(1, 2))] = np.nan
-    mean = losses.mean(axis=0)
+    mean, fractions = losses.mean(axis=0), np.array(FRACTIONS)
     if not np.isfinite(mean).any():
-        return _choice(backend, mean, 0)
+        return PenaltyChoice(backend.selection, fractions, mean, 0)
     excess = losses - losses[:, [int(np.nanargmin(mean))]]
     errors = excess.std(axis=0, ddof=1) / math.sqrt(FOLDS)
     chosen = int(np.flatnonzero(excess.mean(axis=0) <= errors)[0])
-    return replace(_choice(backend, mean, chosen), errors=errors)
+    return PenaltyChoice(backend.selection, fractions, mean, chosen, errors)
 
 
 def stability_selection(
@@ -183,40 +190,14 @@ def stability_selection(
     """
     pieces = _pieces(problem, PIECES, backend)
     member = problem.groups[:, None] == np.arange(problem.groups.max() + 1)
-    sizes = [
-        np.maximum.accumulate(np.not_equal(found, 0).any(axis=2) @ member, axis=0).sum(axis=1)
-        for found in (
-            _path_on(problem, backend, list(half))[0] for half in combinations(pieces, PIECES // 2)
-        )
-    ]
+    sizes = []
+    for half in combinations(pieces, PIECES // 2):
+        chosen = np.not_equal(_path_on(problem, backend, list(half))[0], 0).any(axis=2)
+        sizes.append(np.maximum.accumulate(chosen @ member, axis=0).sum(axis=1))
     bound = np.mean(sizes, axis=0) ** 2 / ((2 * THRESHOLD - 1) * member.shape[1])
     bound[~np.isfinite(weights).all(axis=(1, 2))] = np.nan
-    return _choice(backend, bound, int(np.flatnonzero(bound <= 1.0).max(initial=0)))
-
-
-RULES: dict[str, Callable[[RegressionProblem, ChoosingBackend, Array], PenaltyChoice]] = {
-    "ebic": information_criterion,
-    "bic": information_criterion,
-    "cross-validation": cross_validation,
-    "stability": stability_selection,
-}
-
-
-def _choice(backend: ChoosingBackend, criterion: Array, index: int) -> PenaltyChoice:
-    return PenaltyChoice(backend.selection, np.array(FRACTIONS), criterion, index)
-
-
-def _log_models(weights: Array, penalty: Penalty) -> float:
-    """Sum over the targets of log C(G, s)."""
-    blocks = int(penalty.blocks.max()) + 1
-    used = weights.any(axis=1, keepdims=True) if penalty.joint else weights != 0
-    active = [len(np.unique(penalty.blocks[on])) for on in np.transpose(used)]
-    rest = (math.lgamma(s + 1) + math.lgamma(blocks - s + 1) for s in active)
-    return len(active) * math.lgamma(blocks + 1) - sum(rest)
-
-
-def _compressed(problem: RegressionProblem) -> bool:
-    return problem.sample_count is not None and problem.continuum is None
+    index = int(np.flatnonzero(bound <= 1.0).max(initial=0))
+    return PenaltyChoice(backend.selection, np.array(FRACTIONS), bound, index)
 
 
 def _uncut(backend: ChoosingBackend) -> str:
@@ -232,7 +213,7 @@ def _uncut(backend: ChoosingBackend) -> str:
 
 def _pieces(problem: RegressionProblem, count: int, backend: ChoosingBackend) -> list[IntArray]:
     needs = f"selection {backend.selection!r} needs"
-    if _compressed(problem):
+    if problem.is_compressed:
         raise InputError(f"{needs} samples, but they are compressed; {_uncut(backend)}")
     if problem.samples < 2 * count:
         least = f"at least {2 * count} samples, not {problem.samples}"

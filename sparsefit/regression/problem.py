@@ -282,6 +282,11 @@ class RegressionProblem(Brief):
         return self.sample_count or int(self.theta.shape[0])
 
     @property
+    def is_compressed(self) -> bool:
+        """Whether the rows mix samples, so that none can be taken alone."""
+        return self.sample_count is not None and self.continuum is None
+
+    @property
     def columns(self) -> int:
         """Number of columns k."""
         return int(self.theta.shape[1])

@@ -225,7 +225,7 @@ class Ensemble(Search):
 
     def searched(self, problem: RegressionProblem) -> Solution:
         """Weights on what is kept; ``solver_status`` tells the largest inclusion probabilities."""
-        if problem.sample_count is not None and problem.continuum is None:
+        if problem.is_compressed:
             reason = f"{self.name} needs samples to draw from, and these are compressed"
             return Solution(None, "error", reason)
         if problem.samples < 2:
