@@ -448,9 +448,11 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
         for protocol in protocols
     }
     given = {
-        halves[p.name]: p.words.world if flights else p.words.reading for p in reversed(protocols)
+        halves[p.name]: word
+        for p in reversed(protocols)
+        if (word := p.words.world if flights else p.words.reading)
     }
-    if len(set(halves.values())) == 1 and not any(given.values()):
+    if len(set(halves.values())) == 1 and not given:
         alone = len(protocols) == 1 and protocols[0].overrides and not flights
         return {name: name if alone else "" for name in halves}
     words = {}
@@ -462,7 +464,7 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
         if not word or counts[word] > 1:
             content = (level_words(key, value) for key, value in json.loads(half).items())
             words[half] = ", ".join(content) or "as the study says"
-    return {name: given[half] or words[half] for name, half in halves.items()}
+    return {name: given.get(half) or words[half] for name, half in halves.items()}
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:

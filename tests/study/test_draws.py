@@ -58,18 +58,6 @@ def test_a_thrust_that_turns_is_measured_or_not():
     np.testing.assert_array_equal(blind.velocity, flight.velocity)
 
 
-def test_flights_need_a_law_of_drag(tmp_path):
-    from tests.study.test_definition import GOOD, load
-
-    bare = GOOD.replace("response_time = 0.5\n", "")
-    with pytest.raises(InputError, match="every flight needs it, or drag"):
-        load(tmp_path, bare)
-    study = load(tmp_path, bare.replace("duration =", "drag = 0.2\nduration ="))
-    assert study.flights.cells[0].setup.flights.draw(0, 6, 1).vehicle.drag == 0.2
-    with pytest.raises(InputError, match="thrust_turn needs it too"):
-        load(tmp_path, GOOD.replace("duration =", "thrust_turn = 2.0\nduration ="))
-
-
 TEXT = """
 name = "together"
 question = "How many?"
