@@ -18,7 +18,7 @@ SCALES = np.array([3.0, 3.9, 4.3, 5.0])
 def estimate(speed, scale, grid=None):
     timescale = scale / speed
     grid = scale if grid is None else grid
-    return Estimate(speed, scale, timescale, "ok", "", "lasso", {}, grid_length_scale=grid)
+    return Estimate(speed, scale, timescale, grid, status="ok")
 
 
 def test_signed_and_absolute_errors_worked_by_hand():

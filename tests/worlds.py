@@ -16,7 +16,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -291,6 +291,10 @@ def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
         state[2:4] += kicks[i]
     every[-1] = state
     grid = np.arange(steps + 1) * STEP - 0.5
+    decayed = 1.0 - 0.5 * air.get(
+        "decay", 0.0
+    )  # U0 and the time of a decay are those of mid-flight
+    truth = replace(truth, mean_velocity=speed * decayed)
     flight = _logged(
         grid, every, rng, rate, duration, sensor, sf.PointMassVehicle(tau, tuple(thrust))
     )

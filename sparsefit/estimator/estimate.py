@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from enum import StrEnum
+from typing import Any
 
-from sparsefit.arrays import Brief
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sparsefit.arrays import Array, Brief
 from sparsefit.codec import finite_or_none
-from sparsefit.estimator.doubt import Doubt
-from sparsefit.estimator.intervals import (
-    FlowUncertainty,
-    ShapeUncertainty,
-    Uncertainty,
-    VehicleUncertainty,
-)
 from sparsefit.flight.flow import FlowField
+from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
+from sparsefit.likelihood.vehicle_estimate import VehicleEstimate
 from sparsefit.regression.certificate import Certificate
 from sparsefit.rows import Repairs
-
-if TYPE_CHECKING:  # who reads an estimator need not wait for it
-    from sparsefit.likelihood.goodness import Constancy, Goodness
 
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 PARAMETERS = (
@@ -35,43 +31,75 @@ def decimals(spread: float) -> int:
     return max(0, 1 - math.floor(math.log10(spread))) if FINEST <= spread < math.inf else 4
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How far the logged position wanders from the integral of the velocity.
+class Doubt(StrEnum):
+    """The kind of doubt that keeps a flow from being told; an estimate's reason has its words."""
 
-    Args:
-        wander: rms of a correlated error of the position [m], 0 where there is none.
-        wander_time: its correlation time [s].
-        broken: whether the velocity is not that of the position at all.
-    """
-
-    wander: float = 0.0
-    wander_time: float = math.nan
-    broken: bool = False
+    NO_WEIGHTS = "no-weights"
+    """The back-end gave every column the weight zero."""
+    STILL_AIR = "still-air"
+    """The flow velocity is nothing beside the vehicle's own."""
+    DISAGREEMENT = "disagreement"
+    """The logged velocity is not that of the logged position."""
+    FEW_SAMPLES = "few-samples"
+    """There are fewer samples than a length scale has unknowns, or than a standard error needs."""
+    UNDERSAMPLED = "undersampled"
+    """The flow changes too much from sample to sample."""
+    NO_FLOW = "no-flow"
+    """No length scale explains more than a uniform velocity does."""
+    EDGE = "edge"
+    """The best length scale is a bound of the search."""
+    LEFT_OVER = "left-over"
+    """A flow is left that the back-end did not propose."""
+    BEATEN = "beaten"
+    """Another length scale fits better than the one that was proposed."""
+    RIVAL = "rival"
+    """Another length scale fits too nearly as well."""
+    IMPRECISE = "imprecise"
+    """A parameter is known too poorly, or not at all."""
+    VEHICLE = "vehicle"
+    """The vehicle that fits best cannot be."""
+    NO_CELLS = "no-cells"
+    """Waves were found that make no cells of one flow or two."""
+    MEAN_VELOCITY = "mean-velocity"
+    """The readout gives no mean velocity above zero."""
+    SHORT_TRACK = "short-track"
+    """The flight covers less than one period of the flow."""
+    MISFIT = "misfit"
+    """There is a flow, but it is not the one that was fitted."""
 
     @property
-    def wanders(self) -> bool:
-        """Whether the position errs with a memory."""
-        return self.wander > 0.0
+    def no_flow(self) -> bool:
+        """Whether it says that there is no cellular flow at all."""
+        return self in (Doubt.STILL_AIR, Doubt.NO_FLOW)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A status, with the doubt behind it and the reason in words."""
+
+    status: str
+    reason: str = ""
+    doubt: Doubt | None = None
 
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """One cellular flow of several.
+    """One cellular flow, of several perhaps.
 
     Args:
         mean_velocity: U0 [m/s].
         length_scale: L [m].
         timescale: L/U0 [s], NaN where U0 is 0.
         grid_length_scale: the candidate behind it [m].
-        uncertainty: of a refined scale with the ``rms`` mean velocity, all scales fitted together.
+        uncertainty: of these three, off the grid with the ``rms`` mean velocity, all flows measured
+            together: within the lobe that was chosen, whatever its rivals.
         heading: by which the cells are turned counter-clockwise [rad]; NaN where it is not told.
     """
 
     mean_velocity: float
     length_scale: float
     timescale: float
-    grid_length_scale: float
+    grid_length_scale: float = math.nan
     uncertainty: Uncertainty | None = None
     heading: float = math.nan
 
@@ -84,7 +112,7 @@ class RungEstimate:
         shape: its name.
         drifting: whether it moves.
         bic: n ln RSS + p ln n, less that of the best.
-        residual: what it leaves of the flow velocity, as a share of its squares.
+        residual: the share of the flow velocity's squares that it does not explain.
     """
 
     shape: str
@@ -93,115 +121,146 @@ class RungEstimate:
     residual: float
 
 
-@dataclass(frozen=True)
-class FlightEstimate:
-    """What is of one flight of several through one flow.
+@dataclass(frozen=True, eq=False)
+class FlowUncertainty:
+    """How sure the velocity of `Estimate.flow` is at any place and time.
+
+    Args:
+        waves: (k_x, k_y, omega, a, b) of each (j, 5), in the coordinates and time of the flight.
+        covariance: of these, row by row, and of the uniform velocity: (5 j + 2, 5 j + 2).
+    """
+
+    waves: Array
+    covariance: Array
+
+    def standard_error(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
+        """Return the standard error of the velocity [m/s], shape (..., 2), at x, y [m] and t [s].
+
+        It holds where the shape of the flow does: far from the flight it grows with the distance,
+        to first order, and says nothing of a flow that changes there.
+        """
+        given = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in (x, y, t)))
+        east, north, time = (value.ravel() for value in given)
+        slopes = []
+        for kx, ky, omega, a, b in self.waves:
+            cos, sin = (turn(kx * east + ky * north - omega * time) for turn in (np.cos, np.sin))
+            height, bend = b * cos - a * sin, -(a * cos + b * sin)  # psi', psi'' by the phase
+            by_phase = np.stack([ky * bend, -kx * bend])
+            slopes += [by_phase * east, by_phase * north, -by_phase * time]
+            slopes += [np.stack([-ky * sin, kx * sin]), np.stack([ky * cos, -kx * cos])]
+            slopes[-5][1] -= height
+            slopes[-4][0] += height
+        slopes += [np.repeat(unit[:, None], east.size, axis=1) for unit in np.eye(2)]
+        every = np.array(slopes)
+        variance = np.einsum("idm,ij,jdm->md", every, self.covariance, every)
+        errors: Array = np.sqrt(np.maximum(variance, 0.0)).reshape(*given[0].shape, 2)
+        return errors
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeEstimate:
+    """The flow as a whole, in the coordinates and the time of the flight.
+
+    Args:
+        shape: ``axis``, ``square``, ``rectangle``, ``pair`` or ``several``; empty on the grid.
+        length_scales: (L_x, L_y) [m] in the cells' own axes.
+        drift: the velocity of the pattern [m/s], (x, y).
+        shape_uncertainty: of the length scales, the heading and the drift.
+        rungs: every shape that was tried.
+        scales: all cellular flows, fastest first, where several are sought or found.
+        flow: to be evaluated anywhere.
+        flow_uncertainty: of a flow of waves.
+        rival_length_scale: of the best other lobe [m].
+    """
+
+    shape: str = ""
+    length_scales: tuple[float, float] | None = None
+    drift: tuple[float, float] | None = None
+    shape_uncertainty: Uncertainty | None = None
+    rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
+    scales: tuple[ScaleEstimate, ...] = ()
+    flow: FlowField | None = field(default=None, repr=False)
+    flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
+    rival_length_scale: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogEstimate(VehicleEstimate):
+    """What is of one flight: its vehicle, and how well its log is explained.
 
     Args:
         samples: that were fitted.
-        noise: the level of its noise where the flow acts, over that of all flights together: its
-            rows count for one over the square of it.
-        response_time: [s], drag [1/m], thrust_scale, thrust_acceleration [m/s^2] and wind [m/s]:
-            estimated where the library says they are unknown.
-        vehicle_uncertainty: how sure these are.
-        goodness: how well the one flow explains this flight, where that was assessed.
+        goodness: how well the flow explains the log.
         repairs: what was mended in it before.
         agreement: of its logged position and velocity.
     """
 
-    samples: int
-    noise: float
-    response_time: float = math.nan
-    drag: float = math.nan
-    thrust_scale: float = math.nan
-    thrust_acceleration: tuple[float, float] | None = None
-    wind: tuple[float, float] | None = None
-    vehicle_uncertainty: VehicleUncertainty | None = None
+    samples: int = 0
     goodness: Goodness | None = None
     repairs: Repairs = Repairs()
     agreement: Agreement | None = None
 
 
-@dataclass(frozen=True, repr=False)
-class Estimate(Brief):
-    """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
+@dataclass(frozen=True, kw_only=True)
+class FlightEstimate(LogEstimate):
+    """What is of one flight of several through one flow.
 
-    status ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
-    ``unidentifiable`` or ``error``, with its reason;
-    grid_length_scale: the chosen candidate [m]; weights_by_scale: its weight for each candidate
-    length scale [m]; seconds: preparation, fit and readout together; rival_length_scale: where the
-    refinement found the best other lobe of the residual [m]; response_time [s], drag [1/m],
-    thrust_scale, thrust_acceleration [m/s^2] and wind [m/s]: estimated where the library says they
-    are unknown;
-    scales: all cellular flows found, fastest first, where the readout asks for several, or the
-    ladder finds two: the parameters are those of the first. uncertainty: of a refined scale with
-    the ``rms`` mean velocity, `unidentifiable` or not: it holds within the lobe that was chosen,
-    and says nothing of its rival; None with other readouts and below 21 samples; of several scales
-    each has its own, and this is the first's. vehicle_uncertainty: of what was unknown beside the
-    flow. doubt: what kind of doubt the reason of a `misfit` or an `unidentifiable` flow puts in
-    words. heading [rad]: by which the cells are turned counter-clockwise. flow: what was found, to
-    be evaluated anywhere, in the coordinates and the time of the flight; flow_uncertainty: of a
-    flow of waves, the standard error of its velocity anywhere (`FlowUncertainty.standard_error`).
-    goodness: how well refined modes fit.
-    repairs: what was mended in the flight before. agreement: of logged position and velocity; the
-    intervals hold what a position wanders.
-    shape: with the ladder of shapes, the one that the flight bears out: ``axis``, ``square``,
-    ``rectangle``, ``pair`` or ``several``; length_scales: (L_x, L_y) [m] in the cells' own axes;
-    drift: at which they move [m/s], (x, y); shape_uncertainty: how sure these are; rungs: every
-    shape that was tried. flights: of several flights through one flow what is of each; what is
-    estimated of a vehicle, repairs and agreement stand there alone. constancy: how fast U0 changes
-    while it is flown through, with its interval and p-value. freed: the names of what was freed
-    beside the flow, where the settings say so.
+    Args:
+        noise: the level of its noise, over that of all flights together: its rows count for one
+            over the square of it.
     """
 
-    mean_velocity: float
-    length_scale: float
-    timescale: float
+    noise: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Estimate(Brief, ScaleEstimate, ShapeEstimate, LogEstimate):
+    """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
+
+    Of several flows the parameters are those of the fastest; of several flights what is of each
+    stands in `flights`.
+
+    Args:
+        status: ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
+            ``unidentifiable`` or ``error``.
+        reason: of the status, in words; empty where it is ``ok``.
+        doubt: the kind of doubt behind the reason of a ``misfit`` or an ``unidentifiable`` flow.
+        backend: the name of the back-end, and its settings.
+        settings: of the back-end.
+        certificate: of its fit.
+        weights_by_scale: of each candidate length scale [m].
+        seconds: of preparation, fit and readout together.
+        columns: of the regression problem.
+        flights: of several flights through one flow, each.
+        constancy: how fast U0 changes while it is flown through.
+        freed: the names of what was freed beside the flow.
+    """
+
     status: str
-    reason: str
-    backend: str
-    settings: dict[str, Any]
+    reason: str = ""
+    backend: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)
     certificate: Certificate | None = None
-    grid_length_scale: float = math.nan
     weights_by_scale: dict[float, float] = field(default_factory=dict, repr=False)
     seconds: float = math.nan
-    samples: int = 0
     columns: int = 0
-    rival_length_scale: float = math.nan
-    uncertainty: Uncertainty | None = None
-    response_time: float = math.nan
-    thrust_acceleration: tuple[float, float] | None = None
-    wind: tuple[float, float] | None = None
-    scales: tuple[ScaleEstimate, ...] = ()
-    vehicle_uncertainty: VehicleUncertainty | None = None
     doubt: Doubt | None = None
-    heading: float = math.nan
-    flow: FlowField | None = field(default=None, repr=False)
-    repairs: Repairs = Repairs()
-    agreement: Agreement | None = None
-    goodness: Goodness | None = None
-    shape: str = ""
-    length_scales: tuple[float, float] | None = None
-    drift: tuple[float, float] | None = None
-    shape_uncertainty: ShapeUncertainty | None = None
-    rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
-    flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
     flights: tuple[FlightEstimate, ...] = ()
     constancy: Constancy | None = None
-    drag: float = math.nan
-    thrust_scale: float = math.nan
     freed: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """The status and its reason, or the parameters with their standard errors: one line."""
         if self.status != "ok":
             return f"{self.status}: {self.reason}"
-        told = []
+        parameters = []
         for symbol, name, unit in PARAMETERS:
             spread = getattr(self.uncertainty, name, math.nan)
             error = f" ± {spread:.2g}" if math.isfinite(spread) else ""
-            told.append(f"{symbol} = {getattr(self, name):.{decimals(spread)}f}{error} {unit}")
-        return f"ok: {', '.join(told)}"
+            parameters.append(
+                f"{symbol} = {getattr(self, name):.{decimals(spread)}f}{error} {unit}"
+            )
+        return f"ok: {', '.join(parameters)}"
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate as JSON-ready values; NaN becomes None. `flow_uncertainty` is left out."""

@@ -13,8 +13,7 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.estimator import saved
-from sparsefit.estimator.doubt import Doubt, Verdict
-from sparsefit.estimator.estimate import Estimate, ScaleEstimate
+from sparsefit.estimator.estimate import Doubt, Estimate, ScaleEstimate, Verdict
 from sparsefit.flight import Flight
 from sparsefit.model import Library, Readout
 from sparsefit.regression.backend import Backend, settings_of
@@ -98,79 +97,90 @@ class Estimator:
         if own is not None:
             return cast(Estimate, own(self, fit))
         start = perf_counter()
-        parts: dict[str, Any] = {"mean_velocity": math.nan, "length_scale": math.nan}
-        verdict = Verdict(fit.status, fit.reason)
+        speed = scale = math.nan
+        by_scale: dict[float, float] = {}
+        parts: dict[str, Any] = {"mean_velocity": speed, "length_scale": scale}
+        verdict: Verdict | None = None
         if np.isfinite(fit.weights).all():
-            parts["weights_by_scale"] = self.readout.by_scale(fit, self.library)
+            by_scale = self.readout.by_scale(fit, self.library)
             if not fit.weights.any():
                 words = "no length scale: all weights are zero"
-                verdict = Verdict.against(Doubt.NO_WEIGHTS, words)
-            elif self.readout.refine == "none" or prepared.narrow:
-                verdict = self._on_grid(prepared, fit, parts) or verdict
+                verdict = Verdict("unidentifiable", words, Doubt.NO_WEIGHTS)
             else:
-                verdict = self._off_grid(prepared, fit, parts) or verdict
-            if fit.weights.any() and "grid_length_scale" not in parts:
-                by_scale = parts["weights_by_scale"]
-                parts["grid_length_scale"] = max(by_scale, key=lambda scale: by_scale[scale])
+                parts["grid_length_scale"] = max(by_scale, key=lambda own: by_scale[own])
+                on_grid = self.readout.refine == "none" or prepared.narrow
+                used = [own for own, weight in by_scale.items() if weight]
+                more, verdict = (
+                    self._on_grid(prepared, fit) if on_grid else self._off_grid(prepared, fit, used)
+                )
+                parts |= more
+        verdict = verdict or Verdict(fit.status, fit.reason)
         speed, scale = parts["mean_velocity"], parts["length_scale"]
         parts.setdefault("timescale", scale / speed if speed else math.nan)
         if len(prepared.flights) == 1:
             parts["repairs"] = prepared.parts[0].repairs
-        parts |= {"status": verdict.status, "reason": verdict.reason, "doubt": verdict.doubt}
-        parts |= {"backend": fit.backend.name, "settings": settings_of(fit.backend)}
         cells = self.library.family == "cells"
-        parts["samples"] = fit.problem.samples if cells else len(prepared.samples.time)
-        parts["columns"], parts["certificate"] = fit.problem.columns, fit.certificate
-        parts["seconds"] = prepared.seconds + fit.seconds + perf_counter() - start
-        return Estimate(**parts)
+        return Estimate(
+            **parts,
+            **vars(verdict),
+            weights_by_scale=by_scale,
+            backend=fit.backend.name,
+            settings=settings_of(fit.backend),
+            samples=fit.problem.samples if cells else len(prepared.samples.time),
+            columns=fit.problem.columns,
+            certificate=fit.certificate,
+            seconds=prepared.seconds + fit.seconds + perf_counter() - start,
+        )
 
-    def _on_grid(self, prepared: Prepared, fit: Fit, parts: dict[str, Any]) -> Verdict | None:
-        """The parameters of the modes on the grid, into `parts`."""
-        from sparsefit.estimator.reported import of_vehicle
+    def _on_grid(self, prepared: Prepared, fit: Fit) -> tuple[dict[str, Any], Verdict | None]:
+        """Fields of the estimate from the modes on the grid, and what speaks against them."""
+        from sparsefit.likelihood.vehicle_estimate import on_grid
         from sparsefit.model import read_grid
 
         reading = read_grid(
             fit, prepared.parts, prepared.vehicles, self.library, self.readout, prepared.weights
         )
-        scales = [
-            ScaleEstimate(
-                scale.mean_velocity,
-                scale.length_scale,
-                scale.length_scale / scale.mean_velocity if scale.mean_velocity else math.nan,
-                scale.length_scale,
-                heading=scale.heading,
-            )
-            for scale in reading.scales
-        ]
-        parts |= {name: getattr(scales[0], name) for name in ("mean_velocity", "length_scale")}
-        parts |= {"flow": reading.flow, "heading": scales[0].heading}
+        scales = []
+        for own in reading.scales:
+            speed, scale = own.mean_velocity, own.length_scale
+            timescale = scale / speed if speed else math.nan
+            scales.append(ScaleEstimate(speed, scale, timescale, scale, heading=own.heading))
+        first, parts = scales[0], dict[str, Any](flow=reading.flow)
+        parts |= {
+            name: getattr(first, name) for name in ("mean_velocity", "length_scale", "heading")
+        }
         if self.readout.scales == "several":
             parts["scales"] = tuple(scales)
         if any(vehicle is None for vehicle, _ in reading.vehicles):
-            words = "the vehicle that fits best cannot be"
-            return Verdict.against(Doubt.VEHICLE, f"{words}; fly longer, or give the response time")
+            words = "the vehicle that fits best cannot be; fly longer, or give the response time"
+            return parts, Verdict("unidentifiable", words, Doubt.VEHICLE)
         if len(reading.vehicles) == 1:
             vehicle, wind = reading.vehicles[0]
             assert vehicle is not None
-            parts |= of_vehicle(vehicle, wind, self.library.unknown)
-        if not 0 < scales[0].mean_velocity < math.inf:
-            words = f"readout {self.readout.mean_velocity!r} gave {scales[0].mean_velocity:g}"
-            return Verdict.against(Doubt.MEAN_VELOCITY, f"no mean velocity: {words}")
-        return None
+            parts |= on_grid(vehicle, wind, self.library.unknown)
+        if not 0 < first.mean_velocity < math.inf:
+            words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
+            words = f"no mean velocity: {words}"
+            return parts, Verdict("unidentifiable", words, Doubt.MEAN_VELOCITY)
+        return parts, None
 
-    def _off_grid(self, prepared: Prepared, fit: Fit, parts: dict[str, Any]) -> Verdict | None:
-        """The parameters at the maximum of the likelihood, into `parts`."""
-        from sparsefit.estimator.judge import Case, judge, refused
+    def _off_grid(
+        self, prepared: Prepared, fit: Fit, used: Sequence[float]
+    ) -> tuple[dict[str, Any], Verdict | None]:
+        """Fields at the maximum of the likelihood, and what speaks against them.
+
+        used: the candidate length scales [m] of weights above zero.
+        """
+        from sparsefit.estimator.judge import EARLY, Case, judge
         from sparsefit.estimator.measure import measure_flow
-        from sparsefit.estimator.reported import of_measured, scales_of
 
-        search = prepared.search
-        early = refused(prepared)
+        several, precision = self.readout.scales == "several", self.readout.precision
+        search, parts = prepared.search, dict[str, Any]()
+        early = judge(Case(prepared, None, (), precision), EARLY)
         if early is not None:
-            return early
+            return parts, early
         start = self.readout.start(search, fit, self.library)
         shapes = self.readout.refine == "ladder" or self.library.family == "waves"
-
         proposals = prepared.once(start, lambda: search.propose(start))
         # Starts that end in the same lobes share one measurement, which is most of an estimate.
         lobes = (own.lobe(search.lookout.extent) for own in proposals)
@@ -178,18 +188,14 @@ class Estimator:
             (*lobes, self.free, shapes),
             lambda: measure_flow(prepared, proposals, self.free, shapes=shapes),
         )
-        used = [scale for scale, own in parts["weights_by_scale"].items() if own]
-        scales = scales_of(result, used) if result else ()
+        scales = result.scales(used) if result else ()
         if result is not None:
-            parts |= of_measured(prepared, result, scales, several=self.readout.scales == "several")
+            parts = result.fields(prepared, scales, several=several)
         if self.readout.mean_velocity == "paper" and scales:
-            from sparsefit.model import read_grid
-
-            grid = read_grid(
-                fit, prepared.parts, prepared.vehicles, self.library, self.readout, prepared.weights
-            )
-            parts |= {"mean_velocity": grid.scales[0].mean_velocity, "uncertainty": None}
-        return judge(Case(prepared, result, scales, self.readout.precision, self.free))
+            on_grid, _ = self._on_grid(prepared, fit)
+            parts |= {"mean_velocity": on_grid["mean_velocity"], "uncertainty": None}
+            del parts["timescale"]
+        return parts, judge(Case(prepared, result, scales, precision, self.free))
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""

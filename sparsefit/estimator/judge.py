@@ -5,27 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from sparsefit.estimator.doubt import Doubt, Verdict
-from sparsefit.estimator.estimate import ScaleEstimate
-from sparsefit.estimator.measure import FALSE_ALARM, Measured
+from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
+from sparsefit.estimator.measure import Measured
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight
-from sparsefit.likelihood.causes import Cause, Suspect, usable
+from sparsefit.likelihood.diagnosis import usable
 from sparsefit.likelihood.nodes import noise_of
 from sparsefit.model.grid import extent_of
-from sparsefit.rows import Samples
 
-CALM = 1e-6  # of the vehicle's speed: the smoothing's own error reaches 1e-9
-APART = 0.2  # of the motion: position and velocity that differ by more are of two motions
 RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
-FEWEST = 20  # samples: fewer say nothing of their own noise
-HARDLY = 0.4  # of U0: with more turbulence than this there are hardly any steady cells
-UNEXPLAINED = 0.5  # of |Phi|^2: what leaves more of the rows is another flow
-OTHER = 0.8  # of the air's variance: a flight of which the common flow explains less
-COLOURED = 1e-6  # p-value of innovations as coloured by chance: below, the model is another
+QUANTITIES = {
+    "mean_velocity": "the mean velocity",
+    "length_scale": "the length scale",
+    "timescale": "the timescale",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,66 +31,51 @@ class Case:
 
     Args:
         prepared: the flights.
-        measured: the flow at the maximum of its likelihood; None where no flow was proposed.
+        result: the flow at the maximum of its likelihood; None where no flow was proposed.
         scales: its estimates, fastest first.
         precision: the largest half-width of an interval, as a share of the value.
         free: what was freed by the estimator's settings, or may be ("auto").
     """
 
     prepared: Prepared
-    measured: Measured | None
+    result: Measured | None
     scales: Sequence[ScaleEstimate]
     precision: float
     free: tuple[str, ...] | str = ()
 
+    @property
+    def measured(self) -> Measured:
+        """The result, after the check that there is one."""
+        assert self.result is not None
+        return self.result
 
-def judge(case: Case) -> Verdict | None:
-    """The first reason not to believe an estimate; None where there is none."""
-    return next((verdict for check in CHECKS if (verdict := check(case)) is not None), None)
-
-
-def refused(prepared: Prepared) -> Verdict | None:
-    """The first reason not to search for a flow at all."""
-    case = Case(prepared, None, (), math.inf)
-    checks = (_few, _still, _disagreeing)
-    return next((verdict for check in checks if (verdict := check(case)) is not None), None)
+    def of_flight(self, number: int) -> str:
+        """The words before what is said of one of several flights."""
+        return f"flight {number}: " if len(self.prepared.flights) > 1 else ""
 
 
-def _of_any(case: Case, rule: Callable[[Samples], str]) -> str:
-    """The first flight's words by a rule; of several flights its number comes before it."""
-    for number, samples in enumerate(case.prepared.parts, 1):
-        words = rule(samples)
-        if words:
-            return f"flight {number}: {words}" if len(case.prepared.parts) > 1 else words
-    return ""
+Values = dict[str, Any]  # for the words of a check
 
 
-def _still(case: Case) -> Verdict | None:
+def still(case: Case) -> Values | None:
+    """Air whose velocity does not change, but for the smoothing's own error (1e-9)."""
     phi = case.prepared.flow_velocity
     speed = float(np.abs(case.prepared.samples.velocity).max())
-    if float(np.abs(phi - phi.mean(axis=0)).max()) > CALM * speed:
-        return None
-    return Verdict.against(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
+    return {} if float(np.abs(phi - phi.mean(axis=0)).max()) <= 1e-6 * speed else None
 
 
-def _disagreeing(case: Case) -> Verdict | None:
-    """A log of two motions: that of its positions is not that of its velocities."""
+def disagreeing(case: Case) -> Values | None:
+    """A log of two motions: positions and velocities that differ by a fifth of the way."""
     for number, flight in enumerate(case.prepared.flights, 1):
         share = apart(flight)
-        if not flight.velocity_measured or not share > APART:
-            continue
-        size = f"{100 * share:.0f} % of" if share < 10 else "more than 10 times"
-        words = "the logged velocity is not that of the logged position: they are "
-        words += f"{size} the motion apart; check units, axes and time stamps"
-        several = len(case.prepared.flights) > 1
-        return Verdict.against(
-            Doubt.DISAGREEMENT, f"flight {number}: {words}" if several else words
-        )
+        if flight.velocity_measured and share > 0.2:
+            size = f"{100 * share:.0f} % of" if share < 10 else "more than 10 times"
+            return {"flight": case.of_flight(number), "size": size}
     return None
 
 
 def apart(flight: Flight) -> float:
-    """The rms of what the integral of the velocity leaves of the way, as a share of the way.
+    """The rms of the way less the integral of the velocity, as a share of the way.
 
     Ways are those over a 32nd of the log each; five deviations of the noise of the readings are
     taken off.
@@ -109,220 +91,210 @@ def apart(flight: Flight) -> float:
     return max(rms - 5.0 * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
 
 
-def _few(case: Case) -> Verdict | None:
+def few(case: Case) -> Values | None:
+    """So few samples that they say nothing of their own noise."""
     samples = len(case.prepared.samples.time)
-    if samples > FEWEST:
-        return None
-    words = f"{samples} samples are too few for the unknowns of a flow"
-    return Verdict.against(Doubt.FEW_SAMPLES, f"{words}; fly longer, or sample faster")
+    return {"samples": samples} if samples <= 20 else None
 
 
-def _undersampled(case: Case) -> Verdict | None:
+def undersampled(case: Case) -> Values | None:
+    """Steps along the track that are long beside the length scale."""
     lower = case.prepared.library.grid.lower
     least = min((scale.length_scale for scale in case.scales), default=lower)
-
-    def rule(samples: Samples) -> str:
+    for number, samples in enumerate(case.prepared.parts, 1):
         steps = np.diff(samples.time)
         step = float(np.median(steps)) if len(steps) else 0.0
         speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
-        if speed * step * RESOLVED <= least or 2 * speed * step <= lower:
-            return ""
-        return (
-            f"the flight moves {speed * step:.3g} m from sample to sample, too far to follow a "
-            f"length scale of {least:.3g} m; sample at {RESOLVED * speed / least:.3g} Hz or more"
-        )
-
-    words = _of_any(case, rule)
-    return Verdict.against(Doubt.UNDERSAMPLED, words) if words else None
-
-
-def _undetected(case: Case) -> Verdict | None:
-    if case.measured is not None and case.measured.detected:
-        return None
-    words = "no cellular flow detected: no waves explain more than chance and turbulence do"
-    odds = f"{1 / FALSE_ALARM:.0f} to 1 against a false alarm"
-    return Verdict.against(Doubt.NO_FLOW, f"{words}, at {odds}")
-
-
-def _failed(case: Case) -> Verdict | None:
-    posterior = _measured(case).posterior
-    if usable(posterior):
-        return None
-    return Verdict("inaccurate", posterior.reason or "the likelihood's ascent did not converge")
-
-
-def _at_edge(case: Case) -> Verdict | None:
-    low, high = case.prepared.library.grid.lower, case.prepared.library.grid.upper
-    waves = _measured(case).waves
-    lengths = math.sqrt(2) * math.pi / np.hypot(waves[:, 0], waves[:, 1])
-    beyond = lengths[(lengths < 0.99 * low) | (lengths > 1.01 * high)]
-    if not len(beyond):
-        return None
-    words = f"a length scale is at the edge of the search, {float(beyond[0]):.3g} m"
-    return Verdict.against(Doubt.EDGE, f"{words}; widen the grid's bounds")
-
-
-def _vehicle(case: Case) -> Verdict | None:
-    tau = _measured(case).posterior.value("response_time")
-    if tau > 0:
-        return None
-    words = f"the response time that fits best is {tau:.3g} s"
-    return Verdict.against(Doubt.VEHICLE, f"{words}; fly longer, or give the response time")
-
-
-def _misfit(case: Case) -> Verdict | None:
-    measured = _measured(case)
-    if _short(case) is not None:
-        return None
-    if measured.suspects and case.free != "auto":
-        suspect = measured.suspects[0]
-        where = f" of flight {suspect.flight}" if suspect.flight else ""
-        words = f"more than noise is left{where}: {cause_in_words(suspect)}"
-        remedy = suspect.free
-        if remedy:
-            words += f'; free it: free = ["{remedy}"] (--free {remedy}), or free = "auto"'
-        return Verdict("misfit", words, Doubt.MISFIT)
-    goodness, left = measured.goodness, measured.proposal.residual
-    shares = [own.r_squared for own in goodness.flights]
-    if shares and min(shares) < OTHER < max(shares):
-        flight = 1 + shares.index(min(shares))
-        words = f"more than noise is left of flight {flight}: it tells another flow than the other"
-        words += " flights: its vehicle, frame or time may be another; leave it out"
-        return Verdict("misfit", words, Doubt.MISFIT)
-    if left > UNEXPLAINED:
-        words = f"the fit explains only {100 * (1 - left):.0f} % of the flow velocity"
-        words = f"{words}: the flow is another, or hardly steady"
-        return Verdict("misfit", words, Doubt.MISFIT)
-    if goodness.turbulence_share > HARDLY:
-        share = 100 * goodness.turbulence_share
-        words = f"turbulence of {goodness.turbulence:.2g} m/s, {share:.2g} % of U0, and hardly any"
-        return Verdict("misfit", f"more than noise is left: {words} steady cells", Doubt.MISFIT)
-    noisy = not measured.posterior.exact
-    if noisy and goodness.whiteness < COLOURED and not goodness.turbulence > 0:
-        words = f"more than noise is left: innovations are not white (p = {goodness.whiteness:.1g})"
-        return Verdict("misfit", f"{words}, and no cause explains it", Doubt.MISFIT)
+        if speed * step * RESOLVED > least and 2 * speed * step > lower:
+            rate = RESOLVED * speed / least
+            flight = case.of_flight(number)
+            return {"flight": flight, "moved": speed * step, "least": least, "rate": rate}
     return None
 
 
-def _no_cells(case: Case) -> Verdict | None:
-    measured = _measured(case)
-    waves = len(measured.waves)
-    if waves == 2 or len(case.scales) > 1:
+def undetected(case: Case) -> Values | None:
+    """No flow beyond chance."""
+    return {} if case.result is None or not case.result.detected else None
+
+
+def failed(case: Case) -> Values | None:
+    """An ascent of the likelihood that did not end."""
+    posterior = case.measured.posterior
+    return None if usable(posterior) else {"reason": posterior.reason}
+
+
+def at_edge(case: Case) -> Values | None:
+    """A wave whose length scale is beyond the grid's bounds, by a hundredth."""
+    grid = case.prepared.library.grid
+    lengths = math.sqrt(2) * math.pi / np.hypot(*case.measured.waves[:, :2].T)
+    beyond = lengths[(lengths < 0.99 * grid.lower) | (lengths > 1.01 * grid.upper)]
+    return {"length": float(beyond[0])} if len(beyond) else None
+
+
+def vehicle(case: Case) -> Values | None:
+    """A response time below zero."""
+    tau = case.measured.posterior.value("response_time")
+    return None if tau > 0 else {"tau": tau}
+
+
+def suspected(case: Case) -> Values | None:
+    """A cause that is not answered with."""
+    suspects = case.measured.suspects
+    if not suspects or case.free == "auto" or short(case) is not None:
         return None
-    words = f"{waves} waves make no cells of one flow or two, equally strong"
-    return Verdict.against(Doubt.NO_CELLS, f"{words}: only the flow itself is told; fly longer")
+    first = suspects[0]
+    remedy = f'; free it: free = ["{first.free}"] (--free {first.free}), or free = "auto"'
+    where = f" of flight {first.flight}" if first.flight else ""
+    return {"where": where, "cause": first.words, "remedy": remedy if first.free else ""}
 
 
-def _rivalled(case: Case) -> Verdict | None:
-    rival = _measured(case).rival
+def foreign(case: Case) -> Values | None:
+    """A flight of which the common flow explains much less than of another."""
+    shares = [own.r_squared for own in case.measured.goodness.flights]
+    if not shares or not min(shares) < 0.8 < max(shares) or short(case) is not None:
+        return None
+    return {"flight": 1 + shares.index(min(shares))}
+
+
+def unexplained(case: Case) -> Values | None:
+    """A search that left half of the rows' squares."""
+    residual = case.measured.proposal.residual
+    return {"share": 100 * (1 - residual)} if residual > 0.5 and short(case) is None else None
+
+
+def gusty(case: Case) -> Values | None:
+    """Disturbances of the air of more than .4 U0: hardly any steady cells."""
+    goodness = case.measured.goodness
+    if not goodness.turbulence_share > 0.4 or short(case) is not None:
+        return None
+    return {"level": goodness.turbulence, "share": 100 * goodness.turbulence_share}
+
+
+def coloured(case: Case) -> Values | None:
+    """Innovations that are not white, where noise is more than that of the arithmetic."""
+    goodness = case.measured.goodness
+    if case.measured.posterior.exact or short(case) is not None:
+        return None
+    wanders = case.measured.posterior.model.disturbance.processes
+    white = goodness.whiteness >= 1e-6 or bool(wanders)
+    return None if white else {"p": goodness.whiteness}
+
+
+def no_cells(case: Case) -> Values | None:
+    """Waves that are not those of one flow of cells or two."""
+    waves = len(case.measured.waves)
+    return None if waves == 2 or len(case.scales) > 1 else {"waves": waves}
+
+
+def rivalled(case: Case) -> Values | None:
+    """Another lobe that explains the flights nearly as well."""
+    rival, best = case.measured.rival, case.scales[0]
     if rival is None:
         return None
-    best = f"{case.scales[0].mean_velocity:.3g} m/s and {case.scales[0].length_scale:.3g} m"
-    other = f"{rival.mean_velocity:.3g} m/s and {rival.length_scale:.3g} m (shape {rival.shape!r})"
-    words = f"cannot tell a flow of {best} from {other}: the flight covers "
-    words += f"{case.prepared.search.lookout.extent:.3g} m, or too straight a line"
-    return Verdict.against(Doubt.RIVAL, f"{words}; fly longer, across more cells, or turn")
+    return {"best": best, "rival": rival, "extent": case.prepared.search.lookout.extent}
 
 
-def _imprecise(case: Case) -> Verdict | None:
+def uncertain(case: Case) -> Values | None:
+    """No standard error."""
+    return {} if any(scale.uncertainty is None for scale in case.scales) else None
+
+
+def imprecise(case: Case) -> Values | None:
     """Every value must be told at all, and those of the fastest flow to the precision."""
     for place, scale in enumerate(case.scales):
-        sure = scale.uncertainty
-        values = scale.mean_velocity, scale.length_scale, scale.timescale
-        if sure is None:
-            words = "too few samples for a standard error; fly longer, or sample faster"
-            return Verdict.against(Doubt.FEW_SAMPLES, words)
-        if not place or not math.isfinite(sure.mean_velocity + sure.length_scale):
-            wide = sure.wide(values, case.precision)
-            if wide:
-                return Verdict.against(Doubt.IMPRECISE, wide)
+        widths = {
+            name: (high - low) / 2 / abs(getattr(scale, name))
+            for name in QUANTITIES
+            for low, high in [getattr(scale.uncertainty, f"{name}_interval")]
+        }
+        worst = max(widths, key=lambda name: widths[name])
+        if not math.isfinite(widths[worst]):
+            words = f"the flight does not tell {QUANTITIES[worst]} at all; fly across more cells"
+            return {"words": words}
+        if place == 0 and widths[worst] > case.precision:
+            accuracy = f"{QUANTITIES[worst]} is known only to +-{100 * widths[worst]:.0f} %"
+            remedy = "fly longer, across more cells, or ask for less (readout precision)"
+            return {"words": f"{accuracy}; {remedy}"}
     return None
 
 
-def _short(case: Case) -> Verdict | None:
-    """A track that covers less than one period, 2 L, of the fastest flow, which may drift."""
-    measured, period = _measured(case), 2 * case.scales[0].length_scale
-    places = [
-        samples.position - samples.time[:, None] * np.array(measured.drift)
-        for samples in case.prepared.parts
-    ]
-    extent = extent_of(np.concatenate(places))
-    if not extent < period:
-        return None
-    words = f"the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} m"
-    return Verdict.against(Doubt.SHORT_TRACK, f"{words}; fly farther")
+def short(case: Case) -> Values | None:
+    """A track that covers less than one period, 2 L, of the fastest flow, which may move."""
+    period = 2 * case.scales[0].length_scale
+    moved = np.array(case.measured.posterior.model.pattern.drift)
+    parts = case.prepared.parts
+    extent = extent_of(np.concatenate([own.position - own.time[:, None] * moved for own in parts]))
+    return {"extent": extent, "period": period} if extent < period else None
 
 
-def _measured(case: Case) -> Measured:
-    assert case.measured is not None
-    return case.measured
+@dataclass(frozen=True)
+class Check:
+    """A reason not to believe an estimate.
+
+    Args:
+        test: of a case: the values for the words, None where the case passes.
+        words: a template for `str.format`.
+        doubt: the kind of doubt.
+        status: that a case has that does not pass.
+    """
+
+    test: Callable[[Case], Values | None]
+    words: str
+    doubt: Doubt | None
+    status: str = "unidentifiable"
+
+    def __call__(self, case: Case) -> Verdict | None:
+        """The verdict, None where the case passes."""
+        values = self.test(case)
+        if values is None:
+            return None
+        return Verdict(self.status, self.words.format(**values), self.doubt)
 
 
-CHECKS: tuple[Callable[[Case], Verdict | None], ...] = (
-    _still,
-    _disagreeing,
-    _few,
-    _undersampled,
-    _undetected,
-    _failed,
-    _at_edge,
-    _vehicle,
-    _misfit,
-    _no_cells,
-    _rivalled,
-    _imprecise,
-    _short,
-)
+MORE = "more than noise is left"
+EARLY = (
+    Check(few, "{samples} samples are too few for the unknowns of a flow; fly longer, or sample "
+          "faster", Doubt.FEW_SAMPLES),
+    Check(still, "no cellular flow detected: the air is still", Doubt.STILL_AIR),
+    Check(disagreeing, "{flight}the logged velocity is not that of the logged position: they are "
+          "{size} the motion apart; check units, axes and time stamps", Doubt.DISAGREEMENT),
+)  # fmt: skip
+"""Checks before a flow is searched for."""
+CHECKS = (
+    Check(undersampled, "{flight}the flight moves {moved:.3g} m from sample to sample, too far to "
+          "follow a length scale of {least:.3g} m; sample at {rate:.3g} Hz or more",
+          Doubt.UNDERSAMPLED),
+    Check(undetected, "no cellular flow detected: no waves explain more than chance and turbulence "
+          "do, at 1000 to 1 against a false alarm", Doubt.NO_FLOW),
+    Check(failed, "{reason}", None, "inaccurate"),
+    Check(at_edge, "a length scale is at the edge of the search, {length:.3g} m; widen the grid's "
+          "bounds", Doubt.EDGE),
+    Check(vehicle, "the response time that fits best is {tau:.3g} s; fly longer, or give the "
+          "response time", Doubt.VEHICLE),
+    Check(suspected, MORE + "{where}: {cause}{remedy}", Doubt.MISFIT, "misfit"),
+    Check(foreign, MORE + " of flight {flight}: it tells another flow than the other flights: its "
+          "vehicle, frame or time may be another; leave it out", Doubt.MISFIT, "misfit"),
+    Check(unexplained, "the fit explains only {share:.0f} % of the flow velocity: the flow is "
+          "another, or hardly steady", Doubt.MISFIT, "misfit"),
+    Check(gusty, MORE + ": turbulence of {level:.2g} m/s, {share:.2g} % of U0, and hardly any "
+          "steady cells", Doubt.MISFIT, "misfit"),
+    Check(coloured, MORE + ": innovations are not white (p = {p:.1g}), and no cause explains it",
+          Doubt.MISFIT, "misfit"),
+    Check(no_cells, "{waves} waves make no cells of one flow or two, equally strong: only the flow "
+          "itself is told; fly longer", Doubt.NO_CELLS),
+    Check(rivalled, "cannot tell a flow of {best.mean_velocity:.3g} m/s and {best.length_scale:.3g}"
+          " m from {rival.mean_velocity:.3g} m/s and {rival.length_scale:.3g} m (shape "
+          "{rival.shape!r}): the flight covers {extent:.3g} m, or too straight a line; fly longer, "
+          "across more cells, or turn", Doubt.RIVAL),
+    Check(uncertain, "too few samples for a standard error; fly longer, or sample faster",
+          Doubt.FEW_SAMPLES),
+    Check(imprecise, "{words}", Doubt.IMPRECISE),
+    Check(short, "the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} "
+          "m; fly farther", Doubt.SHORT_TRACK),
+)  # fmt: skip
+"""Checks of a flow that was measured."""
 
 
-def cause_in_words(suspect: Suspect) -> str:
-    """A cause and its size as a sentence."""
-    size = suspect.size
-    first = size[0] if size else math.nan
-    pair = f"({first:.2g}, {size[1]:.2g})" if len(size) > 1 else ""
-    percent = f"{100 * abs(first):.2g} %"
-    more, longer = ("more", "longer") if first > 0 else ("less", "shorter")
-    match suspect.cause:
-        case Cause.WIND:
-            return f"there seems to be a wind of {pair} m/s"
-        case Cause.GROWING_WIND:
-            return f"there seems to be a wind that grows by {pair} m/s in a second"
-        case Cause.RESPONSE_TIME:
-            return f"the response time seems {abs(first):.2g} s {longer} than it is believed"
-        case Cause.THRUST:
-            return f"the thrust seems {percent} {more} than it is believed"
-        case Cause.THRUST_TURNED:
-            return f"the thrust seems turned, by {math.degrees(first):.2g} degrees"
-        case Cause.DRAG:
-            return f"the drag seems {more} quadratic than it is believed, by {abs(first):.2g} s/m"
-        case Cause.MASS:
-            return f"the mass seems to change, by {100 * first:.2g} % in a second"
-        case Cause.LAG:
-            return f"the drag seems to lag behind the wind, by {1e3 * first:.2g} ms"
-        case Cause.DECAY:
-            grows = "grow" if first > 0 else "decay"
-            return f"the mean velocity seems to {grows}, by {percent} in a second"
-        case Cause.SWELLING:
-            return f"the mean velocity seems to change in time, by {percent} rms"
-        case Cause.DRIFT:
-            return f"the cells seem to drift at about {pair} m/s"
-        case Cause.VELOCITY_SCALE:
-            return f"the logged velocity seems {percent} too {'large' if first > 0 else 'small'}"
-        case Cause.POSITION_SCALE:
-            return f"the logged position seems {percent} too {'large' if first > 0 else 'small'}"
-        case Cause.VELOCITY_BIAS:
-            return f"the logged velocity seems off by {pair} m/s"
-        case Cause.LATENCY:
-            late = "position" if first > 0 else "velocity"
-            return f"the logged {late} seems late, by {1e3 * abs(first):.2g} ms"
-        case Cause.ROTATION:
-            angle = math.degrees(first)
-            return f"the frame of the velocity seems turned, by {angle:.2g} degrees"
-        case Cause.POSITION_NOISE:
-            return f"the position seems to wander, by {abs(first):.2g} m rms"
-        case Cause.ANOTHER_FLOW:
-            return f"it tells another flow than the other flights, by about {percent}"
-        case Cause.TURN | Cause.STRETCH:
-            return "the cells seem turned or stretched"
-        case Cause.TURBULENCE:
-            return f"turbulence of {abs(first):.2g} m/s"
+def judge(case: Case, checks: Sequence[Check] = CHECKS) -> Verdict | None:
+    """The first reason not to believe an estimate; None where there is none."""
+    return next((verdict for check in checks if (verdict := check(case)) is not None), None)

@@ -3,6 +3,10 @@
 Each lobe that the search proposes is a start; the likelihood decides between them by BIC, and so it
 does among shapes, causes and disturbances from there (`sparsefit.likelihood.causes`). An optimum
 whose waves have left the lobe of the proposal that they started from is not believed.
+
+Waves (k_x, k_y, omega, a, b) (j, 5) are those of psi = sum a cos(phi) + b sin(phi), phi = k.x -
+omega t; `sparsefit.model.shapes` reads cells of them, and the velocity c of the pattern solves
+k_j.c = omega_j of the two strongest. Variances are those of the waves through central differences.
 """
 
 from __future__ import annotations
@@ -10,39 +14,70 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.estimator.intervals import read_with_errors
+from sparsefit.estimator.estimate import (
+    FlightEstimate,
+    FlowUncertainty,
+    RungEstimate,
+    ScaleEstimate,
+)
 from sparsefit.estimator.prepare import Prepared
-from sparsefit.likelihood.causes import (
-    FREEDOMS,
-    SLIGHT,
+from sparsefit.flight.flow import SuperposedFlow
+from sparsefit.flight.waves import WaveFlow
+from sparsefit.likelihood.causes import FREEDOMS, Suspect
+from sparsefit.likelihood.diagnosis import (
     Diagnosis,
-    Suspect,
     diagnose,
     disturbed,
     fitted,
+    process_of,
     with_process,
 )
-from sparsefit.likelihood.goodness import Goodness, explained, whiteness
-from sparsefit.likelihood.model import Model, Process
+from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
+from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern
 from sparsefit.likelihood.posterior import Posterior
+from sparsefit.likelihood.vehicle_estimate import model_of, vehicle_of
 from sparsefit.model import Proposal
-from sparsefit.model.shapes import flows_of
+from sparsefit.model.shapes import flows_of, read_cells
 
-WORSE = 3.0  # times the least RSS of the rows: a proposal that leaves more is not measured
-MOST = 5  # lobes that are measured
-CLOSE = 10.0  # of BIC: a rival that near could be the flow too
-NEAR = 0.5  # in pi/extent: how far an optimum's waves may be from those that were proposed
-APART = 0.02  # of U0 or L: rivals that differ by less say the same
-LINEAR = 1e6  # [s], the response time of a vehicle whose drag is quadratic alone
-FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
-CLEAR = 0.9  # of the air's variance: a flow that explains more is there
+
+@dataclass(frozen=True)
+class Choice:
+    """Settings of the choice among lobes.
+
+    Args:
+        worse: times the least RSS of the rows: a proposal that leaves more is not measured.
+        most: lobes that are measured.
+        gusty: lobes that are measured in turbulence too.
+        close: of BIC: a rival that near could be the flow too.
+        near: in pi/extent: how far an optimum's waves may be from those that were proposed.
+        stray: of |k|: waves that move by more beside a cause are others.
+        apart: of U0 or L: rivals that differ by less say the same.
+        slight: of U0 or L: a cause that moves neither by more only widens their intervals.
+        false_alarm: of a flow in a flight without one, over all lobes.
+        clear: of the air's variance: a flow that explains more is there.
+    """
+
+    worse: float = 3.0
+    most: int = 5
+    gusty: int = 2
+    close: float = 10.0
+    near: float = 0.5
+    stray: float = 0.25
+    apart: float = 0.02
+    slight: float = 1e-3
+    false_alarm: float = 1e-3
+    clear: float = 0.9
+
+
+CHOICE = Choice()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +91,6 @@ class Measured:
         posterior: that is answered with.
         suspects: the causes that are not answered with: a misfit.
         freed: the names of what was freed.
-        waves: kx, ky [rad/m], omega [rad/s], a, b [m^2/s] of each wave (j, 5).
-        covariance: of these, row by row, and of the wind: (5 j + 2, 5 j + 2).
         goodness: how well it explains the flights.
         rival: a proposal that explains them nearly as well, and says another U0 or L.
         detected: whether it explains more than chance and turbulence do.
@@ -69,29 +102,121 @@ class Measured:
     posterior: Posterior
     suspects: tuple[Suspect, ...]
     freed: tuple[str, ...]
-    waves: Array
-    covariance: Array
     goodness: Goodness
     rival: Proposal | None
     detected: bool
 
-    @property
-    def drift(self) -> tuple[float, float]:
-        """The velocity of the pattern [m/s]."""
-        return self.posterior.model.pattern.drift
+    @cached_property
+    def waves(self) -> Array:
+        """(k_x, k_y, omega, a, b) (j, 5) in the coordinates and the time of the flight."""
+        return self.posterior.model.pattern.about((0.0, 0.0, 0.0)).waves[:, [0, 1, 4, 2, 3]]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the waves, row by row, and of the uniform velocity: (5 j + 2, 5 j + 2)."""
+        pattern, names = self.posterior.model.pattern, self.posterior.names
+        own = pattern.about((0.0, 0.0, 0.0))
+        slopes = own.jacobian.reshape(len(own.waves), 5, -1)[:, [0, 1, 4, 2, 3]]
+        if any(pattern.origin):  # phases of the posterior count from there
+            x, y, t = pattern.origin
+            shift = slopes[:, 0] * x + slopes[:, 1] * y - slopes[:, 2] * t
+            slopes[:, 3] -= self.waves[:, 4:] * shift
+            slopes[:, 4] += self.waves[:, 3:4] * shift
+        gradient = np.zeros((5 * len(slopes) + 2, len(names)))
+        gradient[:-2, [names.index(name) for name in pattern.names]] = slopes.reshape(
+            -1, slopes.shape[2]
+        )
+        for row, name in enumerate(FREEDOMS["wind"].elements, len(gradient) - 2):
+            if name in names:
+                gradient[row, names.index(name)] = 1.0
+        return gradient @ self.posterior.covariance @ gradient.T
 
     @cached_property
     def flows(self) -> list[tuple[Array, Array]]:
-        """The values of `intervals.read_waves` of each flow, and their standard errors."""
-        every = []
+        """The values of `read_waves` of each flow, and their standard errors."""
         parts = flows_of(self.waves[:, :2], self.waves[:, 3:])
         if len(self.waves) > 4 and not len(self.waves) % 2:  # cells of several length scales
             parts = [[j, j + 1] for j in range(0, len(self.waves), 2)]
+        every = []
         for flow in parts:
             places = np.concatenate([np.arange(5 * j, 5 * j + 5) for j in flow])
-            covariance = self.covariance[np.ix_(places, places)]
-            every.append(read_with_errors(self.waves[flow], covariance))
+            every.append(
+                read_with_errors(self.waves[flow], self.covariance[np.ix_(places, places)])
+            )
         return every
+
+    def scales(self, grid: Sequence[float]) -> tuple[ScaleEstimate, ...]:
+        """The flows of cells, fastest first; grid: the candidates [m] in use."""
+        scales = []
+        for values, errors in self.flows:
+            speed, scale, timescale, *cells = values.tolist()
+            sure = Uncertainty.of_flow((speed, scale, timescale), errors[:3].tolist())
+            heading = cells[2] if len(cells) > 2 else math.nan
+            candidate = min(grid, key=lambda own: abs(own - scale))
+            scales.append(ScaleEstimate(speed, scale, timescale, candidate, sure, heading))
+        return tuple(sorted(scales, key=lambda own: -own.mean_velocity))
+
+    def fields(
+        self, prepared: Prepared, scales: Sequence[ScaleEstimate], *, several: bool
+    ) -> dict[str, Any]:
+        """The fields of an `Estimate`, by name; several: whether several flows are sought."""
+        first, posterior, waves = scales[0], self.posterior, self.waves
+        pattern, least = posterior.model.pattern, min(own.bic for own in self.proposals)
+        flow = WaveFlow(waves[:, :2], waves[:, 3], waves[:, 4], waves[:, 2])
+        uniform = tuple(posterior.value(name) for name in FREEDOMS["wind"].elements)
+        parts: dict[str, Any] = {
+            name: getattr(first, name)
+            for name in ("mean_velocity", "length_scale", "timescale", "uncertainty")
+        }
+        parts |= {"grid_length_scale": first.grid_length_scale} if several else {}
+        parts |= {"rival_length_scale": self.rival.length_scale} if self.rival else {}
+        speed, growth = pattern.mean_velocity, self.diagnosis.growth
+        constancy = (
+            Constancy.of(float(growth.step[0]), float(growth.error[0]), speed) if growth else None
+        )
+        if "growth" in posterior.names:
+            change = posterior.value("growth"), posterior.error("growth")
+            constancy = Constancy.of(*change, speed)
+        parts |= {
+            "scales": tuple(scales) if several or len(scales) > 1 else (),
+            "shape": pattern.shape,
+            "flow": SuperposedFlow((flow,), (uniform[0], uniform[1])) if any(uniform) else flow,
+            "flow_uncertainty": FlowUncertainty(waves, self.covariance),
+            "goodness": self.goodness,
+            "freed": self.freed,
+            "constancy": constancy,
+            "rungs": tuple(
+                RungEstimate(own.shape, own.drifting, own.bic - least, own.residual)
+                for own in self.proposals
+            ),
+        }
+        values, errors = max(self.flows, key=lambda own: float(own[0][0]))
+        if len(values) > 3:
+            (*own, x, y), (*spread, x_error, y_error) = values[3:].tolist(), errors[3:].tolist()
+            cells = {"length_scales": (own[0], own[1]), "heading": own[2], "drift": (x, y)}
+            known = {"length_scales": tuple(spread[:2]), "heading": spread[2]}
+            sure = {name: cells[name] for name in known}
+            if pattern.drifting:
+                sure, known["drift"] = cells, (x_error, y_error)
+            parts |= cells | ({} if pattern.drifting else {"drift": (0.0, 0.0)})
+            parts["shape_uncertainty"] = Uncertainty.of(sure, known)
+        if len(prepared.flights) == 1:
+            agreement = Agreement.of(posterior.model)
+            return parts | vehicle_of(posterior, prepared.vehicle) | {"agreement": agreement}
+        noises = np.array([model.disturbance.velocity_noise for model in posterior.models])
+        noises /= math.sqrt(float(np.mean(noises**2))) or 1.0
+        parts["flights"] = tuple(
+            FlightEstimate(
+                samples=len(samples.time),
+                noise=float(noises[place]),
+                goodness=self.goodness.flights[place],
+                repairs=samples.repairs,
+                agreement=Agreement.of(posterior.models[place]),
+                **vehicle_of(posterior, prepared.vehicles[place], place),
+            )
+            for place, samples in enumerate(prepared.parts)
+        )
+        return parts
 
 
 def measure_flow(
@@ -109,60 +234,67 @@ def measure_flow(
     if not proposals:
         return None
     logs = [FlightLog.of_flight(flight) for flight in prepared.flights]
-    chosen = () if free == "auto" else tuple(free)
-    names = tuple(dict.fromkeys((*prepared.library.unknown, *chosen)))
-    parameters = [own for name in names for own in FREEDOMS[name]]
-    near = NEAR * math.pi / prepared.search.lookout.extent
-    trials: list[tuple[Posterior, Posterior | None, Proposal]] = []
-    least, grid = min(own.residual for own in proposals), prepared.library.grid
-    likely = [
-        own
-        for own in proposals
-        if own.residual <= WORSE * least and _within(own, grid.lower, grid.upper)
+    names = tuple(dict.fromkeys((*prepared.library.unknown, *(() if free == "auto" else free))))
+    constants = [
+        own for name in names for own in FREEDOMS[name].elements if not FREEDOMS[name].wanders
     ]
-    for proposal in lobes(likely, near)[:MOST]:
-        models = [model.free(*parameters) for model in _models(prepared, proposal)]
+    near = CHOICE.near * math.pi / prepared.search.lookout.extent
+    least, grid = min(own.residual for own in proposals), prepared.library.grid
+    likely = []
+    for own in proposals:
+        lengths = math.sqrt(2.0) * math.pi / np.hypot(*own.wavevectors.T)
+        within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
+        if own.residual <= CHOICE.worse * least and within:
+            likely.append(own)
+    trials: list[tuple[Posterior, Posterior | None, Proposal]] = []
+    for proposal in lobes(likely, near)[: CHOICE.most]:
+        pairs = zip(prepared.flights, proposal.vehicles, strict=True)
+        pattern = _pattern(proposal)
+        models = [model_of(pattern, *pair, proposal.background).free(*constants) for pair in pairs]
         there = fitted(logs, models)
-        if there is None:
-            continue
-        gusty = fitted(logs, with_process(there.models, gusts(there))) if disturbed(there) else None
-        if all(_explained(own, proposal, near) for own in (there, gusty) if own is not None):
-            trials.append((there, gusty, proposal))
+        for name in names:
+            if there is not None and FREEDOMS[name].wanders:
+                there = fitted(logs, with_process(there.models, process_of(name, there)), there)
+        if there is not None and alike(there, proposal, near):
+            trials.append((there, None, proposal))
+    trials.sort(key=_bic)
+    for place, (there, _, proposal) in enumerate(trials[: CHOICE.gusty]):
+        if disturbed(there) and "turbulence" not in names:
+            gusty = fitted(logs, with_process(there.models, process_of("turbulence", there)), there)
+            if gusty is not None and alike(gusty, proposal, near):
+                trials[place] = there, gusty, proposal
     if not trials:
         return None
-    trials.sort(key=_bic)
+    trials.sort(key=lambda trial: (_loose(trial[0]), _bic(trial)))
     best, gusty, proposal = trials[0]
-    ready = [gusty] if gusty is not None else []
-    diagnosis = diagnose(logs, best, [gusts(best)], names, shapes=shapes, ready=ready)
+    likelier = gusty if gusty is not None and gusty.bic < best.bic else best
+    diagnosis = Diagnosis(likelier, likelier)
+    clear = Goodness.of(likelier, diagnosis).r_squared > CHOICE.clear
+    detected = clear or _detected(prepared, logs, likelier)
+    if detected:
+        around = max(near, CHOICE.stray * float(np.hypot(*proposal.wavevectors.T).min()))
+        diagnosis = diagnose(
+            logs, best, names, shapes=shapes, ready=gusty,
+            inside=lambda own: alike(own, proposal, around),
+        )  # fmt: skip
     posterior, suspects = diagnosis.believed, diagnosis.suspects
-    alone = len(logs) == 1
-    if free == "auto" or (suspects and alone and _slight(diagnosis)):
+    of_flow = any(own.of_flow for own in suspects)
+    slight = not of_flow and _apart(diagnosis.believed, diagnosis.posterior) < CHOICE.slight
+    if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
-    rival = next(
-        (
-            trial[2]
-            for trial in trials[1:]
-            if _bic(trial) - _bic(trials[0]) < CLOSE and _apart(best, trial[0]) > APART
-        ),
-        None,
-    )
-    goodness = _goodness(posterior, diagnosis)
-    waves, covariance = _waves(posterior)
-    freed = (*names, *(suspect.free for suspect in diagnosis.suspects if not suspects))
-    detected = goodness.r_squared > CLEAR or _detected(prepared, logs, posterior)
+    rivals = [
+        trial[2]
+        for trial in trials[1:]
+        if not _loose(trial[0])
+        and _bic(trial) - _bic(trials[0]) < CHOICE.close
+        and min(_apart(own, trial[0]) for own in (best, diagnosis.posterior)) > CHOICE.apart
+    ]
+    goodness = Goodness.of(posterior, diagnosis)
+    freed = (*names, *(own.free for own in diagnosis.suspects if not suspects))
     return Measured(
-        proposal,
-        tuple(proposals),
-        diagnosis,
-        posterior,
-        suspects,
-        freed,
-        waves,
-        covariance,
-        goodness,
-        rival,
-        detected,
-    )
+        proposal, tuple(proposals), diagnosis, posterior, suspects, freed, goodness,
+        rivals[0] if rivals else None, detected,
+    )  # fmt: skip
 
 
 def _bic(trial: tuple[Posterior, Posterior | None, Proposal]) -> float:
@@ -170,172 +302,103 @@ def _bic(trial: tuple[Posterior, Posterior | None, Proposal]) -> float:
     return min(own.bic for own in trial[:2] if own is not None)
 
 
+def _loose(posterior: Posterior) -> bool:
+    """Whether waves make no cells; cells among them are measured with the others as turbulence."""
+    kx, ky, a, b, _ = posterior.model.pattern.waves.T
+    parts = flows_of(np.column_stack([kx, ky]), np.column_stack([a, b]))
+    return len(kx) % 2 == 1 or (len(kx) == 4 and len(parts) == 1)
+
+
+def _pattern(proposal: Proposal) -> StreamPattern:
+    """The pattern of a proposal."""
+    drift = proposal.drift if proposal.drifting else None
+    return StreamPattern.of_waves(
+        proposal.shape, proposal.wavevectors, proposal.cosine, proposal.sine, drift
+    )
+
+
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
     """The proposal with fewest parameters of each set of waves that are near to each other."""
     chosen: list[Proposal] = []
     for proposal in proposals:
         for place, other in enumerate(chosen):
-            if _alike(proposal.wavevectors, other.wavevectors, near):
-                chosen[place] = min(other, proposal, key=_freedom)
+            if _near(proposal.wavevectors, other.wavevectors, near):
+                order = min(
+                    other, proposal, key=lambda own: (SHAPES.index(own.shape), own.drifting)
+                )
+                chosen[place] = order
                 break
         else:
             chosen.append(proposal)
     return chosen
 
 
-def _within(proposal: Proposal, lower: float, upper: float) -> bool:
-    """Whether the length scales of all waves are between bounds [m], but for a quarter."""
-    lengths = math.sqrt(2.0) * math.pi / np.hypot(*proposal.wavevectors.T)
-    return bool((lengths > 0.75 * lower).all() and (lengths < 1.25 * upper).all())
+def alike(posterior: Posterior, proposal: Proposal, near: float) -> bool:
+    """Whether an optimum is still in the lobe of its proposal."""
+    return _near(posterior.model.pattern.waves[:, :2], proposal.wavevectors, near)
 
 
-def _freedom(proposal: Proposal) -> int:
-    """The place of a proposal's shape among shapes, by what it leaves free."""
-    return 2 * SHAPES.index(proposal.shape) + proposal.drifting
-
-
-def _alike(waves: Array, others: Array, near: float) -> bool:
+def _near(waves: Array, others: Array, near: float) -> bool:
     """Whether every wave (j, 2) has one of as many others nearby, of either sign."""
     if len(waves) != len(others):
         return False
-    apart = np.minimum(
-        np.linalg.norm(waves[:, None] - others, axis=2),
-        np.linalg.norm(waves[:, None] + others, axis=2),
-    )
+    apart = np.minimum(*(np.linalg.norm(waves[:, None] + s * others, axis=2) for s in (-1, 1)))
     return bool((apart.min(axis=1) < near).all() and (apart.min(axis=0) < near).all())
-
-
-def _models(prepared: Prepared, proposal: Proposal) -> list[Model]:
-    """The models of a proposal, one per flight."""
-    drift = proposal.drift if proposal.drifting else None
-    pattern = StreamPattern.of_waves(
-        proposal.shape, proposal.wavevectors, proposal.cosine, proposal.sine, drift
-    )
-    models = []
-    for flight, vehicle in zip(prepared.flights, proposal.vehicles, strict=True):
-        tau, measured = min(vehicle.response_time, LINEAR), flight.thrust is not None
-        bias = vehicle.thrust_acceleration if measured else (0.0, 0.0)
-        own = {
-            "response_time": tau,
-            "thrust_scale": vehicle.thrust_scale if measured else 1.0,
-            "thrust_bias_x": bias[0],
-            "thrust_bias_y": bias[1],
-            "quadratic_drag": vehicle.drag * tau,
-            "wind_x": proposal.background[0],
-            "wind_y": proposal.background[1],
-        }
-        models.append(Model(pattern, own))
-    return models
-
-
-def gusts(posterior: Posterior) -> Process:
-    """Turbulence, where the likelihood starts to seek its level: a wind that wanders."""
-    pattern = posterior.model.pattern
-    rate = pattern.mean_velocity / pattern.length_scale
-    return Process("turbulence", ("wind_x", "wind_y"), 0.1 * pattern.mean_velocity, rate)
-
-
-def _explained(posterior: Posterior, proposal: Proposal, near: float) -> bool:
-    """Whether an optimum is still in the lobe of its proposal."""
-    pattern = posterior.model.pattern
-    return _alike(pattern.waves[:, :2], proposal.wavevectors, near)
-
-
-def _slight(diagnosis: Diagnosis) -> bool:
-    """Whether the causes move U0 and L by so little that their intervals may hold that."""
-    return _apart(diagnosis.believed, diagnosis.posterior) < SLIGHT
 
 
 def _apart(posterior: Posterior, other: Posterior) -> float:
     """The larger of the relative differences of U0 and L."""
     here, there = posterior.model.pattern, other.model.pattern
-    return max(
-        abs(there.mean_velocity / here.mean_velocity - 1),
-        abs(there.length_scale / here.length_scale - 1),
-    )
-
-
-def _waves(posterior: Posterior) -> tuple[Array, Array]:
-    """The waves (j, 5) in the flight's own coordinates, and the covariance of them and the wind."""
-    pattern = posterior.model.pattern
-    own = pattern.about((0.0, 0.0, 0.0))
-    slopes = own.jacobian.reshape(len(own.waves), 5, -1)[:, [0, 1, 4, 2, 3]]
-    waves = own.waves[:, [0, 1, 4, 2, 3]]
-    places = [posterior.names.index(name) for name in pattern.names]
-    gradient = np.zeros((slopes.shape[0] * 5 + 2, len(posterior.names)))
-    moved = slopes.copy()
-    x, y, t = pattern.origin
-    # phases count from the origin in `covariance`: phi_0 = phi - k.x0 + omega t0
-    shift = slopes[:, 0] * x + slopes[:, 1] * y - slopes[:, 2] * t
-    a, b = waves[:, 3:4], waves[:, 4:5]
-    if pattern.origin != (0.0, 0.0, 0.0):
-        moved[:, 3], moved[:, 4] = slopes[:, 3] - b * shift, slopes[:, 4] + a * shift
-    gradient[:-2, places] = moved.reshape(-1, slopes.shape[2])
-    for row, name in enumerate(("wind_x", "wind_y"), len(gradient) - 2):
-        if name in posterior.names:
-            gradient[row, posterior.names.index(name)] = 1.0
-    return waves, gradient @ posterior.covariance @ gradient.T
-
-
-def _goodness(posterior: Posterior, diagnosis: Diagnosis) -> Goodness:
-    """How well a posterior explains the flights."""
-    model = posterior.model
-    pattern = model.pattern
-    speed = pattern.mean_velocity
-    turbulence = float(np.mean([_gusts(own) for own in posterior.models]))
-    noise = float(np.mean([_kicks(own, pattern) for own in posterior.models]))
-    every = [whiteness(each) for each in posterior.innovations]
-    least = 1 - (1 - min(every)) ** len(every)
-    each: tuple[Goodness, ...] = ()
-    if len(every) > 1:
-        shares = [
-            explained(speed**2 / 4, _gusts(own) + _kicks(own, pattern), 0.0)
-            for own in posterior.models
-        ]
-        each = tuple(Goodness(share, own) for share, own in zip(shares, every, strict=True))
-    return Goodness(
-        explained(speed**2 / 4, turbulence, noise),
-        least,
-        diagnosis.turbulence_gain,
-        math.sqrt(turbulence),
-        math.sqrt(turbulence) / speed,
-        diagnosis.suspects[0] if diagnosis.suspects else None,
-        flights=each,
-    )
-
-
-def _gusts(model: Model) -> float:
-    """The mean square of a component of the turbulence [m^2/s^2]."""
-    return sum(own.level**2 for own in model.disturbance.processes if own.name == "turbulence")
-
-
-def _kicks(model: Model, pattern: StreamPattern) -> float:
-    """The mean square [m^2/s^2] of the wind that process noise is worth in the flow's band."""
-    timescale = pattern.length_scale / pattern.mean_velocity
-    tau = min(model.values["response_time"], timescale)
-    return (model.disturbance.acceleration * tau) ** 2 / (2 * timescale)
+    speeds = there.mean_velocity / here.mean_velocity
+    return max(abs(speeds - 1), abs(there.length_scale / here.length_scale - 1))
 
 
 def _detected(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> bool:
     """Whether a flow explains more than chance and turbulence of its own size do."""
     pattern = posterior.model.pattern
-    names = set(pattern.names) - {"mean_velocity"}
-    still = replace(
-        StreamPattern("axis", (1e-6 * pattern.mean_velocity, pattern.length_scale, 0.0, 0.0)),
-        origin=pattern.origin,
-    )
-    calm = [
-        replace(
-            own,
-            pattern=still,
-            fixed=still.names,
-            disturbance=replace(own.disturbance, processes=()),
-        ).free("wind_x", "wind_y")
-        for own in posterior.models
-    ]
-    gusty = replace(gusts(posterior), level=0.5 * pattern.mean_velocity)
-    nothing = fitted(logs, with_process(calm, gusty))
+    speed, length = pattern.mean_velocity, pattern.length_scale
+    still = StreamPattern("axis", (1e-6 * speed, length, 0.0, 0.0), origin=pattern.origin)
+    calm: list[Model] = []
+    for model in posterior.models:
+        air = replace(model.disturbance, processes=())
+        bare = replace(model, pattern=still, fixed=still.names, disturbance=air)
+        calm.append(bare.free(*FREEDOMS["wind"].elements))
+    gusts = replace(process_of("turbulence", posterior), level=0.5 * speed)
+    nothing = fitted(logs, with_process(calm, gusts))
     if nothing is None:
         return False
-    chance = 2 * math.log(max(len(prepared.search.lookout.lobes), 1) / FALSE_ALARM) + len(names) + 1
+    odds = max(len(prepared.search.lookout.lobes), 1) / CHOICE.false_alarm
+    chance = 2 * math.log(odds) + len(pattern.names)
     return 2 * (posterior.log_likelihood - nothing.log_likelihood) > chance
+
+
+def read_waves(waves: Array) -> Array:
+    """U0 [m/s], L [m] and tau_w [s] of waves (j, 5); of two or more also L_x, L_y, heading, c.
+
+    (3,) of a single wave, else (8,), the velocity c (x, y) of the pattern last.
+    """
+    cells = read_cells(waves[:, :2], waves[:, 3:])
+    speed, scale = cells.mean_velocity, cells.length_scale
+    values = [speed, scale, scale / speed if speed else math.inf]
+    if len(waves) < 2:
+        return np.array(values)
+    strength = np.sum(waves[:, :2] ** 2, axis=1) * np.sum(waves[:, 3:] ** 2, axis=1)
+    two = np.argsort(-strength, kind="stable")[:2]
+    moves = np.linalg.lstsq(waves[two, :2], waves[two, 2], rcond=1e-9)[0]
+    return np.array([*values, *cells.length_scales, cells.heading, *moves])
+
+
+def read_with_errors(waves: Array, covariance: Array) -> tuple[Array, Array]:
+    """`read_waves` and the standard errors of its values, by the covariance (5 j, 5 j) of waves."""
+    size = np.abs(waves).max(axis=0)
+    steps = 1e-6 * np.where(size > 0, size, 1.0)
+    steps[2] = 1e-6 * max(size[2], 1.0)
+    gradients = []
+    for place in np.ndindex(*waves.shape):
+        moved = [waves.copy(), waves.copy()]
+        for sign, own in zip((1, -1), moved, strict=True):
+            own[place] += sign * steps[place[1]]
+        gradients.append((read_waves(moved[0]) - read_waves(moved[1])) / (2 * steps[place[1]]))
+    slopes = np.array(gradients)
+    variances = np.einsum("if,ij,jf->f", slopes, covariance, slopes)
+    return read_waves(waves), np.sqrt(np.maximum(variances, 0.0))

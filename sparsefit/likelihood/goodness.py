@@ -1,4 +1,4 @@
-"""How well a model explains a log: the whiteness of its innovations, and what it calls noise.
+"""How sure an estimate is, and how well its model explains a log.
 
 Innovations of the right model, each over its standard deviation, are white with variance 1.
 Bartlett's test (1954) holds the cumulative periodogram of each channel against a straight line: its
@@ -9,15 +9,82 @@ variance is 1 whatever is wrong, and the colour tells.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.likelihood.causes import Suspect
+from sparsefit.likelihood.diagnosis import Diagnosis
+from sparsefit.likelihood.model import Model
+from sparsefit.likelihood.posterior import Posterior
 
 FEWEST = 16  # innovations of a channel that are tested
 NORMAL_95 = 1.959963984540054
+
+
+class Uncertainty(dict[str, Any]):
+    """Standard errors by the names of quantities, and the intervals that hold 95 % of truths.
+
+    A quantity NAME has NAME and NAME_interval, a pair (x, y) NAME and NAME_intervals, each in its
+    own unit, all of them attributes as well. What a flight does not tell is inf, its interval
+    infinite.
+    """
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], errors: Mapping[str, Any]) -> Uncertainty:
+        """From values and standard errors by name."""
+        record = cls()
+        for name, value in values.items():
+            record[name] = errors[name]
+            if isinstance(value, tuple):
+                ends = tuple(map(interval, value, errors[name]))
+                record[f"{name.removesuffix('s')}_intervals"] = ends
+            else:
+                record[f"{name}_interval"] = interval(value, errors[name])
+        return record
+
+    @classmethod
+    def of_flow(cls, values: tuple[float, float, float], errors: Sequence[float]) -> Uncertainty:
+        """Of (U0, L, tau_w) from their standard errors; one that is not finite is inf."""
+        sure = [error if math.isfinite(error) else math.inf for error in errors]
+        flow = ("mean_velocity", "length_scale", "timescale")
+        return cls.of(dict(zip(flow, values, strict=True)), dict(zip(flow, sure, strict=True)))
+
+    def __getattr__(self, name: str) -> Any:
+        """An entry as an attribute."""
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(f"no uncertainty of {name!r}") from None
+
+
+def interval(value: float, error: float) -> tuple[float, float]:
+    """The 95 % interval of a value with a standard error."""
+    return value - NORMAL_95 * error, value + NORMAL_95 * error
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far the logged position wanders from the integral of the velocity.
+
+    Args:
+        wander: rms of a correlated error of the position [m], 0 where there is none.
+        wander_time: its correlation time [s].
+        broken: whether the velocity is not that of the position at all.
+    """
+
+    wander: float = 0.0
+    wander_time: float = math.nan
+    broken: bool = False
+
+    @classmethod
+    def of(cls, model: Model) -> Agreement | None:
+        """From a model in which the position wanders; None of another."""
+        processes = [own for own in model.disturbance.processes if own.name == "wander"]
+        return cls(processes[0].level, 1.0 / processes[0].rate) if processes else None
 
 
 @dataclass(frozen=True)
@@ -46,6 +113,36 @@ class Goodness:
     flight: int = 0
     flights: tuple[Goodness, ...] = ()
 
+    @classmethod
+    def of(cls, posterior: Posterior, diagnosis: Diagnosis) -> Goodness:
+        """From a posterior, and the diagnosis behind it."""
+        speed = posterior.model.pattern.mean_velocity
+        gusts, kicks = np.array([_disturbances(model) for model in posterior.models]).T
+        every = [whiteness(each) for each in posterior.innovations]
+        each = [
+            cls(explained(speed**2 / 4, gust + kick, 0.0), white)
+            for gust, kick, white in zip(gusts.tolist(), kicks.tolist(), every, strict=True)
+        ]
+        turbulence = float(np.mean(gusts))
+        return cls(
+            explained(speed**2 / 4, turbulence, float(np.mean(kicks))),
+            1 - (1 - min(every)) ** len(every),
+            diagnosis.turbulence_gain,
+            math.sqrt(turbulence),
+            math.sqrt(turbulence) / speed,
+            diagnosis.suspects[0] if diagnosis.suspects else None,
+            flights=tuple(each) if len(each) > 1 else (),
+        )
+
+
+def _disturbances(model: Model) -> tuple[float, float]:
+    """The mean squares [m^2/s^2] of turbulence, and of what process noise is worth in the band."""
+    pattern = model.pattern
+    timescale = pattern.length_scale / pattern.mean_velocity
+    tau = min(model.values["response_time"], timescale)
+    kicks = (model.disturbance.acceleration * tau) ** 2 / (2 * timescale)
+    return model.disturbance.levels.get("turbulence", 0.0) ** 2, kicks
+
 
 @dataclass(frozen=True)
 class Constancy:
@@ -69,9 +166,8 @@ class Constancy:
         rate, spread = growth * mean_velocity, error * mean_velocity
         if not (math.isfinite(rate) and 0.0 < spread < math.inf):
             return None
-        half = NORMAL_95 * spread
         chance = math.erfc(abs(rate / spread) / math.sqrt(2.0))
-        return cls(rate, spread, (rate - half, rate + half), chance)
+        return cls(rate, spread, interval(rate, spread), chance)
 
 
 def whiteness(innovations: Array) -> float:

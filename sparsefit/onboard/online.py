@@ -16,10 +16,10 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, finite, pair, positive
 from sparsefit.estimator import Doubt, Estimate, Estimator
-from sparsefit.estimator.intervals import Uncertainty
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
+from sparsefit.likelihood.goodness import Uncertainty
 from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, BoardAnswer, answer_of, board_of
 from sparsefit.onboard.square_cells import rebased
 from sparsefit.onboard.sweep import BoardDoubt, BoardSettings
@@ -276,7 +276,7 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **fields: Any) -> Est
     followed = math.isfinite(length)
     uncertainty, flow = None, None
     if followed:
-        uncertainty = Uncertainty.around((speed, length, time), answer.error[:3].tolist())
+        uncertainty = Uncertainty.of_flow((speed, length, time), answer.error[:3].tolist())
         about_zero, _ = rebased(answer.flow[:6], -answer.flow[6:])
         kx, ky = about_zero[4:]
         flow = WaveFlow(np.array([[kx, ky], [-ky, kx]]), about_zero[[0, 2]], about_zero[[1, 3]])
@@ -285,10 +285,10 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **fields: Any) -> Est
         speed,
         length,
         time,
-        answer.status,
-        reason,
-        backend.name,
-        settings_of(backend),
+        status=answer.status,
+        reason=reason,
+        backend=backend.name,
+        settings=settings_of(backend),
         samples=answer.samples,
         rival_length_scale=answer.rival or math.nan,
         uncertainty=uncertainty,

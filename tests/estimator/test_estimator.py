@@ -133,7 +133,8 @@ def test_to_dict_is_json_without_nan(fraction):
 
 
 def test_to_dict_turns_infinity_and_certificates_without_a_dual_into_none():
-    found = Estimate(math.inf, 4.0, 0.0, "ok", "", "stlsq", {}, Certificate("fixed_point", 0.0))
+    certificate = Certificate("fixed_point", 0.0)
+    found = Estimate(math.inf, 4.0, 0.0, status="ok", certificate=certificate)
     record = found.to_dict()
     assert record["mean_velocity"] is None
     assert record["certificate"]["dual"] is None

@@ -128,7 +128,7 @@ def test_json_has_every_scale_and_the_estimator_comes_back():
     values = {"mean_velocity", "length_scale", "timescale"}
     assert set(scale) == values | {"grid_length_scale", "uncertainty", "heading"}
     intervals = {f"{name}_interval" for name in values}
-    assert set(scale["uncertainty"]) == values | intervals | {"freedom"}
+    assert set(scale["uncertainty"]) == values | intervals
     assert scale["uncertainty"] == record["uncertainty"]
     assert Estimator().estimate(flight()).to_dict()["scales"] == []
 

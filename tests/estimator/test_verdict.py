@@ -8,7 +8,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.estimator.doubt import Doubt
+from sparsefit.estimator import Doubt
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)

@@ -10,7 +10,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.estimator.doubt import Doubt
+from sparsefit.estimator import Doubt
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))

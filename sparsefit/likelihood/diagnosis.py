@@ -1,0 +1,459 @@
+"""The search for causes of a misfit, each tested by its gain in log-likelihood.
+
+Beside the flow, the state-space model holds the vehicle, the air and the instruments at the values
+that they are believed to have. At the optimum of the flow one forward pass with a column for every
+element that is known gives the score b and the information J of all; freeing a group g of them
+gains, to second order and with everything that is free already moving along,
+
+    2 (log L_g - log L) = b_g' (J_gg - J_gf J_ff^-1 J_fg)^-1 b_g  ~  chi^2 of |g| degrees (Rao 1948)
+
+where the model holds. The most likely groups are fitted for good, and so are elements that wander:
+turbulence is a wind that does, a swell a gain, a coloured error of position a bias; these gain by
+a level and a rate, 2 degrees. The departure of the largest likelihood is freed before the rest is
+tested again, so that process noise is believed only where nothing else explains a flight. At the
+end a cause stays only if its estimate is significant beside all others (Wald).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.errors import InputError
+from sparsefit.likelihood.causes import ALIKE, FREEDOMS, SHAPES, Cause, Suspect
+from sparsefit.likelihood.model import Model, Process
+from sparsefit.likelihood.nodes import FlightLog
+from sparsefit.likelihood.pattern import StreamPattern
+from sparsefit.likelihood.posterior import Posterior, measure
+from sparsefit.likelihood.smoother import Smoothing
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """Settings of a diagnosis.
+
+    Args:
+        chance: of a gain as large in a flight without a cause, over all groups.
+        fitted: the groups of the largest gains that are fitted for good.
+        rounds: the departures that are freed one after another, at most.
+        clear: times the largest score: turbulence that gains more is what there is.
+        calmer: the share of the variance of what wanders, and of its gain, that a cause beside it
+            takes away at least: the spectrum of a disturbance is no more than a stand-in.
+        tuned: the factor between the rates that are tried of what wanders.
+        seen: the least eigenvalue of the scaled information of a direction that is seen.
+        noise: the degrees of freedom above which the level of process noise is real.
+    """
+
+    chance: float = 1e-4
+    fitted: int = 3
+    rounds: int = 4
+    clear: float = 8.0
+    calmer: float = 0.5
+    tuned: float = 3.0
+    seen: float = 1e-9
+    noise: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """The gain of freeing a group of elements, to second order.
+
+    Args:
+        gain: 2 ln(likelihood ratio).
+        step: of the elements (g,), everything else that is free moving along.
+        error: their standard errors (g,).
+    """
+
+    gain: float
+    step: Array
+    error: Array
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One departure from a model that is fitted for good.
+
+    Args:
+        models: of each log, with the departure.
+        freedom: the parameters that it has more.
+        cause: None of a shape that may be chosen.
+        free: the name of what is freed.
+        flight: of several, the one that it is about; else 0.
+    """
+
+    models: tuple[Model, ...]
+    freedom: int
+    cause: Cause | None = None
+    free: str = ""
+    flight: int = 0
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether it is a misfit."""
+        return self.cause is not None and not self.cause.answered
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What explains a flight beside the flow that was proposed.
+
+    Args:
+        posterior: with all causes freed, and the disturbances that are there.
+        believed: with the disturbances and the shape alone.
+        suspects: the causes, the most significant one first.
+        growth: of U0 in time, at the posterior.
+        turbulence_gain: 2 ln(likelihood ratio) of the disturbances that wander; 0 without any.
+    """
+
+    posterior: Posterior
+    believed: Posterior
+    suspects: tuple[Suspect, ...] = ()
+    growth: Gain | None = None
+    turbulence_gain: float = 0.0
+
+
+def diagnose(
+    logs: Sequence[FlightLog],
+    posterior: Posterior,
+    freed: Sequence[str] = (),
+    *,
+    shapes: bool = True,
+    ready: Posterior | None = None,
+    inside: Callable[[Posterior], bool] = lambda posterior: True,
+    settings: Suspicion = Suspicion(),
+) -> Diagnosis:
+    """Find causes, disturbances and a freer shape, one after another, from a flow's optimum.
+
+    Args:
+        logs: of the flights.
+        posterior: of the flow with white process noise.
+        freed: names of `FREEDOMS` that are free already.
+        shapes: whether a freer shape is an answer, and not a misfit.
+        ready: the posterior with turbulence, where it is there already.
+        inside: whether an optimum is still that of the flow that was proposed.
+        settings: of the diagnosis.
+    """
+    believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
+    first, tests = posterior, 1
+    for _ in range(0 if posterior.exact else settings.rounds):
+        shut = closed | {name for group in ALIKE if group & closed for name in group}
+        groups = {
+            name: cause.elements
+            for name, cause in FREEDOMS.items()
+            if name not in shut and cause.words and not cause.wanders
+        }
+        gains = gains_of(posterior, groups | shape_groups(posterior.model), settings.seen)
+        tests = len(gains)
+        likely = [
+            (name, flight, gain)
+            for (name, flight), gain in sorted(gains.items(), key=lambda item: -item[1].gain)
+            if tests * chance_of(gain.gain, len(gain.step)) < settings.chance
+        ]
+        start = posterior
+        trials = [
+            Trial(with_process(start.models, process_of(name, start)), 2, cause, name)
+            for name, cause in FREEDOMS.items()
+            if cause.wanders and name not in closed and disturbed(start, settings.noise)
+        ]
+        scored = [_score(logs, trial, start, inside, ready) for trial in trials]
+        ready, most = None, max((merit for merit, *_ in scored), default=-math.inf)
+        if likely and not 2 * (most - start.log_likelihood) > settings.clear * likely[0][2].gain:
+            trials = [
+                _freed(start.models, FREEDOMS[name], name, flight, gain)
+                for name, flight, gain in [own for own in likely if own[0] in FREEDOMS]
+            ][: settings.fitted]
+            for name in dict.fromkeys(name for name, _, _ in likely if name in SHAPES):
+                trials += freer(start.models, name, answers=shapes)
+            for trial in trials:
+                merit, _, there = _score(logs, trial, start, inside)
+                if trial.suspicious and wandering and there is not None:
+                    gained = 2.0 * (there.log_likelihood - start.log_likelihood)
+                    clear = there.converged and gained > settings.calmer * wandering
+                    calmer = clear and _calmer(there, start, settings.calmer)
+                    merit = merit if calmer else -math.inf
+                scored.append((merit, trial, there))
+        merit, best, there = max(scored, key=lambda item: item[0], default=(-math.inf, None, None))
+        if best is None or there is None or not math.isfinite(merit):
+            break
+        gain_of_it = 2.0 * (there.log_likelihood - posterior.log_likelihood)
+        chance = min(1.0, tests * chance_of(gain_of_it, best.freedom))
+        if not chance < settings.chance:
+            break
+        if best.cause is not None and best.cause.wanders:
+            there = _tuned(logs, there, best.free, settings.tuned, inside)
+            wandering += gain_of_it
+        if best.suspicious:
+            assert best.cause is not None
+            size = _size(best, posterior, there)
+            suspects.append(
+                Suspect(best.cause.name, size, chance, gain_of_it, best.free, best.flight)
+            )
+        closed.add(best.free)
+        posterior = there
+        believed = believed if suspects else there
+    posterior, suspects = _significant(logs, first, posterior, suspects, tests, settings)
+    if posterior is not first:
+        posterior = _simplest(logs, posterior, inside)
+    believed = believed if suspects else posterior
+    growth = gains_of(posterior, {"growth": ("growth",)}, settings.seen).get(("growth", 0))
+    return Diagnosis(posterior, believed, tuple(suspects), growth, wandering)
+
+
+def _score(
+    logs: Sequence[FlightLog],
+    trial: Trial,
+    start: Posterior,
+    inside: Callable[[Posterior], bool],
+    ready: Posterior | None = None,
+) -> tuple[float, Trial, Posterior | None]:
+    """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
+    there = ready if trial.free == "turbulence" and ready else fitted(logs, trial.models, start)
+    if there is None or not usable(there) or not inside(there):
+        return -math.inf, trial, None
+    return there.log_likelihood - 2.0 * trial.freedom, trial, there
+
+
+def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: Gain) -> Trial:
+    """The trial of a cause, its elements moved by the step of the score test."""
+    moved = []
+    for number, model in enumerate(models, 1):
+        steps = zip(cause.elements, gain.step.tolist(), strict=True)
+        values = {own: model.values[own] + step for own, step in steps}
+        freer_model = model.free(*cause.elements)
+        moved.append(freer_model.at(values) if flight in (0, number) else freer_model)
+    return Trial(tuple(moved), len(cause.elements), cause, name, flight)
+
+
+def _size(trial: Trial, before: Posterior, after: Posterior) -> tuple[float, ...]:
+    """The change of the elements of a cause, or the level of what wanders."""
+    assert trial.cause is not None
+    if trial.cause.wanders:
+        return (after.model.disturbance.levels[trial.free],)
+    own = max(trial.flight, 1) - 1
+    here, there = (each.models[own].values for each in (before, after))
+    return tuple(there[name] - here[name] for name in trial.cause.elements if
+                 name in here)  # fmt: skip
+
+
+def _significant(
+    logs: Sequence[FlightLog], first: Posterior, posterior: Posterior, suspects: list[Suspect],
+    tests: int, settings: Suspicion,
+) -> tuple[Posterior, list[Suspect]]:  # fmt: skip
+    """The posterior without causes that others have made needless, the largest first."""
+    significant = {}
+    for suspect in suspects[:-1]:  # the last one was tested beside all others
+        cause = FREEDOMS.get(suspect.free)
+        if cause is None or cause.wanders:
+            continue
+        elements = cause.elements
+        places = [j for j, name in enumerate(posterior.names) if name.split("@")[0] in elements]
+        away = np.array([
+            posterior.models[int(flight or 1) - 1].values[name]
+            - first.models[int(flight or 1) - 1].values[name]
+            for name, _, flight in (posterior.names[j].partition("@") for j in places)
+        ])  # fmt: skip
+        others = [j for j in range(len(posterior.names)) if j not in places]
+        known = posterior.information
+        cross = known[np.ix_(others, places)]
+        along = np.linalg.lstsq(known[np.ix_(others, others)], cross, rcond=1e-12)[0]
+        wald = float(away @ (known[np.ix_(places, places)] - cross.T @ along) @ away)
+        significant[suspect.free] = wald
+        if tests * chance_of(wald, len(places)) < settings.chance:
+            continue
+        values = {name: first.value(name) for name in elements}
+        models = [model.known(*elements).at(values) for model in posterior.models]
+        there = fitted(logs, models, posterior)
+        if there is not None and usable(there):
+            remaining = [own for own in suspects if own is not suspect]
+            return _significant(logs, first, there, remaining, tests, settings)
+    suspects.sort(key=lambda own: -significant.get(own.free, own.share))
+    return posterior, suspects
+
+
+def _simplest(
+    logs: Sequence[FlightLog], posterior: Posterior, inside: Callable[[Posterior], bool]
+) -> Posterior:
+    """The posterior of least BIC among its shape and simpler ones of two waves."""
+    pattern, shapes = posterior.model.pattern, ("axis", "square", "rectangle", "pair")
+    if pattern.shape not in shapes or len(pattern.waves) != 2:
+        return posterior
+    names = shapes[: shapes.index(pattern.shape) + 1]
+    for drifting in (False, True)[: 1 + pattern.drifting]:
+        for name in names:
+            simple = pattern.reshaped(name, drifting)
+            if len(simple.values) == len(pattern.values):
+                continue
+            models = [replace(model, pattern=simple) for model in posterior.models]
+            there = fitted(logs, models, posterior)
+            if there and usable(there) and inside(there) and there.bic < posterior.bic:
+                return there
+    return posterior
+
+
+def _tuned(
+    logs: Sequence[FlightLog], posterior: Posterior, name: str, factor: float,
+    inside: Callable[[Posterior], bool],
+) -> Posterior:  # fmt: skip
+    """The posterior with the rate of a process, by steps of a factor, that is most likely."""
+    for step in (factor, 1.0 / factor):
+        for _ in range(3):
+            models = [
+                replace(model, disturbance=replace(model.disturbance, processes=tuple(
+                    replace(own, rate=own.rate * step) if own.name == name else own
+                    for own in model.disturbance.processes)))
+                for model in posterior.models
+            ]  # fmt: skip
+            there = fitted(logs, models, posterior)
+            if there is None or not usable(there) or not inside(there):
+                break
+            if there.log_likelihood < posterior.log_likelihood + 0.5:
+                break
+            posterior = there
+    return posterior
+
+
+def fitted(
+    logs: Sequence[FlightLog],
+    models: Iterable[Model],
+    start: Posterior | None = None,
+    passes: int = 15,
+) -> Posterior | None:
+    """The posterior of models of logs, all their levels estimated.
+
+    start: an optimum nearby, whose tracks and levels are gone on from; without one the levels of
+    the sensors start from the logs' own noise; passes: over all rows at most.
+    """
+    starts = list(models)
+    if start is None:
+        for number, (log, model) in enumerate(zip(logs, starts, strict=True)):
+            places, speeds = log.noise
+            fresh = replace(
+                model.disturbance, acceleration=0.0, position_noise=places, velocity_noise=speeds
+            )
+            starts[number] = replace(model, disturbance=fresh)
+    try:
+        return measure(
+            logs, starts, tuple(starts[0].disturbance.levels), start, Smoothing(passes=passes)
+        )
+    except InputError:  # steps that are too short for the log's gaps, or no number any more
+        return None
+
+
+def usable(posterior: Posterior) -> bool:
+    """Whether a posterior may be compared with others: at its maximum, or nearly."""
+    return posterior.converged or posterior.reason.startswith("not at the maximum")
+
+
+def process_of(name: str, posterior: Posterior) -> Process:
+    """A process of `FREEDOMS`, at the level and the rate where its likelihood is first sought."""
+    pattern, noise = posterior.model.pattern, posterior.model.disturbance.position_noise
+    speed, time = pattern.mean_velocity, posterior.legs[0].nodes.time
+    level, rate = {
+        "turbulence": (0.1 * speed, speed / pattern.length_scale),
+        "wander": (3.0 * noise, 0.2),
+        "swell": (0.1, 4.0 / float(time[-1] - time[0])),
+    }[name]
+    return Process(name, FREEDOMS[name].elements, level, rate)
+
+
+def with_process(models: Sequence[Model], process: Process) -> tuple[Model, ...]:
+    """The models with one more disturbance."""
+    every = [(model, (*model.disturbance.processes, process)) for model in models]
+    return tuple(
+        replace(model, disturbance=replace(model.disturbance, processes=processes))
+        for model, processes in every
+    )
+
+
+def gains_of(
+    posterior: Posterior, groups: dict[str, tuple[str, ...]], seen: float = Suspicion.seen
+) -> dict[tuple[str, int], Gain]:
+    """Score tests of groups of elements from one forward pass at an optimum.
+
+    Args:
+        posterior: the optimum.
+        groups: names of elements that are not free.
+        seen: the least eigenvalue of the scaled information of a direction that is seen.
+
+    Returns:
+        Gains by the name of a group and the number of the flight, from 1, whose own elements they
+        are; 0 of one flight alone, and of what all flights share.
+    """
+    local = posterior.model.names
+    members = dict.fromkeys(own for group in groups.values() for own in group)
+    names, score, information = posterior.scores([own for own in members if own not in local])
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled, b = information / size[:, None] / size, score / size
+    base = [place for place, name in enumerate(names) if name.partition("@")[0] in local]
+    gains = {}
+    for group, elements in groups.items():
+        for flight in range(1, len(posterior.legs) + 1):
+            suffix = f"@{flight}" if flight > 1 else ""
+            if not elements or f"{elements[0]}{suffix}" not in names:
+                continue
+            added = [names.index(f"{own}{suffix}") for own in elements]
+            inner, cross = scaled[np.ix_(base, base)], scaled[np.ix_(base, added)]
+            along = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
+            rest = scaled[np.ix_(added, added)] - along.T @ cross
+            roots, axes = np.linalg.eigh(0.5 * (rest + rest.T))
+            roots, axes = roots[roots > seen], axes[:, roots > seen]
+            efficient = axes.T @ (b[added] - along.T @ b[base])
+            step = axes @ (efficient / roots) / size[added]
+            error = np.sqrt(np.sum(axes**2 / roots, axis=1)) / size[added]
+            own_flight = flight if f"{elements[0]}@2" in names else 0
+            gains[group, own_flight] = Gain(float(np.sum(efficient**2 / roots)), step, error)
+    return gains
+
+
+def chance_of(gain: float, freedom: int) -> float:
+    """The probability that chi^2 of so many degrees exceeds a gain (Wilks 1938)."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, max(gain, 0.0)))
+
+
+def disturbed(posterior: Posterior, least: float = Suspicion.noise) -> bool:
+    """Whether there is process noise: its level takes more than `least` degrees of freedom."""
+    if posterior.exact:
+        return False
+    information = np.atleast_2d(posterior.level_information)
+    return bool(information.size) and float(information[0, 0]) > least
+
+
+def _calmer(there: Posterior, here: Posterior, share: float) -> bool:
+    """Whether one posterior has less of every disturbance that wanders than another."""
+    before, after = (own.model.disturbance.processes for own in (here, there))
+    pairs = zip(before, after, strict=False)
+    return all(new.level**2 <= (1.0 - share) * old.level**2 for old, new in pairs)
+
+
+def shape_groups(model: Model) -> dict[str, tuple[str, ...]]:
+    """The elements of two waves that a shape binds, by the name of their group."""
+    pattern = model.pattern
+    bound = {"turn": pattern.shape != "pair", "drift": not pattern.drifting}
+    two = len(pattern.waves) == 2 and pattern.shape != "several"
+    return {name: SHAPES[name].elements for name, own in bound.items() if two and own}
+
+
+def freer(models: Sequence[Model], group: str, *, answers: bool) -> list[Trial]:
+    """The freer shapes with the waves of given models, as trials.
+
+    Args:
+        models: that share a pattern.
+        group: "drift" or "turn".
+        answers: whether these are answers, and no causes of a misfit.
+    """
+    pattern, shapes = models[0].pattern, ("axis", "square", "rectangle", "pair")
+    names = [pattern.shape] if group == "drift" else shapes[shapes.index(pattern.shape) + 1 :]
+    trials = []
+    for name in names:
+        there: StreamPattern = pattern.reshaped(name, group == "drift" or pattern.drifting)
+        cause = group if group == "drift" or name == "square" else "stretch"
+        moved = tuple(replace(model, pattern=there) for model in models)
+        more = len(there.values) - len(pattern.values)
+        trials.append(Trial(moved, more, None if answers else SHAPES[cause]))
+    return trials
