@@ -145,14 +145,16 @@ class Posterior:
             away = step.reached - self.log_likelihood
             return away, step.covariance + np.outer(step.change, step.change)
 
-        (up, wide), (down, narrow) = at(math.exp(NUDGE)), at(math.exp(-NUDGE))
-        bend = -(up + down) / NUDGE**2
-        if bend > 4.0:  # a deviation of less than half: to second order
-            spread: Array = 0.5 * (wide + narrow - 2.0 * bare) / NUDGE**2 / bend
-            return spread
-        last = self.legs[place].last
-        index = list(self.legs[place].model.disturbance.levels).index(name)
-        degrees = max(float(last.squares[index, 1]), 1e-12) if last is not None else 1.0
+        leg = self.legs[place]
+        assert leg.last is not None
+        index = list(leg.model.disturbance.levels).index(name)
+        degrees = max(float(leg.last.squares[index, 1]), 1e-12)
+        if degrees > 1.0:
+            (up, wide), (down, narrow) = at(math.exp(NUDGE)), at(math.exp(-NUDGE))
+            bend = -(up + down) / NUDGE**2
+            if bend > 4.0:  # a deviation of less than half: to second order
+                spread: Array = 0.5 * (wide + narrow - 2.0 * bare) / NUDGE**2 / bend
+                return spread
         rungs = [0.5 * math.log(NOTHING / degrees)]  # from where the level counts as nothing
         ladder = [(0.0, bare) if rungs[0] >= 0.0 else at(math.exp(rungs[0]))]
         while len(rungs) < 40 and (

@@ -238,7 +238,7 @@ class Ascent:
         if 0 not in self.wanted or exact or not 0.0 < max(seen) < 2.0:
             return None
         reached += 10.0 * self.settings.gain
-        for degrees in (0.5, 8.0, 128.0):  # if they grew with the variance: they grow more slowly
+        for degrees in (8.0, 128.0):  # if they grew with the variance: they grow more slowly
             factor = math.sqrt(degrees / max(seen))
             legs = tuple(
                 leg.at({"acceleration": factor * level["acceleration"]})
