@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit import backends, child
+from sparsefit import backends
 from sparsefit.cli import main
 from sparsefit.errors import InputError
 from sparsefit.sklearn import SparseRegressor
+from sparsefit.study import worker
 from tests.problems import regular
 
 PACKAGE = Path(__file__).parent / "plugin"
@@ -65,7 +66,7 @@ def test_it_is_a_back_end_like_any_other(installed):
 )
 def test_check_names_what_is_wrong(capfd, monkeypatch, name, words):
     """In this process: tests/cli has the one that a check starts."""
-    monkeypatch.setattr(child, "in_child", lambda work, *told, seconds: work(*told))
+    monkeypatch.setattr(worker, "in_child", lambda work, *told, seconds: work(*told))
     code = main(["backends", "check", name, "--json"])
     record = json.loads(capfd.readouterr().out)  # what a back-end prints is elsewhere
     assert record["backend"] == name

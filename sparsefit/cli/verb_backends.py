@@ -64,7 +64,7 @@ def run_list(args: argparse.Namespace) -> int:
 
 def _record_apart(name: str) -> dict[str, Any]:
     """The record of a plug-in, which is imported in a process of its own."""
-    from sparsefit.child import in_child
+    from sparsefit.study.worker import in_child
 
     try:
         record: dict[str, Any] = in_child(_record, name, seconds=LIST_SECONDS)
@@ -105,7 +105,7 @@ def _entry(record: dict[str, Any]) -> str:
 def run_check(args: argparse.Namespace) -> int:
     """Exit 0 only if the back-end's answer is certified, and a plug-in keeps the contract."""
     from sparsefit import backends
-    from sparsefit.child import in_child
+    from sparsefit.study.worker import in_child
 
     one_of("back-end", args.name, (*backends.known(), *backends.PUBLIC))
     settings, seconds = collected(args.setting), positive("--timeout", args.timeout, "s")

@@ -36,7 +36,7 @@ from sparsefit.errors import InputError, non_negative, one_line, told_with
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.study.runner import RunStatus, RunSummary
+    from sparsefit.study.runner import RunSummary
     from sparsefit.study.study import Study
 
 EXAMPLE = """\
@@ -401,7 +401,7 @@ def merge(args: argparse.Namespace) -> int:
     return emit(record, lines, as_json=args.json)
 
 
-def _stored(args: argparse.Namespace) -> tuple[Study, RunStatus, pd.DataFrame]:
+def _stored(args: argparse.Namespace) -> tuple[Study, RunSummary, pd.DataFrame]:
     """The study, its state and its rows. Raises InputError where there is none yet."""
     study = read_study(args)
     state = study.status()
@@ -419,6 +419,6 @@ def finished_study(args: argparse.Namespace) -> Study:
     return study
 
 
-def _unfinished(name: str, state: RunStatus) -> InputError:
+def _unfinished(name: str, state: RunSummary) -> InputError:
     there = f"{state.done} of {state.planned} cases are there; run them first"
     return InputError(f"{state.folder}: {there}: sparsefit study run {name}")

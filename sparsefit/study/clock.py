@@ -10,13 +10,9 @@ that sleeps, or works elsewhere, has less of it; a disturbed machine too.
 from __future__ import annotations
 
 import math
-import os
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -32,22 +28,6 @@ class Timing:
 
     wall: float
     cpu: float
-
-
-def cpu_seconds(pid: int | None) -> float:
-    """Seconds of CPU [s] that a process and its children have used; NaN where none are told."""
-    if pid is None or not hasattr(time, "clock_gettime"):
-        return math.nan
-    total = math.nan
-    with suppress(OSError, OverflowError):
-        # The number of the clock of another process, as of `clock_getcpuclockid` of Linux.
-        total = time.clock_gettime((~pid << 3) | 2)
-    with suppress(OSError, ValueError, AttributeError):
-        words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-        ended = sum(map(int, words[13:15])) / os.sysconf("SC_CLK_TCK")
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-        total += ended + sum(cpu_seconds(int(child)) for child in children)
-    return total
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float, float]:

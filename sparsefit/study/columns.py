@@ -27,14 +27,16 @@ MAX_REASON = 500  # characters of a reason that are kept
 
 @dataclass(frozen=True)
 class Kind:
-    """The content of a column: its Arrow type, how a value is made one, what stands for none.
+    """The content of a column: its Arrow type, how a value is made one, what stands for no value.
 
-    dense: numbers that never repeat, which pack best by bytes of equal rank.
+    types: of its values in JSON; dense: of numbers that never repeat, which pack best by bytes of
+    equal rank.
     """
 
     arrow: str
     cast: Callable[[Any], Value]
     empty: Value
+    types: tuple[type, ...]
     dense: bool = False
 
     def of(self, value: Value | None) -> Value:
@@ -42,12 +44,12 @@ class Kind:
         return self.empty if value is None else self.cast(value)
 
 
-TEXT = Kind("string", str, "")
-FLAG = Kind("bool", bool, False)
-WHOLE = Kind("int64", int, 0)
-LEVEL = Kind("float64", float, math.nan)  # numbers that repeat from row to row
-REAL = Kind("float64", float, math.nan, dense=True)
-SINGLE = Kind("float32", float, math.nan, dense=True)  # seven digits are enough
+TEXT = Kind("string", str, "", (str,))
+FLAG = Kind("bool", bool, False, (bool,))
+WHOLE = Kind("int64", int, 0, (int,))
+LEVEL = Kind("float64", float, math.nan, (float, int))  # numbers that repeat from row to row
+REAL = Kind("float64", float, math.nan, (float, int), dense=True)
+SINGLE = Kind("float32", float, math.nan, (float, int), dense=True)  # seven digits are enough
 
 Read: TypeAlias = "Callable[[Reading], Value | None]"
 
@@ -66,8 +68,8 @@ class Outcome:
     """How the case of a unit and a cell ended.
 
     values: the columns that are not planned, by name; shared_seconds of its `seconds` [s] were
-    spent for other fits too; weights: (length scale [m], weight) pairs; version: of the code that
-    made it; seconds_spent: of a worker [s], NaN where it is not representative.
+    spent for other fits too; weights: (length scale [m], weight) pairs; body: these three as JSON,
+    where a worker has told them.
     """
 
     unit: int
@@ -77,54 +79,45 @@ class Outcome:
     values: Mapping[str, Value] = field(default_factory=dict)
     shared_seconds: float = 0.0
     weights: tuple[tuple[float, float], ...] = ()
-    version: str = ""
-    seconds_spent: float = math.nan
+    body: str = ""
 
 
 def body_of(outcome: Outcome) -> str:
-    """The content of a row beside its key, status, reason and version, as JSON."""
-    values = {n: _finite(v) for n, v in outcome.values.items() if v == v and v != ""}
-    weights = [[_finite(value) for value in pair] for pair in outcome.weights]
-    return json.dumps([values, outcome.shared_seconds, weights], separators=(",", ":"))
+    """Values, shared seconds and weights of an outcome as JSON, empty ones left out."""
+    if outcome.body:
+        return outcome.body
+    values = {n: v for n, v in outcome.values.items() if v == v and v != ""}
+    return json.dumps([values, outcome.shared_seconds, outcome.weights], separators=(",", ":"))
 
 
-def read_body(body: str) -> tuple[dict[str, Any], float, tuple[tuple[float, float], ...]]:
+def read_body(body: str) -> tuple[dict[str, Any], float, list[tuple[float, float]]]:
     """The values, the shared seconds and the weights of `body_of`."""
     values, shared, weights = json.loads(body)
-    pairs = tuple((_number(scale), _number(weight)) for scale, weight in weights)
-    return dict(values), float(shared), pairs
+    return values, shared, weights
 
 
-def _finite(value: object) -> object:
-    """None for NaN; infinity, which JSON has not, as the text that `float` reads."""
-    if not isinstance(value, float) or math.isfinite(value):
-        return value
-    return None if math.isnan(value) else str(value)
-
-
-def _number(value: float | str | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-def checked_values(columns: Mapping[str, Kind], values: Mapping[str, Any]) -> dict[str, Value]:
-    """Values that a worker told, as the kinds of their columns.
+def outcome_of(
+    unit: int, cell: int, status: Any, reason: Any, body: str, kinds: Mapping[str, Kind]
+) -> Outcome:
+    """The outcome that a worker has told, held against the kinds of the columns.
 
     Raises:
-        ValueError: on a name that is no column or a value that is not of its kind.
+        ValueError, TypeError, LookupError: a status, a column or a value that there is not.
     """
-    cast: dict[str, Value] = {}
+    values, shared, weights = json.loads(body)
+    if status not in STATUSES or not isinstance(reason, str):
+        raise ValueError(f"a status that there is not: {status!r}"[:80])
+    reason.encode()
     for name, value in values.items():
-        if name not in columns:
-            raise ValueError(f"a column that there is not: {name!r}"[:80])
-        kind = columns[name]
-        if value is not None:
-            text = isinstance(value, str)
-            if (kind is TEXT and not text) or (kind is FLAG and not isinstance(value, bool)):
-                raise ValueError(f"{name} is no {kind.arrow}")
-            if text and kind is not TEXT and value not in ("inf", "-inf"):
-                raise ValueError(f"{name} is no number")
-        cast[name] = kind.of(value)
-    return cast
+        kind = type(value)
+        if kind not in kinds[name].types:
+            raise ValueError(f"{name} is no {kinds[name].arrow}")
+        if kind is str:
+            value.encode()
+        elif kind is int and not -(2**63) <= value < 2**63:
+            raise ValueError(f"{name} is too large")
+    pairs = tuple((float(scale), float(weight)) for scale, weight in weights)
+    return Outcome(unit, cell, status, reason, values, float(shared), pairs, body)
 
 
 def _three(prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]) -> list[Column]:

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 
 from sparsefit import RegressionProblem, backends
-from sparsefit.child import in_child
 from sparsefit.codec import Place, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
@@ -48,6 +47,7 @@ from sparsefit.study.schema import (
     taken,
 )
 from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
+from sparsefit.study.worker import in_child
 
 NO_TOLERANCE = (math.nan,)
 OURS = "sparsefit"

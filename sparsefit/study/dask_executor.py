@@ -8,8 +8,8 @@ several workers are tried one by one, and one that does it again is `crashed`.
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Generator, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from importlib import import_module
 from itertools import islice
@@ -18,7 +18,7 @@ from typing import Any
 from sparsefit.errors import InputError, MissingExtra, described
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment
-from sparsefit.study.pool import outcomes
+from sparsefit.study.pool import Outcomes, outcomes
 
 LARGEST = 32  # batches of a task: a process starts for each task
 SHARES = 4  # tasks for every hand, at least, so that all end at about the same time
@@ -32,7 +32,7 @@ def outcomes_on_dask(
     scheduler: str | None,
     processes: int,
     stop: Callable[[], bool],
-) -> Generator[Outcome, None, None]:
+) -> Outcomes:
     """Every cell of every batch, as its task ends.
 
     scheduler: its address, or None for a cluster of ``processes`` workers on this machine, which
@@ -76,17 +76,15 @@ def outcomes_on_dask(
                 submit(more)
 
 
-def _crashed(chunk: Sequence[Batch], cause: str) -> Iterator[Outcome]:
+def _crashed(chunk: Sequence[Batch], cause: str) -> Iterator[tuple[Outcome, float]]:
     for batch in chunk:
         for cell in batch.cells:
-            yield Outcome(batch.unit, cell, "crashed", f"the dask task failed: {cause}")
+            reason = f"the dask task failed: {cause}"
+            yield Outcome(batch.unit, cell, "crashed", reason), math.nan
 
 
-def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:
+def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[tuple[Outcome, float]]:
     """On a dask worker: the outcomes of batches, from a process that can be killed."""
-    # A dask worker is a daemon, which multiprocessing lets start nothing; ours end with it anyway.
-    current: Any = multiprocessing.current_process()
-    current._config["daemon"] = False
     return list(outcomes(experiment, iter(batches), 1))
 
 

@@ -10,23 +10,14 @@ from __future__ import annotations
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
 
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import (
-    LEVEL,
-    TEXT,
-    Column,
-    Outcome,
-    body_of,
-    kinds_of,
-    read_body,
-)
-from sparsefit.study.manifest import check_whole, read_manifest
-from sparsefit.study.plan import Plan, key_of
+from sparsefit.study.columns import LEVEL, TEXT, Outcome, body_of, kinds_of, read_body
+from sparsefit.study.manifest import MANIFEST, check_whole, read_record
+from sparsefit.study.plan import Plan
 from sparsefit.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -34,19 +25,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 CASES, WEIGHTS = "cases.parquet", "weights.parquet"
-MOST_ROWS = 2_000_000
-BATCH = 2048  # rows that are read as records at once
+BATCH = 2048  # rows that are read or written as records at once
 GROUP = 65_536  # rows of a group of the Parquet file
-TEXTS = ("string", "large_string")  # the second by pandas, of whoever writes a part of them
-OF_ANY = ("case_id", "status", "reason", "backend", "settings")
+OF_ANY = ("case_id", "status", "reason", "version", "identity", "backend", "settings")
 OF_FLIGHTS = ("split", "protocol", "label")
 OF_PROBLEMS = ("problem", "objective", "solver")
-WEIGHT_COLUMNS = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
-OUTSIDE = ("case_id", "status", "reason", "version", "identity", "study")
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A row as it is kept: its key in the plan, how it ended, and its body as JSON."""
 
     key: str
@@ -58,8 +44,7 @@ class Row:
     @property
     def crc(self) -> int:
         """The checksum over all of it."""
-        content = (self.key, self.status, self.reason, self.version, self.body)
-        return crc32("\0".join(content).encode(errors="backslashreplace"))
+        return crc32("\0".join(self).encode(errors="backslashreplace"))
 
 
 def is_regular(path: Path) -> bool:
@@ -75,73 +60,40 @@ def is_regular(path: Path) -> bool:
     return True
 
 
-@dataclass(frozen=True)
-class Known:
-    """How rows of `cases.parquet` name their cases.
-
-    As long as the study is the same, by their case_id, however identities are told by now; rows of
-    another one by their identity. version: of rows that do not carry it.
-    """
-
-    plan: Plan
-    column: str
-    version: str
-
-    @classmethod
-    def of(cls, folder: Path, plan: Plan) -> Known:
-        """The way of the file that lies in a folder, by the manifest beside it."""
-        made = read_manifest(folder) or {}
-        versions = made.get("versions")
-        version = str(versions.get("sparsefit")) if isinstance(versions, dict) else "unknown"
-        same = made.get("study_hash") == plan.experiment.definition.hash
-        return cls(plan, "case_id" if same else "identity", version)
-
-    def keys(self, columns: Mapping[str, Sequence[Any]]) -> list[str]:
-        """The key of each row, of its columns; empty where it tells none."""
-        if self.column not in columns:
-            return [""] * len(columns["status"])
-        names = columns[self.column]
-        if self.column == "case_id":
-            places, keys = self.plan.place_of_case, self.plan.keys
-            return [keys[places[name]] if name in places else f"?{name}" for name in names]
-        if any(self.plan.experiment.units()["identity"]):
-            return list(map(str, names))
-        return [key_of(n, name) for n, name in zip(columns["flight"], names, strict=True)]
-
-
 def exported_rows(folder: Path, plan: Plan, *, brief: bool = False) -> Iterator[Row]:
-    """The rows of `cases.parquet`; brief: how each ended, without its body."""
+    """The rows of `cases.parquet`; brief: how each ended, without its body.
+
+    Their cases are known by case_id as long as the study is the same, however identities are told
+    by now; those of another study by their identity.
+    """
     path = folder / CASES
     if not is_regular(path):
         return
-    registered, weights = Known.of(folder, plan), {} if brief else _weights_of(folder)
+    made = read_record(folder / MANIFEST) or {}
+    same = made.get("study_hash") == plan.experiment.definition.hash
+    weights: dict[str, list[tuple[float, float]]] = {}
+    if not brief and is_regular(folder / WEIGHTS):
+        for case_id, *pair in read_weights(folder).itertuples(index=False):
+            weights.setdefault(case_id, []).append((float(pair[0]), float(pair[1])))
     kinds = kinds_of(plan.experiment.columns)
-    skipped = {*plan.columns(), *OUTSIDE} if not brief else set(kinds)
     with parquet(path) as file:
         names = check_cases(path, file.schema_arrow)
-        read = [name for name in names if name in kinds and name not in skipped]
-        wanted = [registered.column, "case_id", "flight", "status", "reason", "version", *read]
-        for batch in file.iter_batches(
-            batch_size=BATCH, columns=[name for name in names if name in wanted]
-        ):
-            columns = {name: batch.column(name).to_pylist() for name in batch.schema.names}
-            versions = columns.get("version") or [registered.version] * batch.num_rows
-            for number, key in enumerate(registered.keys(columns)):
-                values = {name: kinds[name].of(columns[name][number]) for name in read}
-                pairs = weights.get(columns["case_id"][number], ())
-                body = "" if brief else body_of(Outcome(0, 0, "", values=values, weights=pairs))
-                status, reason = str(columns["status"][number]), str(columns["reason"][number])
-                yield Row(key, status, reason, str(versions[number] or "unknown"), body)
-
-
-def _weights_of(folder: Path) -> dict[str, tuple[tuple[float, float], ...]]:
-    if not is_regular(folder / WEIGHTS):
-        return {}
-    frame = read_weights(folder)
-    stored: dict[str, list[tuple[float, float]]] = {}
-    for case_id, *pair in frame.itertuples(index=False):
-        stored.setdefault(case_id, []).append((float(pair[0]), float(pair[1])))
-    return {case_id: tuple(pairs) for case_id, pairs in stored.items()}
+        other = {*OF_ANY, *plan.columns()} if not brief else set(names)
+        own = [name for name in names if name in kinds and name not in other]
+        wanted = {*OF_ANY[:5], "flight", *own}
+        columns = [name for name in names if name in wanted]
+        for batch in file.iter_batches(batch_size=BATCH, columns=columns):
+            content = {name: batch.column(name).to_pylist() for name in columns}
+            keys = plan.keys_of(content, by_case=same)
+            heads = zip(*(content[name] for name in ("status", "reason", "version")), strict=True)
+            for number, (key, head) in enumerate(zip(keys, heads, strict=True)):
+                body = ""
+                if not brief:
+                    values = {n: content[n][number] for n in own if content[n][number] is not None}
+                    pairs = weights.get(content["case_id"][number], ())
+                    body = body_of(Outcome(0, 0, "", values=values, weights=tuple(pairs)))
+                status, reason, version = (text or "" for text in head)
+                yield Row(key, status, reason, version, body)
 
 
 @contextmanager
@@ -159,13 +111,12 @@ def parquet(path: Path) -> Iterator[Any]:
     check_whole(path)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            rows = file.metadata.num_rows
-            size = sum(
-                file.metadata.row_group(group).total_byte_size
-                for group in range(file.metadata.num_row_groups)
-            )
-            if rows > MOST_ROWS or size > 1000 * (path.stat().st_size + 1_000_000):
-                raise InputError(f"{path}: {rows} rows of {size} bytes: it is another file")
+            facts = file.metadata
+            groups = map(facts.row_group, range(facts.num_row_groups))
+            size = sum(group.total_byte_size for group in groups)
+            if facts.num_rows > 2_000_000 or size > 1000 * (path.stat().st_size + 1_000_000):
+                words = f"{facts.num_rows} rows of {size} bytes"
+                raise InputError(f"{path}: {words}: it is another file")
             yield file
     except (OSError, pa.ArrowException, ValueError) as error:
         if isinstance(error, InputError):
@@ -175,9 +126,9 @@ def parquet(path: Path) -> Iterator[Any]:
 
 def check_cases(path: Path, schema: Any) -> list[str]:
     """The names of the columns; `InputError` unless they are those of cases."""
-    kind = OF_PROBLEMS if "solver" in schema.names else OF_FLIGHTS
-    for name in (*OF_ANY, *kind):
-        if name not in schema.names or str(schema.field(name).type) not in TEXTS:
+    for name in (*OF_ANY, *(OF_PROBLEMS if "solver" in schema.names else OF_FLIGHTS)):
+        # large_string by pandas, of whoever writes a part of the rows
+        if name not in schema.names or "string" not in str(schema.field(name).type):
             raise InputError(
                 f'{path}: no cases of a study, without a column "{name}" of text: take the file '
                 "from where it came, or run the study with --fresh"
@@ -207,79 +158,60 @@ def read_weights(folder: str | Path) -> pd.DataFrame:
 
 def write_rows(folder: Path, plan: Plan, rows: Sequence[Row]) -> None:
     """Write rows in plan order, and the weights where the study keeps them, each file whole."""
-    places = plan.place_of
+    planned = plan.columns()
     # At least one part, so that no study is without columns.
     parts = [rows[i : i + BATCH] for i in range(0, max(len(rows), 1), BATCH)]
-    located = [[(places[row.key], row) for row in part] for part in parts]
     if plan.experiment.definition.keeps_weights:
-        write_parquet((_weights_table(plan, part) for part in located), folder / WEIGHTS, ())
-    dense = [column.name for column in plan.experiment.columns if column.kind.dense]
-    planned = plan.columns()
-    tables = (cases_table(plan, planned, part) for part in located)
-    write_parquet(tables, folder / CASES, dense)
+        _write((_weights_table(plan, part) for part in parts), folder / WEIGHTS, set())
+    dense = {column.name for column in plan.experiment.columns if column.kind.dense}
+    _write((cases_table(plan, planned, part) for part in parts), folder / CASES, dense)
 
 
-def cases_table(
-    plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence[tuple[int, Row]]
-) -> pa.Table:
-    """Rows of `cases.parquet`: their place in the plan and what is kept; then swept factors."""
+def cases_table(plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence[Row]) -> pa.Table:
+    """Rows of `cases.parquet`: of the plan, of the row or of its body; then swept factors."""
     import pyarrow as pa
 
-    bodies = [read_body(row.body)[0] for _, row in rows]
-    places = [place for place, _ in rows]
+    bodies = [read_body(row.body)[0] for row in rows]
+    places = [plan.place_of[row.key] for row in rows]
     arrays: dict[str, Any] = {}
     for column in plan.experiment.columns:
-        values = _column(column, planned, places, rows, bodies)
-        arrays[column.name] = pa.array(values, type=pa.type_for_alias(column.kind.arrow))
-    design = plan.experiment.definition.design
-    for factor in getattr(design, "sweep", ()):
+        name, kind = column.name, column.kind
+        if name in ("status", "reason", "version"):
+            values = [getattr(row, name) for row in rows]
+        elif name in planned:
+            values = [planned[name][place] for place in places]
+        else:
+            values = [body.get(name, kind.empty) for body in bodies]
+        arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
+    for factor in getattr(plan.experiment.definition.design, "sweep", ()):
         levels = [planned[factor.key][place] for place in places]
         number = all(map(is_real, factor.levels))
         arrays[factor.key] = pa.array(levels, type=pa.float64() if number else pa.string())
     return pa.table(arrays)
 
 
-def _column(
-    column: Column,
-    planned: Mapping[str, Sequence[Any]],
-    places: Sequence[int],
-    rows: Sequence[tuple[int, Row]],
-    bodies: Sequence[Mapping[str, Any]],
-) -> list[Any]:
-    """The values of a column: of the row, of the plan, or of its body, where only those are."""
-    name, kind = column.name, column.kind
-    if name in ("status", "reason", "version"):
-        return [getattr(row, name) for _, row in rows]
-    if name in planned:
-        values = planned[name]
-        return [values[place] for place in places]
-    empty, numbers = kind.empty, kind.arrow != "string"
-    cells = [body.get(name, empty) for body in bodies]
-    # Infinity is a text in JSON, and what an earlier file had not is None.
-    odd = any(cell is None or (numbers and isinstance(cell, str)) for cell in cells)
-    return [kind.of(cell) for cell in cells] if odd else cells
-
-
-def _weights_table(plan: Plan, rows: Sequence[tuple[int, Row]]) -> pa.Table:
+def _weights_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     import pyarrow as pa
 
-    ids = plan.case_ids
-    content = [(ids[place], *pair) for place, row in rows for pair in read_body(row.body)[2]]
+    ids = [plan.case_ids[plan.place_of[row.key]] for row in rows]
+    pairs = [(name, *pair) for name, row in zip(ids, rows, strict=True)
+             for pair in read_body(row.body)[2]]  # fmt: skip
+    columns = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
     return pa.table(
         {
-            name: pa.array([item[i] for item in content], type=pa.type_for_alias(kind.arrow))
-            for i, (name, kind) in enumerate(WEIGHT_COLUMNS.items())
+            name: pa.array([pair[i] for pair in pairs], type=pa.type_for_alias(kind.arrow))
+            for i, (name, kind) in enumerate(columns.items())
         }
     )
 
 
-def write_parquet(tables: Iterator[pa.Table], path: Path, dense: Sequence[str]) -> None:
+def _write(tables: Iterator[pa.Table], path: Path, dense: set[str]) -> None:
     """Tables into one file, joined until a row group is full; it appears whole or not at all."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     first = next(tables)
-    dense = [name for name in dense if name in first.column_names]
+    names = first.column_names
     with (
         whole_file(path) as file,
         pq.ParquetWriter(
@@ -287,8 +219,8 @@ def write_parquet(tables: Iterator[pa.Table], path: Path, dense: Sequence[str]) 
             first.schema,
             compression="zstd",
             compression_level=9,
-            use_dictionary=[name for name in first.column_names if name not in dense],
-            column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
+            use_dictionary=[name for name in names if name not in dense],
+            column_encoding={name: "BYTE_STREAM_SPLIT" for name in names if name in dense},
             write_page_checksum=True,
         ) as writer,
     ):

@@ -4,40 +4,35 @@
     prepare  build the library of the cells of one regression problem
     cases    fit (along one path, where that is shared) and read each cell
 
-Each answer is rows, never an exception: whatever happens in a case becomes its row.
+A row is (cell, status, reason, body), as the store keeps it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import gc
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from sparsefit import Estimator, Fit, LengthScaleGrid, Library, PointMassVehicle, backends
-from sparsefit.errors import described, one_line
+from sparsefit.errors import InputError, SparsefitError, described, one_line
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
-from sparsefit.flight.flow import Cells
+from sparsefit.flight.flow import Cells, Flow
 from sparsefit.onboard import as_flown
 from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.fit import path
-from sparsefit.score import (
-    strongest,
-)
-from sparsefit.study.columns import MAX_REASON, PARAMETERS, Outcome, Value, values_of
+from sparsefit.score import strongest
+from sparsefit.study.columns import MAX_REASON, PARAMETERS, Outcome, Value, body_of, values_of
 from sparsefit.study.crossing import Cell
-from sparsefit.study.definition import Definition, FlightDesign
+from sparsefit.study.definition import Definition
 from sparsefit.study.draw import SIMULATION, Draw, stream
 from sparsefit.study.logged import Logged
 from sparsefit.study.reading import Reading, Yardstick, yardstick
 
 ALPHA = "alpha_fraction"
-Result = TypeVar("Result")
 
 
 def estimator_of(definition: Definition, cell: Cell) -> Estimator:
@@ -98,27 +93,8 @@ class Flown:
         return cls(unit, draw, blind, yardstick(draw, fleet, others))
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A step that raised: the reason alone, so that nothing of it stays in memory."""
-
-    reason: str
-
-
-def attempted(step: Callable[[], Result]) -> Result | Failure:
-    """The result of the step, or why there is none."""
-    try:
-        return step()
-    except MemoryError as error:
-        failure = Failure(f"memory: {described(error, MAX_REASON)}")
-    except Exception as error:
-        return Failure(described(error, MAX_REASON))
-    gc.collect()  # what the step allocated is not charged to the next
-    return failure
-
-
 class FlightDesk:
-    """Answers for the cells of one flight after the other.
+    """Answers for the cells of one flight after the other; what a step raises is its answer.
 
     Flights, regression problems and fits are kept while cells share them. A process that takes
     over from a lost one makes them again.
@@ -126,94 +102,60 @@ class FlightDesk:
 
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
-        self._flown: tuple[object, Flown | Failure] | None = None
-        self._prepared: tuple[object, Prepared | Failure] | None = None
+        self._flown: tuple[object, Flown] | None = None
+        self._prepared: tuple[object, Prepared] | None = None
         # What is imported at first use is imported now, so that no case is charged for it.
         vehicle = PointMassVehicle(0.5, (5.0, 3.0))
         flight = simulate_flight(None, vehicle, duration=1.0, sample_rate=20.0, seed=0)
         Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0))).estimate(flight)
-
-    @property
-    def _design(self) -> FlightDesign:
-        return self._definition.flights
+        gc.collect()
+        gc.freeze()  # later collections pass over what is loaded now
 
     def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """The answer to `fly`, `prepare` or `cases` of a unit and cells."""
-        unit, cells = content["unit"], [self._design.cells[index] for index in content["cells"]]
-        if verb == "fly":
-            return _said(self._fly(unit, cells[0]))
-        if verb == "prepare":
-            return _said(self._prepare(unit, cells[0]))
-        rows = [_row(outcome) for outcome in self.outcomes(unit, cells)]
-        return {"rows": rows}
-
-    def outcomes(self, unit: int, cells: Sequence[Cell]) -> Iterator[Outcome]:
-        """The outcomes of cells that share a regression problem and, if several, a path."""
+        """The answer to `fly`, `prepare` or `cases` of a unit and cells that share them."""
+        unit = content["unit"]
+        cells = [self._definition.flights.cells[index] for index in content["cells"]]
         flown = self._fly(unit, cells[0])
-        prepared = self._prepare(unit, cells[0])
-        for failed in (flown, prepared):
-            if isinstance(failed, Failure):
-                yield from (_error(unit, cell, failed) for cell in cells)
-                return
-        assert isinstance(flown, Flown)
-        assert not isinstance(prepared, Failure)
-        for cell, fit in self._fits(prepared, cells):
-            if isinstance(fit, Failure):
-                yield _error(unit, cell, fit)
-                continue
-            outcome = attempted(partial(self._outcome, flown, prepared, cell, fit))
-            yield _error(unit, cell, outcome) if isinstance(outcome, Failure) else outcome
+        if verb == "fly":
+            return {}
+        prepared = self._prepare(flown, cells[0])
+        if verb == "prepare":
+            return {}
+        outcomes = [
+            self._outcome(flown, prepared, cell, fit) for cell, fit in self._fits(prepared, cells)
+        ]
+        return {"rows": [(o.cell, o.status, o.reason, body_of(o)) for o in outcomes]}
 
-    def _fly(self, unit: int, cell: Cell) -> Flown | Failure:
+    def _fly(self, unit: int, cell: Cell) -> Flown:
         key = (unit, cell.setup.flights)
         if self._flown is None or self._flown[0] != key:
             self._flown = self._prepared = None
-            self._flown = (key, attempted(partial(Flown.of, self._definition, unit, cell)))
+            gc.collect()  # what a flight has left is not charged to the next
+            self._flown = (key, Flown.of(self._definition, unit, cell))
         return self._flown[1]
 
-    def _prepare(self, unit: int, cell: Cell) -> Prepared | Failure:
+    def _prepare(self, flown: Flown, cell: Cell) -> Prepared:
         setup = cell.setup
-        key = (unit, setup.flights, setup.derivative, setup.library, setup.online)
-        flown = self._fly(unit, cell)
-        if isinstance(flown, Failure):
-            return flown
+        key = (setup.derivative, setup.library, setup.online)
         if self._prepared is None or self._prepared[0] != key:
             self._prepared = None
-            step = partial(_prepared, self._definition, cell, flown.fleet)
-            self._prepared = (key, attempted(step))
+            prepared = setup.online.prepare(estimator_of(self._definition, cell), flown.fleet)
+            self._prepared = (key, prepared)
         return self._prepared[1]
 
-    def _fits(
-        self, prepared: Prepared, cells: Sequence[Cell]
-    ) -> Iterator[tuple[Cell, Fit | Failure]]:
+    def _fits(self, prepared: Prepared, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Fit]]:
         """The fit of each cell; cells that differ in `alpha_fraction` only share a path."""
+        estimator = estimator_of(self._definition, cells[0])
         fractions = path_fractions(cells[0]) if len(cells) > 1 else ()
         if fractions:
-            walked = attempted(partial(self._path, prepared, cells[0], fractions))
-            if not isinstance(walked, Failure):
-                for cell in cells:
-                    yield cell, walked[float(cell.settings[ALPHA])]
-                return
-        # Cells that fail together are tried one by one: the reason belongs to one of them.
-        fits: dict[str, Fit | Failure] = {}
-        for cell in cells:
-            key = cell.canonical_settings
-            if key not in fits:
-                estimator = attempted(partial(estimator_of, self._definition, cell))
-                fits[key] = (
-                    estimator
-                    if isinstance(estimator, Failure)
-                    else attempted(partial(estimator.fit, prepared))
-                )
-            yield cell, fits[key]
-
-    def _path(
-        self, prepared: Prepared, cell: Cell, fractions: tuple[float, ...]
-    ) -> dict[float, Fit]:
-        backend: Any = estimator_of(self._definition, cell).backend
-        tolerance = self._definition.run.tolerance
-        walked = path(prepared.problem, backend, fractions, tolerance=tolerance)
-        return dict(zip(fractions, walked.fits, strict=True))
+            backend: Any = estimator.backend
+            tolerance = self._definition.run.tolerance
+            fits = path(prepared.problem, backend, fractions, tolerance=tolerance).fits
+            walked = dict(zip(fractions, fits, strict=True))
+            yield from ((cell, walked[float(cell.settings[ALPHA])]) for cell in cells)
+        else:  # one fit, read in several ways
+            fit = estimator.fit(prepared)
+            yield from ((cell, fit) for cell in cells)
 
     def _outcome(self, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit) -> Outcome:
         estimate, values = read_case(self._definition, flown, prepared, cell, fit)
@@ -222,12 +164,9 @@ class FlightDesk:
             pairs = estimate.weights_by_scale.items()
             weights = tuple(sorted((float(scale), float(weight)) for scale, weight in pairs))
         reason = one_line(estimate.reason or "", MAX_REASON)
+        values |= truth_of(flown.draw)
         shared = float(fit.shared_seconds)
         return Outcome(flown.unit, cell.index, estimate.status, reason, values, shared, weights)
-
-
-def _prepared(definition: Definition, cell: Cell, fleet: tuple[Flight, ...]) -> Prepared:
-    return cell.setup.online.prepare(estimator_of(definition, cell), fleet)
 
 
 def read_case(
@@ -253,27 +192,33 @@ def path_fractions(cell: Cell) -> tuple[float, ...]:
     return tuple(map(float, grid)) if isinstance(backend, PathBackend) else ()
 
 
-def _error(unit: int, cell: Cell, failure: Failure) -> Outcome:
-    return Outcome(unit, cell.index, "error", failure.reason)
+@dataclass(frozen=True, eq=False)
+class CaseAgain:
+    """A case that was run once more, in this process, with all that it was read from.
 
+    flown: the flight, of several together the first; flow: the true one, None where there is none
+    or nobody knows it; values: the columns of `cases.parquet` that are read from it, by name.
+    """
 
-def _said(step: object) -> dict[str, Any]:
-    return {"failed": step.reason if isinstance(step, Failure) else ""}
+    flown: Flight
+    flow: Flow | None
+    prepared: Prepared
+    fit: Fit
+    estimate: Estimate
+    values: dict[str, Value]
 
-
-def _row(outcome: Outcome) -> dict[str, Any]:
-    """An outcome as JSON holds it."""
-    return {
-        "cell": outcome.cell,
-        "status": str(outcome.status),
-        "reason": outcome.reason,
-        "values": {n: _finite(v) for n, v in outcome.values.items() if v == v and v != ""},
-        "shared": _finite(outcome.shared_seconds),
-        "weights": [[_finite(value) for value in pair] for pair in outcome.weights],
-    }
-
-
-def _finite(value: Any) -> Any:
-    if not isinstance(value, float) or math.isfinite(value):
-        return value
-    return None if math.isnan(value) else str(value)
+    @classmethod
+    def of(cls, definition: Definition, unit: int, cell: Cell) -> CaseAgain:
+        """Fly, fit and read. Raises SparsefitError where the case fails, as in the run."""
+        try:
+            flown = Flown.of(definition, unit, cell)
+            estimator = estimator_of(definition, cell)
+            prepared = cell.setup.online.prepare(estimator, flown.fleet)
+            fit = estimator.fit(prepared)
+            estimate, values = read_case(definition, flown, prepared, cell, fit)
+        except InputError:
+            raise
+        except Exception as error:
+            name = f"{unit:04d}-{cell.key}"
+            raise SparsefitError(f"{name} ends in an error: {described(error)}") from error
+        return cls(flown.fleet[0], flown.draw.flow, prepared, fit, estimate, values)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
-from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
@@ -20,28 +20,21 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import is_real
-from sparsefit.study.columns import (
-    FLIGHT_COLUMNS,
-    PARAMETERS,
-    STATUSES,
-    Column,
-    Outcome,
-    checked_values,
-    kinds_of,
-)
+from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
 from sparsefit.study.crossing import Cell, Protocol, Setup
 from sparsefit.study.definition import Definition, FlightDesign
 from sparsefit.study.draw import FlightRules
-from sparsefit.study.flight_desk import FlightDesk, draw_of, path_fractions, truth_of
+from sparsefit.study.flight_desk import ALPHA, FlightDesk, draw_of, path_fractions, truth_of
 from sparsefit.study.logged import Logs
 from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Batch, Step
+from sparsefit.study.plan import Batch, Experiment, Step
 from sparsefit.study.toml_file import canonical_json, digest, numbered
-from sparsefit.study.worker import Ask, Lost, Record
+from sparsefit.study.worker import Answer, Ask
 
 SPACED = "linspace"  # the rule by which a flight depends on how many there are
 OURS = "flights"  # the desk of all back-ends of sparsefit
 FLIGHT_KINDS = kinds_of(FLIGHT_COLUMNS)
+WORK = {"fly": "simulating the flight", "prepare": "building the library", "cases": "fitting"}
 
 
 def flight_key(cell: Cell) -> Hashable:
@@ -69,30 +62,16 @@ def sharing(cells: Iterable[Cell], key: Callable[[Cell], Hashable]) -> list[list
 
 
 @dataclass(frozen=True, eq=False)
-class FlightExperiment:
-    """Flights x (conditions x readings x back-ends x settings), as `Experiment` asks for it."""
+class FlightExperiment(Experiment):
+    """Flights x (conditions x readings x back-ends x settings)."""
 
-    definition: Definition
+    columns = FLIGHT_COLUMNS
+    judged = tuple(f"est_{name}" for name in PARAMETERS)
 
     @property
     def design(self) -> FlightDesign:
         """The flights and cells of the study file."""
         return self.definition.flights
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns of `cases.parquet`."""
-        return FLIGHT_COLUMNS
-
-    @property
-    def judged(self) -> Sequence[str]:
-        """The estimates."""
-        return [f"est_{name}" for name in PARAMETERS]
-
-    @property
-    def alone(self) -> bool:
-        """Any number of processes may work."""
-        return False
 
     def units(self) -> dict[str, list[Any]]:
         """The flights, which are known by their numbers."""
@@ -145,45 +124,23 @@ class FlightExperiment:
         """The code, and a plug-in's."""
         return code_version(backends.distribution(self.design.cells[cell].choice.name))
 
-    def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
-        """Every case stands for itself."""
-        return wanted
-
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        """The true flow."""
-        variant, truths = self._variant[cell], self._truths
-        if (unit, variant) not in truths:
-            if len(truths) > 4096:
-                truths.clear()
-            draw = draw_of(self.definition, unit, self.design.cells[cell])
-            truths[unit, variant] = truth_of(draw)
-        return truths[unit, variant]
-
-    @cached_property
-    def _truths(self) -> dict[tuple[int, int], Mapping[str, Any]]:
-        return {}
-
-    @cached_property
-    def _variant(self) -> list[int]:
-        return self._numbers(flight_key)
-
-    def end(self) -> None:
-        """Workers leave nothing behind."""
+        """The columns of the true flow."""
+        return truth_of(draw_of(self.definition, unit, self.design.cells[cell]))
 
     def cost(self, unit: int, cell: int) -> int:
         """The number of the fit."""
-        return unit * len(self.design.cells) + self._fit[cell]
+        return unit * len(self.design.cells) + self._shared["fit"][cell]
 
     @cached_property
-    def _fit(self) -> list[int]:
-        return self._numbers(fit_key)
-
-    def _numbers(self, key: Callable[[Cell], Hashable]) -> list[int]:
-        """The number of the group of equal key that each cell belongs to."""
-        numbers = [0] * len(self.design.cells)
-        for number, group in enumerate(sharing(self.design.cells, key)):
-            for cell in group:
-                numbers[cell.index] = number
+    def _shared(self) -> dict[str, list[int]]:
+        """The numbers of the flight, problem, ask and fit that each cell shares with others."""
+        keys = {"flight": flight_key, "problem": problem_key, "ask": _ask_key, "fit": fit_key}
+        numbers = {name: [0] * len(self.design.cells) for name in keys}
+        for name, key in keys.items():
+            for number, group in enumerate(sharing(self.design.cells, key)):
+                for cell in group:
+                    numbers[name][cell.index] = number
         return numbers
 
     def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
@@ -198,124 +155,82 @@ class FlightExperiment:
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """A batch per flight, condition and desk, so that nothing is simulated twice."""
         groups: dict[tuple[int, str], list[int]] = {}
-        for cell, (variant, desk) in enumerate(zip(self._variant, self._desks, strict=True)):
-            groups.setdefault((variant, desk), []).append(cell)
+        for cell, key in enumerate(zip(self._shared["flight"], self._desks, strict=True)):
+            groups.setdefault(key, []).append(cell)
         for unit in np.flatnonzero(wanted.any(axis=1)).tolist():
+            row = wanted[unit].tolist()
             for group in groups.values():
-                if cells := [cell for cell in group if wanted[unit, cell]]:
+                if cells := [cell for cell in group if row[cell]]:
                     yield Batch(unit, tuple(cells))
 
     def run(self, batch: Batch) -> Step:
-        """Fly, prepare each library, then fit and read; a step that is lost costs its own cells."""
-        cells = [self.design.cells[index] for index in batch.cells]
-        reason = yield from self._begin(batch.unit, "fly", "simulating the flight", cells)
-        if not reason:
-            for group in sharing(cells, problem_key):
-                yield from self._run_problem(batch.unit, group)
+        """Fly, prepare each library, then fit and read; a step that is lost costs its own cells.
 
-    def _begin(
-        self, unit: int, verb: str, words: str, cells: list[Cell]
-    ) -> Generator[Ask | Outcome, Record | Lost | None, str]:
-        """Ask for a step that all cells need; where there is none, all of them are rows."""
-        answer = yield self._ask(verb, unit, cells, 1)
-        if isinstance(answer, Lost) and answer.status == "crashed":  # killed from outside, maybe
-            answer = yield self._ask(verb, unit, cells, 1)
-        if isinstance(answer, Lost):
-            yield from (self._lost(unit, cell, words, answer) for cell in cells)
-            return "lost"
-        reason = _text(answer, "failed")
-        if reason:
-            yield from (self._outcome(unit, cell, "error", reason) for cell in cells)
-        return reason
+        A path that is lost is tried fit by fit: the blame belongs to one of them.
+        """
+        steps = deque([("fly", list(batch.cells))])
+        for group in self._split(batch.cells, "problem"):
+            steps += [("prepare", group), *(("cases", fit) for fit in self._split(group, "ask"))]
+        ended: set[int] = set()
+        while steps:
+            verb, cells = steps.popleft()
+            if cells[0] in ended:
+                continue
+            ask = self._ask(verb, batch.unit, cells)
+            answer = yield ask
+            if answer and answer.status == "crashed" and verb != "cases":  # from outside, maybe
+                answer = yield ask
+            assert answer is not None
+            try:
+                told = self._told(batch.unit, cells, answer) if verb == "cases" else []
+            except (ValueError, TypeError, LookupError, RecursionError) as error:
+                reason = f"the worker process told no outcome: {error}"
+                answer, told = Answer("crashed", reason[:200]), []
+            if answer.status != "ok" and verb == "cases" and len(cells) > 1:
+                steps.extendleft((verb, [cell]) for cell in reversed(cells))
+            elif answer.status != "ok":
+                reason = answer.words(WORK[verb])
+                for cell in cells:
+                    truth = self.truth(batch.unit, cell)
+                    yield Outcome(batch.unit, cell, answer.status, reason, truth)
+                ended |= set(cells)
+            yield from told
 
-    def _run_problem(self, unit: int, cells: list[Cell]) -> Step:
-        reason = yield from self._begin(unit, "prepare", "building the library", cells)
-        if reason:
-            return
-        for group in _fits(cells):
-            fits = max(len(path_fractions(group[0])) if len(group) > 1 else 1, 1)
-            answer = yield self._ask("cases", unit, group, fits + len(group) - 1)
-            rows = self._rows(unit, group, answer)
-            if isinstance(rows, list):
-                yield from rows
-            elif len(group) == 1:
-                yield self._lost(unit, group[0], "fitting", rows)
-            else:  # a path that is lost is tried fit by fit: the blame belongs to one of them
-                for cell in group:
-                    answer = yield self._ask("cases", unit, [cell], 1)
-                    again = self._rows(unit, [cell], answer)
-                    if isinstance(again, Lost):
-                        yield self._lost(unit, cell, "fitting", again)
-                    else:
-                        yield from again
+    def _split(self, cells: Iterable[int], name: str) -> list[list[int]]:
+        """Cells in groups of equal number, in order of first appearance."""
+        groups: dict[int, list[int]] = {}
+        for cell in cells:
+            groups.setdefault(self._shared[name][cell], []).append(cell)
+        return list(groups.values())
 
-    def _ask(self, verb: str, unit: int, cells: list[Cell], fits: int) -> Ask:
-        content = {"unit": unit, "cells": [cell.index for cell in cells]}
+    def _ask(self, verb: str, unit: int, cells: list[int]) -> Ask:
+        fits = 1
+        if verb == "cases" and len(cells) > 1:
+            fits = max(len(path_fractions(self.design.cells[cells[0]])), 1) + len(cells) - 1
         limit = self.definition.run.case_timeout * fits
-        return Ask(verb, content, limit, self._desks[cells[0].index])
+        return Ask(verb, {"unit": unit, "cells": cells}, limit, self._desks[cells[0]])
 
-    def _rows(
-        self, unit: int, cells: list[Cell], answer: Record | Lost | None
-    ) -> list[Outcome] | Lost:
-        """The outcomes that an answer tells, each held against the plan; Lost where it is odd."""
-        if isinstance(answer, Lost):
-            return answer
-        if error := _text(answer, "error"):
-            return [self._outcome(unit, cell, "error", error) for cell in cells]
-        content = answer.get("answer") if answer else None
-        rows = content.get("rows") if isinstance(content, dict) else None
-        try:
-            if not isinstance(rows, list) or [row["cell"] for row in rows] != [
-                cell.index for cell in cells
-            ]:
+    def _told(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
+        """The outcomes that an answer tells, each held against the plan; raises where it is odd."""
+        if answer.status != "ok":
+            return []
+        outcomes = []
+        for cell, (own, status, reason, body) in zip(cells, answer.content["rows"], strict=True):
+            outcome = outcome_of(unit, own, status, reason, body, FLIGHT_KINDS)
+            estimate = [float(outcome.values.get(name, math.nan)) for name in self.judged]
+            if own != cell:
                 raise ValueError("not the cases that were asked for")
-            return [self._checked(unit, cell, row) for cell, row in zip(cells, rows, strict=True)]
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-            return Lost("crashed", f"the worker process told no outcome: {error}"[:200])
-
-    def _checked(self, unit: int, cell: Cell, row: Record) -> Outcome:
-        """An outcome of the vocabulary, with columns of their kinds."""
-        status, reason = row["status"], row["reason"]
-        if status not in STATUSES or not isinstance(reason, str):
-            raise ValueError(f"a status that there is not: {status!r}"[:80])
-        values = checked_values(FLIGHT_KINDS, row["values"])
-        estimate = [float(values.get(f"est_{name}", math.nan)) for name in PARAMETERS]
-        if status == "ok" and not all(map(math.isfinite, estimate)):
-            raise ValueError("ok without an estimate")
-        weights = tuple((_real(pair[0]), _real(pair[1])) for pair in row["weights"])
-        shared = _real(row["shared"])
-        stored = {**values, **self.truth(unit, cell.index)}
-        return Outcome(unit, cell.index, status, reason, stored, shared, weights)
-
-    def _lost(self, unit: int, cell: Cell, words: str, lost: Lost) -> Outcome:
-        between = " " if lost.status == "timeout" else ": "
-        return self._outcome(unit, cell, lost.status, f"{words}{between}{lost.reason}")
-
-    def _outcome(self, unit: int, cell: Cell, status: str, reason: str) -> Outcome:
-        return Outcome(unit, cell.index, status, reason, self.truth(unit, cell.index))
+            if status == "ok" and not all(map(math.isfinite, estimate)):
+                raise ValueError("ok without an estimate")
+            outcomes.append(outcome)
+        return outcomes
 
 
-def _text(answer: Record | Lost | None, name: str) -> str:
-    """A text in an answer, of an error in its stead; empty where there is none."""
-    if not isinstance(answer, dict):
-        return ""
-    inner = answer.get("answer")
-    value = answer.get("error") or (inner.get(name) if isinstance(inner, dict) else None)
-    return value if isinstance(value, str) else ""
-
-
-def _real(value: Any) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _fits(cells: list[Cell]) -> list[list[Cell]]:
-    """Cells in groups that one ask fits: one fit, or those of a path over `alpha_fraction`."""
-    groups: dict[tuple[object, str], list[Cell]] = {}
-    for cell in cells:
-        single = not path_fractions(cell)
-        shared = {key: v for key, v in cell.settings.items() if single or key != "alpha_fraction"}
-        groups.setdefault((cell.choice, canonical_json(shared)), []).append(cell)
-    return list(groups.values())
+def _ask_key(cell: Cell) -> Hashable:
+    """Cells of equal key are fitted by one ask: one fit, or those of a path over penalties."""
+    along = {ALPHA} if path_fractions(cell) else set()
+    shared = {key: value for key, value in cell.settings.items() if key not in along}
+    return (problem_key(cell), cell.choice, canonical_json(shared))
 
 
 def _of_flight(key: str) -> bool:

@@ -26,7 +26,7 @@ from sparsefit.study.definition import Definition
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.flight_desk import draw_of, estimator_of
 from sparsefit.study.manifest import processor, read_record, sparsefit_version
-from sparsefit.study.worker import Ask, Lost, Worker, memory_limit
+from sparsefit.study.worker import Ask, Worker, memory_limit
 from sparsefit.whole_file import write_whole
 
 LATENCY = "latency.json"
@@ -119,11 +119,12 @@ def _measured(definition: Definition, cells: tuple[int, ...], flights: int) -> L
         for place in range(-WARM_UP, flights):
             seconds = disturbed = None
             for _ in range(2):
-                ready = worker.ask(Ask("ready", {"place": max(place, 0)}, limit))
-                answer = worker.ask(Ask("estimate", {}, limit, timed=True))
-                if isinstance(ready, Lost) or isinstance(answer, Lost):
+                ready = worker.wait(Ask("ready", {"place": max(place, 0)}, limit))
+                if not ready.lost:
+                    ready = worker.wait(Ask("estimate", {}, limit, timed=True))
+                if ready.lost:
                     return Latency(math.inf, math.inf, math.inf, 0)
-                wall, cpu = float(answer["wall"]), float(answer["cpu"])
+                wall, cpu = ready.wall, ready.cpu
                 used = cpu if seconds is None else min(seconds, cpu)
                 disturbed = wall > AHEAD * cpu + TICK
                 seconds = used if disturbed else wall

@@ -30,15 +30,12 @@ from sparsefit.whole_file import write_whole
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
 PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
-# Rooms and files of the study that no case is computed by: they show what others computed.
+# Rooms that no case is computed by: they show what others computed.
 SHOWING = ("cli", "plot", "sklearn", "pysindy", "__main__.py", "sklearn.py", "pysindy.py")
-STUDY_ROOM = "study"
-COMPUTING = (  # files of `study/` that a worker, its questions or its answers pass through
-    *("arena", "clock", "columns", "contenders", "crossing", "data_sets", "definition"),
-    "draw",
-    *("flight_desk", "flight_experiment", "logged", "plan", "problem_desk", "problem_experiment"),
-    *("problem_sources", "holdout"),
-    *("quantities", "reading", "schema", "toml_file", "worker", "manifest", "__init__"),
+# Files of `study/` that a worker, its questions or its answers pass through, with all they import.
+ROOTS = ("flight_experiment", "problem_experiment", "guardian")
+IMPORT = re.compile(
+    r"(?m)^\s*(?:from sparsefit\.study(?:\.| import )|import sparsefit\.study\.)(\w+)"
 )
 SOURCES = (".py", ".pyx")
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
@@ -64,11 +61,17 @@ def _digest() -> str:
 def sources() -> Iterator[Path]:
     """The source files of the package that can change a number, in order."""
     package = Path(sparsefit.__file__).parent
+    computing, waiting = set[Path](), [package / "study" / f"{name}.py" for name in ROOTS]
+    while waiting:
+        path = waiting.pop()
+        if path not in computing and path.is_file():
+            computing.add(path)
+            names = IMPORT.findall(path.read_text(encoding="utf-8"))
+            waiting += [package / "study" / f"{name}.py" for name in names]
     for path in sorted(package.rglob("*")):
         room = path.relative_to(package).parts[0]
-        if path.suffix not in SOURCES or room in SHOWING:
-            continue
-        if room != STUDY_ROOM or path.stem in COMPUTING:
+        counts = path in computing if room == "study" else room not in SHOWING
+        if path.suffix in SOURCES and counts:
             yield path
 
 
@@ -100,11 +103,6 @@ def write_manifest(folder: Path, content: Mapping[str, object]) -> None:
     write_whole(folder / MANIFEST, json.dumps(whole, indent=2) + "\n")
 
 
-def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of a results folder; None where there is none that can be read."""
-    return read_record(folder / MANIFEST)
-
-
 def read_record(path: Path) -> dict[str, Any] | None:
     """The JSON object in a regular file; None where there is none that can be read."""
     try:
@@ -122,7 +120,7 @@ def check_whole(path: Path, *, strict: bool = False) -> None:
 
     strict: also where the manifest tells none, of a part that is merged from elsewhere.
     """
-    written = (read_manifest(path.parent) or {}).get("sha256")
+    written = (read_record(path.parent / MANIFEST) or {}).get("sha256")
     if not isinstance(written, dict) or path.name not in written:
         if strict:
             words = f"no checksum of it stands in {MANIFEST}"

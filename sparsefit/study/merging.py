@@ -9,7 +9,7 @@ checksum that its manifest tells, and no row without a status.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,58 +76,50 @@ def merge(
     if folder.resolve() in {part.resolve() for part in folders}:
         words = "merges into itself: give the other parts, or other --results"
         raise InputError(f"{folder}: {words}")
-    stores = []
-    for part in folders:
-        with told_with(part):
-            stores.append(Store.read(part, plan))
     make_folder(folder)
     with locked(folder):
-        registered = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
+        rows = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
         taken: list[Row] = []
-        content = []
-        for part, store in zip(folders, stores, strict=True):
+        merged = []
+        for part in folders:
             with told_with(part):
-                rows = {row.key: row for row in store.rows() if row.status in STATUSES}
-                if registered:
-                    _check_beside(plan, store, [row for _, row in registered.values()])
-            alike = other = 0
-            for key, row in rows.items():
-                if key not in registered:
-                    continue
-                first, same = registered[key], _same(plan, registered[key][1], row)
-                alike, other = alike + same, other + (not same)
+                theirs = {r.key: r for r in Store.read(part, plan).rows() if r.status in STATUSES}
+                _check_machine(plan, [row for _, row in rows.values()], theirs.values())
+            alike = 0
+            for key in theirs.keys() & rows.keys():
+                same = _same(plan, rows[key][1], theirs[key])
                 if not same and not keep_first:
-                    raise InputError(_clash(plan, first, (part, row)))
-            new = [rows[key] for key in _takes(plan, set(registered), set(rows))]
-            registered |= {row.key: (part, row) for row in new}
+                    raise InputError(_clash(plan, rows[key], (part, theirs[key])))
+                alike += same
+            both = len(theirs.keys() & rows.keys())
+            new = [theirs[key] for key in _takes(plan, set(rows), set(theirs))]
+            rows |= {row.key: (part, row) for row in new}
             taken += new
-            content.append(Part(part, len(rows), len(new), alike, other))
+            merged.append(Part(part, len(theirs), len(new), alike, both - alike))
         with Store.opened(folder, plan) as store:
             for row in taken:
                 store.put_row(row)
     done = int(Store.read(folder, plan).done.sum())
     if done == plan.size:  # only its order is left
         run(plan, folder, Request(processes=1))
-    return Merged(folder, tuple(content), plan.size, done)
+    return Merged(folder, tuple(merged), plan.size, done)
 
 
 def _folder_of(plan: Plan, part: Path) -> Path:
-    for folder in (part, part / plan.experiment.definition.name):
+    name = plan.experiment.definition.name
+    for folder in (part, part / name):
         if (folder / CASES).is_file():
             check_whole(folder / CASES, strict=True)
             return folder
         if (folder / STORE).is_file():
             return folder
-    name = plan.experiment.definition.name
     raise InputError(f"{part}: holds no rows of {name}: give a results folder of the study")
 
 
-def _check_beside(plan: Plan, store: Store, rows: Sequence[Row]) -> None:
+def _check_machine(plan: Plan, mine: Iterable[Row], theirs: Iterable[Row]) -> None:
     """Refuse times of another machine beside those that are there."""
-    if not plan.experiment.alone:
-        return
-    machines = {version.rpartition(" on ")[2] for version in store.versions}
-    if machines | {row.version.rpartition(" on ")[2] for row in rows} != machines:
+    ours, others = ({row.version.rpartition(" on ")[2] for row in rows} for rows in (mine, theirs))
+    if plan.experiment.alone and ours and ours != others:
         raise InputError(
             "its times are of another machine, or other versions of what is compared, than those "
             "beside it: no comparison is made of both; run the study on one machine"
@@ -150,14 +142,12 @@ def _takes(plan: Plan, mine: set[str], theirs: set[str]) -> list[str]:
 
 def _judged(plan: Plan, row: Row) -> list[float]:
     values = read_body(row.body)[0]
-    content = [values.get(name) for name in plan.experiment.judged]
-    return [math.nan if value is None else float(value) for value in content]
+    return [float(values.get(name, math.nan)) for name in plan.experiment.judged]
 
 
 def _same(plan: Plan, first: Row, second: Row) -> bool:
-    pairs = zip(_judged(plan, first), _judged(plan, second), strict=True)
-    return first.status == second.status and all(
-        math.isclose(a, b, rel_tol=ALIKE) or (math.isnan(a) and math.isnan(b)) for a, b in pairs
+    return first.status == second.status and bool(
+        np.allclose(_judged(plan, first), _judged(plan, second), ALIKE, 0.0, equal_nan=True)
     )
 
 

@@ -9,11 +9,11 @@ are two, supplies units, cells and the way in which a batch of cases is run; all
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -21,101 +21,89 @@ from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.columns import Column, Outcome
 from sparsefit.study.definition import Definition
-from sparsefit.study.worker import Ask, Lost, Record
+from sparsefit.study.worker import Answer, Ask, Desk
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
-Step: TypeAlias = Generator[Ask | Outcome, Record | Lost | None, None]
+Step: TypeAlias = Generator[Ask | Outcome, Answer | None, None]
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Cells of one unit that are run together; alone: nothing is shared between them."""
+    """Cells of one unit that are run together."""
 
     unit: int
     cells: tuple[int, ...]
-    alone: bool = False
 
 
-class Experiment(Protocol):
-    """A kind of study: its units, its cells, and how a batch of cases is run."""
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A kind of study: its units, its cells, and how a batch of cases is run.
 
-    @property
-    def definition(self) -> Definition:
-        """The study file."""
-        ...
+    columns: of `cases.parquet`, but for swept factors; judged: those in which two rows of one case
+    must agree; alone: whether cases are timed, so that one process works at a time.
+    """
 
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns of `cases.parquet`, but for swept factors."""
-        ...
-
-    @property
-    def judged(self) -> Sequence[str]:
-        """The columns in which two rows of one case must agree."""
-        ...
-
-    @property
-    def alone(self) -> bool:
-        """Whether cases are timed, so that one process works at a time."""
-        ...
+    definition: Definition
+    columns: ClassVar[Sequence[Column]]
+    judged: ClassVar[Sequence[str]] = ()
+    alone: ClassVar[bool] = False
 
     def units(self) -> Columns:
         """The columns of the units (u,): `flight`, `unit`, `identity` and others."""
-        ...
+        raise NotImplementedError
 
     def cells(self) -> Columns:
         """The columns of the cells (c,): `condition`, `candidate`, `title`, `identity`, factors."""
-        ...
+        raise NotImplementedError
 
     def factors(self) -> Mapping[str, str]:
         """All that varies by dotted key: "condition" or "candidate"."""
-        ...
+        return {}
 
     def case_id(self, unit: int, cell: int) -> str:
         """The id of a case in its row, stable whatever else the study plans."""
-        ...
+        raise NotImplementedError
 
     def names(self, cell: int) -> Sequence[str]:
         """The names by which a user may call a cell."""
-        ...
+        raise NotImplementedError
 
     def version(self, cell: int) -> str:
         """The code that makes the rows of a cell, here and now."""
-        ...
+        raise NotImplementedError
 
     def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
         """The cases (u, c) to compute so that those ``wanted`` are comparable with the rest.
 
         version: of each row (u * c,), empty where there is none.
         """
-        ...
+        return wanted
+
+    def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
+        """The columns that are known of a case before it is run."""
+        raise NotImplementedError
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """The cases ``wanted`` (u, c) in batches."""
-        ...
+        raise NotImplementedError
 
     def run(self, batch: Batch) -> Step:
         """Asks for workers, whose answers are sent in, and an outcome for each of the cells."""
-        ...
+        raise NotImplementedError
 
-    def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
+    def desk(self, name: str) -> tuple[Callable[..., Desk], tuple[Any, ...]]:
         """The class of a desk by its name, and its arguments: what lives in a worker."""
-        ...
+        raise NotImplementedError
 
     def end(self) -> None:
         """Let go of what a run has left, files and what its processes knew."""
-        ...
-
-    def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        """The columns that are known of a case before it is run, and stand in every row."""
-        ...
 
     def cost(self, unit: int, cell: int) -> int:
         """The number of the fit that the case reads: cases of one number share its seconds."""
-        ...
+        return unit * len(self.cells()["identity"]) + cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +140,21 @@ class Plan:
     @cached_property
     def keys(self) -> list[str]:
         """The key under which the store keeps each case."""
-        flights = [int(number) for number in self.experiment.units()["flight"]]
-        rows = [str(name) for name in self.experiment.units()["identity"]]
-        cells = self.shape[1]
-        identities, numbers = self.identities, np.repeat(flights, cells).tolist()
-        if any(rows):
-            return identities
-        return [key_of(n, name) for n, name in zip(numbers, identities, strict=True)]
+        numbers = np.repeat(self.experiment.units()["flight"], self.shape[1]).tolist()
+        return self.keys_of({"identity": self.identities, "flight": numbers}, by_case=False)
+
+    def keys_of(self, columns: Mapping[str, Sequence[Any]], *, by_case: bool) -> list[str]:
+        """The key of each row of `cases.parquet`, by its case_id or by its identity.
+
+        Flights are known by their number beside it, problems by the identity alone.
+        """
+        if by_case:
+            places, keys = self.place_of_case, self.keys
+            return [keys[places[n]] if n in places else f"?{n}" for n in columns["case_id"]]
+        if any(self.experiment.units()["identity"]):
+            return list(map(str, columns["identity"]))
+        pairs = zip(columns["flight"], columns["identity"], strict=True)
+        return [f"{number}:{identity}" for number, identity in pairs]
 
     @cached_property
     def place_of(self) -> dict[str, int]:
@@ -234,8 +230,3 @@ class Plan:
                 )
             wanted |= mine
         return wanted
-
-
-def key_of(flight: int, identity: str) -> str:
-    """The key of a case of a flight that is known by its number."""
-    return f"{flight}:{identity}"

@@ -1,8 +1,8 @@
 """Outcomes of batches from killable workers: one that hangs or dies costs its own case.
 
 Each slot of the pool runs a batch of the experiment as a coroutine: it yields an `Ask`, is sent the
-answer of a worker (or how that was lost), and yields outcomes. The limit of an ask is kept here, on
-the wall; time in which this process itself was stopped is not charged.
+`Answer` of a worker, and yields outcomes. Limits are kept here, on the wall; time in which this
+process itself was stopped is not charged.
 """
 
 from __future__ import annotations
@@ -10,17 +10,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from sparsefit.errors import SparsefitError
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment, Step
-from sparsefit.study.worker import Ask, Lost, Record, Worker, memory_limit, wait_for
+from sparsefit.study.worker import Answer, Ask, Worker, memory_limit, wait_for
 
-MAX_STILLBORN = 3  # workers in a row that ended while they started
-MAX_KILLED = 30  # or were killed from outside: memory may be free again later
 TICK = 0.5  # seconds between looks at the clock, at most
-ASLEEP = 3.0  # seconds between them after which this process itself must have been stopped
+Outcomes = Generator[tuple[Outcome, float], None, None]
 
 
 def outcomes(
@@ -28,10 +26,10 @@ def outcomes(
     batches: Iterator[Batch],
     processes: int,
     stop: Callable[[], bool] = lambda: False,
-) -> Generator[Outcome, None, None]:
-    """Every cell of every batch, as it ends; workers end with the generator.
+) -> Outcomes:
+    """Every cell of every batch as it ends, and the seconds [s] that it took of a worker.
 
-    Once ``stop`` says so, nothing is asked that is not under way.
+    Workers end with the generator. Once ``stop`` says so, nothing is asked that is not under way.
     """
     memory = memory_limit(experiment.definition.run.max_memory, processes)
     pool = Pool(experiment, batches, processes, memory, stop)
@@ -42,26 +40,30 @@ def outcomes(
         experiment.end()
 
 
-@dataclass
+@dataclass(eq=False)
 class Slot:
-    """One place where a batch runs: its coroutine, the workers it asks, and the one at work.
+    """One place where a batch runs: its coroutine, its workers by desk, and the one at work.
 
-    pending: the ask that waits for its worker to start; since: when the last outcome came; warm:
-    whether a first case has paid for what a process loads on first use.
+    ask: what that does; since: when the last outcome came; warm: whether a first case has paid for
+    what a process loads on first use.
     """
 
     steps: Step | None = None
     crew: dict[str, Worker] = field(default_factory=dict)
-    working: Worker | None = None
-    pending: Ask | None = None
+    ask: Ask | None = None
     since: float = 0.0
     warm: bool = False
+
+    @property
+    def working(self) -> Worker | None:
+        """The worker that is asked."""
+        return self.crew[self.ask.desk] if self.ask else None
 
 
 # Ours, as pebble times and blames whole tasks: cases that share a flight, a library and a path
 # would each need a task of their own (36480 libraries instead of 2280 in one shipped study), and
 # its busy workers outlive a parent that is killed.
-@dataclass
+@dataclass(eq=False)
 class Pool:
     """Slots and what is to be done; stillborn, killed: workers in a row that did not start."""
 
@@ -75,7 +77,7 @@ class Pool:
     stillborn: int = 0
     killed: int = 0
 
-    def run(self) -> Generator[Outcome, None, None]:
+    def run(self) -> Outcomes:
         """All outcomes; a slot is added while there are batches and fewer than `processes`."""
         while True:
             while len(self.slots) < self.processes and not self.stop():
@@ -84,13 +86,12 @@ class Pool:
                     break
                 self.slots.append(slot)
                 yield from self._advance(slot, None)
-            busy = [slot for slot in self.slots if slot.working]
+            busy = {slot: slot.working for slot in self.slots if slot.ask}
             if not busy:
                 return
-            self._wait(busy)
-            for slot in busy:
-                assert slot.working is not None
-                answer = slot.working.receive()
+            self._wait([worker for worker in busy.values() if worker])
+            for slot, worker in busy.items():
+                answer = worker.receive() if worker else None
                 if answer is not None:
                     yield from self._take(slot, answer)
 
@@ -102,36 +103,38 @@ class Pool:
             if slot.steps is not None:
                 slot.steps.close()
 
-    def _wait(self, busy: list[Slot]) -> None:
+    def _wait(self, workers: list[Worker]) -> None:
         """Until a worker says something, ends, or reaches its limit."""
-        workers = [slot.working for slot in busy if slot.working]
         until = min(worker.deadline for worker in workers) - time.monotonic()
         wait_for(workers, min(until, TICK))
-        now = time.monotonic()
-        gap, self.looked = now - self.looked, now
-        if gap > ASLEEP:
-            for slot, worker in zip(busy, workers, strict=True):
-                worker.excuse(gap - TICK)
-                slot.since += gap - TICK
+        gap, self.looked = time.monotonic() - self.looked, time.monotonic()
+        if gap > 6.0 * TICK:  # this process itself was stopped
+            for worker in workers:
+                worker.deadline += gap - TICK
 
-    def _take(self, slot: Slot, answer: Record | Lost) -> Generator[Outcome, None, None]:
-        """The message of a slot's worker: it has started, has answered, or was lost."""
-        ask, worker = slot.pending, slot.working
-        slot.pending = slot.working = None
-        if isinstance(answer, Lost):
-            slot.crew = {name: item for name, item in slot.crew.items() if item is not worker}
+    def _take(self, slot: Slot, answer: Answer) -> Outcomes:
+        """Go on with the answer of a slot's worker; one that did not even start is replaced."""
+        ask, slot.ask = slot.ask, None
+        assert ask is not None
+        if answer.lost:
+            slot.crew.pop(ask.desk)
             slot.warm = False
-            if not answer.started and ask is not None:
-                self._count_unstarted(answer)
-                yield from self._ask(slot, ask)
-                return
-        elif ask is not None:
+        if answer.started:
             self.stillborn = self.killed = 0
-            yield from self._ask(slot, ask)
+            yield from self._advance(slot, answer)
             return
-        yield from self._advance(slot, answer)
+        self.killed += answer.by_signal
+        self.stillborn += not answer.by_signal
+        if self.killed >= 30:  # memory may be free again later
+            raise SparsefitError(
+                f"{self.killed} worker processes in a row were killed while they started "
+                f"({answer.reason}): free memory, or take fewer --processes, and run it again"
+            )
+        if self.stillborn >= 3:
+            raise SparsefitError(f"a worker process could not start ({answer.reason})")
+        self._send(slot, ask)
 
-    def _advance(self, slot: Slot, answer: Record | Lost | None) -> Generator[Outcome, None, None]:
+    def _advance(self, slot: Slot, answer: Answer | None) -> Outcomes:
         """Go on with the batch of a slot, and with the next, until a worker is at work."""
         while slot.steps is not None or self._next(slot):
             assert slot.steps is not None
@@ -145,46 +148,24 @@ class Pool:
             answer = None
             if isinstance(event, Ask):
                 if not self.stop():
-                    yield from self._ask(slot, event)
+                    self._send(slot, event)
                 return
             now = time.monotonic()
-            # The first case of a process pays for what is loaded on first use.
             spent = now - slot.since if slot.warm else math.nan
             slot.since, slot.warm = now, True
-            yield replace(event, seconds_spent=spent)
+            yield event, spent
 
-    def _ask(self, slot: Slot, ask: Ask) -> Generator[Outcome, None, None]:
-        """Ask the worker that the ask is for; one that is not there is started first."""
-        worker = slot.crew.get(ask.desk)
-        if worker is None:
-            make, content = self.experiment.desk(ask.desk)
-            memory = self.memory
-            slot.crew[ask.desk] = slot.working = Worker.start(make, content, memory=memory)
-            slot.pending = ask
-            return
-        worker.send(ask)
-        slot.working = worker
-        yield from ()
+    def _send(self, slot: Slot, ask: Ask) -> None:
+        """Ask the worker of a desk, which is started where there is none."""
+        if ask.desk not in slot.crew:
+            make, arguments = self.experiment.desk(ask.desk)
+            slot.crew[ask.desk] = Worker.start(make, arguments, memory=self.memory)
+        slot.ask = ask
+        slot.crew[ask.desk].send(ask)
 
     def _next(self, slot: Slot) -> bool:
         """Begin the next batch; whether there is one."""
         batch = None if self.stop() else next(self.batches, None)
-        if batch is None:
-            return False
-        slot.steps, slot.since = self.experiment.run(batch), time.monotonic()
-        return True
-
-    def _count_unstarted(self, lost: Lost) -> None:
-        """Another worker is started for one that did not, unless that never helps."""
-        self.killed += lost.by_signal
-        self.stillborn += not lost.by_signal
-        if self.killed >= MAX_KILLED:
-            raise SparsefitError(
-                f"{self.killed} worker processes in a row were killed while they started "
-                f"({lost.reason}): free memory, or take fewer --processes, and run it again"
-            )
-        if self.stillborn >= MAX_STILLBORN:
-            raise SparsefitError(
-                f"a worker process could not start ({lost.reason}): in a script, call run() under "
-                'if __name__ == "__main__"'
-            )
+        if batch is not None:
+            slot.steps, slot.since = self.experiment.run(batch), time.monotonic()
+        return batch is not None

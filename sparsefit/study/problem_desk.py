@@ -17,6 +17,7 @@ proof for everyone, by weak duality: a solver is not blamed for a poor dual poin
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import gc
 import math
@@ -41,7 +42,6 @@ from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import answers
 from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
-from sparsefit.study.worker import trim_memory
 
 RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
 PROBLEM, THETA, WEIGHTS = "problem.npz", "theta.npz", "weights.npy"
@@ -76,9 +76,10 @@ class Rows:
             return problem
         return dataclasses.replace(problem, sample_count=self.samples)
 
-    def part(self, rows: Sequence[int] | None, seed: int) -> Rows:
-        """A copy of these rows, of all where None, with signs by a seed, and read-only."""
-        chosen = slice(None) if rows is None else np.asarray(rows)
+    def part(self, without: tuple[int, int] | None, seed: int) -> Rows:
+        """A copy of the rows without a range, with signs by a seed, and read-only."""
+        every = np.arange(len(self.target))
+        chosen = slice(None) if without is None else np.delete(every, np.s_[slice(*without)])
         signs, sign = signs_of(len(self.target[chosen]), seed)
         theta, target = self.theta[chosen], sign * signs[:, None] * self.target[chosen]
         numbers = theta = theta * signs[:, None] if isinstance(theta, np.ndarray) else theta.copy()
@@ -87,7 +88,7 @@ class Rows:
             numbers = theta.data
         for array in (numbers, target):
             array.setflags(write=False)
-        return Rows(theta, target, self.groups, self.samples if rows is None else None)
+        return Rows(theta, target, self.groups, self.samples if without is None else None)
 
 
 def signs_of(rows: int, seed: int) -> tuple[Array, float]:
@@ -139,42 +140,51 @@ class SolverDesk:
 
     def __init__(self, design: ProblemDesign) -> None:
         self._design = design
-        self._rows: Rows | None = None
+        self._rows: tuple[str, Rows] | None = None
         self._work: tuple[Any, ...] = ()
+        self._into: Any = None
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         os.dup2(silent, 2)
 
     def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """`nothing`, `problem`, `first`, `ready` or `solve`."""
-        if verb == "problem":
-            self._rows = Rows.load(content["folder"])
-        elif verb == "first":
-            self._ready(small_rows(), content["contender"], content["tolerance"], 0)
+        """`nothing`; `ready` with a copy of the rows in a folder, or of small ones; `solve`."""
+        if verb == "ready":
+            return self._ready(**content)
+        if verb == "solve" and self._into is None:  # a first call
             self._solve()
             gc.collect()
             gc.freeze()  # later collections pass over what is loaded now
-        elif verb == "ready":
-            assert self._rows is not None
-            part = self._rows.part(content["rows"], content["seed"])
-            self._ready(part, content["contender"], content["tolerance"], content["seed"])
-            self._into = np.lib.format.open_memmap(content["weights"], mode="r+")
-            memory = _peak_from_here()
-            gc.collect()
-            gc.disable()
-            return {"memory": memory}
         elif verb == "solve":
             return self._solved()
         return {}
 
-    def _ready(self, rows: Rows, contender: int, tolerance: float, seed: int) -> None:
+    def _ready(
+        self,
+        folder: str,
+        contender: int,
+        tolerance: float,
+        seed: int,
+        without: tuple[int, int] | None,
+        weights: str,
+    ) -> Mapping[str, Any]:
+        if self._rows is None or self._rows[0] != folder:
+            self._rows = (folder, Rows.load(folder) if folder else small_rows())
         chosen = self._design.contenders[contender]
-        problem = rows.problem()
+        problem = self._rows[1].part(without, seed).problem()
         self._work = (chosen, problem, self._design.fractions, tolerance)
+        self._into = np.lib.format.open_memmap(weights, mode="r+") if weights else None
+        memory = _peak_from_here()
+        gc.collect()
+        gc.disable()
+        return {"memory": memory}
 
     def _solve(self) -> Sequence[Solution]:
         work, self._work = self._work, ()
-        return solve(*work)
+        try:
+            return solve(*work)
+        finally:
+            gc.enable()
 
     def _solved(self) -> Mapping[str, Any]:
         """Solve, and write what is an answer; all of it counts as time."""
@@ -182,7 +192,6 @@ class SolverDesk:
         for into, solution in zip(self._into, solutions, strict=False):
             if solution.status != "error" and solution.weights is not None:
                 into[...] = np.asarray(solution.weights, float)
-        gc.enable()
         worst = max(solutions, key=lambda each: RANK.get(each.status, 3), default=None)
         words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
         return {"words": one_line(words, 200), "memory": _resident("VmHWM")}
@@ -193,17 +202,18 @@ class JudgeDesk:
 
     def __init__(self, design: ProblemDesign) -> None:
         self._design = design
+        self._folder = ""
         self._problem: RegressionProblem | None = None
         self._bounds: dict[str, Array] = {}
 
     def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """`problem`, or the `verdict` on the weights of a contender."""
-        if verb == "problem":
-            self._problem, self._bounds = Rows.load(content["folder"]).problem(), {}
-            return {}
+        """The verdict on the weights of a contender on the problem in a folder."""
+        if content["folder"] != self._folder:
+            self._folder = content["folder"]
+            self._problem, self._bounds = Rows.load(self._folder).problem(), {}
         contender = self._design.contenders[content["contender"]]
         kind, gap, excess = self._judged(contender, np.load(content["weights"]))
-        return {"kind": kind, "gap": _finite(gap), "excess": _finite(excess)}
+        return {"kind": kind, "gap": gap, "excess": excess}
 
     def _judged(self, contender: Contender, weights: Array) -> tuple[str, float, float]:
         """The kind of the certificate, its worst value, and the excess, of weights (p, k, n)."""
@@ -240,7 +250,8 @@ class JudgeDesk:
 
 def _peak_from_here() -> float | None:
     """Megabytes resident now [MB], with the highest so far forgotten; None without /proc."""
-    trim_memory()
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
     with suppress(OSError):
         with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
             file.write("5")
@@ -254,7 +265,3 @@ def _resident(name: str) -> float | None:
             if line.startswith(name):
                 return float(line.split()[1]) / 1e3
     return None
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -22,12 +22,11 @@ from scipy.sparse import save_npz
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.study.arena import JUDGE, Arena, Case, Crew, size_of
-from sparsefit.study.columns import PROBLEM_COLUMNS, Column
+from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
-from sparsefit.study.definition import Definition
 from sparsefit.study.manifest import code_version, processor, version_of, versions
-from sparsefit.study.plan import Batch, Step
+from sparsefit.study.plan import Batch, Experiment, Step
 from sparsefit.study.problem_desk import PROBLEM, THETA, JudgeDesk, SolverDesk
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 
@@ -39,10 +38,11 @@ PEERS = (
 
 
 @dataclass(frozen=True, eq=False)
-class ProblemExperiment:
-    """Problems x (solvers x tolerances x settings), as `Experiment` asks for it."""
+class ProblemExperiment(Experiment):
+    """Problems x (solvers x tolerances x settings); no time of theirs is like another."""
 
-    definition: Definition
+    columns = PROBLEM_COLUMNS
+    alone = True
 
     @property
     def design(self) -> ProblemDesign:
@@ -50,21 +50,6 @@ class ProblemExperiment:
         design = self.definition.design
         assert isinstance(design, ProblemDesign)
         return design
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns of `cases.parquet`."""
-        return PROBLEM_COLUMNS
-
-    @property
-    def judged(self) -> Sequence[str]:
-        """No column: no time is like another."""
-        return ()
-
-    @property
-    def alone(self) -> bool:
-        """One process works at a time."""
-        return True
 
     def units(self) -> dict[str, list[Any]]:
         """The problems."""
@@ -99,10 +84,6 @@ class ProblemExperiment:
             "tolerance": [stop for _, stop in pairs],
             "identity": self.design.cell_identities(),
         }
-
-    def factors(self) -> dict[str, str]:
-        """Nothing is swept over all problems."""
-        return {}
 
     def case_id(self, unit: int, cell: int) -> str:
         """The number of the problem and a digest of the case: `003-9f1c0d6a41b2e857`."""
@@ -147,10 +128,6 @@ class ProblemExperiment:
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
         """The size of the problem."""
         return size_of(self._data[unit])
-
-    def cost(self, unit: int, cell: int) -> int:
-        """Every case is a solve of its own."""
-        return unit * len(self.design.cells) + cell
 
     @cached_property
     def _data(self) -> list[Data]:

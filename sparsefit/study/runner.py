@@ -7,36 +7,32 @@ to be finished, the second stops at once.
 
 from __future__ import annotations
 
+import fcntl
+import math
 import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, SparsefitError, is_integer, one_of
-from sparsefit.study.columns import FAILED, Outcome
+from sparsefit.study.columns import FAILED
 from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
-from sparsefit.study.pool import outcomes
+from sparsefit.study.pool import Outcomes, outcomes
 from sparsefit.study.store import Store, clear, discard
-
-try:
-    import fcntl
-except ImportError:  # Windows: the file alone
-    fcntl = None  # type: ignore[assignment]
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
 EXECUTORS = ("processes", "dask")
-PROGRESS_SECONDS = 0.2
-MEMORY = 10  # outcomes of a cell over which its mean forgets, so that it follows a trend
-ENOUGH = 0.5  # share of the cells with cases left that must have been seen
+PROGRESS_SECONDS = 0.2  # not more often than an eye can follow
 
 
 @dataclass(frozen=True)
@@ -81,24 +77,32 @@ class Request:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a run did: `resumed` rows were there before; `statuses` counts all rows.
+    """How far a study is, finished or not, and what a run did for it.
 
-    `solver_seconds` of `processes` times `seconds` [s] were spent in the back-ends. `stale` rows
-    are of other code than this; `dropped` ones of cases that the study no longer plans, and
-    `damaged` ones could not be read.
+    statuses: counts of all rows; stale: how many are of other code than this; versions: how many
+    each version made; dropped: rows of cases that the study no longer plans; damaged: rows that
+    could not be read; resumed: rows that were there before the run, of which `computed` cases,
+    `seconds` [s] and `solver_seconds` of `processes` in the back-ends tell.
     """
 
     folder: Path
     planned: int
-    resumed: int
     statuses: Mapping[str, int]
+    stale: int = 0
+    versions: Mapping[str, int] = field(default_factory=dict)
+    dropped: int = 0
+    damaged: int = 0
+    resumed: int = 0
+    computed: int = 0
     seconds: float = 0.0
     solver_seconds: float = 0.0
     processes: int = 1
-    computed: int = 0
-    stale: int = 0
-    dropped: int = 0
-    damaged: int = 0
+
+    @classmethod
+    def of(cls, store: Store, **run: Any) -> RunSummary:
+        """The summary of what is in a store."""
+        counts = (store.statuses, int(store.stale.sum()), store.versions, store.unplanned)
+        return cls(store.folder, store.plan.size, *counts, store.damaged, **run)
 
     @property
     def done(self) -> int:
@@ -114,29 +118,6 @@ class RunSummary:
     def nothing_to_do(self) -> bool:
         """Whether all that was asked for was there before."""
         return self.computed == 0
-
-
-@dataclass(frozen=True)
-class RunStatus:
-    """How far a study is, finished or not: counts of its rows by status and by version.
-
-    `stale` rows are of other code than this.
-    """
-
-    folder: Path
-    planned: int
-    done: int
-    finished: bool
-    statuses: Mapping[str, int]
-    stale: int = 0
-    versions: Mapping[str, int] = field(default_factory=dict)
-
-
-def status(plan: Plan, folder: Path) -> RunStatus:
-    """How far a study is in its folder; changes nothing, also while it runs."""
-    store = Store.read(folder, plan)
-    counts = (store.statuses, int(store.stale.sum()), store.versions)
-    return RunStatus(folder, plan.size, int(store.done.sum()), store.finished, *counts)
 
 
 def run(
@@ -167,8 +148,7 @@ def run(
         store = Store.read(folder, plan)
         wanted = _wanted(plan, store, request)
         if store.finished and not wanted.any():
-            counts = (store.statuses, 0.0, 0.0, 1, 0, int(store.stale.sum()))
-            return RunSummary(folder, plan.size, plan.size, *counts, store.unplanned)
+            return RunSummary.of(store, resumed=plan.size)
         with Store.opened(folder, plan) as store:
             summary = _run(store, wanted, request, processes, progress, stopping)
             if summary.finished:
@@ -201,51 +181,43 @@ def _run(
 ) -> RunSummary:
     """Compute the cases wanted; each row is in the store before the next is waited for."""
     plan, begun = store.plan, time.monotonic()
-    registered = int((store.done & ~wanted).sum())
-    pace = Pace.start(wanted.sum(axis=0), processes)
+    resumed, computed = int((store.done & ~wanted).sum()), int(wanted.sum())
+    pace, shown = Pace(wanted.sum(axis=0), processes), -math.inf
     solving: dict[int, float] = {}
-    report = _Report(registered + int(wanted.sum()), progress, registered)
-    report.say(pace)
-    came = np.zeros_like(wanted)
+    missing = wanted.copy()
     with (
         counted_interrupts(stopping or (lambda: None)) as stop,
         closing(_computed(plan, wanted, request, processes, stop)) as arriving,
     ):
-        for outcome in arriving:
-            version = plan.versions[outcome.cell]
-            store.put(outcome, version)
-            came[outcome.unit, outcome.cell] = True
-            cost = plan.experiment.cost(outcome.unit, outcome.cell)
-            seconds = float(outcome.values.get("seconds", 0.0)) - outcome.shared_seconds
-            solving[cost] = seconds if seconds == seconds else 0.0
-            pace.note(outcome.cell, outcome.seconds_spent)
-            report.done += 1
-            report.say(pace)
-        if stop() and not came[wanted].all():
+        for outcome, spent in chain([(None, math.nan)], arriving):
+            if outcome is not None:
+                store.put(outcome, plan.versions[outcome.cell])
+                missing[outcome.unit, outcome.cell] = False
+                seconds = float(outcome.values.get("seconds", 0.0)) - outcome.shared_seconds
+                solving[plan.experiment.cost(outcome.unit, outcome.cell)] = seconds
+                pace.note(outcome.cell, spent)
+            if progress and (not pace.cases or time.monotonic() - shown > PROGRESS_SECONDS):
+                shown = time.monotonic()
+                progress(resumed + computed - pace.cases, resumed + computed, pace.eta)
+        if stop() and missing.any():
             raise KeyboardInterrupt
-    missing = int((wanted & ~came).sum())
-    if missing:
+    if missing.any():
         name = plan.experiment.definition.name
-        words = f"{missing} cases of {name} ended without a row: run the study again"
+        words = f"{missing.sum()} cases of {name} ended without a row: run the study again"
         raise SparsefitError(f"{words}; what was computed is there")
-    return RunSummary(
-        store.folder,
-        plan.size,
-        registered,
-        store.statuses,
-        time.monotonic() - begun,
-        sum(solving.values()),
-        processes,
-        computed=int(wanted.sum()),
-        stale=int(store.stale.sum()),
-        dropped=store.unplanned,
-        damaged=store.damaged,
+    return RunSummary.of(
+        store,
+        resumed=resumed,
+        computed=computed,
+        seconds=time.monotonic() - begun,
+        solver_seconds=math.fsum(value for value in solving.values() if value == value),
+        processes=processes,
     )
 
 
 def _computed(
     plan: Plan, wanted: BoolArray, request: Request, processes: int, stop: Callable[[], bool]
-) -> Generator[Outcome, None, None]:
+) -> Outcomes:
     """The outcomes of the cases wanted, as they come, from processes here or from dask."""
     batches = plan.experiment.batches(wanted)
     if request.executor == "dask":
@@ -290,9 +262,6 @@ def locked(folder: Path) -> Iterator[None]:
     """
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: cannot be written: choose another results folder")
-    if fcntl is None:  # Windows: the store's own lock alone
-        yield
-        return
     place = os.open(folder, os.O_RDONLY)
     try:
         try:
@@ -337,60 +306,38 @@ def counted_interrupts(requested: Callable[[], None]) -> Iterator[Callable[[], b
 
 # Ours, as cells differ in cost: over five replayed studies, tqdm's estimate was 24-143 % off in the
 # median and the mean pace 3-24 %; this was 2-11 %.
-@dataclass(eq=False)
 class Pace:
-    """Cases left per cell (c,), and the mean seconds [s] and number of those seen."""
+    """The cases that are left of every cell (c,), and the mean seconds [s] of those seen.
 
-    remaining: Array
-    mean: Array
-    seen: Array
-    processes: int
+    The mean of a cell forgets over 10 cases, so that it follows a trend.
+    """
 
-    @classmethod
-    def start(cls, remaining: Any, processes: int) -> Pace:
-        """Nothing seen yet."""
-        return cls(
-            np.array(remaining, float),
-            np.zeros(len(remaining)),
-            np.zeros(len(remaining)),
-            processes,
-        )
+    def __init__(self, remaining: Any, processes: int) -> None:
+        self.remaining = list(map(int, remaining))
+        self.mean = [math.nan] * len(self.remaining)
+        self.seen = [0] * len(self.remaining)
+        self.cases, self.processes = sum(self.remaining), processes
 
     def note(self, cell: int, seconds: float) -> None:
         """One case of `cell` ended after `seconds` of a worker's time; NaN: not representative."""
+        self.cases -= 1
         self.remaining[cell] -= 1
         if seconds == seconds:
             self.seen[cell] += 1
-            self.mean[cell] += (seconds - self.mean[cell]) / min(self.seen[cell], MEMORY)
+            before = self.mean[cell] if self.seen[cell] > 1 else seconds
+            self.mean[cell] = before + (seconds - before) / min(self.seen[cell], 10)
 
     @property
     def eta(self) -> float | None:
-        """Seconds left; None while less than the share `ENOUGH` of the cells was seen.
+        """Seconds left; None while less than half of the cells with cases left was seen.
 
         A cell never seen counts as the median of those seen: the first case of a flight carries
         the simulation and the library, and must not stand for all.
         """
-        if not self.remaining.any():
+        remaining, mean = np.array(self.remaining), np.array(self.mean)
+        seen = np.isfinite(mean)
+        if not remaining.any():
             return 0.0
-        seen, open_ = self.seen > 0, self.remaining > 0
-        enough = ENOUGH * np.count_nonzero(open_)
-        if not seen.any() or np.count_nonzero(seen & open_) < enough:
+        if not seen.any() or 2 * (seen & (remaining > 0)).sum() < (remaining > 0).sum():
             return None
-        typical = np.where(seen, self.mean, np.median(self.mean[seen]))
-        return float(self.remaining @ typical) / self.processes
-
-
-@dataclass
-class _Report:
-    """Tells how far the run is, not more often than an eye can follow."""
-
-    planned: int
-    progress: Progress | None
-    done: int
-    last: float = float("-inf")
-
-    def say(self, pace: Pace) -> None:
-        now = time.monotonic()
-        if self.progress and (self.done == self.planned or now - self.last > PROGRESS_SECONDS):
-            self.last = now
-            self.progress(self.done, self.planned, pace.eta)
+        return float(remaining @ np.where(seen, mean, np.median(mean[seen]))) / self.processes

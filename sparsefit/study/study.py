@@ -24,20 +24,19 @@ import numpy as np
 
 from sparsefit.codec import shown
 from sparsefit.errors import InputError
-from sparsefit.study.again import CaseAgain, read_again
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.counts import counts_of
 from sparsefit.study.definition import Definition, Outputs, definition_of, read_definition
 from sparsefit.study.export import cases_table, read_cases, read_weights
-from sparsefit.study.flight_desk import estimator_of
+from sparsefit.study.flight_desk import CaseAgain, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.latency import Latency, measure, read_latencies, write_latencies
 from sparsefit.study.merging import Merged, merge
 from sparsefit.study.plan import Experiment, Plan
 from sparsefit.study.pool import outcomes
 from sparsefit.study.problem_experiment import ProblemExperiment
-from sparsefit.study.runner import Progress, Request, RunStatus, RunSummary, run, status
+from sparsefit.study.runner import Progress, Request, RunSummary, run
 from sparsefit.study.store import Store
 
 if TYPE_CHECKING:
@@ -154,9 +153,9 @@ class Study:
         finally:
             self.__dict__.pop("cases", None)
 
-    def status(self) -> RunStatus:
+    def status(self) -> RunSummary:
         """How far the study is; changes nothing, also while it runs."""
-        return status(self.planned, self.folder)
+        return RunSummary.of(Store.read(self.folder, self.planned))
 
     @cached_property
     def cases(self) -> pd.DataFrame:
@@ -165,12 +164,13 @@ class Study:
         if store.finished:
             table = read_cases(self.folder)
             return self._joined(table, self.plan())
-        rows = [(self.planned.place_of[row.key], row) for row in store.rows()]
+        rows = list(store.rows())
         if not rows:
             words = f"0 of {self.planned.size} cases are there; run them first"
             raise InputError(f"{self.folder}: {words}: sparsefit study run {self.path}")
         table = cases_table(self.planned, self.planned.columns(), rows).to_pandas()
-        frame = self.plan().iloc[[place for place, _ in rows]].reset_index(drop=True)
+        places = [self.planned.place_of[row.key] for row in rows]
+        frame = self.plan().iloc[places].reset_index(drop=True)
         return self._joined(table, frame)
 
     def _joined(self, table: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
@@ -215,10 +215,10 @@ class Study:
             raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}, {near} say")
         unit, cell = self.planned.at(place)
         if isinstance(self.experiment, FlightExperiment):
-            return read_again(self.definition, unit, cell)
+            return CaseAgain.of(self.definition, unit, self.definition.flights.cells[cell])
         wanted = np.zeros(self.planned.shape, dtype=bool)
         wanted[unit, cell] = True
-        (outcome,) = outcomes(self.experiment, self.experiment.batches(wanted), 1)
+        ((outcome, _),) = outcomes(self.experiment, self.experiment.batches(wanted), 1)
         return outcome
 
     def cells_of(self, candidate: str) -> list[int]:

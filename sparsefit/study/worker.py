@@ -2,43 +2,50 @@
 
     worker = Worker.start(Desk, (definition,), memory=2000.0)   # Desk(definition) lives in there
     worker.send(Ask("cases", {"unit": 3}, limit=60.0))
-    worker.receive()            # None while it works; the answer, a mapping; or Lost
+    worker.receive()                                            # None while it works; an Answer
 
-The parent keeps the clock: an ask has its limit, whatever the process says. An answer is one line
-of JSON with a checksum and the number of its ask; all else that comes through the channel ends
-the process. Nothing that the process says is believed before `plan` checked it (`runner`).
+    in_child(work, 4, seconds=60.0)                             # one call, and its value
+
+The parent keeps limit and clock, whatever the process says. An ask is a pickle; an answer is one
+line of JSON with its checksum and the number of its ask, and all else that comes through the
+channel ends the process. A worker computes in one thread, in a group of processes of its own,
+which Ctrl-C does not reach; `guardian` ends it and all that it has started.
 """
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import json
 import math
-import multiprocessing
 import os
+import pickle
 import select
+import signal
+import subprocess
+import sys
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection, wait
-from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, BinaryIO, Protocol
 from zlib import crc32
 
-from sparsefit.child import Child
-from sparsefit.errors import described
-from sparsefit.study.clock import cpu_seconds
+from sparsefit.errors import InputError, SparsefitError, described, one_line
+from sparsefit.study import guardian
 
-Record: TypeAlias = dict[str, Any]
-CHUNK = 1 << 20  # bytes that are read at once
-LONGEST = 64 << 20  # bytes of one answer
-GARBLED = "the message channel of the worker process was written into"
-SHARE = 0.8  # of the machine's memory that all workers together may take
+# Processes share the work; threads inside each would only fight for the same cores.
+ONE_THREAD = dict.fromkeys(
+    (
+        *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"),
+        *("VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"),
+        "RAYON_NUM_THREADS",
+    ),
+    "1",
+)
 START_SECONDS = 180.0
+GARBLED = "the message channel of the worker process was written into"
 
 
 class Desk(Protocol):
@@ -54,7 +61,7 @@ class Ask:
     """One thing that a worker is to do within `limit` seconds [s] on the wall.
 
     desk: which process of several is asked, so that code of others shares none with ours; timed:
-    whether the answer comes with its seconds, "wall" and "cpu", by the parent's clock.
+    whether the answer tells its seconds.
     """
 
     verb: str
@@ -65,16 +72,32 @@ class Ask:
 
 
 @dataclass(frozen=True)
-class Lost:
-    """The process was killed at its limit (``timeout``) or died (``crashed``), with the reason.
+class Answer:
+    """What came of an ask.
 
-    started: whether it had answered before; by_signal: whether it was killed from outside.
+    status: "ok", with its content; "error" of the code that was asked; "timeout" or "crashed" where
+    the process was killed at its limit or died, with the reason. wall, cpu: seconds [s] by the
+    parent's clock, the second of the process and of all that it started. started: whether the
+    process ever began to answer; by_signal: whether the guardian was killed from outside.
     """
 
     status: str
-    reason: str
+    reason: str = ""
+    content: Mapping[str, Any] = field(default_factory=dict)
+    wall: float = math.nan
+    cpu: float = math.nan
     started: bool = True
     by_signal: bool = False
+
+    @property
+    def lost(self) -> bool:
+        """Whether the process is gone."""
+        return self.status in ("timeout", "crashed")
+
+    def words(self, work: str) -> str:
+        """The reason, with the work that was lost: `fitting took longer than 6 s`."""
+        between = {"timeout": " ", "crashed": ": "}.get(self.status)
+        return f"{work}{between}{self.reason}" if between else self.reason
 
 
 def packed(record: Mapping[str, Any]) -> bytes:
@@ -83,62 +106,53 @@ def packed(record: Mapping[str, Any]) -> bytes:
     return b"%08x %s\n" % (crc32(body), body)
 
 
-def unpacked(line: bytes) -> Record | None:
-    """The record of a line without its end; None where it is not whole."""
+def unpacked(line: bytes) -> dict[str, Any]:
+    """The record of a line without its end; empty where it is not whole."""
     if line[8:9] != b" " or line[:8] != b"%08x" % crc32(line[9:]):
-        return None
+        return {}
     try:
         record = json.loads(line[9:])
     except (ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) else None
+        return {}
+    return record if isinstance(record, dict) else {}
 
 
 def serve(
+    asks: BinaryIO,
+    answers: int,
     make: Callable[..., Desk],
-    content: tuple[Any, ...],
+    arguments: tuple[Any, ...],
     memory: float,
-    asks: Connection,
-    answers: Connection,
 ) -> None:
-    """The life of the process: answer until the parent is gone.
+    """The life of the process: make the desk, which is answer 0, and answer until no ask comes.
 
     A copy of it, made by code that forks, ends where it would answer.
     """
-    owner = os.getpid()
-    _leave_tracker()
+    warnings.simplefilter("ignore")
     if math.isfinite(memory):
         _limit_memory(memory)
-    desk = make(*content)
-    _reply(answers, {"number": 0})
-    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        while True:
-            number, verb, arguments = asks.recv()
-            record: Record = {}
-            try:
-                record = {"number": number, "answer": desk.answer(verb, **arguments)}
-                line = packed(record)
-            except MemoryError as error:
-                gc.collect()
-                line = packed({"number": number, "error": f"memory: {described(error)}"})
-            except BaseException as error:  # code of others may raise anything, SystemExit too
-                line = packed({"number": number, "error": described(error)})
-            if os.getpid() != owner:
-                os._exit(0)
+    owner, number, desk, content = os.getpid(), 0, None, {}
+    verb = ""
+    while True:
+        try:
+            if desk is None:
+                desk = make(*arguments)
+                line = packed({"number": 0, "answer": {}})
+            else:
+                line = packed({"number": number, "answer": desk.answer(verb, **content)})
+        except MemoryError as error:
+            gc.collect()
+            line = packed({"number": number, "error": f"memory: {described(error)}"})
+        except BaseException as error:  # code of others may raise anything, SystemExit too
+            line = packed({"number": number, "error": described(error)})
+        if os.getpid() != owner:
+            os._exit(0)
+        try:
             while line:
-                line = line[os.write(answers.fileno(), line) :]
-
-
-def _leave_tracker() -> None:
-    """Close the pipe to the parent's tracker of resources, which code of others may write into."""
-    tracker: Any = getattr(resource_tracker, "_resource_tracker", None)
-    with suppress(OSError, AttributeError, TypeError):
-        os.close(tracker._fd)
-        tracker._fd = None
-
-
-def _reply(answers: Connection, record: Record) -> None:
-    os.write(answers.fileno(), packed(record))
+                line = line[os.write(answers, line) :]
+            number, verb, content = pickle.load(asks)
+        except (EOFError, OSError):  # the parent is gone
+            return
 
 
 def _limit_memory(megabytes: float) -> None:
@@ -161,150 +175,204 @@ def memory_limit(requested: float | None, processes: int) -> float:
         return math.inf
     with suppress(OSError, ValueError):  # of a container, which may have less
         total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e6)
-    return SHARE * total / max(processes, 1)
+    return 0.8 * total / max(processes, 1)
 
 
-@dataclass
+@dataclass(eq=False)
 class Worker:
-    """The parent's end of a process.
+    """The parent's end of a process: the guardian, and the two pipes of the worker.
 
-    number: of the last ask; ready: whether the process has started; busy: whether it works;
-    began: the parent's clock and the process's CPU [s] when a timed ask was sent.
+    number: of the last ask; started: whether the desk is made; ask: what it is to do; sent: when,
+    on the wall and of CPU [s]; deadline: when it is killed.
     """
 
-    child: Child
-    asks: Connection
-    answers: Connection
+    process: subprocess.Popen[bytes]
+    asks: int
+    answers: int
     deadline: float
-    limit: float = START_SECONDS
     number: int = 0
-    ready: bool = False
-    busy: bool = True
+    started: bool = False
+    ask: Ask | None = None
+    sent: tuple[float, float] = (math.nan, math.nan)
     buffer: bytearray = field(default_factory=bytearray)
-    began: tuple[float, float] | None = None
 
     @classmethod
     def start(
-        cls, make: Callable[..., Desk], content: tuple[Any, ...], *, memory: float = math.inf
+        cls, make: Callable[..., Desk], arguments: tuple[Any, ...], *, memory: float = math.inf
     ) -> Worker:
-        """A new process with ``make(*told)`` in it; it is busy until it has started."""
-        asks, ours = multiprocessing.Pipe(duplex=False)
-        answers, theirs = multiprocessing.Pipe(duplex=False)
-        child = Child.start(serve, make, content, memory, asks, theirs)
-        asks.close()
-        theirs.close()
-        os.set_blocking(answers.fileno(), False)
-        return cls(child, ours, answers, time.monotonic() + START_SECONDS)
+        """A new process in which ``make(*arguments)`` answers."""
+        theirs, asks = os.pipe()
+        answers, ours = os.pipe()
+        process = subprocess.Popen(
+            [sys.executable, "-P", guardian.__file__, str(theirs), str(ours)],
+            stdin=subprocess.PIPE,
+            pass_fds=(theirs, ours),
+            process_group=0,
+            env={**os.environ, **ONE_THREAD},
+        )
+        os.close(theirs)
+        os.close(ours)
+        os.set_blocking(answers, False)
+        worker = cls(process, asks, answers, time.monotonic() + START_SECONDS)
+        worker._write(sys.path, (serve, (make, arguments, memory)))
+        return worker
+
+    def _write(self, *messages: object) -> None:
+        content = b"".join(map(pickle.dumps, messages))
+        with suppress(BrokenPipeError):  # it has died: `receive` says so
+            while content:
+                content = content[os.write(self.asks, content) :]
 
     def send(self, ask: Ask) -> None:
-        """Ask; if the process has died meanwhile, `receive` says so."""
-        self.number += 1
-        self.busy, self.limit = True, ask.limit
-        self.deadline = time.monotonic() + ask.limit
-        self.began = (0.0, cpu_seconds(self.child.process.pid)) if ask.timed else None
-        with suppress(OSError):
-            message = ForkingPickler.dumps((self.number, ask.verb, dict(ask.content)))
-            if ask.timed:
-                self.began = (time.perf_counter(), self.began[1] if self.began else math.nan)
-            self.asks.send_bytes(message)
+        """Ask, once the last answer has come; limit and clock begin when the desk is made."""
+        self.number, self.ask = self.number + 1, ask
+        if self.started:
+            self._begin()
+        self._write((self.number, ask.verb, dict(ask.content)))
 
-    def receive(self) -> Record | Lost | None:
-        """The answer that has come, {"answer": ...} or {"error": ...}; None while it works."""
-        heard = time.perf_counter()
+    def _begin(self) -> None:
+        assert self.ask is not None
+        cpu = cpu_seconds(self.process.pid) if self.ask.timed else math.nan
+        self.deadline = time.monotonic() + self.ask.limit
+        self.sent = (time.perf_counter(), cpu)
+
+    def receive(self) -> Answer | None:
+        """The answer to the last ask; None while it works."""
+        heard, ended = time.perf_counter(), False
         try:
-            while chunk := os.read(self.answers.fileno(), CHUNK):
+            while chunk := os.read(self.answers, 1 << 16):
                 heard = time.perf_counter()
                 self.buffer += chunk
-                if len(self.buffer) > LONGEST:
+                if len(self.buffer) > 64 << 20:
                     return self._lost("crashed", GARBLED)
-            return self._ended()
+            ended = True
         except BlockingIOError:
             pass
-        except OSError:
+        while b"\n" in self.buffer:
+            line, _, rest = self.buffer.partition(b"\n")
+            record, self.buffer = unpacked(bytes(line)), rest
+            if not self.started and record.get("number") == 0:
+                if "error" in record:
+                    return self._lost("crashed", str(record["error"]))
+                self.started = True
+                if self.ask is not None:
+                    self._begin()
+                continue
+            return self._answer(record, heard)
+        if ended:
             return self._ended()
-        message = self._message()
-        if self.began is not None and isinstance(message, dict):
-            began, cpu = self.began
-            used = cpu_seconds(self.child.process.pid) - cpu
-            message |= {"wall": heard - began, "cpu": used}
-            self.began = None
-        return message
-
-    def _message(self) -> Record | Lost | None:
-        line, end, rest = bytes(self.buffer).partition(b"\n") if self.buffer else (b"", b"", b"")
-        if end:
-            record = unpacked(line)
-            self.buffer = bytearray(rest)
-            if rest or record is None or record.get("number") != self.number:
-                return self._lost("crashed", GARBLED)
-            if not self.ready:
-                self.ready, self.busy, record = True, False, {"answer": {}}
-            self.busy = False
-            return record
         if time.monotonic() > self.deadline:
-            return self._lost("timeout", f"took longer than {self.limit:g} s")
+            limit = self.ask.limit if self.started and self.ask else START_SECONDS
+            return self._lost("timeout", f"took longer than {limit:g} s")
         return None
 
-    def _ended(self) -> Record | Lost | None:
-        """The process closed its end: its last words, if they are whole, or how it ended."""
-        if b"\n" in self.buffer and not isinstance(message := self._message(), Lost):
-            return message
-        self.child.process.join(timeout=1.0)
-        code = self.child.process.exitcode or 0
-        reason = f"the worker process {self.child.end}"
-        return self._lost("crashed", reason, by_signal=code < 0)
+    def _answer(self, record: Mapping[str, Any], heard: float) -> Answer:
+        content, error = record.get("answer", {}), record.get("error", "")
+        if (
+            self.buffer
+            or record.get("number") != self.number
+            or not isinstance(content, dict)
+            or not isinstance(error, str)
+        ):
+            return self._lost("crashed", GARBLED)
+        wall, cpu = math.nan, math.nan
+        if self.ask is not None and self.ask.timed:
+            wall, cpu = heard - self.sent[0], cpu_seconds(self.process.pid) - self.sent[1]
+        return Answer("error" if error else "ok", error, content, wall, cpu)
 
-    def _lost(self, status: str, reason: str, *, by_signal: bool = False) -> Lost:
+    def _ended(self) -> Answer:
+        """The process closed its end: how it ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(1.0)
+        code = self.process.returncode
+        if code is None:
+            return self._lost("crashed", "the worker process closed its message channel")
+        words, number = f"ended with exit code {code}", -code if code < 0 else code - 128
+        if number > 0:
+            name = signal.Signals(number).name if number in signal.valid_signals() else number
+            words = f"died of {name}{' (out of memory?)' if name == 'SIGKILL' else ''}"
+        return self._lost("crashed", f"the worker process {words}", by_signal=code < 0)
+
+    def _lost(self, status: str, reason: str, *, by_signal: bool = False) -> Answer:
         self.close()
-        return Lost(status, reason, self.ready, by_signal)
+        return Answer(status, reason, started=self.started, by_signal=by_signal)
 
-    def ask(self, ask: Ask) -> Record | Lost:
-        """The answer, waited for; a process that has not started yet is waited for too."""
-        if not self.ready:
-            started = self._awaited()
-            if isinstance(started, Lost):
-                return started
+    def wait(self, ask: Ask) -> Answer:
+        """The answer to an ask, waited for."""
         self.send(ask)
-        return self._awaited()
-
-    def _awaited(self) -> Record | Lost:
-        while (message := self.receive()) is None:
+        while (answer := self.receive()) is None:
             wait_for([self], self.deadline - time.monotonic())
-        return message
+        return answer
 
     def peak_memory(self) -> float:
         """The most memory [MB] that the process ever had; NaN where the system does not say."""
-        with suppress(OSError, ValueError):
-            path = Path(f"/proc/{self.child.process.pid}/status")
-            for line in path.read_text(encoding="ascii").splitlines():
+        with suppress(OSError, ValueError, IndexError):
+            (worker, *_) = guardian.children_of(self.process.pid)
+            for line in Path(f"/proc/{worker}/status").read_text(encoding="ascii").splitlines():
                 if line.startswith("VmHWM"):
                     return float(line.split()[1]) / 1e3
         return math.nan
 
-    def excuse(self, seconds: float) -> None:
-        """Do not charge seconds [s] in which the parent was stopped or suspended."""
-        self.deadline += seconds
-
     def close(self) -> None:
         """End the process for real, with all that it started, and wait until it is gone."""
-        self.child.kill()
-        self.asks.close()
-        self.answers.close()
+        assert self.process.stdin is not None
+        if self.process.stdin.closed:
+            return
+        self.process.stdin.close()
+        os.close(self.asks)
+        try:
+            self.process.wait(10.0)
+        except subprocess.TimeoutExpired:  # stopped, by what it guards
+            self.process.kill()
+            self.process.wait()
+        os.close(self.answers)
 
 
 def wait_for(workers: Sequence[Worker], seconds: float) -> None:
     """Until one of the workers says something or ends, or this many seconds [s] are over."""
-    heard = [w.answers.fileno() for w in workers] + [w.child.process.sentinel for w in workers]
-    if not hasattr(select, "poll"):
-        wait(list(heard), timeout=max(seconds, 0.0))
-        return
     poll = select.poll()
-    for descriptor in heard:
-        poll.register(descriptor, select.POLLIN)
+    for worker in workers:
+        poll.register(worker.answers, select.POLLIN)
     poll.poll(max(seconds, 0.0) * 1e3)
 
 
-def trim_memory() -> None:
-    """Give freed memory back to the system, where the C library can."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
+def cpu_seconds(pid: int) -> float:
+    """Seconds of CPU [s] that a process and its children have used; NaN where none are told."""
+    if not hasattr(time, "clock_gettime"):
+        return math.nan
+    total = math.nan
+    with suppress(OSError, OverflowError):
+        # The number of the clock of another process, as of `clock_getcpuclockid` of Linux.
+        total = time.clock_gettime((~pid << 3) | 2)
+    with suppress(OSError, ValueError, AttributeError):
+        words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        ended = sum(map(int, words[13:15])) / os.sysconf("SC_CLK_TCK")
+        total += ended + sum(map(cpu_seconds, guardian.children_of(pid)))
+    return total
+
+
+class _Caller:
+    """The desk of `in_child`."""
+
+    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
+        """The value of a function."""
+        try:
+            return {"value": content["work"](*content["arguments"])}
+        except SparsefitError as error:
+            return {"refused": one_line(str(error))}
+
+
+def in_child(work: Callable[..., Any], *arguments: object, seconds: float) -> Any:
+    """The value of ``work(*arguments)``, as JSON holds it, from another process.
+
+    Raises:
+        InputError: it raised one, or another error; it died, ended or took longer than ``seconds``.
+    """
+    worker = Worker.start(_Caller, ())
+    try:
+        answer = worker.wait(Ask("call", {"work": work, "arguments": arguments}, seconds))
+    finally:
+        worker.close()
+    if answer.status == "ok" and "value" in answer.content:
+        return answer.content["value"]
+    raise InputError(answer.content.get("refused") or answer.reason)

@@ -3,11 +3,11 @@
 import ctypes
 import json
 import math
-import multiprocessing
 import os
 import shutil
 import stat
 import subprocess
+import sys
 import time
 import zlib
 from contextlib import suppress
@@ -19,13 +19,14 @@ import numpy as np
 
 from sparsefit.regression.backend import Solution
 
-NO_ROW = {"status": "ok", "reason": "", "values": {}, "shared": 0.0, "weights": []}
+NO_ROW = ("ok", "", "[{}, 0.0, []]")
 FORGED = {
-    "forge": {"number": 3, "answer": {"rows": [{"cell": 0, **NO_ROW}]}},
+    "forge": {"number": 3, "answer": {"rows": [[0, *NO_ROW]]}},
     "empty": {},
     "odd": {"number": 3, "answer": [7]},
-    "foreign": {"number": 3, "answer": {"rows": [{"cell": 9, **NO_ROW}]}},
+    "foreign": {"number": 3, "answer": {"rows": [[9, *NO_ROW]]}},
 }
+ASLEEP = "599.25"  # seconds, by which a process is known
 ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\nlate = hostile:Late\n"
 
 
@@ -56,7 +57,7 @@ class Late(Hostile):
     name: ClassVar[str] = "late"
 
     def __post_init__(self):
-        if multiprocessing.parent_process() is not None:
+        if Path(sys.argv[0]).name == "guardian.py":
             raise RuntimeError("not here")
 
 
@@ -101,6 +102,9 @@ def do(deed):
             with suppress(OSError):
                 if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
                     os.write(descriptor, line_of(FORGED[deed]))
+    if deed == "leave":  # a child that has left the session, and whose parent has ended
+        subprocess.run(["setsid", "--fork", "sleep", ASLEEP], check=True)
+        time.sleep(600.0)
     if deed == "child":
         subprocess.Popen(["sleep", "600"])
         time.sleep(600.0)

@@ -1,0 +1,74 @@
+"""Workers: a call apart, and nothing that outlives its run."""
+
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sparsefit.errors import InputError
+from sparsefit.study.worker import in_child
+from tests.study import hostile
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_a_file_of_the_users_folder_stands_before_nothing_of_python(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "signal.py").write_text("raise SystemExit('not for you')")
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    assert in_child(math.sqrt, 4.0, seconds=60.0) == 2.0
+    assert in_child(os.getenv, "PYTHONSAFEPATH", seconds=60.0) is None
+
+
+@pytest.mark.parametrize(
+    ("deed", "words"),
+    [
+        ("die", r"died of SIGKILL \(out of memory\?\)"),
+        ("exit", "ended with exit code 3"),
+        ("raise", "ZeroDivisionError: one two"),
+        ("hang-native", "took longer than 2 s"),
+        ("empty", "channel of the worker process was written into"),
+    ],
+)
+def test_a_call_that_fails_is_told_in_a_line(deed, words):
+    with pytest.raises(InputError, match=words):
+        in_child(hostile.do, deed, seconds=2.0)
+
+
+def alive(marker):
+    """The processes with a word in their command."""
+    every = (path for path in Path("/proc").iterdir() if path.name.isdigit())
+    return [path for path in every if marker in command_of(path)]
+
+
+def command_of(path):
+    try:
+        return (path / "cmdline").read_text().replace("\0", " ")
+    except OSError:
+        return ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a subreaper is of Linux")
+@pytest.mark.parametrize("end", ["limit", "kill"])
+def test_what_leaves_its_session_ends_with_the_run(end):
+    """The deed `leave` starts `sleep` in a session of its own, twice removed."""
+    code = (
+        "from tests.study import hostile\nfrom sparsefit.study.worker import in_child\n"
+        f"in_child(hostile.do, 'leave', seconds={2.0 if end == 'limit' else 60.0})"
+    )
+    run = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + 60.0
+    while not alive(hostile.ASLEEP) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert alive(hostile.ASLEEP)
+    if end == "kill":
+        run.kill()
+    run.wait(60.0)
+    until = time.monotonic() + 10.0
+    while alive(hostile.ASLEEP) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not alive(hostile.ASLEEP)
