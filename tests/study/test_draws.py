@@ -10,8 +10,8 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.regression_bound import cramer_rao
-from sparsefit.study.draw import Draw, stream
 from sparsefit.study.columns import read_body
+from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, Flown
 from sparsefit.study.study import Study
 
