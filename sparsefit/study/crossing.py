@@ -17,8 +17,8 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, LengthScaleGrid, Library, Readout, backends
@@ -26,6 +26,7 @@ from sparsefit.codec import Place, build, made, number, only, shown
 from sparsefit.errors import SparsefitError, suggestion, told_with
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
+from sparsefit.regression.backend import PathBackend
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, read_flight_rules
 from sparsefit.study.logged import FILES, Logs, read_logs
@@ -43,6 +44,7 @@ from sparsefit.study.schema import (
     taken,
 )
 from sparsefit.study.toml_file import Section, canonical_json
+from sparsefit.study.worker import in_child
 
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
@@ -100,13 +102,13 @@ class Factor:
 class BackendChoice:
     """One [[backends]] entry: every setting with the values it takes.
 
-    points: every point of the grid, the last key fastest, and all its settings as canonical JSON.
+    points: every point of the grid, the last key fastest, with what `about_backend` tells of it.
     """
 
     name: str
     label: str
     grid: Mapping[str, tuple[Setting, ...]]
-    points: tuple[tuple[Mapping[str, Setting], str], ...]
+    points: tuple[tuple[Mapping[str, Setting], str, str, bool], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,8 @@ class Cell:
 
     `index` is its place in the plan and `key` a hash of those four, which stays the same whatever
     else the study plans. `settings` are those that the entry `choice` gives, `canonical_settings`
-    all of them, as canonical JSON.
+    all of them, as canonical JSON, `own_settings` those that are not at their defaults; `walks`:
+    whether the back-end walks a path of penalties.
     """
 
     index: int
@@ -126,6 +129,8 @@ class Cell:
     choice: BackendChoice
     settings: Mapping[str, Setting]
     canonical_settings: str
+    own_settings: str
+    walks: bool
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -203,11 +208,11 @@ def cross(
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]
         within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
         setup = read_setup(override(sections, {**protocol.overrides, **levels}), within, parts)
-        for choice, settings, canonical in fitted:
+        for choice, settings, canonical, own, walks in fitted:
             identity = canonical_json([protocol.name, levels, choice.name, settings])
             digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
             here = (next(index), digest, protocol.name, levels, setup)
-            yield Cell(*here, choice, settings, canonical)
+            yield Cell(*here, choice, settings, canonical, own, walks)
 
 
 def level_sets(sweep: tuple[Factor, ...]) -> list[dict[str, object]]:
@@ -270,21 +275,25 @@ def read_backends(document: Section, place: Place) -> tuple[BackendChoice, ...]:
     for entry in read_sections(required(document, "backends", place), here):
         names, rest = taken(Named, entry, here)
         grid = read_grid(dict(sorted(rest.items())), here)
-        size, name, points = math.prod(map(len, grid.values())), names.name, []
+        size, name = math.prod(map(len, grid.values())), names.name
         if size > 100_000:
             words = f'"{name}" has a grid of {size} settings: 100000 are the most'
             raise here.error(words)
-        for settings in points_of(grid):
-            try:
-                backend = backends.get(name, **settings)
-            except (SparsefitError, TypeError, ValueError) as error:
-                raise here.error(str(error)) from None
+        points, foreign = list(points_of(grid)), name not in backends.BACKENDS
+        try:
+            if foreign:
+                about = in_child(about_backend, name, points, seconds=120.0)
+            else:
+                about = about_backend(name, points)
+        except (SparsefitError, TypeError, ValueError) as error:
+            raise here.error(str(error)) from None
+        for settings in points:
             identity = canonical_json([name, settings])
             if identity in seen:
                 raise here.error(f'"{name}" is listed twice with {shown(settings)}')
             seen.add(identity)
-            points.append((settings, canonical_json(backends.settings_of(backend))))
-        choices.append(BackendChoice(name, names.label or name, grid, tuple(points)))
+        told = tuple((point, *words) for point, words in zip(points, about, strict=True))
+        choices.append(BackendChoice(name, names.label or name, grid, told))
     return tuple(choices)
 
 
@@ -301,3 +310,19 @@ def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]
                 raise place.at(name).error(f"{words}, not {shown(item)}")
         grid[name] = tuple(item for item in listed if isinstance(item, bool | str | int | float))
     return grid
+
+
+def about_backend(name: str, points: Sequence[dict[str, Any]]) -> list[tuple[str, str, bool]]:
+    """Of a back-end with each of these settings: all of them, those that are not at their defaults
+    (both as canonical JSON), and whether it walks a path of penalties.
+    """
+    registered: Any = backends.load(name)
+    defaults = {item.name: item.default for item in fields(registered)}
+    about = []
+    for point in points:
+        backend = backends.get(name, **point)
+        canonical = canonical_json(backends.settings_of(backend))
+        content = json.loads(canonical)
+        own = {k: v for k, v in content.items() if v != defaults.get(k, MISSING)}
+        about.append((canonical, canonical_json(own), isinstance(backend, PathBackend)))
+    return about

@@ -9,7 +9,7 @@ several workers are tried one by one, and one that does it again is `crashed`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from importlib import import_module
 from itertools import islice
@@ -20,16 +20,11 @@ from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment
 from sparsefit.study.pool import Outcomes, outcomes
 
-LARGEST = 32  # batches of a task: a process starts for each task
-SHARES = 4  # tasks for every hand, at least, so that all end at about the same time
-AHEAD = 2  # tasks for every hand that are handed out at once
-CONNECT_SECONDS = 30.0
-
 
 def outcomes_on_dask(
-    experiment: Experiment,
-    batches: Sequence[Batch],
     scheduler: str | None,
+    experiment: Experiment,
+    batches: Iterable[Batch],
     processes: int,
     stop: Callable[[], bool],
 ) -> Outcomes:
@@ -48,8 +43,10 @@ def outcomes_on_dask(
         hands = sum(client.nthreads().values())
         if not hands:
             raise InputError(f"the dask scheduler {scheduler} has no workers yet: start some first")
-        size = max(1, min(LARGEST, len(batches) // (SHARES * hands)))
-        chunks = iter([list(batches[i : i + size]) for i in range(0, len(batches), size)])
+        every = list(batches)
+        # A process starts for each task; all are to end at about the same time.
+        size = max(1, min(32, len(every) // (4 * hands)))
+        chunks = iter([every[i : i + size] for i in range(0, len(every), size)])
         there = client.scatter(experiment, broadcast=True)
         ended, given = dask.as_completed(), dict[str, Sequence[Batch]]()
 
@@ -58,7 +55,7 @@ def outcomes_on_dask(
             given[future.key] = chunk
             ended.add(future)
 
-        for chunk in islice(chunks, hands * AHEAD):
+        for chunk in islice(chunks, 2 * hands):
             submit(chunk)
         tried: set[Batch] = set()
         while given:
@@ -67,20 +64,15 @@ def outcomes_on_dask(
             if future.status == "finished":
                 yield from future.result()
             elif set(mine) & tried:
-                yield from _crashed(mine, described(future.exception()))
+                reason = f"the dask task failed: {described(future.exception())}"
+                for unit, cell in ((batch.unit, cell) for batch in mine for cell in batch.cells):
+                    yield Outcome(unit, cell, "crashed", reason), math.nan
             else:
                 tried.update(mine)
                 for batch in mine:
                     submit([batch])
             for more in islice(chunks, 0 if stop() else 1):
                 submit(more)
-
-
-def _crashed(chunk: Sequence[Batch], cause: str) -> Iterator[tuple[Outcome, float]]:
-    for batch in chunk:
-        for cell in batch.cells:
-            reason = f"the dask task failed: {cause}"
-            yield Outcome(batch.unit, cell, "crashed", reason), math.nan
 
 
 def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[tuple[Outcome, float]]:
@@ -90,12 +82,10 @@ def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[tuple[
 
 def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) -> Any:
     if scheduler is None:
-        cluster = dask.LocalCluster(
-            n_workers=processes, threads_per_worker=1, dashboard_address=None, processes=True
-        )
-        return stack.enter_context(dask.Client(stack.enter_context(cluster)))
+        how = {"threads_per_worker": 1, "dashboard_address": None, "processes": True}
+        scheduler = stack.enter_context(dask.LocalCluster(n_workers=processes, **how))
     try:
-        return stack.enter_context(dask.Client(scheduler, timeout=CONNECT_SECONDS))
+        return stack.enter_context(dask.Client(scheduler, timeout=30.0))
     except (OSError, ValueError) as error:
         cause = described(error)
         raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CASES, WEIGHTS = "cases.parquet", "weights.parquet"
 BATCH = 2048  # rows that are read or written as records at once
 GROUP = 65_536  # rows of a group of the Parquet file
-OF_ANY = ("case_id", "status", "reason", "version", "identity", "backend", "settings")
+OF_ANY = ("case_id", "status", "reason", "backend", "settings")
 OF_FLIGHTS = ("split", "protocol", "label")
 OF_PROBLEMS = ("problem", "objective", "solver")
 
@@ -78,12 +78,14 @@ def exported_rows(folder: Path, plan: Plan, *, brief: bool = False) -> Iterator[
     kinds = kinds_of(plan.experiment.columns)
     with parquet(path) as file:
         names = check_cases(path, file.schema_arrow)
-        other = {*OF_ANY, *plan.columns()} if not brief else set(names)
+        other = set(names) if brief else {"status", "reason", "version", *plan.columns()}
         own = [name for name in names if name in kinds and name not in other]
-        wanted = {*OF_ANY[:5], "flight", *own}
+        wanted = {"case_id", "flight", "status", "reason", "version", "identity", *own}
         columns = [name for name in names if name in wanted]
         for batch in file.iter_batches(batch_size=BATCH, columns=columns):
             content = {name: batch.column(name).to_pylist() for name in columns}
+            for name in {"version", "identity"} - set(columns):
+                content[name] = [""] * batch.num_rows
             keys = plan.keys_of(content, by_case=same)
             heads = zip(*(content[name] for name in ("status", "reason", "version")), strict=True)
             for number, (key, head) in enumerate(zip(keys, heads, strict=True)):

@@ -22,7 +22,6 @@ from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, Flow
 from sparsefit.onboard import as_flown
-from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.fit import path
 from sparsefit.score import strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Outcome, Value, body_of, values_of
@@ -183,13 +182,10 @@ def path_fractions(cell: Cell) -> tuple[float, ...]:
 
     All of it, whatever is left to do of it: a resumed run repeats the path.
     """
-    if cell.settings.get(ALPHA) == "auto":  # it walks a path of its own
-        return ()
     grid = [value for value in cell.choice.grid.get(ALPHA, ()) if value != "auto"]
-    if len(grid) < 2:
-        return ()
-    backend = backends.get(cell.choice.name, **cell.settings)
-    return tuple(map(float, grid)) if isinstance(backend, PathBackend) else ()
+    # With "auto" a back-end walks a path of its own.
+    walks = cell.walks and cell.settings.get(ALPHA) != "auto" and len(grid) > 1
+    return tuple(map(float, grid)) if walks else ()
 
 
 @dataclass(frozen=True, eq=False)

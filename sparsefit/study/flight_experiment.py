@@ -11,7 +11,7 @@ import json
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
@@ -248,17 +248,11 @@ def _identities(definition: Definition) -> Iterator[str]:
     flown = ["on board"] if definition.on_board else []
     common = canonical_json([definition.seed, run.tolerance, run.prediction_flights, *flown])
     setups: dict[int, str] = {}
-    defaults: dict[str, dict[str, object]] = {}
     for cell in design.cells:
         if id(cell.setup) not in setups:
             setups[id(cell.setup)] = _told(cell.setup, design.count)
-        name = cell.choice.name
-        if name not in defaults:
-            registered: tuple[Field[Any], ...] = fields(backends.load(name))  # type: ignore[arg-type]
-            defaults[name] = {item.name: item.default for item in registered}
-        settings = json.loads(cell.canonical_settings)
-        content = {k: v for k, v in settings.items() if v != defaults[name].get(k, MISSING)}
-        yield digest("\n".join((common, setups[id(cell.setup)], name, canonical_json(content))))
+        told = (common, setups[id(cell.setup)], cell.choice.name, cell.own_settings)
+        yield digest("\n".join(told))
 
 
 def _told(setup: Setup, count: int) -> str:

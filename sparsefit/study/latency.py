@@ -26,16 +26,10 @@ from sparsefit.study.definition import Definition
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.flight_desk import draw_of, estimator_of
 from sparsefit.study.manifest import processor, read_record, sparsefit_version
-from sparsefit.study.worker import Ask, Worker, memory_limit
+from sparsefit.study.worker import Answer, Ask, Worker, memory_limit
 from sparsefit.whole_file import write_whole
 
 LATENCY = "latency.json"
-WARM_UP = 2  # flights
-AHEAD = 1.1  # wall over CPU seconds: more, and something else had the core
-TICK = 2e-4  # seconds by which the two clocks may differ anyway
-BUDGET = 15.0  # seconds for a candidate; a slow one is timed on fewer flights, and says so
-FEWEST = 10  # flights, whatever they take
-DISTURBED = 0.1  # share of flights beyond which a time is told to be disturbed
 
 
 @dataclass(frozen=True)
@@ -55,7 +49,7 @@ class Latency:
     @property
     def disturbed(self) -> bool:
         """Whether other programs had the core for more than a tenth of the flights."""
-        return self.busy > DISTURBED
+        return self.busy > 0.1
 
 
 class LatencyDesk:
@@ -111,65 +105,55 @@ def measure(
 
 
 def _measured(definition: Definition, cells: tuple[int, ...], flights: int) -> Latency:
+    """A slow candidate is timed on fewer flights, 10 at least, and says so."""
     memory = memory_limit(definition.run.max_memory, 1)
     worker = Worker.start(LatencyDesk, (definition, cells), memory=memory)
     limit, times, busy = definition.run.case_timeout, [], 0
     begun = time.monotonic()
     try:
-        for place in range(-WARM_UP, flights):
-            seconds = disturbed = None
-            for _ in range(2):
-                ready = worker.wait(Ask("ready", {"place": max(place, 0)}, limit))
-                if not ready.lost:
-                    ready = worker.wait(Ask("estimate", {}, limit, timed=True))
-                if ready.lost:
+        for place in (0, 0, *range(flights)):  # two to warm up
+            runs: list[Answer] = []
+            disturbed = True
+            while disturbed and len(runs) < 2:
+                run = worker.wait(Ask("ready", {"place": place}, limit))
+                if not run.lost:
+                    run = worker.wait(Ask("estimate", {}, limit, timed=True))
+                if run.lost:
                     return Latency(math.inf, math.inf, math.inf, 0)
-                wall, cpu = ready.wall, ready.cpu
-                used = cpu if seconds is None else min(seconds, cpu)
-                disturbed = wall > AHEAD * cpu + TICK
-                seconds = used if disturbed else wall
-                if not disturbed:
-                    break
-            if place >= 0 and seconds is not None:
-                times.append(seconds)
-                busy += bool(disturbed)
-            if len(times) >= FEWEST and time.monotonic() - begun > BUDGET:
+                runs.append(run)
+                # The two clocks may differ by .2 ms anyway.
+                disturbed = runs[-1].wall > 1.1 * runs[-1].cpu + 2e-4
+            times.append(min(run.cpu for run in runs) if disturbed else runs[-1].wall)
+            busy += disturbed and len(times) > 2
+            if len(times) >= 12 and time.monotonic() - begun > 15.0:
                 break
-        middle, late = np.quantile(times, [0.5, 0.99])
         peak = worker.peak_memory()
     finally:
         worker.close()
+    del times[:2]
+    middle, late = np.quantile(times, [0.5, 0.99])
     return Latency(float(middle), float(late), peak, len(times), busy / len(times))
-
-
-def machine() -> dict[str, object]:
-    """On what the times are taken: the processor, the system, the version and the load."""
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    registered = {"processor": processor(), "system": platform.platform()}
-    return {**registered, "sparsefit": sparsefit_version(), "load": load}
 
 
 def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:
     """Write the times into the results folder, in a file of their own: no other machine's agree."""
     candidates = {name: asdict(latency) for name, latency in measured.items()}
-    content = {"study_hash": study_hash, "machine": machine(), "candidates": candidates}
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+    machine = {"processor": processor(), "system": platform.platform(), "load": load}
+    machine |= {"sparsefit": sparsefit_version()}
+    content = {"study_hash": study_hash, "machine": machine, "candidates": candidates}
     write_whole(folder / LATENCY, json.dumps(finite_or_none(content), indent=2) + "\n")
 
 
 def read_latencies(study_hash: str, folder: Path) -> dict[str, Latency]:
     """The times of this study's candidates, by this version; none where there are no such."""
-    content = read_record(folder / LATENCY) or {}
+    content, stored = read_record(folder / LATENCY) or {}, {}
     try:
-        if (content["study_hash"], content["machine"]["sparsefit"]) != (
-            study_hash,
-            sparsefit_version(),
-        ):
-            return {}
-        return {name: _latency(entry) for name, entry in content["candidates"].items()}
-    except (AttributeError, ValueError, KeyError, TypeError):
+        made = (content["study_hash"], content["machine"]["sparsefit"])
+        for name, entry in content["candidates"].items():
+            numbers = {key: math.inf if v is None else float(v) for key, v in entry.items()}
+            flights = int(numbers.pop("flights"))
+            stored[name] = Latency(flights=flights, **numbers)
+    except (AttributeError, ValueError, KeyError, TypeError, OverflowError):
         return {}
-
-
-def _latency(entry: Mapping[str, float | None]) -> Latency:
-    numbers = {name: math.inf if v is None else float(v) for name, v in entry.items()}
-    return Latency(**{**numbers, "flights": int(numbers["flights"])})  # type: ignore[arg-type]
+    return stored if made == (study_hash, sparsefit_version()) else {}

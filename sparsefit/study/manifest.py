@@ -158,25 +158,23 @@ def version_of(name: str) -> str | None:
 
 
 def git_commit() -> str | None:
-    """The commit of the checkout that holds this package, `+changes` if it was edited since."""
+    """The commit of the checkout that holds this package, `+changes` if it was edited since.
+
+    None where git or the checkout is missing: an installed copy may lie inside one of others.
+    """
     package = Path(sparsefit.__file__).resolve().parent
-    top = _git(package, "rev-parse", "--show-toplevel")
-    # An installed copy may lie inside a checkout of something else.
-    if not top or Path(top).resolve() != package.parent:
+    answers = []
+    for words in (("rev-parse", "--show-toplevel", "HEAD"), ("status", "--porcelain", "--", ".")):
+        command = ["git", "-C", str(package), *words]
+        try:
+            run = subprocess.run(command, capture_output=True, check=True, text=True, timeout=10)
+        except (OSError, subprocess.SubprocessError):
+            return None
+        answers.append(run.stdout.splitlines())
+    (top, commit), changed = answers
+    if Path(top).resolve() != package.parent:
         return None
-    commit = _git(package, "rev-parse", "--verify", "HEAD")
-    changed = _git(package, "status", "--porcelain", "--", ".")
-    return f"{commit}+changes" if commit and changed else commit
-
-
-def _git(folder: Path, *words: str) -> str | None:
-    """The answer of git; None where git, the checkout or the answer is missing."""
-    command = ["git", "-C", str(folder), *words]
-    try:
-        done = subprocess.run(command, capture_output=True, check=True, text=True, timeout=10)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip() or None
+    return f"{commit}+changes" if changed else commit
 
 
 def processor() -> str:

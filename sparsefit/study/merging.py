@@ -21,7 +21,7 @@ from sparsefit.study.columns import STATUSES, read_body
 from sparsefit.study.export import CASES, Row
 from sparsefit.study.manifest import check_whole
 from sparsefit.study.plan import Plan
-from sparsefit.study.runner import Request, locked, make_folder, run
+from sparsefit.study.runner import Request, locked, run
 from sparsefit.study.store import STORE, Store
 
 ALIKE = 1e-6  # relative: by which another machine's rounding may differ
@@ -76,7 +76,6 @@ def merge(
     if folder.resolve() in {part.resolve() for part in folders}:
         words = "merges into itself: give the other parts, or other --results"
         raise InputError(f"{folder}: {words}")
-    make_folder(folder)
     with locked(folder):
         rows = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
         taken: list[Row] = []

@@ -14,8 +14,9 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -56,23 +57,20 @@ class Request:
     def checked(self, *, alone: bool) -> int:
         """The number of processes; `alone`: of an experiment in which one works at a time."""
         one_of("executor", self.executor, EXECUTORS)
+        words = ""
         if self.scheduler is not None and self.executor != "dask":
             words = f"a scheduler is of dask, not of {self.executor}: add --executor dask"
-            raise InputError(words)
-        if self.processes is not None and not is_integer(self.processes, 1):
+        elif self.processes is not None and not is_integer(self.processes, 1):
             words = f"processes must be a whole number of at least 1, not {self.processes!r}"
+        elif alone and self.processes not in (None, 1):
+            words = "solvers are timed one at a time: leave --processes away"
+        elif alone and self.executor != "processes":
+            words = "solvers are timed on this machine: leave --executor away"
+        if words:
             raise InputError(words)
-        if alone and self.processes not in (None, 1):
-            raise InputError("solvers are timed one at a time: leave --processes away")
-        if alone and self.executor != "processes":
-            raise InputError("solvers are timed on this machine: leave --executor away")
-        if alone:
-            return 1
-        if self.processes is not None:
-            return self.processes
-        if hasattr(os, "sched_getaffinity"):  # in a container fewer than there are
-            return len(os.sched_getaffinity(0))
-        return os.cpu_count() or 1
+        # In a container there are fewer processors than the machine has.
+        here = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
+        return 1 if alone else self.processes or len(here(0))
 
 
 @dataclass(frozen=True)
@@ -141,34 +139,39 @@ def run(
         KeyboardInterrupt: interrupted; the rows so far are on the disk.
     """
     processes = request.checked(alone=plan.experiment.alone)
-    make_folder(folder)
     with locked(folder):
         if request.fresh:
             clear(folder)
         store = Store.read(folder, plan)
-        wanted = _wanted(plan, store, request)
+        wanted = ~store.done
+        if request.retry_failed:
+            wanted |= store.ended(*FAILED)
+        if request.stale:
+            wanted |= store.stale
+        if request.only:
+            wanted &= plan.named(request.only)
+        wanted = plan.experiment.whole(wanted, store.done, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)
         with Store.opened(folder, plan) as store:
             summary = _run(store, wanted, request, processes, progress, stopping)
             if summary.finished:
                 remaining = store.export()
-                write_manifest(folder, _content(plan, summary))
+                content = {
+                    "study": plan.experiment.definition.name,
+                    "study_hash": plan.experiment.definition.hash,
+                    "seed": plan.experiment.definition.seed,
+                    "cases": plan.size,
+                    "statuses": dict(sorted(summary.statuses.items())),
+                    "wall_seconds": round(summary.seconds, 3),
+                    "solver_seconds": round(summary.solver_seconds, 3),
+                    "resumed_cases": summary.resumed,
+                    "processes": summary.processes,
+                }
+                write_manifest(folder, content)
         if summary.finished and not remaining:
             discard(folder)
     return summary
-
-
-def _wanted(plan: Plan, store: Store, request: Request) -> BoolArray:
-    """The cases (u, c) to compute."""
-    wanted = ~store.done
-    if request.retry_failed:
-        wanted |= store.ended(*FAILED)
-    if request.stale:
-        wanted |= store.stale
-    if request.only:
-        wanted &= plan.named(request.only)
-    return plan.experiment.whole(wanted, store.done, store.version)
 
 
 def _run(
@@ -184,10 +187,15 @@ def _run(
     resumed, computed = int((store.done & ~wanted).sum()), int(wanted.sum())
     pace, shown = Pace(wanted.sum(axis=0), processes), -math.inf
     solving: dict[int, float] = {}
-    missing = wanted.copy()
+    missing, batches = wanted.copy(), plan.experiment.batches(wanted)
+    compute: Callable[..., Outcomes] = outcomes
+    if request.executor == "dask":
+        from sparsefit.study.dask_executor import outcomes_on_dask
+
+        compute = partial(outcomes_on_dask, request.scheduler)
     with (
         counted_interrupts(stopping or (lambda: None)) as stop,
-        closing(_computed(plan, wanted, request, processes, stop)) as arriving,
+        closing(compute(plan.experiment, batches, processes, stop)) as arriving,
     ):
         for outcome, spent in chain([(None, math.nan)], arriving):
             if outcome is not None:
@@ -215,62 +223,28 @@ def _run(
     )
 
 
-def _computed(
-    plan: Plan, wanted: BoolArray, request: Request, processes: int, stop: Callable[[], bool]
-) -> Outcomes:
-    """The outcomes of the cases wanted, as they come, from processes here or from dask."""
-    batches = plan.experiment.batches(wanted)
-    if request.executor == "dask":
-        from sparsefit.study.dask_executor import outcomes_on_dask
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the folder, made if need be, against other runs by a lock that goes with its process.
 
-        scheduler = request.scheduler
-        return outcomes_on_dask(plan.experiment, list(batches), scheduler, processes, stop)
-    return outcomes(plan.experiment, batches, processes, stop)
-
-
-def _content(plan: Plan, summary: RunSummary) -> dict[str, Any]:
-    """What the manifest tells of a finished run."""
-    definition = plan.experiment.definition
-    return {
-        "study": definition.name,
-        "study_hash": definition.hash,
-        "seed": definition.seed,
-        "cases": plan.size,
-        "statuses": dict(sorted(summary.statuses.items())),
-        "wall_seconds": round(summary.seconds, 3),
-        "solver_seconds": round(summary.solver_seconds, 3),
-        "resumed_cases": summary.resumed,
-        "processes": summary.processes,
-    }
-
-
-def make_folder(folder: Path) -> None:
-    """Make a results folder if need be; `InputError` where it cannot be."""
+    Raises:
+        InputError: if another run holds it, or the folder cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         cause = f"cannot be made: {error.strerror}: choose another results folder"
         raise InputError(f"{folder}: {cause}") from None
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder against other runs: the system's lock, which goes with its process.
-
-    Raises:
-        InputError: if another run holds it, or the folder cannot be written.
-    """
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: cannot be written: choose another results folder")
     place = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            words = "another run is under way: wait for it or stop it"
-            raise InputError(f"{folder}: {words}") from None
-        except OSError:  # a file system without such locks
-            pass
+        with suppress(OSError):  # of a file system without such locks
+            try:
+                fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                words = "another run is under way: wait for it or stop it"
+                raise InputError(f"{folder}: {words}") from None
         yield
     finally:
         os.close(place)

@@ -7,7 +7,6 @@ import os
 import shutil
 import stat
 import subprocess
-import sys
 import time
 import zlib
 from contextlib import suppress
@@ -27,7 +26,7 @@ FORGED = {
     "foreign": {"number": 3, "answer": {"rows": [[9, *NO_ROW]]}},
 }
 ASLEEP = "599.25"  # seconds, by which a process is known
-ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\nlate = hostile:Late\n"
+ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\n"
 
 
 @dataclass(frozen=True)
@@ -50,15 +49,6 @@ class Hostile:
 
     def next_support(self, problem, weights):
         return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0] != 0
-
-
-@dataclass(frozen=True)
-class Late(Hostile):
-    name: ClassVar[str] = "late"
-
-    def __post_init__(self):
-        if Path(sys.argv[0]).name == "guardian.py":
-            raise RuntimeError("not here")
 
 
 def do(deed):

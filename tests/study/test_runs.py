@@ -165,9 +165,8 @@ def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
     ends = ("hang-native", "die", "exit", "raise", "memory")
     lies = ("forge", "empty", "odd", "foreign", "patch", "scribble")
     names = ("work", "fork", "print", "name", "status", *lies, *ends)
-    late = '[[backends]]\nname = "late"\n'
     text = small_study("r", count=1) + "[run]\ncase_timeout = 6.0\nmax_memory = 1500\n"
-    text += deeds(*names) + late + LASSO + SQUARES + SWEEP
+    text += deeds(*names) + LASSO + SQUARES + SWEEP
     (tmp_path / "r.toml").write_text(text)
     study = sf.Study.from_file(tmp_path / "r.toml")
     cases = read_cases(study.run(processes=2).folder)
@@ -193,7 +192,6 @@ def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
     assert (told["raise"].status, told["raise"].reason) == ("error", "ZeroDivisionError: one two")
     assert "\\udcff\\x1b" in told["name"].reason
     assert "status 7" in told["status"].reason
-    assert (told["late"].status, told["late"].reason) == ("error", "RuntimeError: not here")
     assert cases["true_length_scale"].between(3.0, 6.0).all()
     assert capfd.readouterr().out == ""
 

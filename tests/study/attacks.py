@@ -1,0 +1,230 @@
+"""Attacks on runs of studies, by hand: `nice python -m tests.study.attacks kills 60`.
+
+    kills N     the parent, its group or its workers; flights with 1 and 2 processes, and problems
+    disks N     full disks: files that may not grow, and a file system of little room (as root)
+    damage N    bytes of a store, an export or a manifest that are other than written
+    hang        a solver that hangs on two problems, with a limit of 2 s
+    memory      a solver that takes 30 GB
+
+Each prints what was lost: 0 where all is well. The suite has small versions (`test_runs.py`).
+"""
+
+import os
+import random
+import resource
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+import sparsefit as sf
+from sparsefit.errors import InputError
+from sparsefit.study.guardian import children_of
+from sparsefit.study.store import STORE, Store
+from tests.study import hostile, solver_deeds
+from tests.study.small_study import small_study
+
+ROOT = Path(__file__).parents[2]
+DRIVER = """
+import sys
+import sparsefit as sf
+try:
+    sf.Study.from_file(sys.argv[1]).run(processes=int(sys.argv[2]))
+except sf.InputError as error:
+    print(error, file=sys.stderr)
+    sys.exit(2)
+"""
+FLIGHTS = """
+[[backends]]
+name = "lasso"
+alpha_fraction = [0.3, 0.1]
+[[backends]]
+name = "least-squares"
+[[backends]]
+name = "hostile"
+seconds = 0.02
+"""
+PROBLEMS = """
+name = "p"
+kind = "problems"
+question = "?"
+tolerances = [1e-4, 1e-6]
+[path]
+points = 3
+lowest = 0.1
+[clock]
+repeats = 6
+seconds = 0.2
+limit = 2.0
+[[problems]]
+generator = "correlated"
+samples = 60
+columns = 20
+"""
+LASSO = '[[backends]]\nname = "lasso"\nsolver = ["homotopy", "celer"]\n'
+
+
+def study_of(folder, kind, count):
+    text = f"{PROBLEMS}count = {count}\n{LASSO}"
+    if kind == "flights":
+        text = small_study("f", count=count) + FLIGHTS
+    (folder / "s.toml").write_text(text)
+    return sf.Study.from_file(folder / "s.toml")
+
+
+def started(folder, processes, **how):
+    (folder / "driver.py").write_text(DRIVER)
+    command = [sys.executable, "driver.py", "s.toml", str(processes)]
+    return subprocess.Popen(command, cwd=folder, start_new_session=True, **how)
+
+
+def stored(folder):
+    """The checksum of every row that is on the disk, by its key."""
+    if not (folder / STORE).exists():
+        return {}
+    base = sqlite3.connect(folder / STORE, timeout=10.0)
+    try:
+        return dict(base.execute("SELECT key, crc FROM cases"))
+    except sqlite3.OperationalError:
+        return {}
+    finally:
+        base.close()
+
+
+def kills(count):
+    for kind, processes in (("flights", 1), ("flights", 2), ("problems", 1)):
+        for victim in ("parent", "group", "workers"):
+            lost = killed(kind, processes, victim, count)
+            print(f"{kind}, {processes} processes, {victim} x {count}: {lost} lost", flush=True)
+
+
+def killed(kind, processes, victim, count):
+    """Rows that were on the disk at a kill and are not afterwards, or tell something else."""
+    with tempfile.TemporaryDirectory() as home:
+        folder, lost = Path(home), 0
+        study = study_of(folder, kind, 2000 if kind == "flights" else 400)
+        for _ in range(count):
+            before = stored(study.folder)
+            process = started(folder, processes)
+            until = time.monotonic() + 120.0
+            while len(stored(study.folder)) <= len(before) and time.monotonic() < until:
+                time.sleep(0.05)
+            time.sleep(random.uniform(0.0, 0.5))
+            if victim == "workers":
+                for child in children_of(process.pid):
+                    for worker in (*children_of(child), child):
+                        with suppress(ProcessLookupError):
+                            os.kill(worker, signal.SIGKILL)
+                time.sleep(random.uniform(0.5, 2.0))
+                lost += process.poll() is not None  # the run goes on without them
+            kill = os.kill if victim == "parent" else os.killpg
+            kill(process.pid, signal.SIGKILL)
+            process.wait()
+            after = stored(study.folder)
+            lost += sum(after.get(key) != crc for key, crc in before.items())
+            lost += study.status().done != len(after)
+        return lost
+
+
+def disks(count):
+    for number in range(count):
+        with tempfile.TemporaryDirectory() as home:
+            folder = Path(home)
+            study, mounted = study_of(folder, "flights", 60), number % 3 == 2
+            most = int(random.uniform(10_000, 120_000))
+            study.folder.mkdir(parents=True)
+            command = ["mount", "-t", "tmpfs", "-o", f"size={most}", "tmpfs", str(study.folder)]
+            mounted = mounted and subprocess.run(command, check=False).returncode == 0
+
+            def limit(most=most, mounted=mounted):
+                if not mounted:
+                    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+                    resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+            process = started(folder, 2, preexec_fn=limit, stderr=subprocess.PIPE, text=True)
+            words, before = process.communicate(timeout=600.0)[1], stored(study.folder)
+            told = process.returncode == 2 and "Traceback" not in words
+            if mounted:
+                kept = folder / "kept"
+                shutil.copytree(study.folder, kept)
+                subprocess.run(["umount", str(study.folder)], check=True)
+                shutil.copytree(kept, study.folder, dirs_exist_ok=True)
+            finished = study.run(processes=2)
+            same = finished.resumed == len(before) and finished.finished
+            said = words.strip().splitlines()[-1] if words.strip() else "(it fitted)"
+            print(f"{most} bytes{' mounted' * mounted}: told {told}, rows kept {same}: {said}")
+
+
+def damage(count):
+    with tempfile.TemporaryDirectory() as home:
+        folder, wrong, refused = Path(home), 0, 0
+        study = study_of(folder, "flights", 5)
+        study.run(processes=1)
+        exported = {path.name: path.read_bytes() for path in study.folder.iterdir()}
+        with Store.opened(study.folder, study.planned):
+            pass
+        whole = (study.folder / STORE).read_bytes()
+        expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
+        for seed in range(count):
+            rng = np.random.default_rng(seed)
+            for path in study.folder.iterdir():
+                path.unlink()
+            content = dict(exported) if seed % 2 else {STORE: whole}
+            victim = sorted(content)[rng.integers(len(content))]
+            spoiled = bytearray(content[victim])
+            for place in rng.integers(0, len(spoiled), 1 << rng.integers(0, 8)):
+                spoiled[place] = rng.integers(256)
+            if rng.random() < 0.2:
+                spoiled = spoiled[: rng.integers(len(spoiled))]
+            content[victim] = bytes(spoiled)
+            for name, data in content.items():
+                (study.folder / name).write_bytes(data)
+            try:
+                fresh = sf.Study(study.definition, study.folder)
+                rows = list(Store.read(study.folder, study.planned).rows())
+                wrong += any(expected[row.key] != row for row in rows)
+                if rows:
+                    _ = fresh.cases
+            except InputError as error:
+                refused += 1
+                wrong += "\n" in str(error)
+        print(f"{count} damaged stores: {wrong} told wrong rows, {refused} refused in a line")
+
+
+def solvers(*names):
+    with tempfile.TemporaryDirectory() as home:
+        folder = Path(home)
+        shutil.copy(solver_deeds.__file__, folder / "deeds.py")
+        own = "".join(f'[[solvers]]\nname = "{name}"\nfile = "deeds.py"\n' for name in names)
+        listed = ", ".join(f'"{name}"' for name in names)
+        backend = f'[[backends]]\nname = "lasso"\nsolver = ["homotopy", {listed}]\n'
+        (folder / "s.toml").write_text(f"{PROBLEMS}count = 2\n{own}{backend}")
+        study = sf.Study.from_file(folder / "s.toml")
+        begun = time.monotonic()
+        study.run()
+        cases = study.cases
+        print(cases[["solver", "problem", "status", "reason"]].to_string())
+        print(f"{time.monotonic() - begun:.1f} s")
+
+
+def main(attack, count="20"):
+    with tempfile.TemporaryDirectory() as plugin:
+        hostile.install(plugin)
+        sys.path.insert(0, plugin)
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), plugin])
+        named = {"kills": kills, "disks": disks, "damage": damage}
+        if attack in named:
+            named[attack](int(count))
+        else:
+            solvers({"hang": "hangs", "memory": "memory"}[attack])
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
