@@ -18,7 +18,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, LengthScaleGrid, Library, Readout, backends
