@@ -274,8 +274,9 @@ def status(args: argparse.Namespace) -> int:
     """Count planned and finished cases, by status."""
     study = read_study(args)
     state = study.status()
-    content = {"folder": str(state.folder), "statuses": dict(state.statuses)}
-    record = {"study": study.name, **vars(state), **content, "versions": dict(state.versions)}
+    record = {"study": study.name, "folder": str(state.folder), "planned": state.planned}
+    record |= {"done": state.done, "finished": state.finished, "stale": state.stale}
+    record |= {"statuses": dict(state.statuses), "versions": dict(state.versions)}
     words = "finished" if state.finished else "not finished" if state.done else "not begun"
     counted = f"{state.done} of {state.planned} cases ({_by_status(state.statuses)})"
     lines = [f"{study.name}: {words}, {counted} in {state.folder}"]

@@ -76,13 +76,17 @@ def merge(
     if folder.resolve() in {part.resolve() for part in folders}:
         words = "merges into itself: give the other parts, or other --results"
         raise InputError(f"{folder}: {words}")
+    stores = []
+    for part in folders:
+        with told_with(part):
+            stores.append(Store.read(part, plan))
     with locked(folder):
         rows = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
         taken: list[Row] = []
         merged = []
-        for part in folders:
+        for part, store in zip(folders, stores, strict=True):
             with told_with(part):
-                theirs = {r.key: r for r in Store.read(part, plan).rows() if r.status in STATUSES}
+                theirs = {row.key: row for row in store.rows() if row.status in STATUSES}
                 _check_machine(plan, [row for _, row in rows.values()], theirs.values())
             alike = 0
             for key in theirs.keys() & rows.keys():
@@ -95,9 +99,9 @@ def merge(
             rows |= {row.key: (part, row) for row in new}
             taken += new
             merged.append(Part(part, len(theirs), len(new), alike, both - alike))
-        with Store.opened(folder, plan) as store:
+        with Store.opened(folder, plan) as own:
             for row in taken:
-                store.put_row(row)
+                own.put_row(row)
     done = int(Store.read(folder, plan).done.sum())
     if done == plan.size:  # only its order is left
         run(plan, folder, Request(processes=1))

@@ -203,6 +203,7 @@ class Store:
         with _telling(path):
             uri = f"{path.absolute().as_uri()}?mode=rw"
             base = base or sqlite3.connect(uri, uri=True, timeout=10.0)
+            base.text_factory = lambda text: text.decode(errors="replace")  # of a damaged row
             try:
                 for *content, crc in base.execute(SELECT):
                     row = Row(*content) if all(isinstance(p, str) for p in content) else None
@@ -248,7 +249,7 @@ def _telling(path: Path) -> Iterator[None]:
     """Tell an error of SQLite as InputError: cause and remedy in a line."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second of SQLite's own words
         cause, remedy = str(error), "study run --fresh starts over"
         if "full" in cause or "I/O" in cause:
             remedy = "make room, and run it again"

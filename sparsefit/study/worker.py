@@ -375,4 +375,5 @@ def in_child(work: Callable[..., Any], *arguments: object, seconds: float) -> An
         worker.close()
     if answer.status == "ok" and "value" in answer.content:
         return answer.content["value"]
-    raise InputError(answer.content.get("refused") or answer.reason)
+    reason = answer.reason.replace("the worker process", "its process")
+    raise InputError(answer.content.get("refused") or reason)
