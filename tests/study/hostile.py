@@ -25,7 +25,6 @@ FORGED = {
     "odd": {"number": 3, "answer": [7]},
     "foreign": {"number": 3, "answer": {"rows": [[9, *NO_ROW]]}},
 }
-ASLEEP = "599.25"  # seconds, by which a process is known
 ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\n"
 
 
@@ -93,7 +92,8 @@ def do(deed):
                 if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
                     os.write(descriptor, line_of(FORGED[deed]))
     if deed == "leave":  # a child that has left the session, and whose parent has ended
-        subprocess.run(["setsid", "--fork", "sleep", ASLEEP], check=True)
+        seconds = os.environ["ASLEEP"]  # by which it is known
+        subprocess.run(["setsid", "--fork", "sleep", seconds], check=True)
         time.sleep(600.0)
     if deed == "child":
         subprocess.Popen(["sleep", "600"])

@@ -119,9 +119,9 @@ def test_a_run_leaves_every_case_in_plan_order(whole):
     assert again.finished
 
 
-@pytest.mark.parametrize("victim", ["parent", "group", "worker"])
+@pytest.mark.parametrize("victim", ["parent", "worker"])
 def test_killed_and_resumed_is_as_if_never_killed(whole, tmp_path, victim):
-    body = LASSO + SQUARES + '[[backends]]\nname = "hostile"\nseconds = 0.3\n' + SWEEP
+    body = LASSO + SQUARES + '[[backends]]\nname = "hostile"\nseconds = 0.2\n' + SWEEP
     study = load(tmp_path, body)
     process = start(tmp_path)
     until(lambda: rows(study.folder) > 2 or process.poll() is not None)
@@ -131,8 +131,7 @@ def test_killed_and_resumed_is_as_if_never_killed(whole, tmp_path, victim):
             os.kill(int(child), signal.SIGKILL)
         assert process.wait(120.0) == 0
     else:
-        kill = os.killpg if victim == "group" else os.kill
-        kill(process.pid, signal.SIGKILL)
+        os.kill(process.pid, signal.SIGKILL)
         process.wait(10.0)
         assert study.status().done > 0
         study.run(processes=2)
@@ -166,20 +165,20 @@ def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
     lies = ("forge", "empty", "odd", "foreign", "patch", "scribble")
     names = ("work", "fork", "print", "name", "status", *lies, *ends)
     text = small_study("r", count=1) + "[run]\ncase_timeout = 6.0\nmax_memory = 1500\n"
-    text += deeds(*names) + LASSO + SQUARES + SWEEP
+    text += deeds(*names) + LASSO + SQUARES
     (tmp_path / "r.toml").write_text(text)
     study = sf.Study.from_file(tmp_path / "r.toml")
     cases = read_cases(study.run(processes=2).folder)
     assert len(cases) == study.planned.size
     ours = cases["backend"].isin(["lasso", "least-squares"])
     expected = read_cases(whole[0].folder)
-    expected = expected[expected["case_id"].isin(cases["case_id"])]
+    calm = (expected["flight"] == 0) & (expected["flights.velocity_noise"] == 0.0)
+    expected = expected[calm].reset_index(drop=True)
     numbers = [name for name in cases if name.startswith(("est_", "status", "certificate"))]
     pd.testing.assert_frame_equal(
-        cases.loc[ours, numbers].reset_index(drop=True),
-        expected[numbers].reset_index(drop=True),
+        cases.loc[ours, numbers].reset_index(drop=True), expected[numbers]
     )
-    told = by_deed(cases[~ours & (cases["flights.velocity_noise"] == 0.0)])
+    told = by_deed(cases[~ours])
     for good in ("work", "fork", "print"):
         assert told[good].status in ("ok", "unidentifiable"), told[good]
     for name in ("die", "exit", "scribble", "forge", "empty", "odd", "foreign"):
@@ -448,8 +447,11 @@ def test_latency_and_variants_of_candidates(whole, tmp_path):
 
 def test_rows_from_dask_are_those_of_processes(whole, tmp_path):
     pytest.importorskip("distributed")
-    study = load(tmp_path, LASSO + SQUARES + SWEEP)
-    assert study.run(executor="dask", processes=2).finished
-    pd.testing.assert_frame_equal(stable(study.folder), stable(whole[0].folder))
+    study = load(tmp_path, SQUARES + SWEEP, count=1)
+    assert study.run(executor="dask", processes=1).finished
+    expected = stable(whole[0].folder)
+    mine = (expected["flight"] == 0) & (expected["backend"] == "least-squares")
+    expected = expected[mine].reset_index(drop=True)
+    pd.testing.assert_frame_equal(stable(study.folder), expected)
     with pytest.raises(InputError, match="cannot be reached"):
         study.run(executor="dask", scheduler="tcp://127.0.0.1:1", fresh=True)

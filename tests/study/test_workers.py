@@ -36,13 +36,13 @@ def test_a_file_of_the_users_folder_stands_before_nothing_of_python(tmp_path, mo
 )
 def test_a_call_that_fails_is_told_in_a_line(deed, words):
     with pytest.raises(InputError, match=words):
-        in_child(hostile.do, deed, seconds=2.0)
+        in_child(hostile.do, deed, seconds=2.0 if deed == "hang-native" else 60.0)
 
 
 def alive(marker):
     """The processes with a word in their command."""
     every = (path for path in Path("/proc").iterdir() if path.name.isdigit())
-    return [path for path in every if marker in command_of(path)]
+    return [path for path in every if f"sleep {marker}" in command_of(path)]
 
 
 def command_of(path):
@@ -53,22 +53,23 @@ def command_of(path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a subreaper is of Linux")
-@pytest.mark.parametrize("end", ["limit", "kill"])
-def test_what_leaves_its_session_ends_with_the_run(end):
+@pytest.mark.parametrize(("end", "seconds"), [("limit", "599.25"), ("kill", "599.5")])
+def test_what_leaves_its_session_ends_with_the_run(monkeypatch, end, seconds):
     """The deed `leave` starts `sleep` in a session of its own, twice removed."""
+    monkeypatch.setenv("ASLEEP", seconds)
     code = (
         "from tests.study import hostile\nfrom sparsefit.study.worker import in_child\n"
-        f"in_child(hostile.do, 'leave', seconds={2.0 if end == 'limit' else 60.0})"
+        f"in_child(hostile.do, 'leave', seconds={15.0 if end == 'limit' else 60.0})"
     )
     run = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
     until = time.monotonic() + 60.0
-    while not alive(hostile.ASLEEP) and time.monotonic() < until:
+    while not alive(seconds) and time.monotonic() < until:
         time.sleep(0.02)
-    assert alive(hostile.ASLEEP)
+    assert alive(seconds)
     if end == "kill":
         run.kill()
     run.wait(60.0)
     until = time.monotonic() + 10.0
-    while alive(hostile.ASLEEP) and time.monotonic() < until:
+    while alive(seconds) and time.monotonic() < until:
         time.sleep(0.02)
-    assert not alive(hostile.ASLEEP)
+    assert not alive(seconds)
