@@ -82,6 +82,11 @@ class FlightLog:
         return float(np.nanquantile(speeds, 0.95)) + 1e-9
 
     @cached_property
+    def interval(self) -> float:
+        """The median time [s] between rows."""
+        return float(np.median(np.diff(self.time)))
+
+    @cached_property
     def noise(self) -> tuple[float, float]:
         """The levels of white noise of position [m] and velocity [m/s], from the log alone."""
         return noise_of(self.position), noise_of(self.velocity)

@@ -266,7 +266,15 @@ def measure(
                 for log, each in pairs
             ]
             stride, hold = max(int(min(strides)), 1), 2
-            legs = tuple(_noisy(Leg.of(*pair, settings.phase, stride)) for pair in pairs)
+            speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
+            rate = math.sqrt(2.0) * math.pi * speed / length + 1e-9
+            annealed = settings.anneal * speed / math.sqrt(rate)
+            legs = tuple(
+                noisier(
+                    Leg.of(*pair, settings.phase, stride), annealed / each.values["response_time"]
+                )
+                for pair, each in zip(pairs, models, strict=True)
+            )
             if stride > 1:
                 step, smoothed, few, _ = ascent.climbed(legs, settings.passes)
                 hold = 0
@@ -338,11 +346,3 @@ def _about(
         raise InputError("several logs need one model each, with the same free parameters")
     x, y, t = np.mean([log.origin for log in records], axis=0).tolist()
     return records, tuple(replace(each, pattern=each.pattern.about((x, y, t))) for each in models)
-
-
-def _noisy(leg: Leg) -> Leg:
-    """A leg at the process noise that the search starts from."""
-    pattern = leg.model.pattern
-    speed, tau = pattern.mean_velocity, leg.model.values["response_time"]
-    rate = math.sqrt(2.0) * math.pi / pattern.length_scale * speed + 1e-9
-    return noisier(leg, Smoothing().anneal * speed / tau / math.sqrt(rate))

@@ -168,8 +168,9 @@ class Pass:
 
 def longest_step(log: FlightLog, model: Model, phase: float) -> float:
     """The step [s] in which the flow's waves turn by a phase [rad] at the speed of a log."""
-    size = float(np.hypot(*model.pattern.waves[:, :2].T).max())
-    return min(phase / (size * log.speed), 0.5 * model.values["response_time"])
+    size, tau = float(np.hypot(*model.pattern.waves[:, :2].T).max()), model.values["response_time"]
+    slaved = log.interval > tau  # what the vehicle does within its response time is not seen
+    return min(phase / (size * log.speed), (1.5 if slaved else 0.5) * tau)
 
 
 def _between(old: Array, track: Array, new: Array) -> Array:
