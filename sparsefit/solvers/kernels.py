@@ -20,6 +20,7 @@ from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.faces import on_a_face
 from sparsefit.solvers.newton import Normal, settled
 
+NEAR = 1e-4  # relative gap of proximal points, from where a face is looked for once more
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 
 
@@ -118,27 +119,34 @@ class HomotopyKernel:
 
 
 class NewtonKernel:
-    """Any penalty, by proximal points, each started from the penalty before."""
+    """Any penalty, on its faces or by proximal points, each started from the penalty before."""
 
     name: ClassVar[str] = "newton"
     stop: float = STOP
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
-        self.normal, self.penalty, self.units, self.level = normal, penalty, units, units.level
-        self.cross = cross / units.level
-        self.known = [np.zeros(cross.shape)]
+        self.normal, self.units, self.cross = normal, units, cross / units.level
+        # In units of the target's rms y the ridge of y V is y rho, that of alpha and V being one.
+        self.penalty, self.known = penalty.in_units(units.level), [np.zeros(cross.shape)]
 
     def advance(self, alphas: Array) -> Stretch:
         """The path at further penalties."""
-        self.known = self.known[-1:]
-        # In units of the target's rms y the ridge of y V is y rho, that of alpha and V being one.
-        penalty = self.penalty.in_units(self.level)
         gaps, steps = np.zeros(len(alphas)), np.zeros(len(alphas), np.intp)
-        for i, alpha in enumerate((alphas / self.level).tolist()):
-            point = (self.normal, self.cross, penalty, alpha, self.known[-1], self.stop)
-            values, gaps[i], steps[i] = on_a_face(*point) or settled(*point)
+        self.known = self.known[-1:]
+        for i, alpha in enumerate((alphas / self.units.level).tolist()):
+            problem, values = (self.normal, self.cross, self.penalty, alpha), self.known[-1]
+            optimum = on_a_face(*problem, values, self.stop)
+            for goal in (NEAR, self.stop):  # proximal points come nearer, then all the way
+                if optimum is None:
+                    values, gap, taken = settled(*problem, values, goal)
+                    steps[i] += taken
+                    last = goal == self.stop or gap <= self.stop
+                    optimum = (values, gap, 0) if last else on_a_face(*problem, values, self.stop)
+            assert optimum is not None
+            values, gaps[i], taken = optimum
+            steps[i] += taken
             self.known.append(values)
-        return Stretch(np.stack(self.known[1:]) * self.level, gaps <= self.stop, steps)
+        return Stretch(np.stack(self.known[1:]) * self.units.level, gaps <= self.stop, steps)
 
     def enlarged(
         self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
