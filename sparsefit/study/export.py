@@ -177,13 +177,13 @@ def cases_table(plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence
     places = [plan.place_of[row.key] for row in rows]
     arrays: dict[str, Any] = {}
     for column in plan.experiment.columns:
-        name, kind = column.name, column.kind
+        name, kind, empty = column.name, column.kind, column.kind.empty
         if name in ("status", "reason", "version"):
             values = [getattr(row, name) for row in rows]
         elif name in planned:
             values = [planned[name][place] for place in places]
         else:
-            values = [body.get(name, kind.empty) for body in bodies]
+            values = [body.get(name, empty) for body in bodies]
         arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
     for factor in getattr(plan.experiment.definition.design, "sweep", ()):
         levels = [planned[factor.key][place] for place in places]

@@ -52,8 +52,11 @@ def work(asks: int, answers: int) -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     stream = os.fdopen(asks, "rb")
-    sys.path[:] = pickle.load(stream)
-    serve, arguments = pickle.load(stream)
+    try:
+        sys.path[:] = pickle.load(stream)
+        serve, arguments = pickle.load(stream)
+    except EOFError:  # the parent is gone
+        return
     serve(stream, answers, *arguments)
 
 
