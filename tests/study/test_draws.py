@@ -214,7 +214,7 @@ def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     assert flown.plan()["title"].tolist() == ["rms: best-scale"] * 2
     assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
     (row,) = FlightDesk(flown.definition).answer("cases", unit=0, cells=[0])["rows"]
-    assert row["status"] == "unidentifiable"  # two seconds are few for a board
+    assert row[1] == "unidentifiable"  # two seconds are few for a board
     alone = together(tmp_path, '[readout]\nmean_velocity = "peak"')
     with pytest.raises(InputError, match="no candidate can fly"):
         _ = alone.refusals
