@@ -18,6 +18,8 @@ extensions = [
     "sphinx_design",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
     "directives",
 ]
 exclude_patterns = ["_ext", "_static", "_templates", "pictures"]
@@ -32,13 +34,16 @@ autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 add_module_names = False
 default_role = "code"
+copybutton_prompt_text = r"\$ |>>> "
+copybutton_prompt_is_regexp = True
 smartquotes = False  # --option stays what is typed
 toc_object_entries_show_parents = "hide"
-# Types of other packages, and of rooms whose records users meet but do not make.
-nitpick_ignore_regex = [
-    ("py:class", r"(numpy|collections|os|datetime|pathlib|pd|sparsefit)\b.*"),
-    ("py:(class|exc)", "Prepared|Uncertainty|Columns|MissingExtra"),
-]
+autodoc_default_options = {
+    "exclude-members": "set_fit_request, set_predict_request, set_score_request, "
+    "set_transform_request"
+}
+# Types are words here: many are of other packages, or of records that users meet but do not make.
+nitpick_ignore_regex = [("py:(class|exc|func|obj|data)", ".*")]
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"sparsefit {version}"

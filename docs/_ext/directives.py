@@ -1,20 +1,21 @@
 """Directives of the documentation: what the package and its results say of themselves.
 
-`{results} STUDY/TABLE` rows and columns of a CSV file in results/, `{picture} NAME` a drawing of
-docs/pictures/, `{study-keys} SECTION` the keys of a study file with the words of study-keys.toml,
-`{study-names} KIND` names that [outputs] takes, `{backend-settings}`, `{public-names}` and
-`{commands}` what the package offers. The README of a study becomes a page, docs/studies/NAME.md.
+`{results} STUDY/TABLE` rows and columns of a CSV file in results/, `{answers}` the question and the
+sentence of every study, the role `{measured}` one figure of a table, held against what the sentence
+around it claims; `{picture} NAME` a drawing of docs/pictures/, `{study-keys} SECTION` the keys of a
+study file, `{study-names} KIND` names that [outputs] takes, `{backend-settings}` and `{commands}`
+what the package offers. READMEs of studies and public names of rooms become pages.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import importlib
 import inspect
 import re
 import runpy
 import tomllib
-from collections import defaultdict
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -37,13 +38,14 @@ DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"
 README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
 BAR = re.compile(r"(``[^`]*``)|\|")
-ROOMS = {
-    "flight": "Flights and flows", "logs": "Logs", "rows": "Rows", "derivative": "Rows",
-    "model": "Library and readout", "library": "Library and readout",
-    "modes": "Library and readout", "estimator": "Estimates", "onboard": "On board",
-    "online": "On board", "regression": "Regression", "solvers": "Regression",
-    "backends": "Regression", "study": "Studies", "score": "Scores", "errors": "Errors",
-}  # fmt: skip
+ROOMS = {  # a page of public names each: its title, and the modules
+    "flights": ("Flights and flows", ("flight", "flows", "logs")),
+    "estimates": ("Estimates", ("estimator", "rows", "model", "likelihood", "score")),
+    "onboard": ("On board", ("onboard",)),
+    "regression": ("Regression", ("regression", "backends", "penalties", "solvers.registry")),
+    "adapters": ("scikit-learn and PySINDy", ("sklearn", "pysindy")),
+    "studies": ("Studies and pictures", ("study", "plot", "errors")),
+}
 STYLE = {
     "font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False,
     "svg.fonttype": "none", "svg.hashsalt": "sparsefit", "font.family": "sans-serif",
@@ -71,20 +73,46 @@ def key_table(section: str) -> list[str]:
     ]
 
 
-def result_table(name: str, columns: list[str], heads: list[str], where: dict[str, list[str]]):
-    """Rows and columns of results/NAME.csv as Markdown. Raises ValueError where none is left."""
+def _selected(name: str, columns: list[str], where: str) -> pd.DataFrame:
+    """Rows of results/NAME.csv where columns hold one of `value | value`, and these columns."""
     frame = pd.read_csv(RESULTS / f"{name}.csv", dtype=str, keep_default_na=False)
-    absent = [column for column in (*columns, *where) if column not in frame]
+    wanted = {
+        column.strip(): [value.strip() for value in values.split("|")]
+        for column, _, values in (part.partition("=") for part in _listed(where))
+    }
+    absent = [column for column in (*columns, *wanted) if column not in frame]
     if absent:
         raise ValueError(f"{name}.csv has no column {absent}; it has {', '.join(frame)}")
-    for column, values in where.items():
+    for column, values in wanted.items():
         frame = frame[frame[column].isin(values)]
     if frame.empty:
         raise ValueError(f"{name}.csv has no row where {where}")
-    frame = frame[columns or list(frame)].map(_rounded)
-    lines = [heads or list(frame), ["---"] * frame.shape[1], *frame.to_numpy().tolist()]
-    return ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |"
-            for row in lines]  # fmt: skip
+    return frame[columns or list(frame)]
+
+
+def measured(text: str) -> str:
+    """The figure that `STUDY/TABLE; COLUMN; SUMMARY; CLAIM; WHERE` asks for.
+
+    SUMMARY is min, max, median, sum or range of the column, CLAIM `<= 5`, `>= 90` or `-`, WHERE
+    `column=value|value; ...`. Raises ValueError where the figure contradicts the claim.
+    """
+    name, column, summary, claim, *where = _listed(text)
+    values = pd.to_numeric(_selected(name, [column], "; ".join(where))[column]).dropna()
+    low, high = values.min(), values.max()
+    figure = (low, high) if summary == "range" else (getattr(values, summary)(),) * 2
+    sign, _, limit = claim.partition(" ")
+    if (sign == "<=" and figure[1] > float(limit)) or (sign == ">=" and figure[0] < float(limit)):
+        raise ValueError(f"{name}: {column} is {figure}, and the page claims {claim}")
+    return " to ".join(dict.fromkeys(f"{value:.3g}" for value in figure))
+
+
+def measured_role(role, rawtext, text, lineno, inliner, options=None, content=None):
+    """A figure of a study in a sentence."""
+    try:
+        return [nodes.Text(measured(text))], []
+    except (OSError, ValueError) as error:
+        message = inliner.reporter.error(str(error), line=lineno)
+        return [inliner.problematic(rawtext, rawtext, message)], [message]
 
 
 def _rounded(cell: str) -> str:
@@ -121,15 +149,24 @@ class Results(Written):
     """Rows and columns of a table that a study wrote."""
 
     def lines(self) -> list[str]:
-        listed = {key: _listed(self.options.get(key, "")) for key in ("columns", "names")}
-        where = {
-            name.strip(): [value.strip() for value in values.split("|")]
-            for part in _listed(self.options.get("where", ""))
-            for name, _, values in [part.partition("=")]
-        }
+        columns, heads = (_listed(self.options.get(key, "")) for key in ("columns", "names"))
         name = self.arguments[0]
-        table = result_table(name, listed["columns"], listed["names"], where)
-        return [*table, "", f"*From results/{name}.csv*"]
+        frame = _selected(name, columns, self.options.get("where", "")).map(_rounded)
+        rows = [heads or list(frame), ["---"] * frame.shape[1], *frame.to_numpy().tolist()]
+        cells = ([str(cell).replace("|", "\\|") for cell in row] for row in rows)
+        return [*(f"| {' | '.join(row)} |" for row in cells), "", f"*From results/{name}.csv*"]
+
+
+class Answers(Written):
+    """The question and the sentence of every study, as the program wrote them."""
+
+    def lines(self) -> list[str]:
+        rows = ["| study | question | answer |", "|---|---|---|"]
+        for path in sorted(RESULTS.glob("*/README.md")):
+            _, question, answer, *_ = path.read_text("utf-8").split("\n\n")
+            name, cell = path.parent.name, answer.replace("\n", " ").replace("|", "\\|")
+            rows.append(f"| [`{name}`](studies/{name}.md) | {question.strip('*')} | {cell} |")
+        return rows
 
 
 def _listed(text: str) -> list[str]:
@@ -205,28 +242,6 @@ class BackendSettings(Written):
         return lines
 
 
-class PublicNames(Written):
-    """autodoc of every public name, by room."""
-
-    def lines(self) -> list[str]:
-        rooms: dict[str, list[str]] = defaultdict(list)
-        for name in sparsefit.__all__:
-            home = sparsefit._HOMES.get(name, "").partition(".")[0]
-            if home:
-                rooms[ROOMS.get(home, home.capitalize())].append(name)
-        lines: list[str] = []
-        for room in dict.fromkeys([*ROOMS.values(), *rooms]):
-            if room in rooms:
-                lines += [f"## {room}", "", "````{eval-rst}"]
-                for name in rooms[room]:
-                    is_class = inspect.isclass(getattr(sparsefit, name))
-                    kind = "autoclass" if is_class else "autofunction"
-                    members = ["   :members:"] if is_class else []
-                    lines += [f".. {kind}:: sparsefit.{name}", *members, ""]
-                lines += ["````", ""]
-        return lines
-
-
 class Commands(Written):
     """Every verb with its help."""
 
@@ -244,18 +259,52 @@ def _verbs(typed: str, declared: argparse.ArgumentParser, level: str):
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write a page for every study in `results/`, in `docs/studies/`, which git does not keep."""
-    folder = Path(app.srcdir) / "studies"
-    folder.mkdir(exist_ok=True)
-    for old in folder.glob("*.md"):
-        old.unlink()
+    """Write a page for every study in `results/` and every room, in folders that git ignores."""
+    pages = {f"api/{room}": _names(*content) for room, content in ROOMS.items()}
     for path in RESULTS.glob("*/README.md"):
         name = path.parent.name
         text = re.sub(r"^###", "##", path.read_text("utf-8"), flags=re.MULTILINE)
         text = re.sub(r"!\[([^\]]*)\]\(", rf"![\1](../../results/{name}/", text)
         text = re.sub(r"(?<!!)\[([^\]]*)\]\([\w.-]+\)", r"\1", text)  # files beside it are no pages
         closing = f"The study is `studies/{name}.toml`, its files `results/{name}/`."
-        (folder / f"{name}.md").write_text(f"{text.rstrip()}\n\n{closing}\n", "utf-8")
+        pages[f"studies/{name}"] = f"{text.rstrip()}\n\n{closing}\n"
+    for name, text in pages.items():
+        path = Path(app.srcdir) / f"{name}.md"
+        path.parent.mkdir(exist_ok=True)
+        if not path.exists() or path.read_text("utf-8") != text:
+            path.write_text(text, "utf-8")
+
+
+def _names(title: str, modules: tuple[str, ...]) -> str:
+    """The page of a room: what `sparsefit` offers of it, and the public names of its modules."""
+    parts, shown = [f"# {title}"], set[int]()
+    for module in modules:
+        room = importlib.import_module(f"sparsefit.{module}")
+        home = module.partition(".")[0]
+        names = {
+            f"sparsefit.{name}": getattr(sparsefit, name)
+            for name, place in sparsefit._HOMES.items() if place.partition(".")[0] == home
+        }  # fmt: skip
+        own = getattr(
+            room,
+            "__all__",
+            [
+                name
+                for name, value in vars(room).items()
+                if getattr(value, "__module__", "") == room.__name__ and name[0] != "_"
+            ],
+        )
+        names |= {f"sparsefit.{module}.{name}": getattr(room, name) for name in own}
+        lines = []
+        for path, value in names.items():
+            if id(value) not in shown and (inspect.isclass(value) or inspect.isfunction(value)):
+                kind = "autoclass" if inspect.isclass(value) else "autofunction"
+                lines += [f".. {kind}:: {path}", *["   :members:"] * inspect.isclass(value), ""]
+            shown.add(id(value))
+        first = (room.__doc__ or "").strip().split("\n\n")[0]
+        text = "\n".join(lines)
+        parts.append(f"## `sparsefit.{module}`\n\n````{{eval-rst}}\n{first}\n\n{text}````")
+    return "\n\n".join(parts) + "\n"
 
 
 def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
@@ -294,9 +343,10 @@ def setup(app: Sphinx) -> dict[str, bool]:
     for name, kind in (
         ("results", Results), ("picture", Picture), ("study-keys", StudyKeys),
         ("study-names", StudyNames), ("backend-settings", BackendSettings),
-        ("public-names", PublicNames), ("commands", Commands),
+        ("answers", Answers), ("commands", Commands),
     ):  # fmt: skip
         app.add_directive(name, kind)
+    app.add_role("measured", measured_role)
     app.add_html_math_renderer("mathml", (_math(False), None), (_math(True), None))
     app.connect("builder-inited", write_pages)
     app.connect("source-read", link_pages)

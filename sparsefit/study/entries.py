@@ -138,6 +138,13 @@ def read_entry(
     return read
 
 
+def asked_for(names: Sequence[str | Options], own: Sequence[str | Options]) -> list[str | Options]:
+    """Return entries, a name of one that the study declares itself in full."""
+    declared = {str(each["name"]): each for each in own
+                if not isinstance(each, str) and "name" in each}  # fmt: skip
+    return [declared.get(each, each) if isinstance(each, str) else each for each in names]
+
+
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:
     """Refuse a column that the cases do not have, with the nearest that they do.
 

@@ -26,6 +26,7 @@ from sparsefit.study.entries import (
     Entry,
     Options,
     Script,
+    asked_for,
     check_columns,
     factor_words,
     grouped,
@@ -336,8 +337,8 @@ def figures(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Picture]:
     """Return pictures by file name: these, or those that a study asks for, or all that fit."""
-    script, every = Script(study), dict[str, Picture]()
-    for entry in names or study.definition.outputs.figures or fitting(cases):
+    script, every, own = Script(study), dict[str, Picture](), study.definition.outputs.figures
+    for entry in asked_for(names, own) or own or fitting(cases):
         if isinstance(entry, str) and entry in script.functions:
             made: Figure = styled(partial(script.call, entry, cases, Figure))
             every[entry] = Picture(made, entry.replace("_", " ").capitalize())

@@ -23,6 +23,7 @@ from sparsefit.study.entries import (
     Entry,
     Options,
     Script,
+    asked_for,
     check_columns,
     factor_words,
     grouped,
@@ -428,7 +429,7 @@ def tables(
     """Return tables by file name: these, or those that the study asks for, or all that fit."""
     script, outputs = Script(study), study.definition.outputs
     every: dict[str, Table] = {}
-    for entry in names or outputs.tables or fitting(cases):
+    for entry in asked_for(names, outputs.tables) or outputs.tables or fitting(cases):
         if isinstance(entry, str) and entry in script.functions:
             made = script.call(entry, cases, (pd.DataFrame, Table))
             made = made if isinstance(made, Table) else Table.of(made)
