@@ -272,7 +272,8 @@ def accuracy(entry: Entry, cases: pd.DataFrame) -> Figure | None:
         )
         for objective, here in shown.groupby("objective", sort=False)
     ][: 2 * PANELS]  # fmt: skip
-    flat += [replace(flat[-1], curves=[], title=" ")] * (len(flat) > 2 and len(flat) % 2)
+    if len(flat) > 2 and len(flat) % 2:
+        flat.append(replace(flat[-1], curves=[], title=" "))
     grid = [flat[at : at + 2] for at in range(0, len(flat), 2)]
     return drawn(grid, 0.8 + 2.5 * len(grid), solver_times.places(cases))
 

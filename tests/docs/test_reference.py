@@ -37,6 +37,15 @@ def test_a_key_without_words_is_refused_by_name(directives, monkeypatch):
         directives.key_table("run")
 
 
+def test_a_sentence_that_its_table_contradicts_is_refused(directives):
+    figure = "table2/errors; n; max; {}; title=default: lasso alpha_fraction=0.1"
+    assert directives.measured(figure.format(">= 95")) == "95"
+    with pytest.raises(ValueError, match="the page claims <= 90"):
+        directives.measured(figure.format("<= 90"))
+    with pytest.raises(ValueError, match="no column"):
+        directives.measured("table2/errors; nothing; max; -")
+
+
 def test_every_back_end_has_a_line_where_one_chooses():
     page = (DOCS / "choosing.md").read_text("utf-8")
     assert [
