@@ -60,12 +60,6 @@ def test_public_names_have_docstrings_of_their_own(name):
     assert not value.__doc__.startswith(f"{name}(")  # what a dataclass without one is given
 
 
-def test_every_study_that_is_answered_has_a_line_among_what_the_studies_found():
-    page = (DOCS / "evidence.md").read_text("utf-8")
-    answered = sorted(path.parent.name for path in (DOCS.parent / "results").glob("*/README.md"))
-    assert [name for name in answered if f"results/{name}/README.md" not in page] == []
-
-
 LINK = re.compile(r"\]\(([\w./-]+\.(?:md|svg|png|toml|csv|json))(?:#[\w-]*)?\)")
 
 
