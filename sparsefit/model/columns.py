@@ -35,8 +35,6 @@ CANDIDATES = (
 MEAN_SQUARE = np.array([0.5] * 4 + [0.25] * 4)
 """The mean square of each candidate over a cell."""
 BUILD_ROWS = 64  # of theta at once: they stay in cache
-MAX_THETA_BYTES = 8 * 2**30
-CELL_POINTS = 64  # per axis, to bracket the peak of |w| before it is refined
 APART = 1.5  # in pi/extent: nearer waves are one peak, the diagonal of a grid of one step
 
 
@@ -65,7 +63,7 @@ def candidates(x: Array, y: Array, out: Array) -> Array:
 def check_size(rows: int, columns: int, words: str) -> None:
     """InputError where a dense library of so many rows and columns would not fit in memory."""
     size = 8 * rows * columns
-    if size > MAX_THETA_BYTES:
+    if size > 8 * 2**30:
         raise InputError(
             f"a library of {words} needs {size / 2**30:.1f} GiB; use fewer waves, scales or samples"
         )
@@ -185,7 +183,8 @@ def peak_mean_velocity(weights: Array) -> float:
         square: Array = np.sum((columns.T @ weights) ** 2, axis=1)
         return square
 
-    axis = np.linspace(0, 2 * np.pi, CELL_POINTS, endpoint=False)
+    # 64 points along each axis bracket the peak before it is refined.
+    axis = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     squares = speed_square(cell)
     top = float(squares.max())

@@ -27,9 +27,6 @@ from sparsefit.model.unknowns import JointUnknowns
 from sparsefit.rows import Samples
 
 CORRELATION = 5.0  # samples: errors of smoothed derivatives and of positions are not white
-MOST_STEPS = 150_000  # of a scan along the axes: more lobes are looked into by nobody
-MOST_ROWS = 1_500  # of the search, as long as they are a quarter of the least length scale apart
-LONGEST_ROWS = 6_000  # rows of any track
 ROUNDS, LEAST_LEVEL = 2, 1e-3  # of weighing flights; of the largest level of noise
 
 
@@ -135,7 +132,7 @@ class Search:
         extent, least = extent_of(position), library.grid.lower
         if not extent > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
-        if line_steps(extent, library.bounds) > MOST_STEPS:
+        if line_steps(extent, library.bounds) > 150_000:  # more lobes are looked into by nobody
             raise InputError(
                 f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m: "
                 "too many lobes; raise the grid's lower bound"
@@ -151,9 +148,10 @@ class Search:
             worth += 2 * len(samples.time) / correlation
             way = np.hypot(*np.diff(samples.position, axis=0).T)
             far = max(1, int(0.25 * least / max(float(np.median(way)), 1e-300)))
-            most = MOST_ROWS // len(flights) + 1
+            # 1,500 rows where they are a quarter of the least length scale apart, 6,000 of any.
+            most = 1_500 // len(flights) + 1
             stride = max(int(0.5 * correlation), min(far, len(way) // most))
-            thin.append(samples.every(max(1, stride, len(way) // LONGEST_ROWS)))
+            thin.append(samples.every(max(1, stride, len(way) // 6_000)))
         counts = tuple(len(samples.time) for samples in thin)
         own = np.repeat(np.array(weights, dtype=float), counts)
         place = [np.column_stack([samples.position, samples.time]) for samples in thin]

@@ -16,8 +16,6 @@ import numpy as np
 
 from sparsefit.arrays import Array
 
-EQUAL = 0.2  # of ln(amplitude): waves that differ by more make no cells
-ANGLE = 0.1  # of |cos| of the angle of two waves, beside ln: of waves all alike, squares are told
 QUARTER = np.array([[0.0, 1.0], [-1.0, 0.0]])  # of rows (k_x, k_y): turned by a quarter turn
 
 
@@ -187,12 +185,13 @@ def flows_of(wavevectors: Array, amplitudes: Array) -> list[list[int]]:
     def unlike(pairing: Array) -> float:
         first, second = pairing.T
         apart = np.abs(size[first] - size[second]) + np.abs(length[first] - length[second])
+        # The angle counts a tenth: of waves all alike, squares are preferred.
         turned = np.abs(np.sum(along[first] * along[second], axis=1))
-        return float(np.sum(apart + ANGLE * turned))
+        return float(np.sum(apart + 0.1 * turned))
 
     pairings = [np.array([[0, j], sorted({1, 2, 3} - {j})]) for j in (1, 2, 3)]
     best = min(pairings, key=unlike)
-    if np.abs(np.diff(size[best], axis=1)).max() > EQUAL:
+    if np.abs(np.diff(size[best], axis=1)).max() > 0.2:  # waves that differ by more make no cells
         return [[0, 1, 2, 3]]
     return [list(map(int, pair)) for pair in best]
 

@@ -84,17 +84,13 @@ def test_between_its_waves_the_map_is_above_one_around_the_true_ones():
 
 
 def test_of_the_gridless_group_lasso_eta_is_at_most_one_on_the_whole_plane():
-    flight = sf.simulate_flight(
-        FLOW, VEHICLE, duration=8.0, sample_rate=100.0, seed=7, velocity_noise=0.2,
-        position_noise=0.05,
-    )  # fmt: skip
     backend = backends.get("gridless-group-lasso", alpha_fraction=0.3)
-    shown = certificate_map(replace(ESTIMATOR, backend=backend), flight)
+    shown = certificate_map(replace(ESTIMATOR, backend=backend), FLIGHT)
     assert 0.97 < shown.highest <= 1.0 + 1e-8
     for wave in shown.wavevectors:  # the map is 1 near each, to what its step can show
         near = np.linalg.norm(np.stack(np.meshgrid(shown.axis, shown.axis, indexing="ij"), axis=-1)
                               - wave, axis=-1)  # fmt: skip
-        assert np.nanmax(np.where(near < 0.5 / flight.extent, shown.eta, np.nan)) > 0.97
+        assert np.nanmax(np.where(near < 0.5 / FLIGHT.extent, shown.eta, np.nan)) > 0.97
 
 
 @pytest.mark.parametrize(

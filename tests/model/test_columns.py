@@ -20,7 +20,7 @@ from sparsefit.model.columns import (
     wave_peaks,
     wave_theta,
 )
-from sparsefit.model.continuum import EQUATION_1, PlaneHeights, ShapeContinuum
+from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
 from sparsefit.model.shapes import CELLS, WAVE
 
 POSITION = np.random.default_rng(1).uniform(-9, 9, (40, 2))
@@ -133,30 +133,6 @@ def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
     assert highest[0] == heights.max()
     assert (np.diff(highest) <= 0).all()
     assert (reach == scan.step).all()
-
-
-def test_a_scan_of_the_plane_is_the_sums_over_its_rows_and_misses_no_peak():
-    rng = np.random.default_rng(5)
-    continuum = ShapeContinuum(WAVE, POSITION + np.array([12.0, 3.0]), (0.4, 1.2))
-    bounds = continuum.interval(None, None)
-    scan = continuum.scan(bounds)
-    assert isinstance(scan, PlaneHeights)
-    residual = rng.standard_normal((80, 1))
-
-    def height(places):
-        value = continuum.columns(places)[0]
-        unit = value / np.sqrt(np.mean(value**2, axis=2))[..., None]
-        return np.linalg.norm(unit @ residual, axis=(1, 2)) / 80
-
-    heights = scan.heights(residual)
-    for i, j in ((40, 47), (30, 25), (3, 50)):
-        k = scan.axis[[i, j]]
-        place = np.array([[np.hypot(*k), math.atan2(k[1], k[0])]])
-        assert heights[i, j] == pytest.approx(height(place)[0], rel=1e-5)
-    anywhere = np.column_stack([rng.uniform(*bounds, 4000), rng.uniform(0, math.pi, 4000)])
-    tops, _ = scan.tops(residual, scan.slack)
-    assert ((tops[:, 0] >= bounds[0]) & (tops[:, 0] <= bounds[1])).all()
-    assert height(anywhere).max() <= height(tops).max() * (1 + scan.slack)
 
 
 def test_waves_and_cells_between_those_of_a_grid():

@@ -1,6 +1,7 @@
 """Dirty samples: what is mended, what is not, and that clean flights are left alone."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ AUTO, RAW = Derivative(), Derivative(repair=False)
 ARRAYS = ("time", "position", "velocity", "position_rate", "acceleration")
 
 
+@cache
 def flown(seed=1, duration=8.0, rate=100.0, flow=FLOW, **noise):
     return simulate_flight(flow, VEHICLE, duration=duration, sample_rate=rate, seed=seed, **noise)
 
