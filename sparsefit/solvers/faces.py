@@ -27,32 +27,27 @@ SHIFT = 1e-13  # of unit columns, where a face has more directions than samples
 
 def on_a_face(
     normal: Normal, cross: Array, penalty: Penalty, alpha: float, values: Array, goal: float
-) -> tuple[Array, float, int] | None:
-    """The optimum (j, q) near ``values``, its relative gap <= goal, and steps; None if not found.
+) -> tuple[Array, float, int]:
+    """The optimum (j, q) near ``values``, or what came nearest to it, its relative gap, and steps.
 
-    cross B (j, q), for a target of |Y|^2/m = 1.
+    cross B (j, q), for a target of |Y|^2/m = 1; the gap is infinite where no face was solved.
     """
-    if type(penalty) not in LINEAR:
-        return None
-    mu, step, waited, least = alpha * penalty.ridge, 1.0, 0, np.inf
-    correlation = cross - normal.times(values)
-    for count in range(1, FACES + 1):
+    mu, step, waited, best, least = alpha * penalty.ridge, 1.0, 0, values, np.inf
+    correlation, count = cross - normal.times(values), 0
+    while type(penalty) in LINEAR and least > goal and waited <= PATIENCE and count < FACES:
         pull = values + step * (correlation - mu * values)
         point = penalty.prox(pull, step * alpha)
         after = _optimum_of_face(normal, cross, penalty, (pull, point), step, (alpha, mu))
         if after is None:
-            return None
-        values, correlation = after, cross - normal.times(after)
+            break
+        values, correlation, count = after, cross - normal.times(after), count + 1
         gap = relative_gap(values, correlation, cross, penalty, alpha)
-        if gap <= goal:
-            return values, gap, count
         waited = 0 if gap < 0.5 * least else waited + 1
-        least = min(gap, least)
-        if waited > PATIENCE:
-            return None
+        if gap < least:
+            best, least = values, gap
         if waited % 2:  # a shorter step breaks a circle
             step *= 0.5
-    return None
+    return best, least, count
 
 
 def _optimum_of_face(

@@ -20,7 +20,6 @@ from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.faces import on_a_face
 from sparsefit.solvers.newton import Normal, settled
 
-NEAR = 1e-4  # relative gap of proximal points, from where a face is looked for once more
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 
 
@@ -135,16 +134,10 @@ class NewtonKernel:
         self.known = self.known[-1:]
         for i, alpha in enumerate((alphas / self.units.level).tolist()):
             problem, values = (self.normal, self.cross, self.penalty, alpha), self.known[-1]
-            optimum = on_a_face(*problem, values, self.stop)
-            for goal in (NEAR, self.stop):  # proximal points come nearer, then all the way
-                if optimum is None:
-                    values, gap, taken = settled(*problem, values, goal)
-                    steps[i] += taken
-                    last = goal == self.stop or gap <= self.stop
-                    optimum = (values, gap, 0) if last else on_a_face(*problem, values, self.stop)
-            assert optimum is not None
-            values, gaps[i], taken = optimum
-            steps[i] += taken
+            values, gaps[i], steps[i] = on_a_face(*problem, values, self.stop)
+            if gaps[i] > self.stop:
+                values, gaps[i], taken = settled(*problem, values, self.stop)
+                steps[i] += taken
             self.known.append(values)
         return Stretch(np.stack(self.known[1:]) * self.units.level, gaps <= self.stop, steps)
 
