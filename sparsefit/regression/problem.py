@@ -326,7 +326,7 @@ class RegressionProblem(Brief):
 
 def _check_shapes(problem: RegressionProblem) -> None:
     for name, values in (("theta", problem.theta), ("target", problem.target)):
-        dense = isinstance(values, np.ndarray)
+        dense = isinstance(values, np.ndarray) and not isinstance(values, np.memmap)
         right = values.dtype == np.float64 and values.ndim == 2 if dense else name == "theta"
         if not right or not hasattr(values, "shape"):
             raise InputError(f"{name} must be a float64 array (m, k); from_arrays makes one")

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+import sparsefit as sf
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.problem import RegressionProblem
 from tests.problems import regular
 
 M, K = 60, 9
@@ -94,6 +96,15 @@ def test_every_kind_is_the_array_that_it_is(
         return
     design, theta = designs(tmp_path)[kind]
     check(design, theta)
+
+
+def test_a_file_of_single_precision_is_read_as_it_is(tmp_path: Path) -> None:
+    np.save(tmp_path / "theta.npy", THETA.astype(np.float32))
+    stored = np.load(tmp_path / "theta.npy", mmap_mode="r")
+    fit = sf.fit(RegressionProblem.from_arrays(stored, THETA[:, 0]), "lasso")
+    again = sf.fit(RegressionProblem.from_arrays(np.asarray(stored, float), THETA[:, 0]), "lasso")
+    assert fit.status == "ok"
+    np.testing.assert_allclose(fit.weights, again.weights, rtol=1e-9)
 
 
 def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off() -> None:
