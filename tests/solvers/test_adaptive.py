@@ -6,10 +6,9 @@ import sklearn.linear_model as peers
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import DEGENERATE_KINDS, degenerate, orthonormal, regular
+from tests.problems import orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.02]
 PLAIN = {"adaptive-lasso": "lasso", "adaptive-group-lasso": "group-lasso"}
@@ -60,21 +59,6 @@ def test_it_leaves_out_noise_that_the_plain_one_takes_in(name):
     fits = [sf.fit(problem, backends.get(one, alpha_fraction=0.01)) for one in (name, PLAIN[name])]
     adaptive, plain = (set(fit.support) for fit in fits)
     assert {0, 1, 2} <= adaptive < plain
-
-
-@pytest.mark.parametrize("name", PLAIN)
-@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
-def test_degenerate_problems_are_certified(name, kind):
-    along = sf.path(degenerate(kind, 2), backends.get(name), [0.9, 0.1, 0.01])
-    assert [fit.status for fit in along.fits] == ["ok"] * 3
-    assert along.repaired == 0
-
-
-@pytest.mark.parametrize("name", PLAIN)
-def test_bad_settings_are_refused(name):
-    for change in ({"power": -1.0}, {"pilot_ridge": 0.0}, {"alpha_fraction": 0}):
-        with pytest.raises(InputError, match=next(iter(change))):
-            backends.get(name, **change)
 
 
 def test_a_first_ridge_that_rounding_loses_is_the_least_squares_of_least_norm():

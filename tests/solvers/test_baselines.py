@@ -178,19 +178,3 @@ def test_parametric_needs_positions():
     solution = ParametricNLS().solve(regular())
     assert solution.status == "error"
     assert "position" in solution.reason
-
-
-@pytest.mark.parametrize(
-    ("backend", "settings"),
-    [
-        (BestScale, {"rcond": -1.0}),
-        (GroupOMP, {"scales": 0}),
-        (GroupOMP, {"tolerance": 2.0}),
-        (GroupOMP, {"stop": "aic"}),
-        (ParametricNLS, {"starts": 0}),
-        (ParametricNLS, {"lower": 0.0}),
-    ],
-)
-def test_settings_out_of_range(backend, settings):
-    with pytest.raises(sf.InputError):
-        backend(**settings)

@@ -7,7 +7,6 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.best_subset import GroupSpans
 from tests.problems import VEHICLE
@@ -103,20 +102,6 @@ def test_two_flows_of_a_flight_are_found():
     problem = sf.Library(grid).build(sf.Derivative()(flown), VEHICLE)
     found = sf.fit(problem, backends.get("best-subset"))
     assert problem.group_scales[used(found)].tolist() == [3.0, 5.0]
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"scales": 4}, r"scales must be a number in \[1, 3\], not 4"),
-        ({"scales": 1.5}, "scales must be"),
-        ({"stop": "aic"}, 'unknown stop of best-subset "aic": did you mean "bic"'),
-        ({"tolerance": -1.0}, "tolerance must be"),
-    ],
-)
-def test_settings_that_are_refused(settings, words):
-    with pytest.raises(InputError, match=words):
-        backends.get("best-subset", **settings)
 
 
 def test_too_many_sets_are_refused_before_any_is_tried():

@@ -5,7 +5,6 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import flight_problem, regular
 
@@ -95,21 +94,6 @@ def test_compressed_rows_and_a_single_sample_are_refused():
     assert (found.status, "these are compressed" in found.reason) == ("error", True)
     one = RegressionProblem.from_arrays(problem.theta[:1], problem.target[:1])
     assert sf.fit(one, backends.get("ensemble")).reason == "ensemble needs at least 2 samples"
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"base": "stlsq"}, 'unknown base of ensemble "stlsq"'),
-        ({"threshold": 0.5}, r"threshold must be a number in \(0.5, 1\], not 0.5"),
-        ({"draws": 1}, "draws must be"),
-        ({"blocks": 1}, "blocks must be"),
-        ({"alpha_fraction": "auto"}, "alpha_fraction must be"),
-    ],
-)
-def test_settings_that_are_refused(settings, words):
-    with pytest.raises(InputError, match=words):
-        backends.get("ensemble", **settings)
 
 
 def test_targets_that_choose_by_themselves_keep_so_many_more_falsely():

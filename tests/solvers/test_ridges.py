@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, alpha_max
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
+from tests.problems import regular
 
 FRACTIONS = [0.7, 0.1, 0.01, 0.001]
 
@@ -68,25 +67,6 @@ def test_columns_that_are_equal_share_their_weight():
     assert weights[0] > 0.1
 
 
-@pytest.mark.parametrize("name", ["elastic-net", "ridge"])
-@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
-def test_degenerate_problems_are_certified_without_repair(name, kind):
-    along = sf.path(degenerate(kind, 1), backends.get(name), [1.0, 0.1, 0.001])
-    assert [fit.status for fit in along.fits] == ["ok"] * 3
-    assert along.repaired == 0
-
-
-def test_flights_agree_with_clarabel():
-    problem = flight_problem(velocity_noise=0.2)
-    ours = sf.path(problem, backends.get("elastic-net"), FRACTIONS)
-    conic = backends.get("elastic-net", solver="clarabel-working-set")
-    other = sf.path(problem, conic, FRACTIONS)
-    null = problem.statistics.null_objective
-    for one, two in zip(ours.fits, other.fits, strict=True):
-        assert (one.status, two.status, one.repaired) == ("ok", "ok", False)
-        assert one.certificate.primal == pytest.approx(two.certificate.primal, abs=1e-8 * null)
-
-
 @given(seed=st.integers(0, 10**6), ratio=st.floats(0.05, 1.0), size=st.floats(0.0, 2.0))
 @settings(max_examples=12)
 def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, ratio, size):
@@ -131,17 +111,3 @@ def test_the_penalty_can_be_chosen(name):
         found = sf.fit(problem, backend)
         assert found.status == "ok"
         assert found.penalty_choice.index > 0
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "words"),
-    [
-        ("elastic-net", {"l1_ratio": 0.0}, "for none of them use ridge"),
-        ("elastic-net", {"solver": "homotpy"}, 'did you mean "homotopy"'),
-        ("ridge", {"alpha_fraction": 0.0}, "alpha_fraction"),
-        ("ridge", {"selection": "ebic"}, "known: bic, cross-validation"),
-    ],
-)
-def test_bad_settings_are_refused(name, change, words):
-    with pytest.raises(InputError, match=words):
-        backends.get(name, **change)

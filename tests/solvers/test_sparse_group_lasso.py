@@ -13,7 +13,7 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
+from tests.problems import orthonormal, regular
 
 FRACTIONS = [0.7, 0.2, 0.05]
 UNEQUAL = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
@@ -92,27 +92,6 @@ def test_alpha_max_by_hand():
     assert alpha_max(problem.statistics.cross, penalty) == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
-@pytest.mark.parametrize("seed", range(2))
-def test_degenerate_problems_are_solved_without_repair(kind, seed):
-    backend = backends.get("sparse-group-lasso", separate=bool(seed))
-    along = sf.path(degenerate(kind, seed), backend, [0.9, 0.1, 0.01])
-    assert [fit.status for fit in along.fits] == ["ok"] * 3
-    assert along.repaired == 0
-    assert along.gaps.max() <= 1e-8
-
-
-def test_a_flight_agrees_with_clarabel():
-    problem = flight_problem(velocity_noise=0.2)
-    backend = backends.get("sparse-group-lasso", alpha_fraction=0.05)
-    ours = sf.fit(problem, backend)
-    conic = dataclasses.replace(backend, solver="clarabel-working-set")
-    other = sf.fit(problem, conic)
-    assert (ours.status, ours.repaired) == (other.status, False) == ("ok", False)
-    null = problem.statistics.null_objective
-    assert ours.certificate.primal == pytest.approx(other.certificate.primal, abs=1e-9 * null)
-
-
 @given(seed=st.integers(0, 10**6), fraction=st.floats(1e-3, 1.0), ratio=st.floats(0.01, 0.99))
 @settings(max_examples=12)
 def test_every_fit_obeys_the_optimality_conditions_of_its_blocks(seed, fraction, ratio):
@@ -140,20 +119,6 @@ def test_a_path_that_is_cut_short_is_reported_as_incomplete(monkeypatch):
     assert backend.solve(problem).status == "inaccurate"
     found = sf.fit(problem, backend)  # the referee repairs it
     assert (found.status, found.repaired) == ("ok", True)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"l1_ratio": 1.5}, "l1_ratio"),
-        ({"separate": 1}, "separate"),
-        ({"group_weights": "size"}, 'did you mean "sqrt-size"'),
-        ({"solver": "block-newtn"}, 'did you mean "block-newton"'),
-    ],
-)
-def test_bad_settings_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        backends.get("sparse-group-lasso", **change)
 
 
 def test_subgroups_that_span_groups_are_refused():

@@ -8,7 +8,6 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import flight_problem, regular
 
@@ -194,25 +193,3 @@ def test_fewer_samples_than_columns_need_a_ridge():
     assert refused.status == "error"
     assert "set ridge above 0 or use lasso" in refused.reason
     assert sf.fit(problem, backends.get("stlsq")).status == "ok"
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"mode": "sindy"},
-        {"threshold": -0.1},
-        {"threshold": np.nan},
-        {"threshold": np.inf},
-        {"ridge": -1.0},
-        {"ridge": "0.1"},
-        {"max_iterations": 0},
-        {"max_iterations": 2.5},
-        {"max_iterations": True},
-        {"unbias": 1},
-        {"normalize_columns": "yes"},
-        {"normalize_columns": True},  # belongs to mode pysindy
-    ],
-)
-def test_bad_settings_are_refused(settings):
-    with pytest.raises(InputError, match="stlsq"):
-        backends.get("stlsq", **settings)

@@ -1,0 +1,101 @@
+"""Laws of all back-ends that need no more than a table: refused settings, degenerate problems."""
+
+import math
+
+import pytest
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.errors import InputError
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem
+
+FRACTION = ("lasso", "group-lasso", "ridge", "adaptive-lasso", "adaptive-group-lasso", "group-mcp")
+REFUSED = [
+    *((name, "alpha_fraction", value, "alpha_fraction") for name in FRACTION for value in (0, 1.1)),
+    *(("lasso", "alpha_fraction", value, "alpha_fraction") for value in (math.nan, "0.1", True)),
+    ("ensemble", "alpha_fraction", "auto", "alpha_fraction must be"),
+    ("lasso", "solver", "homotpy", 'did you mean "homotopy"'),
+    ("lasso", "solver", "variational", "unknown solver of lasso"),
+    ("lasso", "solver", None, "solver must be a name"),
+    ("group-lasso", "solver", "varational", 'did you mean "variational"'),
+    ("sparse-group-lasso", "solver", "block-newtn", 'did you mean "block-newton"'),
+    ("group-lasso", "separate", 1, "separate"),
+    ("group-lasso", "group_weights", "size", 'did you mean "sqrt-size"'),
+    ("group-mcp", "group_weights", "size", 'did you mean "sqrt-size"'),
+    ("sparse-group-lasso", "l1_ratio", 1.5, "l1_ratio"),
+    ("elastic-net", "l1_ratio", 0.0, "for none of them use ridge"),
+    ("ridge", "selection", "ebic", "known: bic, cross-validation"),
+    ("group-mcp", "selection", "ebic", "selection of group-mcp"),
+    ("group-mcp", "gamma", 1.0, "gamma"),
+    *((name, "power", -1.0, "power") for name in ("adaptive-lasso", "adaptive-group-lasso")),
+    *((name, "pilot_ridge", 0, "pilot_ridge") for name in ("adaptive-lasso",)),
+    ("best-subset", "scales", 4, r"scales must be a number in \[1, 3\], not 4"),
+    ("best-subset", "scales", 1.5, "scales must be"),
+    ("best-subset", "stop", "aic", 'unknown stop of best-subset "aic": did you mean "bic"'),
+    ("best-subset", "tolerance", -1.0, "tolerance must be"),
+    ("ensemble", "base", "stlsq", 'unknown base of ensemble "stlsq"'),
+    ("ensemble", "threshold", 0.5, r"threshold must be a number in \(0.5, 1\], not 0.5"),
+    ("ensemble", "draws", 1, "draws must be"),
+    ("ensemble", "blocks", 1, "blocks must be"),
+    ("best-scale", "rcond", -1.0, "rcond"),
+    ("group-omp", "scales", 0, "scales"),
+    ("group-omp", "tolerance", 2.0, "tolerance"),
+    ("parametric-nls", "starts", 0, "starts"),
+    ("parametric-nls", "lower", 0.0, "lower"),
+    *(("least-squares", "rcond", v, "rcond") for v in (-1e-3, 1.5, math.nan, "0.1", True)),
+    ("stlsq", "mode", "sindy", "mode of stlsq"),
+    *(("stlsq", "threshold", value, "threshold") for value in (-0.1, math.nan, math.inf)),
+    *(("stlsq", "ridge", value, "ridge") for value in (-1.0, "0.1")),
+    *(("stlsq", "max_iterations", value, "max_iterations") for value in (0, 2.5, True)),
+    ("stlsq", "unbias", 1, "unbias"),
+    ("stlsq", "normalize_columns", "yes", "normalize_columns"),
+    ("stlsq", "normalize_columns", True, "belongs to mode 'pysindy'"),
+]
+CONVEX = [
+    ("lasso", {}, range(6)),
+    ("group-lasso", {}, range(3)),
+    ("group-lasso", {"separate": True, "group_weights": "sqrt-size"}, range(3, 6)),
+    ("sparse-group-lasso", {}, (0,)),
+    ("sparse-group-lasso", {"separate": True}, (1,)),
+    ("elastic-net", {}, (1,)),
+    ("ridge", {}, (1,)),
+    ("adaptive-lasso", {}, (2,)),
+    ("adaptive-group-lasso", {}, (2,)),
+]
+
+
+@pytest.mark.parametrize(("name", "key", "value", "words"), REFUSED)
+def test_bad_settings_are_refused_in_a_line(name, key, value, words):
+    with pytest.raises(InputError, match=words) as caught:
+        backends.get(name, **{key: value})
+    assert name in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+@pytest.mark.parametrize(("name", "settings", "seeds"), CONVEX)
+def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, settings, seeds, kind):
+    for seed in seeds:
+        problem = degenerate(kind, seed)
+        null = problem.statistics.null_objective
+        exact = sf.path(problem, backends.get(name, **settings), [1.0, 0.3, 0.03, 1e-3])
+        reference = backends.get(name, solver="clarabel-direct", **settings)
+        assert exact.repaired == 0
+        for fit, conic in zip(
+            exact.fits, sf.path(problem, reference, exact.alpha_fractions).fits, strict=True
+        ):
+            assert fit.status == "ok", fit.reason
+            assert fit.certificate.value <= 1e-8
+            assert conic.certificate.value <= 1e-6
+            slack = (1e-8 + conic.certificate.value) * null
+            assert fit.certificate.primal <= conic.certificate.primal + 1e-8 * null
+            assert fit.certificate.primal == pytest.approx(conic.certificate.primal, abs=slack)
+
+
+@pytest.mark.parametrize("name", ["sparse-group-lasso", "elastic-net", "ridge"])
+def test_a_flight_agrees_with_the_referee(name):
+    problem = flight_problem(velocity_noise=0.2)
+    ours = sf.fit(problem, backends.get(name, alpha_fraction=0.05))
+    conic = sf.fit(problem, backends.get(name, alpha_fraction=0.05, solver="clarabel"))
+    assert (ours.status, ours.repaired, conic.status) == ("ok", False, "ok")
+    slack = 1e-9 * problem.statistics.null_objective
+    assert ours.certificate.primal == pytest.approx(conic.certificate.primal, abs=slack)
