@@ -89,7 +89,7 @@ def test_a_file_beside_a_study_has_solvers_with_settings(tmp_path):
     recipes = [Recipe("mine", {"iterations": n}, file=str(path)) for n in (1, 3000)]
     data, penalty = problem(), lasso_penalty(6)
     rough, fine = (answers(r.make(), data, penalty, (1.0, 0.1)) for r in recipes)
-    exact = answers(solver("clarabel"), data, penalty, (1.0, 0.1))
+    exact = answers(solver("clarabel"), data, penalty, (1.0, 0.1), 1e-13)
     reference = exact.solutions[1].weights
     np.testing.assert_allclose(fine.solutions[1].weights, reference, atol=1e-8)
     assert np.abs(rough.solutions[1].weights - reference).max() > 1e-3
