@@ -151,10 +151,10 @@ def test_a_command_is_handed_a_folder_and_timed_between_its_lines(tmp_path):
     timed = recipe.make().path(design, data.target, penalty, np.array([0.4, 0.1]), 1e-8)
     expected = [2.0 * np.clip(cross / 0.5, -a, a) / 0.5 for a in (0.4, 0.1)]
     np.testing.assert_allclose(timed.weights, expected)
-    assert 0.0 < timed.wall < 1.0
+    assert 0.0 < timed.wall < 10.0
     answered = answers(recipe.make(), data, penalty, (1.0,))
     assert answered.solutions[0].status == "ok"
-    assert answered.wall < 0.1  # neither the start of an interpreter nor its imports are in it
+    assert answered.cpu < 0.1  # neither the start of an interpreter nor its imports are in it
 
 
 def test_a_command_that_fails_says_so(tmp_path):
