@@ -155,9 +155,9 @@ class Estimator:
             words = "the vehicle that fits best cannot be; fly longer, or give the response time"
             return parts, Verdict("unidentifiable", words, Doubt.VEHICLE)
         if len(reading.vehicles) == 1:
-            vehicle, wind = reading.vehicles[0]
+            vehicle, background = reading.vehicles[0]
             assert vehicle is not None
-            parts |= on_grid(vehicle, wind, self.library.unknown)
+            parts |= on_grid(vehicle, background, self.library.unknown)
         if not 0 < first.mean_velocity < math.inf:
             words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
             words = f"no mean velocity: {words}"

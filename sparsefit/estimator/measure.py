@@ -29,7 +29,7 @@ from sparsefit.estimator.estimate import (
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.likelihood.causes import FREEDOMS, Suspect
+from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import (
     Diagnosis,
     diagnose,
@@ -62,7 +62,9 @@ class Choice:
         apart: of U0 or L: rivals that differ by less say the same.
         slight: of U0 or L: a cause that moves neither by more only widens their intervals.
         false_alarm: of a flow in a flight without one, over all lobes.
-        clear: of the air's variance: a flow that explains more is there.
+        clear: of the air's variance: a flow that explains more, and leaves white innovations, is
+            there.
+        hidden: of 2 ln(likelihood ratio) that a wrong vehicle may hide of a flow.
     """
 
     worse: float = 3.0
@@ -75,6 +77,7 @@ class Choice:
     slight: float = 1e-3
     false_alarm: float = 1e-3
     clear: float = 0.9
+    hidden: float = 500.0
 
 
 CHOICE = Choice()
@@ -126,7 +129,7 @@ class Measured:
         gradient[:-2, [names.index(name) for name in pattern.names]] = slopes.reshape(
             -1, slopes.shape[2]
         )
-        for row, name in enumerate(FREEDOMS["wind"].elements, len(gradient) - 2):
+        for row, name in enumerate(WIND, len(gradient) - 2):
             if name in names:
                 gradient[row, names.index(name)] = 1.0
         return gradient @ self.posterior.covariance @ gradient.T
@@ -163,7 +166,7 @@ class Measured:
         first, posterior, waves = scales[0], self.posterior, self.waves
         pattern, least = posterior.model.pattern, min(own.bic for own in self.proposals)
         flow = WaveFlow(waves[:, :2], waves[:, 3], waves[:, 4], waves[:, 2])
-        uniform = tuple(posterior.value(name) for name in FREEDOMS["wind"].elements)
+        uniform = tuple(posterior.value(name) for name in WIND)
         parts: dict[str, Any] = {
             name: getattr(first, name)
             for name in ("mean_velocity", "length_scale", "timescale", "uncertainty")
@@ -269,9 +272,11 @@ def measure_flow(
     best, gusty, proposal = trials[0]
     likelier = gusty if gusty is not None and gusty.bic < best.bic else best
     diagnosis = Diagnosis(likelier, likelier)
-    clear = Goodness.of(likelier, diagnosis).r_squared > CHOICE.clear
-    detected = clear or _detected(prepared, logs, likelier)
-    if detected:
+    goodness = Goodness.of(likelier, diagnosis)
+    white = goodness.whiteness > 1e-6 or likelier.exact
+    clear = white and goodness.r_squared > CHOICE.clear
+    excess = math.inf if clear else _excess(prepared, logs, likelier)
+    if excess > -CHOICE.hidden:
         around = max(near, CHOICE.stray * float(np.hypot(*proposal.wavevectors.T).min()))
         diagnosis = diagnose(
             logs, best, names, shapes=shapes, ready=gusty,
@@ -290,10 +295,12 @@ def measure_flow(
         and min(_apart(own, trial[0]) for own in (best, diagnosis.posterior)) > CHOICE.apart
     ]
     goodness = Goodness.of(posterior, diagnosis)
+    excess += 2 * (diagnosis.posterior.log_likelihood - likelier.log_likelihood)
+    excess -= 4 * (len(diagnosis.posterior.names) - len(likelier.names))
     freed = (*names, *(own.free for own in diagnosis.suspects if not suspects))
     return Measured(
         proposal, tuple(proposals), diagnosis, posterior, suspects, freed, goodness,
-        rivals[0] if rivals else None, detected,
+        rivals[0] if rivals else None, excess > 0,
     )  # fmt: skip
 
 
@@ -353,8 +360,8 @@ def _apart(posterior: Posterior, other: Posterior) -> float:
     return max(abs(speeds - 1), abs(there.length_scale / here.length_scale - 1))
 
 
-def _detected(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> bool:
-    """Whether a flow explains more than chance and turbulence of its own size do."""
+def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> float:
+    """2 ln(likelihood ratio) of a flow against turbulence of its size, less that by chance."""
     pattern = posterior.model.pattern
     speed, length = pattern.mean_velocity, pattern.length_scale
     still = StreamPattern("axis", (1e-6 * speed, length, 0.0, 0.0), origin=pattern.origin)
@@ -362,14 +369,14 @@ def _detected(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterio
     for model in posterior.models:
         air = replace(model.disturbance, processes=())
         bare = replace(model, pattern=still, fixed=still.names, disturbance=air)
-        calm.append(bare.free(*FREEDOMS["wind"].elements))
+        calm.append(bare.free(*WIND))
     gusts = replace(process_of("turbulence", posterior), level=0.5 * speed)
     nothing = fitted(logs, with_process(calm, gusts))
     if nothing is None:
-        return False
+        return -math.inf
     odds = max(len(prepared.search.lookout.lobes), 1) / CHOICE.false_alarm
     chance = 2 * math.log(odds) + len(pattern.names)
-    return 2 * (posterior.log_likelihood - nothing.log_likelihood) > chance
+    return 2 * (posterior.log_likelihood - nothing.log_likelihood) - chance
 
 
 def read_waves(waves: Array) -> Array:

@@ -138,7 +138,7 @@ def diagnose(
         settings: of the diagnosis.
     """
     believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
-    first, tests = posterior, 1
+    first, start, tests, gains = posterior, None, 1, dict[tuple[str, int], Gain]()
     for _ in range(0 if posterior.exact else settings.rounds):
         shut = closed | {name for group in ALIKE if group & closed for name in group}
         groups = {
@@ -199,8 +199,9 @@ def diagnose(
     if posterior is not first:
         posterior = _simplest(logs, posterior, inside)
     believed = believed if suspects else posterior
-    growth = gains_of(posterior, {"growth": ("growth",)}, settings.seen).get(("growth", 0))
-    return Diagnosis(posterior, believed, tuple(suspects), growth, wandering)
+    if posterior is not start:
+        gains = gains_of(posterior, {"growth": ("growth",)}, settings.seen)
+    return Diagnosis(posterior, believed, tuple(suspects), gains.get(("growth", 0)), wandering)
 
 
 def _score(

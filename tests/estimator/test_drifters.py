@@ -27,7 +27,7 @@ def track():
 @pytest.mark.parametrize("days", [5, 10, pytest.param(25, marks=pytest.mark.slow)])
 def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days):
     estimator = sf.Estimator(library=sf.Library(GRID))
-    for first in range(0, 25 * DAY - days * DAY + 1, 10 * DAY):
+    for first in range(0, 25 * DAY - days * DAY + 1, 15 * DAY):
         position = track[first : first + days * DAY]
         flight = sf.Flight.from_positions(EVERY * np.arange(len(position)), position, WATER)
         estimate = estimator.estimate(flight)
