@@ -152,11 +152,11 @@ def _quantities(owner: Estimate | FlightEstimate, *, vehicle: bool) -> Iterator[
     for label, name, unit, source in QUANTITIES:
         if (source == "vehicle_uncertainty") is vehicle:
             value, known = getattr(owner, name), getattr(owner, source)
-            spread = getattr(known, name) if known else None
+            spread = getattr(known, name, None)
             if isinstance(value, tuple):
                 yield label, _pair(value, unit, spread)
             elif not vehicle or (value is not None and value == value):
-                ends = getattr(known, f"{name}_interval") if known else (0.0, 0.0)
+                ends = getattr(known, f"{name}_interval", (0.0, 0.0))
                 yield label, _quantity(value, unit, spread, ends)
 
 

@@ -267,5 +267,6 @@ class Estimate(Brief, ScaleEstimate, ShapeEstimate, LogEstimate):
         values = asdict(replace(self, flow_uncertainty=None))
         del values["flow_uncertainty"]
         values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
-        ready: dict[str, Any] = finite_or_none(values)
+        first = ("mean_velocity", "length_scale", "timescale", "status", "reason", "uncertainty")
+        ready: dict[str, Any] = finite_or_none({name: values.pop(name) for name in first} | values)
         return ready
