@@ -88,11 +88,6 @@ class Posterior:
         return self.legs[0].model
 
     @property
-    def origin(self) -> tuple[float, float, float]:
-        """(x, y, t), that the phases of the pattern and the tracks are counted from."""
-        return self.model.pattern.origin
-
-    @property
     def innovations(self) -> tuple[Array, ...]:
         """Of each log, standardised (m, 4); NaN where there is no reading, or one left out."""
         return tuple(
