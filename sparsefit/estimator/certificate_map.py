@@ -66,7 +66,7 @@ def certificate_map(estimator: Estimator, flight: Flight) -> CertificateMap:
         )
     prepared = estimator.prepare(flight)
     if prepared.samples.averages is not None:
-        raise InputError("a certificate over the plane needs samples, not the weak form")
+        raise InputError("a certificate over the plane needs samples, not averages of them")
     fit = estimator.fit(prepared)
     backend = fit.backend
     if not isinstance(backend, GroupLasso | GridlessGroupLasso):

@@ -47,7 +47,7 @@ class ClimbLimits:
 
     near: float = 0.3  # cells that leave less are looked around before the plane is scanned
     far: float = 0.75  # what leaves more has no shape around it that is the flow
-    settled: float = 0.05  # what leaves less leaves turbulence, or a vehicle that is another
+    settled: float = 0.05  # what leaves less leaves gusts, or a vehicle that is another
     exact: float = 1e-6  # less is what smoothing takes, and tells no shape
     part: float = 0.05  # errors that are more could hide a flow
     false_alarm: float = 1e-3  # of a wave in such errors, over all places

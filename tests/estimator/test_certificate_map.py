@@ -99,7 +99,7 @@ def test_of_the_gridless_group_lasso_eta_is_at_most_one_on_the_whole_plane():
         ({"library": sf.Library()}, "needs Library.family='waves'. in groups by wave"),
         ({"library": replace(WAVES, groups="ring")}, "not 'waves' by 'ring'"),
         ({"library": replace(WAVES, unknown=("wind",))}, "a known vehicle"),
-        ({"library": replace(WAVES, every=1), "derivative": "weak"}, "not the weak form"),
+        ({"library": replace(WAVES, every=1), "derivative": "weak"}, "not averages of them"),
         ({"backend": "lasso"}, "is that of group-lasso or gridless-group-lasso, not lasso"),
     ],
 )
