@@ -285,15 +285,9 @@ def _names(title: str, modules: tuple[str, ...]) -> str:
             f"sparsefit.{name}": getattr(sparsefit, name)
             for name, place in sparsefit._HOMES.items() if place.partition(".")[0] == home
         }  # fmt: skip
-        own = getattr(
-            room,
-            "__all__",
-            [
-                name
-                for name, value in vars(room).items()
-                if getattr(value, "__module__", "") == room.__name__ and name[0] != "_"
-            ],
-        )
+        defined = (name for name, value in vars(room).items() if name[0] != "_"
+                   and getattr(value, "__module__", "") == room.__name__)  # fmt: skip
+        own = getattr(room, "__all__", defined if module == "solvers.registry" else ())
         names |= {f"sparsefit.{module}.{name}": getattr(room, name) for name in own}
         lines = []
         for path, value in names.items():
