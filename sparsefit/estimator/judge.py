@@ -158,8 +158,11 @@ def foreign(case: Case) -> Values | None:
 
 def unexplained(case: Case) -> Values | None:
     """A search that left half of the rows' squares."""
-    residual = case.measured.proposal.residual
-    return {"share": 100 * (1 - residual)} if residual > 0.5 and short(case) is None else None
+    residual, goodness = case.measured.proposal.residual, case.measured.goodness
+    explained = goodness.r_squared > 0.9 and goodness.whiteness > 1e-3  # rows have the outliers
+    if residual <= 0.5 or explained or short(case) is not None:
+        return None
+    return {"share": 100 * (1 - residual)}
 
 
 def gusty(case: Case) -> Values | None:
