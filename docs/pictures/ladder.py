@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 
 import sparsefit as sf
 
-flow = sf.ShapedCells(
+flow = sf.flows.ShapedCells(
     mean_velocity=15.43, length_scales=(4.21, 5.05), heading=0.3, drift=(0.5, 0.2)
 )
 vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))

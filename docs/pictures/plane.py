@@ -7,10 +7,11 @@ import matplotlib.pyplot as plt
 
 import sparsefit as sf
 from sparsefit import backends
+from sparsefit.estimator.certificate_map import certificate_map
 
-flow = sf.SuperposedFlow(
+flow = sf.flows.SuperposedFlow(
     (
-        sf.ShapedCells(mean_velocity=10.0, length_scales=5.0, heading=0.3),
+        sf.flows.ShapedCells(mean_velocity=10.0, length_scales=5.0, heading=0.3),
         sf.CellularFlow(mean_velocity=6.0, length_scale=3.6),
     )
 )
@@ -18,9 +19,9 @@ vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 flight = sf.simulate_flight(
     flow, vehicle, duration=12.0, sample_rate=25.0, seed=3, velocity_noise=0.05, position_noise=0.01
 )
-library = sf.Library(grid=sf.LengthScaleGrid(lower=3.0, upper=8.0), family="waves")
+library = sf.Library(grid=sf.model.LengthScaleGrid(lower=3.0, upper=8.0), family="waves")
 gridless = backends.get("gridless-group-lasso", alpha_fraction=0.1)
-shown = sf.certificate_map(sf.Estimator(library=library, backend=gridless), flight)
+shown = certificate_map(sf.Estimator(library=library, backend=gridless), flight)
 
 figure, axes = plt.subplots(figsize=(6.5, 5.2))
 ends = (shown.axis[0], shown.axis[-1])

@@ -11,9 +11,9 @@ from scipy.signal import welch
 import sparsefit as sf
 
 cells = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
-gusts = sf.Turbulence(intensity=1.0, length=8.0, seed=5)
+gusts = sf.flows.Turbulence(intensity=1.0, length=8.0, seed=5)
 vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
-worlds = {"calm": cells, "turbulence": sf.SuperposedFlow((cells, gusts))}
+worlds = {"calm": cells, "turbulence": sf.flows.SuperposedFlow((cells, gusts))}
 estimator = sf.Estimator(readout=sf.Readout(refine="variable-projection"))
 
 figure, axes = plt.subplots(figsize=(8.0, 4.5))

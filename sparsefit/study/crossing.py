@@ -21,9 +21,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import Any, TypeAlias
 
-from sparsefit import Derivative, Estimator, LengthScaleGrid, Library, Readout, backends
+from sparsefit import Derivative, Estimator, Library, Readout, backends
 from sparsefit.codec import Place, build, made, number, only, shown
 from sparsefit.errors import SparsefitError, suggestion, told_with
+from sparsefit.model import LengthScaleGrid
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend

@@ -15,13 +15,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sparsefit import Estimator, Fit, LengthScaleGrid, Library, PointMassVehicle, backends
+from sparsefit import Estimator, Library, PointMassVehicle, backends
 from sparsefit.errors import InputError, SparsefitError, described, one_line
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, Flow
+from sparsefit.model import LengthScaleGrid
 from sparsefit.onboard import as_flown
+from sparsefit.regression import Fit
 from sparsefit.regression.fit import path
 from sparsefit.score import strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Outcome, Value, body_of, values_of

@@ -10,12 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from sparsefit import Fit, RegressionProblem
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
 from sparsefit.model.grid import extent_of
 from sparsefit.model.regression_bound import Bound, cramer_rao
+from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
 from sparsefit.study.draw import Draw
 

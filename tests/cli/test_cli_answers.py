@@ -21,7 +21,7 @@ def logs(tmp_path_factory):
         assert main([*SIMULATE, *options, "-o", str(folder / f"{name}.csv")]) == 0
     lines = (folder / "flight.csv").read_text().splitlines(keepends=True)
     (folder / "bare.csv").write_text("".join(line for line in lines if line[0] != "#"))
-    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.1), sf.CellularFlow(5.0, 4.4)))
+    flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.1), sf.CellularFlow(5.0, 4.4)))
     vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(20.0, 11.3))
     flight = sf.simulate_flight(flow, vehicle, duration=8.0, sample_rate=100.0, seed=3)
     sf.write_flight(flight, folder / "two.csv")
@@ -72,7 +72,7 @@ def test_json_has_what_was_estimated_and_null_for_the_rest(capsys):
 
 
 def test_an_estimator_file_may_leave_it_unknown(capsys, tmp_path):
-    library = sf.Library(sf.LengthScaleGrid(3.0, 6.0, 0.5), unknown=("response_time",))
+    library = sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), unknown=("response_time",))
     (tmp_path / "estimator.json").write_text(sf.Estimator(library=library).to_json())
     out = printed(capsys, "flight.csv", "--estimator", str(tmp_path / "estimator.json"))
     assert "vehicle               thrust (5, 3) m/s^2\n" in out

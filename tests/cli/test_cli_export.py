@@ -11,7 +11,7 @@ from sparsefit.cli import main
 from sparsefit.onboard import c_source
 from tests.cli import verbs
 
-GRID = sf.LengthScaleGrid(2.0, 8.0)
+GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_what_is_in_the_way_is_not_overwritten(saved, tmp_path, unmeasured, caps
 
 def test_all_causes_and_remedies_are_told_at_once(tmp_path, capsys):
     path = tmp_path / "odd.json"
-    library = sf.Library(unknown=("response_time",), grid=sf.LengthScaleGrid(1.0, 30.0))
+    library = sf.Library(unknown=("response_time",), grid=sf.model.LengthScaleGrid(1.0, 30.0))
     path.write_text(sf.Estimator(library=library, readout=sf.Readout(scales="several")).to_json())
     line = refused(capsys, path, "--c", tmp_path / "flow")
     for words in ("the vehicle is known", "use scales 'one'", "wider than 16 times"):

@@ -14,11 +14,11 @@ from sparsefit.model.columns import APART
 from sparsefit.model.continuum import PlaneHeights
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
-FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0))
+FLOW = sf.flows.ShapedCells(12.0, 4.2, heading=math.radians(25.0))
 FLIGHT = sf.simulate_flight(
     FLOW, VEHICLE, duration=8.0, sample_rate=100.0, seed=7, velocity_noise=0.2, position_noise=0.05
 )
-WAVES = sf.Library(sf.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
+WAVES = sf.Library(sf.model.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
 ESTIMATOR = sf.Estimator(library=WAVES, backend=backends.get("group-lasso", alpha_fraction=0.3))
 
 
@@ -78,7 +78,7 @@ def test_between_its_waves_the_map_is_above_one_around_the_true_ones():
     both = np.concatenate([FLOW.waves.wavevectors, -FLOW.waves.wavevectors])
     off = np.linalg.norm(both - shown.axis[list(top)], axis=1).min()
     assert off < APART * math.pi / FLIGHT.extent  # in the neighbourhood that is one peak
-    finer = replace(ESTIMATOR, library=replace(WAVES, waves=sf.WaveGrid(0.5)))
+    finer = replace(ESTIMATOR, library=replace(WAVES, waves=sf.model.WaveGrid(0.5)))
     assert certificate_map(finer, FLIGHT).highest < shown.highest
     np.testing.assert_allclose(shown.eta, shown.eta[::-1, ::-1], rtol=1e-6)  # k and -k
 

@@ -47,7 +47,7 @@ def test_every_back_end_that_lands_anywhere_is_refined_to_the_same_scale():
 
 
 def test_a_truth_outside_the_grid_is_flagged_not_returned_silently():
-    library = sf.Library(sf.LengthScaleGrid(5.0, 12.0))
+    library = sf.Library(sf.model.LengthScaleGrid(5.0, 12.0))
     found = sf.Estimator(library=library).estimate(flown())
     assert found.status in ("unidentifiable", "misfit")
     assert found.reason
@@ -82,13 +82,13 @@ def test_a_flight_along_an_axis_is_refused_in_its_own_words():
 
 def test_the_grid_for_a_flight_puts_candidates_in_every_lobe():
     flight = flown()
-    grid = sf.LengthScaleGrid.for_flight(flight, 2.0, 10.0)
+    grid = sf.model.LengthScaleGrid.for_flight(flight, 2.0, 10.0)
     steps = np.diff(np.sort(np.pi / grid.scales))
     assert grid.scales[[0, -1]] == pytest.approx([2.0, 10.0])
     assert steps.max() <= 0.25 * 2 * np.pi / flight.extent * (1 + 1e-12)
     assert np.ptp(steps) < 1e-9 * steps[0]
     with pytest.raises(InputError, match="fraction"):
-        sf.LengthScaleGrid.for_flight(flight, fraction=0.0)
+        sf.model.LengthScaleGrid.for_flight(flight, fraction=0.0)
 
 
 def test_the_gridless_gap_is_certified_by_the_caller():

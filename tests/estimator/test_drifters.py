@@ -11,7 +11,7 @@ FILE = Path(__file__).parents[2] / "studies" / "drifters" / "drifter_079.csv"
 EVERY = 900.0  # s
 DAY = 96  # samples
 WATER = sf.PointMassVehicle(60.0)  # follows the water
-GRID = sf.LengthScaleGrid(2e3, 200e3, spacing="flight")
+GRID = sf.model.LengthScaleGrid(2e3, 200e3, spacing="flight")
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ def test_a_noise_free_flight_gives_its_grid_scale_and_its_flow(backend, length_s
     assert max(found.weights_by_scale, key=found.weights_by_scale.get) == length_scale
     assert found.backend == backend
     assert found.settings["alpha_fraction"] == 0.1
-    assert sf.score(found, flown.flow, LengthScaleGrid().scales).hit
+    assert sf.score.score(found, flown.flow, LengthScaleGrid().scales).hit
 
 
 @pytest.mark.parametrize("target", ["flow-velocity", "acceleration", "state-derivative"])

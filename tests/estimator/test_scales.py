@@ -18,7 +18,7 @@ VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(20.0, 11.3
 
 @cache
 def flown(*parts, seed=3, noise=0.05, duration=12.0):
-    flow = sf.SuperposedFlow(tuple(sf.CellularFlow(*part) for part in parts))
+    flow = sf.flows.SuperposedFlow(tuple(sf.CellularFlow(*part) for part in parts))
     return sf.simulate_flight(
         flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed, velocity_noise=noise
     )
@@ -80,7 +80,7 @@ def test_unrefined_scales_are_candidates_of_the_grid():
     assert {3.0, 5.0} <= {round(one.length_scale, 9) for one in found.scales}
     for one in found.scales:
         assert one.length_scale == pytest.approx(one.grid_length_scale)
-        assert np.min(np.abs(sf.LengthScaleGrid().scales - one.length_scale)) < 1e-9
+        assert np.min(np.abs(sf.model.LengthScaleGrid().scales - one.length_scale)) < 1e-9
     scored = score_scales(found, flight_.flow)
     assert scored.max_length_scale_error < 1e-9
     assert scored.max_mean_velocity_error < 10.0
@@ -114,7 +114,7 @@ def test_all_weights_zero_are_no_scales():
 
 
 def test_a_scale_at_the_edge_of_the_search_is_flagged():
-    library = sf.Library(sf.LengthScaleGrid(3.5, 12.0))
+    library = sf.Library(sf.model.LengthScaleGrid(3.5, 12.0))
     found = Estimator(library=library, readout=SEVERAL).estimate(flown((10.0, 3.45), noise=0.0))
     assert found.status == "unidentifiable"
 
@@ -172,7 +172,7 @@ def test_a_flight_too_short_to_tell_is_never_ok_and_wrong(samples):
 
 
 def test_one_candidate_leaves_nothing_to_refine():
-    grid = sf.LengthScaleGrid(3.3, 3.3)
+    grid = sf.model.LengthScaleGrid(3.3, 3.3)
     library = sf.Library(grid)
     found = Estimator(library=library, readout=SEVERAL).estimate(flight(3.33, velocity_noise=0.2))
     assert found.length_scale == pytest.approx(3.3)

@@ -61,7 +61,7 @@ def test_several_flights_know_more_than_the_best_of_them_whatever_their_order(re
 
 
 def test_a_loud_flight_through_turned_cells_costs_the_quiet_one_nothing():
-    flow = sf.ShapedCells(9.0, 3.5, heading=0.4)
+    flow = sf.flows.ShapedCells(9.0, 3.5, heading=0.4)
     loud, quiet = (
         sf.simulate_flight(
             flow,

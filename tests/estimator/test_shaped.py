@@ -66,9 +66,12 @@ def test_the_command_line_tells_the_shape(turned):
 
 
 def test_two_flows_are_read_each_by_itself():
-    parts = sf.ShapedCells(9.0, 4.0, heading=0.3), sf.ShapedCells(6.0, 5.5, heading=-0.5)
+    parts = (
+        sf.flows.ShapedCells(9.0, 4.0, heading=0.3),
+        sf.flows.ShapedCells(6.0, 5.5, heading=-0.5),
+    )
     flight = sf.simulate_flight(
-        sf.SuperposedFlow(parts), VEHICLE, duration=12.0, sample_rate=100.0, seed=9,
+        sf.flows.SuperposedFlow(parts), VEHICLE, duration=12.0, sample_rate=100.0, seed=9,
         position_noise=0.02, velocity_noise=0.1,
     )  # fmt: skip
     found = LADDER.estimate(flight)
@@ -84,7 +87,7 @@ def test_two_flows_are_read_each_by_itself():
 
 
 def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():
-    cells = sf.ShapedCells(9.0, 4.0, heading=0.4, angle=1.1)
+    cells = sf.flows.ShapedCells(9.0, 4.0, heading=0.4, angle=1.1)
     flight = sf.simulate_flight(cells, VEHICLE, duration=8.0, sample_rate=100.0, seed=2)
     found = LADDER.estimate(flight)
     assert found.shape == "pair"

@@ -15,7 +15,7 @@ FLOW = sf.CellularFlow(8.0, 4.0)
 QUADRATIC = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
 LINEAR = sf.PointMassVehicle(0.5)
 NOISE = {"velocity_noise": 0.1, "position_noise": 0.02}
-GRID = sf.LengthScaleGrid(2.0, 7.0, step=0.5)
+GRID = sf.model.LengthScaleGrid(2.0, 7.0, step=0.5)
 PLAIN = sf.Readout(refine="variable-projection")
 
 

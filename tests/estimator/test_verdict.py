@@ -22,7 +22,7 @@ def flown(flow=FLOW, duration=10.0, rate=100.0, seed=7, **noise):
 
 
 def estimate(flight, lower=1.0, upper=12.0):
-    library = sf.Library(sf.LengthScaleGrid(lower, upper))
+    library = sf.Library(sf.model.LengthScaleGrid(lower, upper))
     return sf.Estimator(library=library).estimate(flight)
 
 

@@ -13,8 +13,8 @@ from sparsefit import backends
 from sparsefit.estimator import Doubt
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
-FLOW = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
-WAVES = sf.Library(sf.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
+FLOW = sf.flows.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
+WAVES = sf.Library(sf.model.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
 
 
 @cache
@@ -80,7 +80,7 @@ def test_on_the_grid_the_flow_is_the_sum_of_its_waves(groups):
 
 def test_a_stream_function_per_length_scale_is_a_flow_too():
     straight = flown(sf.CellularFlow(12.0, 4.0), noise=0.0)
-    library = sf.Library(sf.LengthScaleGrid(3.0, 6.0, 0.5), family="stream")
+    library = sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), family="stream")
     estimator = sf.Estimator(library=library, readout=sf.Readout(refine="none"))
     prepared = estimator.prepare(straight)
     fit = estimator.fit(prepared)
@@ -102,7 +102,7 @@ def test_off_the_grid_a_stream_function_has_4_amplitudes_for_both_components(met
     straight = flown(sf.CellularFlow(12.0, 4.0), seed=3)
     free, stream = (
         sf.Estimator(
-            method, sf.Library(sf.LengthScaleGrid(3.0, 6.0, 0.5), family=family, unknown=unknown),
+            method, sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), family=family, unknown=unknown),
             readout=sf.Readout(refine="variable-projection"),
         ).estimate(straight)
         for family in ("cells", "stream")
@@ -120,7 +120,7 @@ def test_off_the_grid_a_stream_function_has_4_amplitudes_for_both_components(met
 
 
 def test_a_wind_that_was_unknown_is_part_of_the_flow():
-    windy = flown(sf.SuperposedFlow((FLOW,), (1.5, -0.5)), noise=0.0)
+    windy = flown(sf.flows.SuperposedFlow((FLOW,), (1.5, -0.5)), noise=0.0)
     found = sf.Estimator(library=replace(WAVES, unknown=("wind",))).estimate(windy)
     assert found.wind == pytest.approx((1.5, -0.5), abs=0.01)
     place = windy.position[100]
@@ -129,10 +129,10 @@ def test_a_wind_that_was_unknown_is_part_of_the_flow():
 
 
 def test_two_flows_of_different_headings_are_found_together():
-    first = sf.ShapedCells(9.0, 4.0, heading=0.2)
-    second = sf.ShapedCells(7.0, 6.5, heading=-0.4)
-    flow = sf.SuperposedFlow((first, second))
-    library = replace(WAVES, grid=sf.LengthScaleGrid(3.0, 9.0))
+    first = sf.flows.ShapedCells(9.0, 4.0, heading=0.2)
+    second = sf.flows.ShapedCells(7.0, 6.5, heading=-0.4)
+    flow = sf.flows.SuperposedFlow((first, second))
+    library = replace(WAVES, grid=sf.model.LengthScaleGrid(3.0, 9.0))
     found = sf.Estimator(library=library).estimate(flown(flow, seed=4, duration=10.0))
     k = np.concatenate([first.waves.wavevectors, second.waves.wavevectors])
     near = [min(np.linalg.norm(found.flow.wavevectors - s * one, axis=1).min() for s in (-1, 1))

@@ -80,8 +80,8 @@ def test_what_is_wrong_is_named_with_its_size(flight, cause, size):
 
 
 def test_turbulence_is_a_level_and_no_cause():
-    gusts = sf.Turbulence(intensity=1.0, length=4.0, seed=3)
-    logs, posterior = posterior_of(flight_of(flow=sf.SuperposedFlow((FLOW, gusts))))
+    gusts = sf.flows.Turbulence(intensity=1.0, length=4.0, seed=3)
+    logs, posterior = posterior_of(flight_of(flow=sf.flows.SuperposedFlow((FLOW, gusts))))
     diagnosis = diagnose(logs, posterior)
     assert diagnosis.turbulence_gain > 20
     assert diagnosis.posterior.model.disturbance.processes[0].level == pytest.approx(1.0, rel=0.6)

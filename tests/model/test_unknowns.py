@@ -22,7 +22,7 @@ WIND = (1.5, -2.0)
 
 @cache
 def flown():
-    flow = sf.SuperposedFlow((FLOW,), WIND)
+    flow = sf.flows.SuperposedFlow((FLOW,), WIND)
     return sf.simulate_flight(flow, VEHICLE, duration=10.0, sample_rate=100.0, seed=7)
 
 

@@ -29,7 +29,7 @@ def slopes(function, point, step=1e-6):
 
 def flown(heading=0.3, seed=5, duration=12.0, rate=50.0, vehicle=None, flow=None, **noise):
     vehicle = vehicle or sf.PointMassVehicle(0.3, (2.0, -1.0))
-    flow = flow or sf.ShapedCells(9.0, 3.5, heading=heading)
+    flow = flow or sf.flows.ShapedCells(9.0, 3.5, heading=heading)
     noise = {"position_noise": 0.03, "velocity_noise": 0.1} | noise
     return sf.simulate_flight(
         flow, vehicle, duration=duration, sample_rate=rate, seed=seed, **noise
@@ -45,7 +45,7 @@ def fed(board, flight, rows=slice(None)):
 
 
 def test_waves_are_cells_and_their_gradients_are_right():
-    cells = sf.ShapedCells(9.0, 3.5, heading=0.3)
+    cells = sf.flows.ShapedCells(9.0, 3.5, heading=0.3)
     k = cells.waves.wavevectors
     flow = np.concatenate([np.ravel([cells.waves.cosine, cells.waves.sine], "F"), k[0]])
     np.testing.assert_allclose(k[1], [-k[0, 1], k[0, 0]], atol=1e-12)
@@ -120,7 +120,7 @@ WORLDS = {
         ),
         {"response_time": 0.5, "drag_coefficient": 0.05, "thrust_scale": 1.1},
     ),
-    "turbulence": (lambda: flown(flow=sf.Turbulence(3.0, 5.0, seed=1)), {}),
+    "turbulence": (lambda: flown(flow=sf.flows.Turbulence(3.0, 5.0, seed=1)), {}),
 }
 
 

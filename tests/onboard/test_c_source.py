@@ -10,7 +10,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.onboard.c_source import following, footprint, package, ram, searching
 
-GRID = sf.LengthScaleGrid(2.0, 8.0)
+GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 ESTIMATOR = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
 compiler = pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
 STRICT = ("gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-I.")
@@ -107,7 +107,7 @@ def test_cpp_takes_the_header(built):
 
 def test_a_flight_of_ones_own_with_thrust(tmp_path):
     time = np.arange(301) * 0.02
-    thrust = sf.ThrustSeries(time, np.stack([np.sin(time), np.cos(time)], axis=1))
+    thrust = sf.flows.ThrustSeries(time, np.stack([np.sin(time), np.cos(time)], axis=1))
     flight = sf.simulate_flight(
         sf.CellularFlow(8.0, 4.0), sf.PointMassVehicle(0.5), duration=6.0, sample_rate=50.0, seed=1,
         thrust=thrust,

@@ -16,7 +16,7 @@ from sparsefit.onboard import board as module
 from sparsefit.onboard.board import Board
 
 VEHICLE = sf.PointMassVehicle(0.3, (6.0, -3.0))
-GRID = sf.LengthScaleGrid(2.0, 8.0)
+GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 LADDER = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
 AXES = replace(LADDER, readout=sf.Readout(refine="variable-projection"))
 compiled = pytest.mark.skipif(module.CompiledFlow is None, reason="there was no compiler")
@@ -25,7 +25,7 @@ compiled = pytest.mark.skipif(module.CompiledFlow is None, reason="there was no 
 def flown(flow=None, seed=7, duration=14.0, vehicle=VEHICLE, **noise):
     noise = {"position_noise": 0.05, "velocity_noise": 0.1} | noise
     return sf.simulate_flight(
-        flow or sf.ShapedCells(10.0, 4.21, heading=0.4),
+        flow or sf.flows.ShapedCells(10.0, 4.21, heading=0.4),
         vehicle,
         duration=duration,
         sample_rate=50.0,
@@ -82,7 +82,7 @@ def test_turned_cells_are_never_ok_and_off(estimator):
     rng, answered = np.random.default_rng(41), 0
     for seed in range(40):
         scale, turn = rng.uniform(2.5, 7.5), math.exp(rng.uniform(math.log(0.2), math.log(0.9)))
-        flow = sf.ShapedCells(scale / turn, scale, heading=rng.uniform(-0.7, 0.7))
+        flow = sf.flows.ShapedCells(scale / turn, scale, heading=rng.uniform(-0.7, 0.7))
         vehicle = sf.PointMassVehicle(0.3, tuple(rng.normal(size=2) * flow.mean_velocity))
         flight = flown(flow, seed, 20.0, vehicle)
         estimate = Stream().followed(estimator, flight).estimate()
@@ -94,7 +94,7 @@ def test_turned_cells_are_never_ok_and_off(estimator):
 
 @compiled
 @pytest.mark.parametrize(
-    "flow", [None, sf.Turbulence(4.0, 5.0, seed=3), sf.SuperposedFlow((), (3.0, 1.0))]
+    "flow", [None, sf.flows.Turbulence(4.0, 5.0, seed=3), sf.flows.SuperposedFlow((), (3.0, 1.0))]
 )
 def test_where_there_are_no_cells_nothing_is_ok(flow):
     flight = sf.simulate_flight(
@@ -106,7 +106,7 @@ def test_where_there_are_no_cells_nothing_is_ok(flow):
 
 
 def test_a_window_follows_a_flow_that_swells():
-    swelling = sf.ShapedCells(8.0, 4.21, swell=0.2, swell_period=30.0)
+    swelling = sf.flows.ShapedCells(8.0, 4.21, swell=0.2, swell_period=30.0)
     flight, online, errors = flown(swelling, duration=30.0), online_of(window=4.0), []
     for start in range(0, 1500, 125):
         estimate = fed(online, flight, start, start + 125).estimate()
@@ -174,7 +174,7 @@ def test_the_last_samples_are_a_flight():
         ({"library": sf.Library(grid=GRID, unknown=("wind",))}, "unknown wind"),
         ({"readout": sf.Readout(scales="several")}, "several scales"),
         ({"readout": sf.Readout(mean_velocity="peak")}, "U0 is the rms"),
-        ({"library": sf.Library(grid=sf.LengthScaleGrid(1.0, 40.0))}, "wider than 16 times"),
+        ({"library": sf.Library(grid=sf.model.LengthScaleGrid(1.0, 40.0))}, "wider than 16 times"),
     ],
 )
 def test_what_cannot_fly_is_said_before_it_does(change, words):

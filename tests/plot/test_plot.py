@@ -19,7 +19,7 @@ def flown():
         FLOW, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=4.0, sample_rate=100.0, seed=7,
         velocity_noise=0.2, position_noise=0.05,
     )  # fmt: skip
-    grid = sf.LengthScaleGrid(3.0, 6.0, 0.2)
+    grid = sf.model.LengthScaleGrid(3.0, 6.0, 0.2)
     estimator = sf.Estimator(library=sf.Library(grid), readout=sf.Readout(refine="none"))
     return flight, estimator, estimator.estimate(flight)
 

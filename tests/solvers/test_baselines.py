@@ -98,7 +98,7 @@ def test_omp_with_one_scale_is_best_scale():
 
 
 def test_omp_finds_two_flows():
-    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
+    flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
     problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
     backend = GroupOMP()
@@ -108,7 +108,7 @@ def test_omp_finds_two_flows():
 
 
 def test_omp_sees_a_wrong_stop():
-    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
+    flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
     problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
     early = GroupOMP(scales=1).solve(problem).weights

@@ -96,9 +96,9 @@ def test_the_exchange_finds_what_is_not_the_best():
 
 
 def test_two_flows_of_a_flight_are_found():
-    flow = sf.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
+    flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=50.0, seed=1)
-    grid = sf.LengthScaleGrid(2.0, 7.0, step=0.5)
+    grid = sf.model.LengthScaleGrid(2.0, 7.0, step=0.5)
     problem = sf.Library(grid).build(sf.Derivative()(flown), VEHICLE)
     found = sf.fit(problem, backends.get("best-subset"))
     assert problem.group_scales[used(found)].tolist() == [3.0, 5.0]

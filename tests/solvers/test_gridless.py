@@ -24,7 +24,7 @@ from sparsefit.solvers.gridless import Atoms, GridlessGroupLasso
 from sparsefit.solvers.lassos import GroupLasso
 from tests.problems import VEHICLE, flight, flight_problem
 
-TURNED = sf.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
+TURNED = sf.flows.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
 WAVES = Library(LengthScaleGrid(3.0, 8.0), family="waves", every=10)
 BOUNDS = (math.pi / 12, math.pi)
 
@@ -56,7 +56,7 @@ def case(family):
         samples, vehicle = Derivative()(turned_flight()), VEHICLE
         problem = WAVES.build(samples, VEHICLE)
         narrow = replace(WAVES, grid=LengthScaleGrid(4.0, 4.4))
-        libraries = [replace(narrow, waves=sf.WaveGrid(step)) for step in (1.0, 0.4, 0.16)]
+        libraries = [replace(narrow, waves=sf.model.WaveGrid(step)) for step in (1.0, 0.4, 0.16)]
     plane = problem.continuum
     return SimpleNamespace(
         problem=problem, continuum=plane, bounds=plane.interval(None, None),
@@ -81,7 +81,7 @@ def anywhere(own, count=700):
 
 
 def two_flows(first, second, seed, velocities=(10.0, 6.0)):
-    flow = sf.SuperposedFlow(tuple(map(sf.CellularFlow, velocities, (first, second))))
+    flow = sf.flows.SuperposedFlow(tuple(map(sf.CellularFlow, velocities, (first, second))))
     vehicle = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(12.0, 7.0))
     return sf.simulate_flight(flow, vehicle, duration=30.0, sample_rate=100.0, seed=seed)
 
