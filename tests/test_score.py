@@ -145,7 +145,8 @@ def test_prediction_error_is_the_relative_miss_along_other_flights():
     assert sf.score.prediction_error(flow, flights) == 0.0
     assert sf.score.prediction_error(None, flights) == 1.0
     # doubled: |2 w - w| / |w|
-    assert sf.score.prediction_error(sf.flows.ShapedCells(20.0, 4.0, heading=0.2, drift=(0.5, 0.0)), flights) \
+    doubled = sf.flows.ShapedCells(20.0, 4.0, heading=0.2, drift=(0.5, 0.0))
+    assert sf.score.prediction_error(doubled, flights) \
         == pytest.approx(1.0, rel=1e-12)  # fmt: skip
     squares = sum(np.sum(flow.velocity(*f.position.T, f.time) ** 2) for f in flights)
     samples = sum(f.samples for f in flights)

@@ -102,7 +102,8 @@ def test_off_the_grid_a_stream_function_has_4_amplitudes_for_both_components(met
     straight = flown(sf.CellularFlow(12.0, 4.0), seed=3)
     free, stream = (
         sf.Estimator(
-            method, sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), family=family, unknown=unknown),
+            method,
+            sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), family=family, unknown=unknown),
             readout=sf.Readout(refine="variable-projection"),
         ).estimate(straight)
         for family in ("cells", "stream")
