@@ -42,6 +42,13 @@ class VehicleEstimate:
     vehicle_uncertainty: Uncertainty | None = None
 
 
+NAMES = (
+    *("response_time", "response_time_interval", "drag", "drag_interval"),
+    *("thrust_scale", "thrust_scale_interval"),
+    *("thrust_acceleration", "thrust_acceleration_intervals", "wind", "wind_intervals"),
+)  # the entries of `VehicleEstimate.vehicle_uncertainty`
+
+
 def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0) -> dict[str, Any]:
     """The fields of `VehicleEstimate` that are free in a posterior.
 
@@ -69,7 +76,10 @@ def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0
         if x in posterior.models[0].names:
             values[name] = (base[0] + elements[x], base[1] + elements[y])
             errors[name] = posterior.error(x + suffix), posterior.error(y + suffix)
-    return values | ({"vehicle_uncertainty": Uncertainty.of(values, errors)} if values else {})
+    if not values:
+        return values
+    absent = dict.fromkeys(NAMES)  # of what was known there is an entry, without a value
+    return values | {"vehicle_uncertainty": Uncertainty(absent | Uncertainty.of(values, errors))}
 
 
 def model_of(

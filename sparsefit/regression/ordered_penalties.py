@@ -163,7 +163,8 @@ def _means(block: IntArray, signs: Array) -> Any:
     from scipy.sparse import csc_array
 
     size = np.sqrt(np.bincount(block))
-    return csc_array((signs / size[block], (np.arange(len(block)), block)))
+    entries = (signs / size[block], (np.arange(len(block)), block))
+    return csc_array(entries, shape=(len(block), len(size)))
 
 
 def _taut(y: Array, limit: float) -> Array:
