@@ -45,7 +45,7 @@ def told_with(place: object) -> Iterator[None]:
 
 @contextmanager
 def told_of(what: str, number: int, count: int) -> Iterator[None]:
-    """The same of one of several, ``flight 2: `` say; nothing is put before one that is alone."""
+    """`told_with` for one of several, ``flight 2: `` say; one that is alone has no place."""
     if count == 1:
         yield
         return

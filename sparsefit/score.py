@@ -38,7 +38,7 @@ class ParameterError:
 
 @dataclass(frozen=True)
 class Score:
-    """How far an estimate is from the truth.
+    """The errors of an estimate against the truth.
 
     mean_velocity [m/s], length_scale [m], timescale [s]: the errors of the three parameters.
     hit: whether, of the candidate scales, the one nearest the truth was chosen.
@@ -53,7 +53,7 @@ class Score:
 def strongest(flow: Flow) -> Cells:
     """The cells of largest mean velocity in ``flow``, the first of equals.
 
-    A flow without cells, a wind or turbulence, has none: ValueError.
+    A flow without cells has none: ValueError.
     """
     return max(flow.cells, key=lambda part: part.mean_velocity)
 

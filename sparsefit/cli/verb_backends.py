@@ -123,7 +123,7 @@ def run_check(args: argparse.Namespace) -> int:
 
 
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
-    """What the back-end answers on a small flight, as JSON and in lines."""
+    """The answer of the back-end on a small flight, as JSON and in lines."""
     from sparsefit import backends
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.flight import simulate_flight

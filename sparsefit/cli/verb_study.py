@@ -234,7 +234,7 @@ def run_study(args: argparse.Namespace) -> int:
 
 
 def _notes(summary: RunSummary) -> Iterator[str]:
-    """What happened to rows of an earlier run, a line each."""
+    """The fate of rows of an earlier run, a line each."""
     if summary.dropped:
         yield f"{summary.dropped} cases that the study no longer plans are left out"
     if summary.damaged:
@@ -249,7 +249,7 @@ def _stale(stale: int) -> str:
 
 
 def _done(summary: RunSummary) -> str:
-    """What was done, in a line: cases by status, time, and the share of it in solvers."""
+    """The outcome of a run in a line: cases by status, time, and the share of it in solvers."""
     counted = _by_status(summary.statuses)
     if not summary.computed:
         there = "all" if summary.finished else f"{summary.done} of"

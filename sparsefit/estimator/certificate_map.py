@@ -18,7 +18,7 @@ from sparsefit.flight import Flight
 from sparsefit.model.columns import strengths
 from sparsefit.model.continuum import PlaneHeights
 from sparsefit.model.grid import extent_of
-from sparsefit.regression.continuum import Bounds, Continuum
+from sparsefit.regression.continuous_columns import Bounds, Continuum
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.continuous_dual import continuous_alpha_max

@@ -69,7 +69,7 @@ class Doubt(StrEnum):
 
     @property
     def no_flow(self) -> bool:
-        """Whether it says that there is no cellular flow at all."""
+        """True where the doubt is that there is no cellular flow at all."""
         return self in (Doubt.STILL_AIR, Doubt.NO_FLOW)
 
 
@@ -123,7 +123,7 @@ class RungEstimate:
 
 @dataclass(frozen=True, eq=False)
 class FlowUncertainty:
-    """How sure the velocity of `Estimate.flow` is at any place and time.
+    """The standard error of the velocity of `Estimate.flow` is at any place and time.
 
     Args:
         waves: (k_x, k_y, omega, a, b) of each (j, 5), in the coordinates and time of the flight.
@@ -186,7 +186,7 @@ class ShapeEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class LogEstimate(VehicleEstimate):
-    """What is of one flight: its vehicle, and how well its log is explained.
+    """The part of an estimate that is of one flight: its vehicle and its log.
 
     Args:
         samples: that were fitted.
@@ -203,7 +203,7 @@ class LogEstimate(VehicleEstimate):
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEstimate(LogEstimate):
-    """What is of one flight of several through one flow.
+    """The part of an estimate that is of one flight of several through one flow.
 
     Args:
         noise: the level of its noise, over that of all flights together: its rows count for one

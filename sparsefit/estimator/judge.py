@@ -26,8 +26,8 @@ QUANTITIES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
-    """What is judged.
+class Judged:
+    """The material of a verdict.
 
     Args:
         prepared: the flights.
@@ -57,14 +57,14 @@ class Case:
 Values = dict[str, Any]  # for the words of a check
 
 
-def still(case: Case) -> Values | None:
+def still(case: Judged) -> Values | None:
     """Air whose velocity does not change, but for the smoothing's own error (1e-9)."""
     phi = case.prepared.flow_velocity
     speed = float(np.abs(case.prepared.samples.velocity).max())
     return {} if float(np.abs(phi - phi.mean(axis=0)).max()) <= 1e-6 * speed else None
 
 
-def disagreeing(case: Case) -> Values | None:
+def disagreeing(case: Judged) -> Values | None:
     """A log of two motions: positions and velocities that differ by a fifth of the way."""
     for number, flight in enumerate(case.prepared.flights, 1):
         share = apart(flight)
@@ -91,13 +91,13 @@ def apart(flight: Flight) -> float:
     return max(rms - 5.0 * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
 
 
-def few(case: Case) -> Values | None:
+def few(case: Judged) -> Values | None:
     """So few samples that they say nothing of their own noise."""
     samples = len(case.prepared.samples.time)
     return {"samples": samples} if samples <= 20 else None
 
 
-def undersampled(case: Case) -> Values | None:
+def undersampled(case: Judged) -> Values | None:
     """Steps along the track that are long beside the length scale."""
     lower = case.prepared.library.grid.lower
     least = min((scale.length_scale for scale in case.scales), default=lower)
@@ -112,18 +112,18 @@ def undersampled(case: Case) -> Values | None:
     return None
 
 
-def undetected(case: Case) -> Values | None:
+def undetected(case: Judged) -> Values | None:
     """No flow beyond chance."""
     return {} if case.result is None or not case.result.detected else None
 
 
-def failed(case: Case) -> Values | None:
+def failed(case: Judged) -> Values | None:
     """An ascent of the likelihood that did not end."""
     posterior = case.measured.posterior
     return None if usable(posterior) else {"reason": posterior.reason}
 
 
-def at_edge(case: Case) -> Values | None:
+def at_edge(case: Judged) -> Values | None:
     """A wave whose length scale is beyond the grid's bounds, by a hundredth."""
     grid = case.prepared.library.grid
     lengths = math.sqrt(2) * math.pi / np.hypot(*case.measured.waves[:, :2].T)
@@ -131,13 +131,13 @@ def at_edge(case: Case) -> Values | None:
     return {"length": float(beyond[0])} if len(beyond) else None
 
 
-def vehicle(case: Case) -> Values | None:
+def vehicle(case: Judged) -> Values | None:
     """A response time below zero."""
     tau = case.measured.posterior.value("response_time")
     return None if tau > 0 else {"tau": tau}
 
 
-def suspected(case: Case) -> Values | None:
+def suspected(case: Judged) -> Values | None:
     """A cause that is not answered with."""
     suspects = case.measured.suspects
     if not suspects or case.free == "auto" or short(case) is not None:
@@ -148,7 +148,7 @@ def suspected(case: Case) -> Values | None:
     return {"where": where, "cause": first.words, "remedy": remedy if first.free else ""}
 
 
-def foreign(case: Case) -> Values | None:
+def foreign(case: Judged) -> Values | None:
     """A flight of which the common flow explains much less than of another."""
     shares = [own.r_squared for own in case.measured.goodness.flights]
     if not shares or not min(shares) < 0.8 < max(shares) or short(case) is not None:
@@ -156,7 +156,7 @@ def foreign(case: Case) -> Values | None:
     return {"flight": 1 + shares.index(min(shares))}
 
 
-def unexplained(case: Case) -> Values | None:
+def unexplained(case: Judged) -> Values | None:
     """A search that left half of the rows' squares."""
     residual, goodness = case.measured.proposal.residual, case.measured.goodness
     explained = goodness.r_squared > 0.9 and goodness.whiteness > 1e-3  # rows have the outliers
@@ -165,7 +165,7 @@ def unexplained(case: Case) -> Values | None:
     return {"share": 100 * (1 - residual)}
 
 
-def gusty(case: Case) -> Values | None:
+def gusty(case: Judged) -> Values | None:
     """Disturbances of the air of more than .4 U0: hardly any steady cells."""
     goodness = case.measured.goodness
     if not goodness.turbulence_share > 0.4 or short(case) is not None:
@@ -173,7 +173,7 @@ def gusty(case: Case) -> Values | None:
     return {"level": goodness.turbulence, "share": 100 * goodness.turbulence_share}
 
 
-def coloured(case: Case) -> Values | None:
+def coloured(case: Judged) -> Values | None:
     """Innovations that are not white, where noise is more than that of the arithmetic."""
     goodness = case.measured.goodness
     if case.measured.posterior.exact or short(case) is not None:
@@ -183,13 +183,13 @@ def coloured(case: Case) -> Values | None:
     return None if white else {"p": goodness.whiteness}
 
 
-def no_cells(case: Case) -> Values | None:
+def no_cells(case: Judged) -> Values | None:
     """Waves that are not those of one flow of cells or two."""
     waves = len(case.measured.waves)
     return None if waves == 2 or len(case.scales) > 1 else {"waves": waves}
 
 
-def rivalled(case: Case) -> Values | None:
+def rivalled(case: Judged) -> Values | None:
     """Another lobe that explains the flights nearly as well."""
     rival, best = case.measured.rival, case.scales[0]
     if rival is None:
@@ -197,12 +197,12 @@ def rivalled(case: Case) -> Values | None:
     return {"best": best, "rival": rival, "extent": case.prepared.search.lookout.extent}
 
 
-def uncertain(case: Case) -> Values | None:
+def uncertain(case: Judged) -> Values | None:
     """No standard error."""
     return {} if any(scale.uncertainty is None for scale in case.scales) else None
 
 
-def imprecise(case: Case) -> Values | None:
+def imprecise(case: Judged) -> Values | None:
     """Every value must be told at all, and those of the fastest flow to the precision."""
     for place, scale in enumerate(case.scales):
         widths = {
@@ -221,7 +221,7 @@ def imprecise(case: Case) -> Values | None:
     return None
 
 
-def short(case: Case) -> Values | None:
+def short(case: Judged) -> Values | None:
     """A track that covers less than one period, 2 L, of the fastest flow, which may move."""
     period = 2 * case.scales[0].length_scale
     moved = np.array(case.measured.posterior.model.pattern.drift)
@@ -231,7 +231,7 @@ def short(case: Case) -> Values | None:
 
 
 @dataclass(frozen=True)
-class Check:
+class Rule:
     """A reason not to believe an estimate.
 
     Args:
@@ -241,12 +241,12 @@ class Check:
         status: that a case has that does not pass.
     """
 
-    test: Callable[[Case], Values | None]
+    test: Callable[[Judged], Values | None]
     words: str
     doubt: Doubt | None
     status: str = "unidentifiable"
 
-    def __call__(self, case: Case) -> Verdict | None:
+    def __call__(self, case: Judged) -> Verdict | None:
         """The verdict, None where the case passes."""
         values = self.test(case)
         if values is None:
@@ -256,48 +256,48 @@ class Check:
 
 MORE = "more than noise is left"
 EARLY = (
-    Check(few, "{samples} samples are too few for the unknowns of a flow; fly longer, or sample "
+    Rule(few, "{samples} samples are too few for the unknowns of a flow; fly longer, or sample "
           "faster", Doubt.FEW_SAMPLES),
-    Check(still, "no cellular flow detected: the air is still", Doubt.STILL_AIR),
-    Check(disagreeing, "{flight}the logged velocity is not that of the logged position: they are "
+    Rule(still, "no cellular flow detected: the air is still", Doubt.STILL_AIR),
+    Rule(disagreeing, "{flight}the logged velocity is not that of the logged position: they are "
           "{size} the motion apart; check units, axes and time stamps", Doubt.DISAGREEMENT),
 )  # fmt: skip
 """Checks before a flow is searched for."""
 CHECKS = (
-    Check(undersampled, "{flight}the flight moves {moved:.3g} m from sample to sample, too far to "
+    Rule(undersampled, "{flight}the flight moves {moved:.3g} m from sample to sample, too far to "
           "follow a length scale of {least:.3g} m; sample at {rate:.3g} Hz or more",
           Doubt.UNDERSAMPLED),
-    Check(undetected, "no cellular flow detected: no waves explain more than chance and turbulence "
+    Rule(undetected, "no cellular flow detected: no waves explain more than chance and turbulence "
           "do, at 1000 to 1 against a false alarm", Doubt.NO_FLOW),
-    Check(failed, "{reason}", None, "inaccurate"),
-    Check(at_edge, "a length scale is at the edge of the search, {length:.3g} m; widen the grid's "
+    Rule(failed, "{reason}", None, "inaccurate"),
+    Rule(at_edge, "a length scale is at the edge of the search, {length:.3g} m; widen the grid's "
           "bounds", Doubt.EDGE),
-    Check(vehicle, "the response time that fits best is {tau:.3g} s; fly longer, or give the "
+    Rule(vehicle, "the response time that fits best is {tau:.3g} s; fly longer, or give the "
           "response time", Doubt.VEHICLE),
-    Check(suspected, MORE + "{where}: {cause}{remedy}", Doubt.MISFIT, "misfit"),
-    Check(foreign, MORE + " of flight {flight}: it tells another flow than the other flights: its "
+    Rule(suspected, MORE + "{where}: {cause}{remedy}", Doubt.MISFIT, "misfit"),
+    Rule(foreign, MORE + " of flight {flight}: it tells another flow than the other flights: its "
           "vehicle, frame or time may be another; leave it out", Doubt.MISFIT, "misfit"),
-    Check(unexplained, "the fit explains only {share:.0f} % of the flow velocity: the flow is "
+    Rule(unexplained, "the fit explains only {share:.0f} % of the flow velocity: the flow is "
           "another, or hardly steady", Doubt.MISFIT, "misfit"),
-    Check(gusty, MORE + ": turbulence of {level:.2g} m/s, {share:.2g} % of U0, and hardly any "
+    Rule(gusty, MORE + ": turbulence of {level:.2g} m/s, {share:.2g} % of U0, and hardly any "
           "steady cells", Doubt.MISFIT, "misfit"),
-    Check(coloured, MORE + ": innovations are not white (p = {p:.1g}), and no cause explains it",
+    Rule(coloured, MORE + ": innovations are not white (p = {p:.1g}), and no cause explains it",
           Doubt.MISFIT, "misfit"),
-    Check(no_cells, "{waves} waves make no cells of one flow or two, equally strong: only the flow "
+    Rule(no_cells, "{waves} waves make no cells of one flow or two, equally strong: only the flow "
           "itself is told; fly longer", Doubt.NO_CELLS),
-    Check(rivalled, "cannot tell a flow of {best.mean_velocity:.3g} m/s and {best.length_scale:.3g}"
+    Rule(rivalled, "cannot tell a flow of {best.mean_velocity:.3g} m/s and {best.length_scale:.3g}"
           " m from {rival.mean_velocity:.3g} m/s and {rival.length_scale:.3g} m (shape "
           "{rival.shape!r}): the flight covers {extent:.3g} m, or too straight a line; fly longer, "
           "across more cells, or turn", Doubt.RIVAL),
-    Check(uncertain, "too few samples for a standard error; fly longer, or sample faster",
+    Rule(uncertain, "too few samples for a standard error; fly longer, or sample faster",
           Doubt.FEW_SAMPLES),
-    Check(imprecise, "{words}", Doubt.IMPRECISE),
-    Check(short, "the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} "
+    Rule(imprecise, "{words}", Doubt.IMPRECISE),
+    Rule(short, "the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} "
           "m; fly farther", Doubt.SHORT_TRACK),
 )  # fmt: skip
 """Checks of a flow that was measured."""
 
 
-def judge(case: Case, checks: Sequence[Check] = CHECKS) -> Verdict | None:
+def judge(case: Judged, checks: Sequence[Rule] = CHECKS) -> Verdict | None:
     """The first reason not to believe an estimate; None where there is none."""
     return next((verdict for check in checks if (verdict := check(case)) is not None), None)

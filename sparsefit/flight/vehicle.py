@@ -223,7 +223,7 @@ class ThrustSeries:
         return np.stack([np.interp(sought, self.time, one) for one in self.acceleration.T], axis=1)
 
     def pointwise(self) -> Callable[[float], tuple[float, float]]:
-        """The same at one time, on plain floats; the ends hold beyond them."""
+        """The acceleration at one time on plain floats; the ends hold beyond them."""
         times, rows = self.time.tolist(), self.acceleration.tolist()
 
         def at(t: float) -> tuple[float, float]:

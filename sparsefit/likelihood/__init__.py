@@ -4,7 +4,7 @@ from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, bound, measure
-from sparsefit.likelihood.smoother import Smoothing
+from sparsefit.likelihood.smoother import SmootherSettings
 
 __all__ = [
     "ELEMENTS",
@@ -13,7 +13,7 @@ __all__ = [
     "Model",
     "Posterior",
     "Process",
-    "Smoothing",
+    "SmootherSettings",
     "StreamPattern",
     "bound",
     "measure",

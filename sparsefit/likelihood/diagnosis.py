@@ -7,7 +7,7 @@ gains, to second order and with everything that is free already moving along,
 
     2 (log L_g - log L) = b_g' (J_gg - J_gf J_ff^-1 J_fg)^-1 b_g  ~  chi^2 of |g| degrees (Rao 1948)
 
-where the model holds. The most likely groups are fitted for good, and so are elements that wander:
+where the model holds. The most likely groups are fitted for good, and so are elements that walk:
 turbulence is a wind that does, a swell a gain, a coloured error of position a bias; these gain by
 a level and a rate, 2 degrees. The departure of the largest likelihood is freed before the rest is
 tested again, so that process noise is believed only where nothing else explains a flight. At the
@@ -29,7 +29,7 @@ from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, measure
-from sparsefit.likelihood.smoother import Smoothing
+from sparsefit.likelihood.smoother import SmootherSettings
 
 
 @dataclass(frozen=True)
@@ -93,20 +93,20 @@ class Trial:
 
     @property
     def suspicious(self) -> bool:
-        """Whether it is a misfit."""
+        """True where the diagnosis is a misfit."""
         return self.cause is not None and not self.cause.answered
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What explains a flight beside the flow that was proposed.
+    """The causes that explain a flight beside the flow that was proposed.
 
     Args:
         posterior: with all causes freed, and the disturbances that are there.
         believed: with the disturbances and the shape alone.
         suspects: the causes, the most significant one first.
         growth: of U0 in time, at the posterior.
-        turbulence_gain: 2 ln(likelihood ratio) of the disturbances that wander; 0 without any.
+        turbulence_gain: 2 ln(likelihood ratio) of the disturbances that walk; 0 without any.
     """
 
     posterior: Posterior
@@ -338,7 +338,11 @@ def fitted(
             starts[number] = replace(model, disturbance=fresh)
     try:
         return measure(
-            logs, starts, tuple(starts[0].disturbance.levels), start, Smoothing(passes=passes)
+            logs,
+            starts,
+            tuple(starts[0].disturbance.levels),
+            start,
+            SmootherSettings(passes=passes),
         )
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None

@@ -68,7 +68,7 @@ def interval(value: float, error: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far the logged position wanders from the integral of the velocity.
+    """The distance by which the logged position wanders from the integral of the velocity.
 
     Args:
         wander: rms of a correlated error of the position [m], 0 where there is none.
@@ -89,7 +89,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Goodness:
-    """How well a model explains what a flight says of the flow; NaN where nothing is told.
+    """The share that a model explains of what a flight says of the flow; NaN where nothing is told.
 
     Args:
         r_squared: the share of the variance of the air's velocity along the track, within the
@@ -146,7 +146,7 @@ def _disturbances(model: Model) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Constancy:
-    """How fast the mean velocity changes, to first order; of several flows all at one rate.
+    """The rate at which the mean velocity changes, to first order; several flows share it.
 
     Args:
         rate: dU0/dt [m/s^2], 0 of a flow that is constant.

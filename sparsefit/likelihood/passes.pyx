@@ -49,7 +49,7 @@ cdef void acceleration(
     cdef double x = state[0] - lag * state[2], y = state[1] - lag * state[3], t = time - lag
     cdef double swell = 1.0 + element[12], shape = 1.0 + element[13] * time
     cdef double u = 0.0, v = 0.0, xx = 0.0, xy = 0.0, yx = 0.0, ut = 0.0, vt = 0.0
-    cdef double air[2][OWN + 5 * WAVES]  # derivatives of the wind, and of the acceleration
+    cdef double air[2][OWN + 5 * WAVES]  # derivatives of the flow, and of the acceleration
     cdef double own[2][OWN]
     cdef double kx, ky, omega, slope, phase, c, s, px, py
     cdef const double* wave = element + OWN

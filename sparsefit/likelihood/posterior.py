@@ -26,7 +26,7 @@ from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.smoother import (
     Ascent,
-    Smoothing,
+    SmootherSettings,
     Step,
     inverted,
     joined,
@@ -42,7 +42,7 @@ NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of i
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What logs say of a model.
+    """The maximum of the likelihood of logs under a model, and its spread.
 
     Args:
         legs: each log with its model, levels and track at the optimum.
@@ -64,7 +64,7 @@ class Posterior:
     level_information: Array
     reason: str
     passes: tuple[int, int]
-    settings: Smoothing
+    settings: SmootherSettings
 
     @property
     def converged(self) -> bool:
@@ -130,7 +130,7 @@ class Posterior:
         return total * self.inflation
 
     def _widened(self, place: int, name: str, bare: Array) -> Array:
-        """What a level's uncertainty adds to the covariance (p, p)."""
+        """The part that a level's uncertainty adds to the covariance (p, p)."""
 
         def at(factor: float) -> tuple[float, Array]:
             legs = list(self.legs)
@@ -212,7 +212,7 @@ def measure(
     model: Model | Sequence[Model],
     levels: Sequence[str] = LEVELS,
     start: Posterior | None = None,
-    settings: Smoothing | None = None,
+    settings: SmootherSettings | None = None,
 ) -> Posterior:
     """Find the maximum of the likelihood of logs that share the free parameters.
 
@@ -229,7 +229,7 @@ def measure(
         InputError: if a level or a parameter has no such name, or the log has gaps too long.
     """
     records, models = _about(logs, model)
-    settings = settings or Smoothing()
+    settings = settings or SmootherSettings()
     for name in levels:
         if name not in models[0].disturbance.levels:
             valid = ", ".join(models[0].disturbance.levels)
@@ -313,7 +313,7 @@ def bound(
         InputError: if the logs do not see a free parameter.
     """
     records, models = _about(logs, model)
-    settings, paths = Smoothing(), []
+    settings, paths = SmootherSettings(), []
     if states is None:
         known = [each.known(*each.names) for each in models]
         paths = [(leg.nodes.time, leg.track) for leg in measure(records, known, ()).legs]

@@ -25,7 +25,7 @@ SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 
 
 @dataclass(frozen=True)
-class Smoothing:
+class SmootherSettings:
     """Settings of the iterated smoother.
 
     Args:
@@ -147,7 +147,7 @@ class Ascent:
         floors: per log, standard deviations (l,) that no level goes below.
     """
 
-    settings: Smoothing
+    settings: SmootherSettings
     wanted: list[int]
     floors: tuple[Array, ...]
 

@@ -53,7 +53,7 @@ class NoiseLevels(Protocol):
 
 @dataclass(frozen=True)
 class LogQuality:
-    """What a log is like before anything is made of it.
+    """Rate, gaps, extent and noise of a log before anything is made of it.
 
     Args:
         samples: m.

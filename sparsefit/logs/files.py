@@ -40,9 +40,9 @@ def read_flight(
     vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; others are ignored.
     Without both ``vx`` and ``vy`` it has positions only (`Flight.from_positions`). The vehicle:
     ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
-    not given), ``# drag=``, ``# thrust_scale=``; the same keys in the metadata of Parquet; likewise
-    ``frame``, ``ENU`` or ``NED``. Columns ``ax`` and ``ay`` [m/s^2] are a measured thrust
-    (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or
+    not given) and the others of `sparsefit.logs.head`, ``frame`` (``ENU`` or ``NED``) among them;
+    the same keys in the metadata of Parquet. Columns ``ax`` and ``ay`` [m/s^2] are a measured
+    thrust (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or
     ``flow``, the JSON object that `write_flight` writes of any other.
 
     Args:

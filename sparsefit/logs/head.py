@@ -36,7 +36,7 @@ LONGEST = 60_000  # characters of a flow: a line of CSV is no longer than 65,536
 
 @dataclass(frozen=True)
 class Head:
-    """What a file says of a flight beside its columns.
+    """The vehicle, the flow and the axes that a file says beside its columns.
 
     Args:
         settings: the parameters of the vehicle by name.

@@ -1,10 +1,10 @@
 """The continuum behind a library's grid: the columns at every wavenumber or wavevector.
 
 Back-ends that place groups of their own ask it for columns at any q and for a scan of all of them
-(`sparsefit.regression.continuum`). A group is a fixed mixture of cos and sin of k_j.x over the
-waves j of a `Shape`: the 8 candidates of cells over four waves, q = k, or the two columns of one
-wave of a stream function, q = (|k|, heading). Inner products with a residual are Fourier sums over
-the rows, and so are their mean squares: products of two waves are waves.
+(`sparsefit.regression.continuous_columns`). A group is a fixed mixture of cos and sin of k_j.x over
+the waves j of a `Shape`: the 8 candidates of cells over four waves, q = k, or the two columns of
+one wave of a stream function, q = (|k|, heading). Inner products with a residual are Fourier
+sums over the rows, and so are their mean squares: products of two waves are waves.
 
 A scan can miss little: positions lie within D of their middle, so that along any line a sum is
 band-limited by D, and a peak falls by (d D)^2 / 2 of its height within a distance d (Bernstein).

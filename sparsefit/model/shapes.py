@@ -4,7 +4,7 @@
 
 each steady or drifting as a whole; several are waves of any wavevector, or axis-aligned cells of
 several length scales. The parameters are q = (wavenumbers [rad/m], heading [rad] if the shape may
-be turned, drift c_x, c_y [m/s] if it drifts); wave j has the phase k_j . (x - c t).
+be turned, c_x, c_y [m/s] if it drifts); wave j has the phase k_j . (x - c t).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Shape:
         name: of the shape.
         waves: for each of J waves k_x and k_y by the l wavenumbers, (J, 2, l).
         turned: whether the shape is turned by a heading, counter-clockwise.
-        drifting: whether it moves at a drift.
+        drifting: whether it moves at a velocity c.
     """
 
     name: str
@@ -92,9 +92,9 @@ class Shape:
         which exchanges the waves.
         """
         k = phases[:, :2]
-        drift = np.linalg.lstsq(k, phases[:, 2], rcond=None)[0] if self.drifting else np.zeros(0)
+        moved = np.linalg.lstsq(k, phases[:, 2], rcond=None)[0] if self.drifting else np.zeros(0)
         if not self.cells:
-            return np.concatenate([k.ravel(), drift])
+            return np.concatenate([k.ravel(), moved])
         first, second = k
         if second[0] * first[1] < second[1] * first[0]:  # the first is counter-clockwise
             first, second = second, first
@@ -105,7 +105,7 @@ class Shape:
             first, second = second, -first
         k_x, k_y = (0.5 * math.hypot(*side) for side in (first + second, first - second))
         sides = [k_x, k_y] if self.wavenumbers == 2 else [math.sqrt(k_x * k_y)]
-        return np.array([*sides, *([heading] if self.turned else []), *drift])
+        return np.array([*sides, *([heading] if self.turned else []), *moved])
 
 
 AXIS = Shape("axis", (((1,), (1,)), ((1,), (-1,))))

@@ -198,5 +198,5 @@ class Path(Brief):
 
     @property
     def repaired(self) -> int:
-        """How many points the referee had to repair."""
+        """The number of points that the referee had to repair."""
         return sum(fit.repaired for fit in self.fits)

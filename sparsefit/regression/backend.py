@@ -21,7 +21,7 @@ Selection = Literal["ebic", "bic", "cross-validation", "stability"]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a back-end answers: weights (k, n) in original units, or the reason why not.
+    """The answer of a back-end: weights (k, n) in original units, or the reason why not.
 
     ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
     verbatim. Weights are None where there is no solution, never zeros. ``problem``: the columns

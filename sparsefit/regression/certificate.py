@@ -64,7 +64,7 @@ ENTRIES = 2**22  # of residuals that are formed at once
 
 @dataclass(frozen=True)
 class Certificate:
-    """What the caller verified about a fit.
+    """The bound that the caller verified of a fit.
 
     ``duality_gap``: (primal - dual) over the primal at zero weights, an upper bound of the relative
     suboptimality; ``rounding``: what rounding can hide at most, so that value + rounding is a

@@ -94,7 +94,7 @@ class Penalty(ABC):
         return self.dual_norm(values)
 
     def excess(self, values: Array, alpha: Array) -> Array:
-        """What the conjugate of alpha * norm adds where it is finite: 0 for a norm."""
+        """The value that the conjugate of alpha * norm adds where it is finite: 0 for a norm."""
         return np.zeros(values.shape[:-2])
 
     def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
@@ -195,7 +195,7 @@ class BoundedValues(AbsoluteValues):
         return np.where(within.all(axis=(-2, -1)), super().norm(values), np.inf)
 
     def block_dual_norms(self, values: Array) -> Array:
-        """How much C_jt / omega_j pulls in a direction that is free at zero."""
+        """The pull of C_jt / omega_j in a direction that is free at zero."""
         return self._pull(values, self.upper > 0, self.lower < 0)
 
     def constraint(self, values: Array) -> Array:

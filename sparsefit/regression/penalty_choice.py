@@ -26,7 +26,7 @@ FLOOR = float(np.finfo(float).eps)  # of a residual relative to the target: a pe
 
 @dataclass(frozen=True, eq=False)
 class PenaltyChoice:
-    """How a penalty was chosen: ``criterion`` (p,) at ``fractions`` (p,), and the ``index`` taken.
+    """The choice of a penalty: ``criterion`` (p,) at ``fractions`` (p,), and the ``index`` taken.
 
     criterion: the information criterion, the relative squared error on held-out folds, or the
     bound on falsely selected groups; NaN where there is no solution. ``errors`` (p,): standard
@@ -201,7 +201,7 @@ def stability_selection(
 
 
 def _uncut(backend: ChoosingBackend) -> str:
-    """What to do where samples cannot be cut up: a rule without pieces that the back-end takes."""
+    """The remedy where samples cannot be cut up: a rule without pieces that the back-end takes."""
     for rule in ("ebic", "bic"):
         try:
             replace(backend, selection=rule)  # type: ignore[type-var]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_integer
-from sparsefit.regression.continuum import Continuum
+from sparsefit.regression.continuous_columns import Continuum
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.given import (
     compressed,
@@ -52,7 +52,7 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """What rows are multiplied by, and the direction that an intercept takes off them.
+    """The factors of the rows, and the direction that an intercept takes off them.
 
     roots (m,): the roots of the sample weights, whose mean is 1; None where all are 1. direction
     (m,): what the intercept's column is then; None without one. levels (n,): the weighted means of
@@ -89,10 +89,10 @@ class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
     theta: an array in C or Fortran order, a scipy.sparse CSC matrix, a memory map or whatever else
-    has rows to slice, or a dask array; ``design`` has its sums. theta and target are finite; norms
-    of their columns are in [1e-140, 1e140], or 0 of a target. ``groups`` (k,) numbers the group of
-    each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's scale, where
-    it has one. Raises InputError on arrays of other kinds or shapes, and as `from_arrays` does,
+    has rows to slice, or an array of several workers; ``design`` has its sums. theta and target are
+    finite; norms of their columns are in [1e-140, 1e140], or 0 of a target. ``groups`` (k,) numbers
+    the group of each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's
+    scale, where it has one. Raises InputError on arrays of other kinds or shapes, and as `from_arrays` does,
     which makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
@@ -140,12 +140,12 @@ class RegressionProblem(Brief):
     ) -> "RegressionProblem":
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
 
-        theta may be sparse (scipy), a memory map, a dask array, a DataFrame, whose columns' names
+        theta may be sparse (scipy), a memory map, a distributed array, a DataFrame, whose names
         are kept, or anything with a shape whose rows can be sliced. Arrays that are float64 in C or
         Fortran order are not copied but read where they are: leave them unchanged while the problem
         is in use, or hand in copies. The problem's own are read-only. `fit` and `path` refuse an
         array in memory that was changed in place, by a digest of 512 of its entries; of files and
-        dask arrays no change is noticed.
+        distributed arrays no change is noticed.
 
         ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
         them every column is a group of its own. ``subgroups``: k labels of smaller groups within

@@ -36,8 +36,8 @@ from sparsefit.regression.backend import Solution, setting
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.searches import (
     DOUBT,
-    Search,
     Stop,
+    SupportSearch,
     is_worth,
     least_residual,
     residual_square,
@@ -51,7 +51,7 @@ MOST = 2_000_000  # sets of one size: of three groups of 8 columns, 20 us each
 
 
 @dataclass(frozen=True)
-class BestSubset(Search):
+class BestSubset(SupportSearch):
     """Least squares on the set of at most ``scales`` groups that leaves the smallest residual.
 
     scales: 1, 2 or 3. stop and tolerance: whether s + 1 groups are worth it, as in `GroupOMP`;

@@ -27,7 +27,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.regression.certificate import Certificate
-from sparsefit.regression.continuum import Bounds, Continuum, Scan
+from sparsefit.regression.continuous_columns import Bounds, Continuum, Scan
 from sparsefit.regression.problem import RegressionProblem
 
 FLAT = 1e-9  # curvatures below this, relative, are raised to it: the gradient vanishes there too

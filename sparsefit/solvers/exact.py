@@ -89,7 +89,7 @@ class InPlay:
 
     @property
     def normal(self) -> Normal:
-        """What Newton's method needs of them."""
+        """The sums that Newton's method needs of them."""
         return Normal(self.gram, self.rows, self.design.samples)
 
     def fitted(self, values: Array) -> Array:

@@ -27,7 +27,7 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer_setting, is_number
 from sparsefit.regression.backend import Solution, checked_alpha_fraction
 from sparsefit.regression.certificate import Certificate, CertificateKind
-from sparsefit.regression.continuum import Bounds, Continuum
+from sparsefit.regression.continuous_columns import Bounds, Continuum
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.continuous_dual import (

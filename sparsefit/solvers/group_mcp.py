@@ -86,7 +86,7 @@ class GroupMCP(Checked):
         return tuple(solutions)
 
     def referee(self) -> None:
-        """None: nothing else finds this fixed point."""
+        """No referee: nothing else finds this fixed point."""
         return
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:

@@ -144,7 +144,7 @@ class NewtonKernel:
     def enlarged(
         self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
     ) -> NewtonKernel:
-        """The same values, with zeros for the new columns."""
+        """The values with zeros for the new columns."""
         kernel = NewtonKernel(normal, cross, penalty, self.units)
         start = self.known[accepted]
         kernel.known = [np.pad(start, ((0, len(cross) - len(start)), (0, 0)))]
@@ -200,7 +200,7 @@ class VariationalKernel:
     def enlarged(
         self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
     ) -> VariationalKernel:
-        """The same variances, with zeros for the new groups."""
+        """The variances with zeros for the new groups."""
         kernel = VariationalKernel(normal, cross, penalty, self.units)
         start = self.eta[min(accepted + 1, len(self.eta) - 1)]
         kernel.eta = [np.pad(start, (0, len(kernel.eta[0]) - len(start)))]

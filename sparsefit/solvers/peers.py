@@ -113,7 +113,7 @@ class Whole:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Task:
     """Targets y (m, b) that are solved together, at fractions f (p,), with the design X (m, k).
 
     lambdas (k,): weights of single coefficients of the sparse-group LASSO, or the sequence of
@@ -177,7 +177,7 @@ class Part:
 
 
 def solved_in_parts(
-    call: Callable[[Part], Array | Timed],
+    call: Callable[[Task], Array | Timed],
     design: Design,
     target: Array,
     penalty: Penalty,
@@ -208,7 +208,7 @@ def solved_in_parts(
     whole, count = Whole(matrix, target / unit), target.shape[1]
     shared = (penalty.blocks, alphas / unit, kind_of(penalty), ridge, lambdas)
     apart = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(count)]
-    answers = [call(Part(whole, targets, *shared)) for targets in apart]
+    answers = [call(Task(whole, targets, *shared)) for targets in apart]
     timed = [each for each in answers if isinstance(each, Timed)]
     raw = [each.weights if isinstance(each, Timed) else each for each in answers]
     stacked = np.concatenate([u.reshape(len(alphas), -1, len(omega)) for u in raw], axis=1)
@@ -220,7 +220,7 @@ def solved_in_parts(
 
 @dataclass(frozen=True)
 class Package:
-    """What a public solver is: what must be importable, what it takes, and its call.
+    """A public solver: the module it needs, the penalties it takes, and its call.
 
     call(part, tolerance, iterations) gives coefficients u (p, k b), target by target; tolerance:
     None where none is asked for. extra: what pip installs for it; form: how the problem is handed
@@ -228,7 +228,7 @@ class Package:
     scipy.sparse (others get a dense copy, which is in their time).
     """
 
-    call: Callable[[Part, float | None, int], Array]
+    call: Callable[[Task, float | None, int], Array]
     package: str
     kinds: tuple[Kind, ...]
     form: str
@@ -273,7 +273,7 @@ class Peer:
         )
 
 
-def _scikit_lars(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _scikit_lars(part: Task, tolerance: float | None, iterations: int) -> Array:
     """Breakpoints of LARS (Efron et al. 2004) on X'X where samples are many, else on X."""
     linear_model: Any = import_module("sklearn.linear_model")
     lowest, most = float(part.fractions[-1]), iterations * len(part.groups)
@@ -289,7 +289,7 @@ def _scikit_lars(part: Part, tolerance: float | None, iterations: int) -> Array:
     return _interpolated(knots, values, part.fractions).T
 
 
-def _spams(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _spams(part: Task, tolerance: float | None, iterations: int) -> Array:
     """Breakpoints of the LARS of SPAMS, on X'X/m where samples are many, else on X."""
     spams: Any = import_module("spams")
     root, columns = math.sqrt(part.samples), len(part.groups)
@@ -326,7 +326,7 @@ def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
     return between
 
 
-def _scikit_descent(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _scikit_descent(part: Task, tolerance: float | None, iterations: int) -> Array:
     """Coordinate descent of scikit-learn, each point from the last; tolerance: of its gap."""
     linear_model: Any = import_module("sklearn.linear_model")
     form: dict[str, Any] = {"precompute": False}
@@ -345,7 +345,7 @@ def _scikit_descent(part: Part, tolerance: float | None, iterations: int) -> Arr
     return np.stack(values[1:])
 
 
-def _celer(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _celer(part: Task, tolerance: float | None, iterations: int) -> Array:
     """``celer_path`` (Massias, Gramfort and Salmon 2018); tolerance: of its gap over |y|^2."""
     package: Any = import_module("celer")
     alphas, ratio = part.elastic
@@ -359,7 +359,7 @@ def _celer(part: Part, tolerance: float | None, iterations: int) -> Array:
     return values
 
 
-def _glum(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _glum(part: Task, tolerance: float | None, iterations: int) -> Array:
     """The IRLS with descent of glum; tolerance: the norm of its minimum-norm subgradient."""
     package: Any = import_module("glum")
     (design, target), (alphas, ratio) = part.rows(), part.elastic
@@ -374,7 +374,7 @@ def _glum(part: Part, tolerance: float | None, iterations: int) -> Array:
     return np.stack(values)
 
 
-def _sortedl1(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _sortedl1(part: Task, tolerance: float | None, iterations: int) -> Array:
     """``Slope.path`` of sortedl1 (Larsson et al. 2023); tolerance: of its relative gap."""
     package: Any = import_module("sortedl1")
     design, target = part.rows()
@@ -390,7 +390,7 @@ def _sortedl1(part: Part, tolerance: float | None, iterations: int) -> Array:
     return values
 
 
-def _skglm(part: Part, tolerance: float | None, iterations: int) -> Array:
+def _skglm(part: Task, tolerance: float | None, iterations: int) -> Array:
     """AndersonCD, GroupBCD or FISTA of skglm (Bertrand et al. 2022), each point from the last one.
 
     tolerance: of the largest violation of its optimality conditions, in the largest penalty.

@@ -38,7 +38,7 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel, Cvxpy
-from sparsefit.solvers.peers import PACKAGES, Part, Peer, Timed, kind_of, solved_in_parts
+from sparsefit.solvers.peers import PACKAGES, Peer, Task, Timed, kind_of, solved_in_parts
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -77,7 +77,7 @@ class Registered:
 
     @classmethod
     def of(cls, owner: Any, **preset: Any) -> "Registered":
-        """What a class tells of itself, with some of its settings made already."""
+        """The form that a class tells of itself, with some of its settings made already."""
         settings = tuple(f.name for f in fields(owner) if f.init and f.name not in preset)
         form = preset.pop("form", "") or getattr(owner, "form", "")
         form = form or (owner.__doc__ or "").strip().split("\n")[0]
@@ -358,7 +358,7 @@ class Command:
         call = partial(self._solved, tolerance=tolerance)
         return solved_in_parts(call, design, target, penalty, alphas)
 
-    def _solved(self, part: Part, tolerance: float | None) -> Timed:
+    def _solved(self, part: Task, tolerance: float | None) -> Timed:
         with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
             folder, matrix = Path(name), part.whole.design
             if isinstance(matrix, np.ndarray):

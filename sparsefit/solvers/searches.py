@@ -118,7 +118,7 @@ def is_worth(
     return count * math.log(before / max(after, 1e-300)) > added * math.log(count)
 
 
-class Search(Checked, ABC):
+class SupportSearch(Checked, ABC):
     """Base of the back-ends that find a support and fit it by least squares: a fixed point."""
 
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
@@ -139,7 +139,7 @@ class Search(Checked, ABC):
 
 
 @dataclass(frozen=True)
-class BestScale(Search):
+class BestScale(SupportSearch):
     """The least squares of the one group of columns that leaves the smallest residual.
 
     rcond: singular values of a group's columns, in unit rms, below rcond times the largest count
@@ -162,7 +162,7 @@ class BestScale(Search):
 
 
 @dataclass(frozen=True)
-class GroupOMP(Search):
+class GroupOMP(SupportSearch):
     """Greedy groups until one more is not worth it.
 
     stop: ``decrease``: a group must lower the residual sum of squares by ``tolerance`` * |Y|^2;
@@ -206,7 +206,7 @@ class GroupOMP(Search):
 
 
 @dataclass(frozen=True)
-class Ensemble(Search):
+class Ensemble(SupportSearch):
     """Least squares on what most fits to halves of the samples choose.
 
     base: what chooses, ``group-lasso`` (groups span all targets) or ``lasso`` (each target's own

@@ -40,7 +40,7 @@ class Over(Exception):  # noqa: N818 - it ends a case, and is no error of ours
 
 @dataclass
 class Crew:
-    """What each process has met: contenders, and its own time per ask [s].
+    """The history of each process: contenders, and its own time per ask [s].
 
     lost: how contenders ended whose first call was lost, which are not tried again; first: seconds
     [s] of the first calls.

@@ -65,7 +65,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the case of a unit and a cell ended.
+    """The end of the case of a unit and a cell ended.
 
     values: the columns that are not planned, by name; shared_seconds of its `seconds` [s] were
     spent for other fits too; weights: (length scale [m], weight) pairs; body: these three as JSON,

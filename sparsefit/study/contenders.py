@@ -88,7 +88,7 @@ class PathRule:
 
 @dataclass(frozen=True)
 class Clock:
-    """How a solve is timed: [clock]."""
+    """The rules by which a solve is timed: [clock]."""
 
     limit: float = key("On the wall, after which a solve is killed.", 20.0, POSITIVE, "s")
     repeats: int = key("Most repeats of a case.", 25, Range(least=1, most=1000))
@@ -206,7 +206,7 @@ class ProblemDesign:
         return len(self.problems) * each
 
     def cell_identities(self) -> list[str]:
-        """What determines the rows of each cell: another limit lets others fail."""
+        """The settings that determine the rows of each cell: another limit lets others fail."""
         clock = {key: value for key, value in asdict(self.clock).items() if key != "shift"}
         judged = asdict(self.holdout) if self.holdout else None
         content = []
@@ -347,7 +347,7 @@ def _resolved(
 
 
 def _ships(contender: Contender) -> bool:
-    """Whether its code is of sparsefit or of the packages that sparsefit knows."""
+    """True where its code is of sparsefit or of the packages that sparsefit knows."""
     recipe = contender.recipe
     if recipe is None:
         return contender.backend in backends.BACKENDS

@@ -71,7 +71,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class ProtocolWords:
-    """What tables call a protocol."""
+    """The names of a protocol in tables."""
 
     name: str = key("What tables call it. Needed.")
     world: str = key("What they call all protocols that change the flights as this one does.", "")

@@ -69,7 +69,7 @@ Three: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RunRule:
-    """How cases are run: [run]."""
+    """The rules by which cases are run: [run]."""
 
     case_timeout: float = key("Seconds that one case may take.", 60.0, POSITIVE, "s")
     tolerance: float = key("A certificate above it is `inaccurate`.", 1e-8, INSIDE)

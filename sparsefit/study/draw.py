@@ -212,7 +212,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class FlightRules:
-    """How the flights of one condition are drawn: (stream name, entry) pairs, in stream order.
+    """Rules that draw the flights of a condition: (stream name, entry) pairs, in stream order.
 
     cells: whether there are any; without them, shares of mean_velocity still refer to it.
     """

@@ -309,7 +309,7 @@ class _Words:
         return ", ".join(part for part in (self.worlds[cell.protocol], *levels) if part)
 
     def candidate(self, cell: Cell) -> list[object]:
-        """What determines a candidate: reading, levels of the estimator's factors, back-end."""
+        """The settings of a candidate: reading, levels of the estimator's factors, back-end."""
         own = {key: cell.levels[key] for key in self._swept if not _of_flight(key)}
         reading = self.readings[cell.protocol]
         return [reading, own, cell.choice.name, cell.choice.label, cell.canonical_settings]

@@ -21,7 +21,7 @@ from sparsefit.study.schema import Range, key
 
 @dataclass(frozen=True)
 class Holdout:
-    """How predictions are judged: [holdout]."""
+    """The rules by which predictions are judged: [holdout]."""
 
     folds: int = key(
         "Blocks of neighbouring rows that are held out in turn; 0: none.", 5, Range(most=100)

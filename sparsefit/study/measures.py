@@ -124,7 +124,7 @@ class Measure:
 
     @property
     def convention(self) -> str:
-        """How a failure counts, in words."""
+        """The rule of failure in words."""
         if self.miss is None:
             return "over the cases that have one"
         if self.summary in QUANTILES:

@@ -28,7 +28,7 @@ ALIKE = 1e-6  # relative: by which another machine's rounding may differ
 
 
 @dataclass(frozen=True)
-class Part:
+class MergedPart:
     """One folder that rows were taken from: how many it had, and how many were new.
 
     alike: how many tell what a row that was there tells; other: how many tell something else.
@@ -46,7 +46,7 @@ class Merged:
     """The parts of a merge, and how much of the study is there now."""
 
     folder: Path
-    parts: tuple[Part, ...]
+    parts: tuple[MergedPart, ...]
     planned: int
     done: int
 
@@ -98,7 +98,7 @@ def merge(
             new = [theirs[key] for key in _takes(plan, set(rows), set(theirs))]
             rows |= {row.key: (part, row) for row in new}
             taken += new
-            merged.append(Part(part, len(theirs), len(new), alike, both - alike))
+            merged.append(MergedPart(part, len(theirs), len(new), alike, both - alike))
         with Store.opened(folder, plan) as own:
             for row in taken:
                 own.put_row(row)

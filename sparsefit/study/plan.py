@@ -60,7 +60,7 @@ class Experiment:
         raise NotImplementedError
 
     def factors(self) -> Mapping[str, str]:
-        """All that varies by dotted key: "condition" or "candidate"."""
+        """The role of each varied dotted key: "condition" or "candidate"."""
         return {}
 
     def case_id(self, unit: int, cell: int) -> str:

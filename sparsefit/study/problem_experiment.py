@@ -108,7 +108,7 @@ class ProblemExperiment(Experiment):
         return digest(canonical_json(timed_on()))[:8]
 
     def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
-        """All that take turns with a case ``wanted``, and all that was timed elsewhere."""
+        """The cells that take turns with a case ``wanted``, and all that was timed elsewhere."""
         here = np.array([word.rpartition(ON)[2] in ("", self._machine) for word in version])
         if not wanted.any():
             return wanted

@@ -38,7 +38,7 @@ PROGRESS_SECONDS = 0.2  # not more often than an eye can follow
 
 @dataclass(frozen=True)
 class Request:
-    """What a run is asked to do beside computing the cases without a row.
+    """The work that a run is asked to do beside computing the cases without a row.
 
     processes: how many work, None for as many as there are processors; fresh: start over;
     retry_failed: compute cases again that ended as error, timeout or crashed; stale: those that
@@ -75,7 +75,7 @@ class Request:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """How far a study is, finished or not, and what a run did for it.
+    """The progress of a study, finished or not, and what a run did for it.
 
     statuses: counts of all rows; stale: how many are of other code than this; versions: how many
     each version made; dropped: rows of cases that the study no longer plans; damaged: rows that

@@ -136,12 +136,12 @@ class Store:
 
     @property
     def statuses(self) -> Counter[str]:
-        """How many cases ended in each status."""
+        """The number of cases that ended in each status."""
         return Counter(status for status in self.status if status)
 
     @property
     def versions(self) -> Counter[str]:
-        """How many rows each version made."""
+        """The number of rows that each version made."""
         return Counter(v for v, s in zip(self.version, self.status, strict=True) if s)
 
     @property

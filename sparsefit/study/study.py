@@ -128,7 +128,7 @@ class Study:
 
     @property
     def factors(self) -> Mapping[str, str]:
-        """All that varies by dotted key: "condition" or "candidate"."""
+        """The role of each varied dotted key: "condition" or "candidate"."""
         return self.experiment.factors()
 
     def plan(self) -> pd.DataFrame:
@@ -154,7 +154,7 @@ class Study:
             self.__dict__.pop("cases", None)
 
     def status(self) -> RunSummary:
-        """How far the study is; changes nothing, also while it runs."""
+        """The progress of the study; changes nothing, also while it runs."""
         return RunSummary.of(Store.read(self.folder, self.planned))
 
     @cached_property
@@ -191,7 +191,7 @@ class Study:
         return {c.solver: c.missing for c in contenders if c.missing}
 
     def counts(self) -> dict[str, Any]:
-        """How large the study is, JSON-ready; "rows": (label, words) lines for people."""
+        """The size of the study, JSON-ready; "rows": (label, words) lines for people."""
         return counts_of(self.experiment, self.planned.size)
 
     def merge(self, parts: Sequence[str | Path], *, keep_first: bool = False) -> Merged:

@@ -73,7 +73,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of an ask.
+    """The outcome of an ask.
 
     status: "ok", with its content; "error" of the code that was asked; "timeout" or "crashed" where
     the process was killed at its limit or died, with the reason. wall, cpu: seconds [s] by the
