@@ -92,8 +92,8 @@ class RegressionProblem(Brief):
     has rows to slice, or an array of several workers; ``design`` has its sums. theta and target are
     finite; norms of their columns are in [1e-140, 1e140], or 0 of a target. ``groups`` (k,) numbers
     the group of each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's
-    scale, where it has one. Raises InputError on arrays of other kinds or shapes, and as `from_arrays` does,
-    which makes all of this from any arrays and labels.
+    scale, where it has one. Raises InputError on arrays of other kinds or shapes, and as
+    `from_arrays` does, which makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
     back-ends that make columns of their own; None where they are not known row by row.
