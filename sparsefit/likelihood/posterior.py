@@ -73,9 +73,16 @@ class Posterior:
 
     @property
     def exact(self) -> bool:
-        """Whether the readings are as exact as the steps of the passes: noise says nothing then."""
-        bound = 3.0 * self.settings.exact * self.model.pattern.length_scale
-        return max(leg.model.disturbance.position_noise for leg in self.legs) < bound
+        """True where readings and motion are as exact as the passes: noise says nothing then."""
+        pattern, values = self.model.pattern, self.model.values
+        speed, turnover = pattern.mean_velocity, pattern.length_scale / pattern.mean_velocity
+        pull = speed * (1.0 + abs(values["quadratic_drag"]) * speed) / values["response_time"]
+        bound = 1e2 * self.settings.exact * pull * math.sqrt(turnover)  # a wrong motion has more
+        return all(
+            disturbance.position_noise < 3.0 * self.settings.exact * pattern.length_scale
+            and disturbance.acceleration < bound
+            for disturbance in (leg.model.disturbance for leg in self.legs)
+        )
 
     @property
     def models(self) -> tuple[Model, ...]:

@@ -103,3 +103,13 @@ def test_the_wrong_law_of_drag_is_named():
     assert "more quadratic" in estimated(linear, "response_time").reason
     other = flown(replace(LINEAR, thrust_acceleration=(5.0, 3.0)), **NOISE)
     assert estimated(replace(other, vehicle=QUADRATIC), "drag").status != "ok"
+
+
+@pytest.mark.parametrize("ratio", [1.05, 1.2])
+def test_a_wrong_vehicle_is_named_in_a_log_without_noise(ratio):
+    flow, vehicle = sf.CellularFlow(12.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    flight = sf.simulate_flight(flow, vehicle, duration=12.0, sample_rate=50.0, seed=3)
+    believed = replace(vehicle, response_time=0.5 * ratio)
+    estimate = sf.Estimator().estimate(replace(flight, vehicle=believed))
+    assert (estimate.status, estimate.goodness.suspect.cause) == ("misfit", "response-time")
+    assert sf.Estimator().estimate(flight).status == "ok"
