@@ -12,13 +12,6 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.intp]  # indices, labels
 
 
-def local_maxima(curve: Array) -> IntArray:
-    """Indices of the local maxima of a curve (q,), its ends included, highest first."""
-    padded = np.concatenate([[-np.inf], curve, [-np.inf]])
-    tops = np.flatnonzero((curve >= padded[:-2]) & (curve >= padded[2:]))
-    return tops[np.argsort(-curve[tops], kind="stable")]
-
-
 def box(places: Array) -> tuple[Array, Array]:
     """The least and the largest of each column (c,) of places (m, c): two corners of their box."""
     sides = np.ascontiguousarray(places.T)  # along rows numpy looks six times faster

@@ -67,11 +67,6 @@ class Doubt(StrEnum):
     MISFIT = "misfit"
     """There is a flow, but it is not the one that was fitted."""
 
-    @property
-    def no_flow(self) -> bool:
-        """True where the doubt is that there is no cellular flow at all."""
-        return self in (Doubt.STILL_AIR, Doubt.NO_FLOW)
-
 
 @dataclass(frozen=True)
 class Verdict:
