@@ -61,8 +61,6 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "ridge": "sparsefit.solvers.lassos:Ridge",
         "gridless-group-lasso": "sparsefit.solvers.gridless:GridlessGroupLasso",
         "group-omp": "sparsefit.solvers.searches:GroupOMP",
-        "ensemble": "sparsefit.solvers.searches:Ensemble",
-        "best-subset": "sparsefit.solvers.best_subset:BestSubset",
         "best-scale": "sparsefit.solvers.searches:BestScale",
         "parametric-nls": "sparsefit.solvers.gridless:ParametricNLS",
     }

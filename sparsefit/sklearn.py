@@ -82,7 +82,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     intercept_ : float, or (n_targets,).
     status_, reason_ : ``ok``, or ``inaccurate`` and why.
     certificate_ : what `sparsefit.fit` verified: its kind, value and rounding.
-    solver_status_ : the solver's own word; of ``ensemble`` the inclusion probabilities.
+    solver_status_ : the solver's own word.
     alpha_fraction_, alpha_ : the penalty used, where the back-end has one ("auto" is a number
         here), as a fraction and in the unit of y: that of `sklearn.linear_model.Lasso` on columns
         of unit standard deviation.

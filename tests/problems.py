@@ -25,8 +25,6 @@ GENERAL = (
     "slope",
     "fused-lasso",
     "ridge",
-    "ensemble",
-    "best-subset",
     "best-scale",
     "group-omp",
 )

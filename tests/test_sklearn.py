@@ -26,7 +26,6 @@ ON_SPARSE = "check_sample_weight_equivalence_on_sparse_data"
 EXPLAINED = {
     "LeastSquares": "by default it refuses fewer samples than columns, and one case has such",
     "HuberLasso": "a weight scales a row, and with it the residual that is clipped",
-    "Ensemble": "it draws blocks of rows: a row of weight 2 is not two rows",
 }
 
 

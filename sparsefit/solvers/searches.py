@@ -2,39 +2,26 @@
 
     best-scale:  min over groups g of min over W_g of |Y - theta_g W_g|^2
     group-omp:   g* = argmax over g of |P_g R|^2,  W = least squares on all groups so far
-    ensemble:    what at least a share of fits to halves of the samples chooses
 
 P_g projects on the span of a group's columns, so neither their scale nor their correlation counts.
 Best-scale is the baseline that sparse back-ends have to justify themselves against: on one cellular
 flow nothing sparse is needed; on several superposed ones the best single scale is not the answer.
 
-The ensemble cuts Z and Y into blocks of consecutive samples. Half of them, drawn at random, are
-fitted by the LASSO or the group-LASSO at one penalty; so is the other half; and so on. Blocks stay
-whole since neighbours resemble each other: fits to samples drawn one by one would all be alike.
-Gram matrices of blocks add up, so that a draw costs no more than its path. Of G groups, of which a
-fit chooses q on average, at most q^2 / ((2 threshold - 1) G) are expected to be kept falsely, where
-those that do not belong are exchangeable; by the LASSO, so many for each target.
-
-Sources: Lozano, Swirszcz and Abe, "Group orthogonal matching pursuit for variable selection and
-prediction" (NeurIPS 2009); Meinshausen and Buehlmann, J. R. Stat. Soc. B 72 (2010) 417-473,
-stability selection; Shah and Samworth, J. R. Stat. Soc. B 75 (2013) 55-80, complementary halves;
-Fasel, Kutz, Brunton and Brunton, Proc. R. Soc. A 478 (2022) 20210904, ensembles for dynamics.
+Source: Lozano, Swirszcz and Abe, "Group orthogonal matching pursuit for variable selection and
+prediction" (NeurIPS 2009).
 """
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
-from sparsefit.regression.group_penalties import GroupNorms
-from sparsefit.regression.penalties import Penalty, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.kernels import path_on_gram
 
 UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
 DOUBT = 1e-6  # of |Y|^2: residuals this close in Gram space are settled on the rows
@@ -203,98 +190,3 @@ class GroupOMP(SupportSearch):
             return larger if larger.any() else None  # the target may be orthogonal to all columns
         worth = is_worth(problem, weights, larger, self.stop, self.tolerance)
         return larger if worth else None
-
-
-@dataclass(frozen=True)
-class Ensemble(SupportSearch):
-    """Least squares on what most fits to halves of the samples choose.
-
-    base: what chooses, ``group-lasso`` (groups span all targets) or ``lasso`` (each target's own
-    columns), at alpha_fraction of its alpha_max. draws: fits, in pairs of complementary halves.
-    blocks: pieces that the samples are cut into. threshold: inclusion probability, above 1/2, that
-    keeps. seed: of the draws.
-    """
-
-    name: ClassVar[str] = "ensemble"
-    base: Literal["group-lasso", "lasso"] = "group-lasso"
-    alpha_fraction: float = 0.1
-    draws: int = setting(50, least=2)
-    blocks: int = setting(10, least=2)
-    threshold: float = setting(0.6, low=0.5, high=1.0, open_low=True)
-    seed: int = setting(0, least=0)
-
-    def searched(self, problem: RegressionProblem) -> Solution:
-        """Weights on what is kept; ``solver_status`` tells the largest inclusion probabilities."""
-        if problem.is_compressed:
-            reason = f"{self.name} needs samples to draw from, and these are compressed"
-            return Solution(None, "error", reason)
-        if problem.samples < 2:
-            return Solution(None, "error", f"{self.name} needs at least 2 samples")
-        shares = self.inclusion(problem)
-        words, chosen = self._described(problem, shares), shares >= self.threshold
-        if not chosen.any():
-            reason = f"nothing is chosen by {self.threshold:g} of the fits; {words}"
-            return Solution(None, "unidentifiable", reason, words)
-        weights = self._refitted(problem, chosen)
-        return Solution(weights, solver_status=words, iterations=2 * self._pairs)
-
-    def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
-        """The weights (k, n) of the inclusion probabilities worked out again."""
-        return self._refitted(problem, self.inclusion(problem) >= self.threshold)
-
-    @property
-    def _pairs(self) -> int:
-        return (self.draws + 1) // 2
-
-    def _refitted(self, problem: RegressionProblem, chosen: BoolArray) -> Array:
-        """Least squares (k, n) of each target on the columns that are chosen for it."""
-        weights = np.zeros(chosen.shape)
-        for target in np.flatnonzero(chosen.any(axis=0)):
-            weights[:, target] = fit_on(problem, np.flatnonzero(chosen[:, target]))[:, target]
-        return weights
-
-    def inclusion(self, problem: RegressionProblem) -> Array:
-        """The inclusion probability of every weight (k, n)."""
-        pieces = np.array_split(np.arange(problem.samples), min(self.blocks, problem.samples))
-        rms, blocks = problem.design.rms, []
-        for rows in pieces:  # the sums of each block, in columns of unit rms over all samples
-            z, y = problem.rows[rows] / rms, problem.target[rows]
-            blocks.append((len(rows), z.T @ y, np.einsum("it,it->t", y, y), z.T @ z))
-        rng, half = np.random.default_rng(self.seed), len(blocks) // 2
-        chosen = np.zeros((problem.columns, problem.targets))
-        for _ in range(self._pairs):
-            order = rng.permutation(len(blocks))
-            for part in (order[:half], order[half:]):
-                count, *sums = (sum(each) for each in zip(*(blocks[i] for i in part), strict=True))
-                chosen += self._fitted(problem, *(total / count for total in sums)) != 0
-        return chosen / (2 * self._pairs)
-
-    def _fitted(self, problem: RegressionProblem, cross: Array, square: Array, gram: Array) -> Any:
-        """The weights (k, n) of one half by its Z'Y/m, |y_t|^2/m and Z'Z/m, in scaled columns."""
-        grouped, weights = self.base == "group-lasso", np.zeros(cross.shape)
-        penalty: Penalty = lasso_penalty(problem.columns)
-        if grouped:
-            penalty = GroupNorms(problem.groups, np.ones(int(problem.groups.max()) + 1))
-        alphas = np.array([self.alpha_fraction * alpha_max(cross, penalty)])
-        for targets in problem.together(grouped) if alphas[0] else []:
-            pull = np.ascontiguousarray(cross[:, targets])
-            path = path_on_gram(gram, pull, penalty, alphas, float(square[targets].sum()))
-            weights[:, targets] = path.values[0]
-        return weights
-
-    def _described(self, problem: RegressionProblem, shares: Array) -> str:
-        """The largest inclusion probabilities, and how many of those kept may be false."""
-        items, names = shares, list(problem.names)  # each target chooses by itself
-        if self.base == "group-lasso":
-            groups = range(int(problem.groups.max()) + 1)
-            items = np.array([[shares[problem.groups == g].max()] for g in groups])
-            names, scales = [f"group {g}" for g in groups], problem.group_scales
-            if scales is not None and len(np.unique(scales)) == len(scales):
-                names = [f"{scale:.4g} m" for scale in scales]
-        chosen = float(np.sum(items.sum(axis=0) ** 2))
-        false = chosen / ((2.0 * self.threshold - 1.0) * len(items))
-        false = min(false, float(np.count_nonzero(items >= self.threshold)))
-        most = items.max(axis=1)
-        order = np.argsort(-most, kind="stable")[:5]
-        listed = ", ".join(f"{names[i]} {most[i]:.2f}" for i in order)
-        return f"inclusion: {listed}; falsely kept: at most {false:.2g} expected"

@@ -61,8 +61,7 @@ SETTINGS = [
     ("elastic-net", {"alpha_fraction": 1e-3, "l1_ratio": 0.05}),
     ("ridge", {"alpha_fraction": 1.0}),
     ("square-root-lasso", {"alpha_fraction": 0.01}),
-    ("best-subset", {"separate": True, "stop": "bic"}),
-    ("ensemble", {"base": "lasso", "draws": 20, "seed": 3}),
+    ("group-omp", {"stop": "bic"}),
 ]
 OFF_GRID = [name for name in backends.BACKENDS if name not in GENERAL]
 CASES = [(name, {}) for name in backends.known() if name not in OFF_GRID] + SETTINGS + BY_SOLVER
