@@ -32,7 +32,6 @@ __all__ = [
     "Backend",
     "Solution",
     "distribution",
-    "finds_its_own",
     "fit",
     "get",
     "known",
@@ -59,10 +58,8 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
         "fused-lasso": "sparsefit.solvers.lassos:FusedLasso",
         "elastic-net": "sparsefit.solvers.lassos:ElasticNet",
         "ridge": "sparsefit.solvers.lassos:Ridge",
-        "gridless-group-lasso": "sparsefit.solvers.gridless:GridlessGroupLasso",
         "group-omp": "sparsefit.solvers.searches:GroupOMP",
         "best-scale": "sparsefit.solvers.searches:BestScale",
-        "parametric-nls": "sparsefit.solvers.gridless:ParametricNLS",
     }
 )
 """The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
@@ -115,12 +112,6 @@ def load(name: str) -> type[Backend]:
         if not isinstance(getattr(loaded, needed, None), str):
             raise InputError(f"{where} has no `{needed}`, a text that its class holds")
     return cast(type[Backend], loaded)
-
-
-@cache
-def finds_its_own(name: str) -> bool:
-    """Whether a back-end of sparsefit finds columns of its own instead of choosing from a grid."""
-    return name in BACKENDS and hasattr(load(name), "certify")
 
 
 def get(name: str, **settings: Any) -> Backend:

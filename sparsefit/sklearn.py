@@ -42,10 +42,7 @@ try:
 except ImportError as error:
     raise MissingExtra("scikit-learn is missing: pip install 'sparsefit[sklearn]'") from error
 
-NEED_POSITIONS = ("gridless-group-lasso", "parametric-nls")  # no design matrix is enough for them
-NAMED = {
-    home.partition(":")[2]: name for name, home in BACKENDS.items() if name not in NEED_POSITIONS
-}
+NAMED = {home.partition(":")[2]: name for name, home in BACKENDS.items()}
 """Regressor -> the back-end whose settings are its parameters."""
 __all__ = ["FitFailed", "SparseRegressor", *NAMED]
 CONSTANT = 16.0 * float(np.finfo(float).eps)  # what rounding leaves of a constant, relative

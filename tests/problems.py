@@ -10,25 +10,6 @@ from sparsefit.regression.problem import RegressionProblem
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 SMALL_GRID = LengthScaleGrid(2.0, 7.0, step=0.5)
-GENERAL = (
-    "least-squares",
-    "stlsq",
-    "lasso",
-    "group-lasso",
-    "sparse-group-lasso",
-    "adaptive-lasso",
-    "adaptive-group-lasso",
-    "group-mcp",
-    "elastic-net",
-    "square-root-lasso",
-    "huber-lasso",
-    "slope",
-    "fused-lasso",
-    "ridge",
-    "best-scale",
-    "group-omp",
-)
-"""Back-ends of any design matrix; the others make columns of their own from positions."""
 DEGENERATE_KINDS = (
     "duplicate",
     "opposite",

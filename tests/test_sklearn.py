@@ -19,7 +19,6 @@ import sparsefit as sf
 import sparsefit.sklearn as regressors
 from sparsefit import backends
 from sparsefit.errors import InputError, MissingExtra
-from tests.problems import GENERAL
 
 EQUIVALENCE = "check_sample_weight_equivalence_on_dense_data"
 ON_SPARSE = "check_sample_weight_equivalence_on_sparse_data"
@@ -39,10 +38,6 @@ def data(seed=0, samples=80, columns=8, targets=2):
     design = rng.normal(size=(samples, columns)) * np.geomspace(0.1, 10, columns) + 3.0
     weights = rng.normal(size=(columns, targets)) * (rng.random((columns, targets)) < 0.5)
     return design, design @ weights + 5.0 + 0.3 * rng.normal(size=(samples, targets))
-
-
-def test_every_back_end_of_any_design_matrix_is_a_regressor():
-    assert set(regressors.NAMED.values()) == set(GENERAL)
 
 
 def test_the_checks_of_scikit_learn_pass():

@@ -50,29 +50,22 @@ class ReadLog:
     quality: LogQuality
     notes: tuple[str, ...]
 
-    def cells_crossed(self, estimate: Estimate) -> int | None:
-        """The number of cells that the flight crossed; None where the flow is not known."""
-        from sparsefit.estimator.crossed import cells_crossed
-
-        return cells_crossed(estimate, self.flight.time, self.flight.position)
-
-    def record(self, estimate: Estimate) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """The log as JSON-ready values; None for what is not known."""
         from sparsefit.codec import finite_or_none
 
         values: dict[str, Any] = finite_or_none(asdict(self.quality))
-        crossed = self.cells_crossed(estimate)
-        return values | {"cells_crossed": crossed, "read_as": list(self.notes)}
+        return values | {"read_as": list(self.notes)}
 
-    def rows(self, estimate: Estimate, own: Estimate | FlightEstimate, unknown: Sequence[str]
-             ) -> Iterator[tuple[str, str]]:  # fmt: skip
+    def rows(
+        self, own: Estimate | FlightEstimate, unknown: Sequence[str]
+    ) -> Iterator[tuple[str, str]]:
         """Rows of what was flown, logged and mended; own: what is estimated of this flight."""
-        flight, frame, crossed = self.flight, self.quality.frame, self.cells_crossed(estimate)
+        flight, frame = self.flight, self.quality.frame
         words = f"{flight.samples} samples over {flight.duration:g} s"
         only = "" if flight.velocity_measured else "; positions only give the velocity"
         yield "flight", f"{one_line(self.path)}: {words}{only}"
-        cells = f"; {crossed} cell{'s' * (crossed != 1)} crossed" if crossed else ""
-        yield "log", self.quality.words + cells
+        yield "log", self.quality.words
         yield "frame", f"{frame}: {FRAMES[frame]}" if frame else f"not told: {FRAMES['']}"
         yield from (("" if place else "read as", note) for place, note in enumerate(self.notes))
         if own.repairs.words:
@@ -106,10 +99,10 @@ def _head(
 ) -> Iterator[tuple[str, str]]:
     """Rows of the flight, or of several by number with what is estimated of each."""
     if not estimate.flights:
-        yield from logs[0].rows(estimate, estimate, unknown)
+        yield from logs[0].rows(estimate, unknown)
         return
     for number, (log, own) in enumerate(zip(logs, estimate.flights, strict=True), 1):
-        (_, first), *others = log.rows(estimate, own, unknown)
+        (_, first), *others = log.rows(own, unknown)
         yield from ([("", "")] if number > 1 else [])
         yield from ((f"flight {number}", first), *others)
         counts = f"so that a sample counts for {own.noise**-2:.2g}"

@@ -25,7 +25,7 @@ EXAMPLE = """\
   sparsefit estimate monday.csv tuesday.csv
   sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
   sparsefit estimate flight.csv --estimator estimator.json
-  sparsefit estimate flight.csv --scales several --backend gridless-group-lasso
+  sparsefit estimate flight.csv --scales several
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
   sparsefit estimate flight.csv --family waves --grid-lower 3 --json
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     estimate = estimator.estimate(flights[0] if len(flights) == 1 else flights)
     if args.plot is not None:
         _draw(args.plot, args.flight, estimator, flights, estimate)
-    records = [log.record(estimate) for log in logs]
+    records = [log.record() for log in logs]
     read = {"log": records[0]} if len(logs) == 1 else {"logs": records}
     said = lines(logs, estimate, estimator.library.unknown)
     emit(estimate.to_dict() | read, said, as_json=args.json)

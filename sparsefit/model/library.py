@@ -21,9 +21,7 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, integer_setting, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, wave_theta
-from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
 from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
-from sparsefit.model.shapes import CELLS, WAVE
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out
 from sparsefit.regression.given import compressed
 from sparsefit.regression.problem import RegressionProblem
@@ -225,8 +223,6 @@ class Library:
                         again = partial(list, list(rows_of(number)))
                     yield from project_out(basis, again)
 
-        count: int | None = rows
-        continuum: ShapeContinuum | None = None
         if large:
             triangle, _, _ = compressed(blocks())
             theta, target = triangle[:, :size].copy(), triangle[:, size:].copy()
@@ -235,11 +231,6 @@ class Library:
                 part[0] if len(part) == 1 else np.concatenate(part)
                 for part in zip(*blocks(), strict=True)
             )
-            places = [source.position for source in sources if source.operator is None]
-            count = len(target) if self.family == "cells" and not self.unknown and places else None
-            if not self.unknown and places:
-                weight = np.repeat(weights, list(map(len, places))) if len(places) > 1 else None
-                continuum = self._continuum(np.concatenate(places), columns, weight)
         names = TARGET_NAMES[self.target]
         return RegressionProblem(
             theta,
@@ -248,8 +239,7 @@ class Library:
             columns.names,
             names if columns.components == 1 else (" ".join(names),),
             columns.scales,
-            count,
-            continuum,
+            rows if large else None,
             columns.subgroups,
             columns.parameters,
         )
@@ -264,18 +254,6 @@ class Library:
                 "it out, or use a larger window"
             )
         return samples.every(self.every)
-
-    def _continuum(
-        self, position: Array, columns: GridColumns, weight: Array | None
-    ) -> ShapeContinuum | None:
-        """The columns between those of the grid, at positions (m, 2) [m], where they are known."""
-        low, high = (float(np.pi / scale) for scale in (columns.scales.max(), columns.scales.min()))
-        if self.family == "cells":
-            pattern = EQUATION_1 if self.target == "flow-velocity" else None
-            return ShapeContinuum(CELLS, position, (low, high), pattern, weight)
-        if self.family == "waves" and self.groups == "wave" and weight is None:
-            return ShapeContinuum(WAVE, position, (low, high))
-        return None
 
 
 def _refuse_axes(position: Array) -> None:

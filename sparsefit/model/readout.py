@@ -44,7 +44,6 @@ Correction = Literal["none", "first-order"]
 
 UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
 MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
-OFF_GRID = ("gridless-group-lasso", "parametric-nls")  # back-ends with places of their own
 Window = tuple[float, float, float]  # the wavenumber of a candidate, from where, and to where
 
 
@@ -137,9 +136,7 @@ class Readout:
             return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
         if self.scales == "several":
             lobe = 2 * math.pi / lookout.extent
-            return Start(
-                self.refine, windows=windows(fit, lobe, lookout.bounds, on_grid=_on_grid(fit))
-            )
+            return Start(self.refine, windows=windows(fit, lobe, lookout.bounds))
         if not len(lookout.lobes):
             return Start(self.refine)
         by_scale = self.by_scale(fit, library)
@@ -148,16 +145,10 @@ class Readout:
         return Start(self.refine, float(nearest))
 
 
-def _on_grid(fit: Fit) -> bool:
-    """Whether the groups of a fit are the candidates of a grid, between which a mode may lie."""
-    return fit.backend.name not in OFF_GRID
-
-
-def windows(fit: Fit, lobe: float, bounds: Bounds, *, on_grid: bool) -> tuple[Window, ...]:
+def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
     """The peaks of |W_g| by group, strongest first, one per lobe: (k, low, high) [1/m] of each.
 
-    A window is two lobes [1/m] wide, and on a grid goes to the neighbouring candidates, within
-    bounds; there a peak is no flank of another.
+    A window is two lobes [1/m] wide, goes to the neighbouring candidates and stays within bounds.
     """
     scales = fit.problem.group_scales
     assert scales is not None
@@ -166,10 +157,9 @@ def windows(fit: Fit, lobe: float, bounds: Bounds, *, on_grid: bool) -> tuple[Wi
     k, strength = math.pi / scales[order], np.sqrt(squares[order])
     below, above = k - lobe, k + lobe
     top = strength > 0.02 * strength.max()  # what is smaller proposes nothing
-    if on_grid:
-        below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
-        around = np.concatenate([[0.0], strength, [0.0]])
-        top &= (strength >= around[:-2]) & (strength >= around[2:])
+    below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
+    around = np.concatenate([[0.0], strength, [0.0]])
+    top &= (strength >= around[:-2]) & (strength >= around[2:])
     chosen: list[Window] = []
     for i in np.argsort(-strength, kind="stable"):
         apart = all(abs(k[i] - other) > lobe for other, _, _ in chosen)
@@ -228,7 +218,7 @@ def read_grid(
     if several:
         if not extent > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
-        places = windows(fit, 2 * math.pi / extent, (0.0, math.inf), on_grid=_on_grid(fit))
+        places = windows(fit, 2 * math.pi / extent, (0.0, math.inf))
         k = np.array([place[0] for place in places])
         speeds = np.array([readout.velocity(mode) for mode in rows.cells(k)[0]])
         k = k[speeds >= 0.05 * speeds.max()]  # systematic errors of a derivative reach 2 %

@@ -18,12 +18,14 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, non_negative, one_of
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.columns import MEAN_SQUARE
-from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
+from sparsefit.model.columns import CANDIDATES, MEAN_SQUARE, candidate_columns
 from sparsefit.model.grid import middle
-from sparsefit.model.shapes import CELLS
 
 FlowModel = Literal["parametric", "semiparametric"]
+EQUATION_1 = np.zeros((8, 2))
+"""The weights of Eq. 1 for U0 = 1 m/s."""
+EQUATION_1[CANDIDATES.index("sin x cos y"), 0] = 1.0
+EQUATION_1[CANDIDATES.index("cos x sin y"), 1] = -1.0
 
 
 @dataclass(frozen=True)
@@ -91,9 +93,10 @@ def jacobian(position: Array, flow: CellularFlow, model: FlowModel) -> tuple[Arr
     near = position
     if model == "semiparametric":  # phases are free: the same flow, with all its digits
         near = position - 2 * scale * np.round(middle(position) / (2 * scale))
-    columns = ShapeContinuum(CELLS, near, (k, k)).columns(np.array([[k]]))
-    value, slope = columns[0][0].T, columns[1][0, 0].T
-    by_k = speed * (slope @ EQUATION_1).T.ravel()
+    value, x, y = candidate_columns(near, np.array([scale])), near[:, 0], near[:, 1]
+    by_k = speed * np.concatenate(
+        [x * value[:, 7] - y * value[:, 4], x * value[:, 4] - y * value[:, 7]]
+    )
     if model == "parametric":
         rows = np.column_stack([(value @ EQUATION_1).T.ravel(), -k / scale * by_k])
         gradients = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, Protocol, get_args, get_origin, runti
 from sparsefit.arrays import Array
 from sparsefit.codec import plain
 from sparsefit.errors import InputError, flag_setting, integer_setting, number_setting, one_of
-from sparsefit.regression.certificate import Certificate, CertificateKind
+from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
 
@@ -24,8 +24,7 @@ class Solution:
     """The answer of a back-end: weights (k, n) in original units, or the reason why not.
 
     ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
-    verbatim. Weights are None where there is no solution, never zeros. ``problem``: the columns
-    that the weights belong to, where the back-end found its own in a continuum.
+    verbatim. Weights are None where there is no solution, never zeros.
     ``shared_seconds``: what a factorisation cost that this answer needs and an earlier one made.
     """
 
@@ -34,7 +33,6 @@ class Solution:
     reason: str = ""
     solver_status: str = ""
     iterations: int | None = None
-    problem: RegressionProblem | None = None
     shared_seconds: float = 0.0
 
 
@@ -53,15 +51,6 @@ class Backend(Protocol):
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights for the problem; pure, and never zeros for a failure."""
-        ...
-
-
-@runtime_checkable
-class OffGridBackend(Backend, Protocol):
-    """A back-end that finds columns of its own in a continuum, over which it is optimal."""
-
-    def certify(self, problem: RegressionProblem, solution: Solution) -> Certificate:
-        """The certificate of a solution, from the rows and the columns found alone."""
         ...
 
 

@@ -19,7 +19,6 @@ from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
     Backend,
     ChoosingBackend,
-    OffGridBackend,
     PathBackend,
     PenalisedBackend,
     Solution,
@@ -65,7 +64,7 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
         choice = choose_penalty(problem, backend, whole.weights)
         seconds, chosen = perf_counter() - start, whole.fits[choice.index]
         return dataclasses.replace(chosen, seconds=seconds, penalty_choice=choice)
-    convex = backend.certificate_kind == "duality_gap" and not isinstance(backend, OffGridBackend)
+    convex = backend.certificate_kind == "duality_gap"
     if (along or convex) and isinstance(backend, PenalisedBackend):
         fraction = numeric_fraction(backend.name, backend.alpha_fraction)
         return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
@@ -161,8 +160,7 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
         raise InputError(f"{where} the status {solution.status!r}, which is none of {valid}")
     if solution.weights is None:
         return solution
-    own = solution.problem or problem
-    right = (own.columns, own.targets)
+    right = (problem.columns, problem.targets)
     try:
         weights = np.asarray(solution.weights, dtype=np.float64)
     except (TypeError, ValueError):
@@ -231,8 +229,6 @@ def certificate_of(
     if not _finite(solution):
         return None
     weights = np.asarray(solution.weights)
-    if isinstance(backend, OffGridBackend):
-        return backend.certify(problem, solution)
     if backend.certificate_kind == "normal_equations":
         residual, spectrum = problem.target - problem.rows @ weights, problem.spectrum
         retained = spectrum.right_vectors[spectrum.retained(backend.rcond, problem.samples)]
@@ -303,7 +299,7 @@ def _judged(
     return Fit(
         *(weights, status, reason, certificate, seconds, backend),
         *(solution.solver_status, solution.iterations),
-        problem=solution.problem or problem,
+        problem=problem,
         shared_seconds=solution.shared_seconds,
     )
 
@@ -329,7 +325,7 @@ def _check_backend(backend: Any) -> None:
         raise InputError(f"back-end {name!r}: certificate_kind {kind!r} is none of {valid}")
     fixed = kind == "fixed_point" and hasattr(backend, "next_weights")
     missing = [need for need in NEEDS[kind] if not hasattr(backend, need)]
-    if missing and not fixed and not isinstance(backend, OffGridBackend):
+    if missing and not fixed:
         raise InputError(
             f"back-end {name!r} declares the certificate {kind} and has no {', '.join(missing)}, "
             "from which it is computed"

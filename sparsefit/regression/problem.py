@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_integer
-from sparsefit.regression.continuous_columns import Continuum
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.given import (
     compressed,
@@ -95,8 +94,7 @@ class RegressionProblem(Brief):
     scale, where it has one. Raises InputError on arrays of other kinds or shapes, and as
     `from_arrays` does, which makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
-    the m original ones (`from_blocks`). ``continuum``: the columns between those of the groups, for
-    back-ends that make columns of their own; None where they are not known row by row.
+    the m original ones (`from_blocks`).
     ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within one group, such as
     the waves of a ring, for penalties of both; None where there are none.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
@@ -110,7 +108,6 @@ class RegressionProblem(Brief):
     target_names: tuple[str, ...]
     group_scales: Array | None = None
     sample_count: int | None = None
-    continuum: Continuum | None = None
     subgroups: IntArray | None = None
     parameters: Array | None = None
     adjusted: Adjustment | None = None
@@ -186,20 +183,6 @@ class RegressionProblem(Brief):
         plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
         return replace(plain, sample_count=count)
 
-    def at(self, places: Array) -> "RegressionProblem":
-        """The rows and target, with the continuum's columns at each q (s, p) as groups.
-
-        Raises InputError where no continuum is known.
-        """
-        if self.continuum is None:
-            raise InputError("this problem has the columns of its groups and no others")
-        places = np.reshape(places, (-1, self.continuum.parameters))
-        theta, parameters, scales, names = self.continuum.design(places)
-        groups = np.repeat(np.arange(len(scales)), self.continuum.size)
-        alone: dict[str, Any] = {"sample_count": None, "subgroups": None}
-        columns: Any = {"theta": theta, "groups": groups, "names": names, "group_scales": scales}
-        return replace(self, **columns, parameters=parameters, **alone)
-
     @cached_property
     def design(self) -> Design:
         """The columns by their sums, with the weights and without the intercept."""
@@ -250,8 +233,7 @@ class RegressionProblem(Brief):
         if adjusted is not None:
             weight = None if adjusted.roots is None else adjusted.roots[rows] ** 2
             adjusted, target = Adjustment.of(target, weight, adjusted.direction is not None)
-        continuum = None if self.continuum is None else self.continuum.at(rows)
-        content: Any = {"target": target, "adjusted": adjusted, "continuum": continuum}
+        content: Any = {"target": target, "adjusted": adjusted}
         return replace(self, theta=self.theta[rows], **content, sample_count=None)
 
     def alpha_max(self, penalty: Penalty) -> float:
@@ -284,7 +266,7 @@ class RegressionProblem(Brief):
     @property
     def is_compressed(self) -> bool:
         """Whether the rows mix samples, so that none can be taken alone."""
-        return self.sample_count is not None and self.continuum is None
+        return self.sample_count is not None
 
     @property
     def columns(self) -> int:

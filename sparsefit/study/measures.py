@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.backends import finds_its_own
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
 
@@ -227,11 +226,9 @@ def _column(name: str, factor: float = 1.0) -> Read:
 
 
 def _hits(cases: pd.DataFrame) -> Array:
-    """Return whether the grid scale nearest the truth was chosen, of what has a grid, (rows,)."""
-    backends = texts(cases, "backend")
-    gridless = backends.isin([name for name in backends.unique() if finds_its_own(name)])
+    """Return whether the grid scale nearest the truth was chosen, (rows,)."""
     chosen = texts(cases, "hit").isin(["True"]).to_numpy() & answered(cases)
-    return only(in_flow(cases) & ~gridless.to_numpy(dtype=bool), chosen)
+    return only(in_flow(cases), chosen)
 
 
 def _by_axes(cases: pd.DataFrame, name: str) -> tuple[Array, Array]:

@@ -39,7 +39,7 @@ def test_every_back_end_that_lands_anywhere_is_refined_to_the_same_scale():
     estimator = sf.Estimator()
     prepared = estimator.prepare(flight)
     found = []
-    for name in ("stlsq", "lasso", "group-lasso", "best-scale", "gridless-group-lasso"):
+    for name in ("stlsq", "lasso", "group-lasso", "best-scale"):
         one = dataclasses.replace(estimator, backend=name)
         found.append(one.read(prepared, one.fit(prepared)).length_scale)
     assert found == pytest.approx([found[0]] * len(found), rel=1e-9)
@@ -89,15 +89,6 @@ def test_the_grid_for_a_flight_puts_candidates_in_every_lobe():
     assert np.ptp(steps) < 1e-9 * steps[0]
     with pytest.raises(InputError, match="fraction"):
         sf.model.LengthScaleGrid.for_flight(flight, fraction=0.0)
-
-
-def test_the_gridless_gap_is_certified_by_the_caller():
-    prepared = sf.Estimator().prepare(flown(velocity_noise=0.1))
-    found = sf.fit(prepared.problem, backends.get("gridless-group-lasso"))
-    assert found.status == "ok"
-    assert found.certificate.kind == "duality_gap"
-    assert found.certificate.value <= 1e-8
-    assert found.problem.group_scales.tolist() == sorted(found.problem.group_scales.tolist())
 
 
 def test_settings_that_share_a_factorisation_are_each_charged_for_it():

@@ -24,7 +24,7 @@ def flown(*parts, seed=3, noise=0.05, duration=12.0):
     )
 
 
-@pytest.mark.parametrize("backend", ["group-lasso", "lasso", "gridless-group-lasso"])
+@pytest.mark.parametrize("backend", ["group-lasso", "lasso"])
 def test_two_flows_are_found_with_their_velocities(backend):
     flight_ = flown((10.0, 3.1), (4.0, 4.4))
     found = Estimator(backend=backend, readout=SEVERAL).estimate(flight_)
@@ -48,7 +48,7 @@ def test_two_flows_are_found_with_their_velocities(backend):
 
 def test_three_flows():
     flight_ = flown((10.0, 3.0), (6.0, 4.1), (4.0, 6.3), duration=20.0)
-    found = Estimator(backend="gridless-group-lasso", readout=SEVERAL).estimate(flight_)
+    found = Estimator(backend="group-lasso", readout=SEVERAL).estimate(flight_)
     scored = score_scales(found, flight_.flow)
     assert found.status == "ok"
     assert scored.within(1.0)
@@ -62,7 +62,7 @@ def test_a_back_end_that_proposes_one_gets_one_and_is_told():
     assert found.status in ("misfit", "unidentifiable")
 
 
-@pytest.mark.parametrize("backend", ["group-lasso", "gridless-group-lasso", "best-scale"])
+@pytest.mark.parametrize("backend", ["group-lasso", "best-scale"])
 def test_one_flow_is_one_scale_and_the_same_as_before(backend):
     several = Estimator(backend=backend, readout=SEVERAL).estimate(flight())
     one = Estimator(backend=backend).estimate(flight())

@@ -123,7 +123,7 @@ def test_every_flight_has_a_wind_of_its_own():
         assert max(flight.vehicle_uncertainty.wind) < 0.1
 
 
-@pytest.mark.parametrize("name", ["best-scale", "lasso", "stlsq", "gridless-group-lasso"])
+@pytest.mark.parametrize("name", ["best-scale", "lasso", "stlsq"])
 def test_back_ends_take_the_stacked_problem(name):
     found = sf.Estimator(backend=name, readout=REFINED).estimate(FLEET[:2])
     assert found.status == "ok"

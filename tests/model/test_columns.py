@@ -20,11 +20,9 @@ from sparsefit.model.columns import (
     wave_peaks,
     wave_theta,
 )
-from sparsefit.model.continuum import EQUATION_1, ShapeContinuum
-from sparsefit.model.shapes import CELLS, WAVE
+from sparsefit.model.regression_bound import EQUATION_1
 
 POSITION = np.random.default_rng(1).uniform(-9, 9, (40, 2))
-STEP = 1e-5
 
 
 def test_sines_and_cosines_are_those_of_numpy():
@@ -32,27 +30,6 @@ def test_sines_and_cosines_are_those_of_numpy():
     sine, cosine = sines_and_cosines(phase)
     np.testing.assert_allclose(sine, np.sin(phase), atol=7e-16 * 50)
     np.testing.assert_allclose(cosine, np.cos(phase), atol=7e-16 * 50)
-
-
-JETS = {
-    "cells": (CELLS, np.array([[0.4], [1.1], [2.9]])),
-    "wave": (WAVE, np.array([[0.7, 0.3], [1.9, 2.8]])),
-}
-
-
-@pytest.mark.parametrize("weight", [None, np.linspace(0.5, 2.0, 40)], ids=["plain", "weighted"])
-@pytest.mark.parametrize("name", JETS)
-def test_jets_are_the_columns_and_their_differences(name, weight):
-    shape, places = JETS[name]
-    weight = weight if shape == CELLS else None
-    continuum = ShapeContinuum(shape, POSITION, (0.4, 3.0), weight=weight)
-    value, slope, bend = continuum.columns(places)
-    theta = continuum.design(places)[0]
-    np.testing.assert_allclose(value.reshape(-1, value.shape[2]).T, theta, atol=1e-13)
-    for axis, shift in enumerate(STEP * np.eye(places.shape[1])):
-        above, below = (continuum.columns(places + sign * shift) for sign in (1, -1))
-        np.testing.assert_allclose(slope[:, axis], (above[0] - below[0]) / (2 * STEP), atol=1e-6)
-        np.testing.assert_allclose(bend[:, axis], (above[1] - below[1]) / (2 * STEP), atol=1e-4)
 
 
 def test_mean_squares_are_those_over_a_cell():
@@ -105,54 +82,6 @@ def test_waves_are_those_of_a_flow():
     theta = wave_theta(POSITION, phases[:, :2])
     own = wave_columns(place, steady).transpose(1, 2, 0).reshape(80, 4)
     np.testing.assert_allclose(theta, own, atol=1e-14)
-
-
-@pytest.mark.parametrize("weighted", [False, True])
-def test_a_scan_of_cells_is_the_sums_over_its_rows(weighted):
-    rng = np.random.default_rng(3)
-    weight = rng.uniform(0.5, 2.0, 40) if weighted else None
-    own = np.ones(40) if weight is None else weight
-    continuum = ShapeContinuum(
-        CELLS, POSITION + np.array([30.0, -7.0]), (0.4, 2.0), EQUATION_1, weight
-    )
-    scan = continuum.scan(continuum.interval(None, None))
-    assert len(scan.wavenumbers) == continuum.scan_points(continuum.bounds)
-    residual = rng.standard_normal((40, 2))
-    value = continuum.columns(scan.wavenumbers[:, None])[0]
-    rms = np.sqrt(np.mean(value**2, axis=2) / np.mean(own**2))
-    products = np.einsum("scm,mn->scn", value, residual) / rms[..., None] / 40
-    np.testing.assert_allclose(scan.heights(residual), np.linalg.norm(products, axis=(1, 2)),
-                               rtol=1e-6)  # fmt: skip
-    flow = np.einsum("scm,cn->smn", value, EQUATION_1)
-    matched = np.sum(flow * residual, axis=(1, 2)) / np.sqrt(np.sum(flow**2, axis=(1, 2)))
-    tops, _ = scan.tops(residual, 1.0, EQUATION_1)
-    assert tops[0, 0] == scan.wavenumbers[matched.argmax()]
-    tops, reach = scan.tops(residual, 1.0)
-    heights = scan.heights(residual)
-    highest = heights[np.searchsorted(scan.wavenumbers, tops[:, 0] - 1e-9)]
-    assert highest[0] == heights.max()
-    assert (np.diff(highest) <= 0).all()
-    assert (reach == scan.step).all()
-
-
-def test_waves_and_cells_between_those_of_a_grid():
-    cells = ShapeContinuum(CELLS, POSITION, (0.4, 2.0))
-    theta, k, scales, names = cells.design(np.array([[0.9]]))
-    assert theta.shape == (40, 8)
-    assert names[5] == f"sin x cos y (L = {scales[0]:.6g} m)"
-    np.testing.assert_array_equal(cells.places(k), [[0.9]])
-    waves = ShapeContinuum(WAVE, POSITION, (0.4, 2.0))
-    theta, k, scales, names = waves.design(np.array([[1.0, 0.5]]))
-    assert (theta.shape, len(names)) == ((80, 2), 2)
-    np.testing.assert_allclose(waves.places(k), [[1.0, 0.5]])
-    assert scales == pytest.approx(math.sqrt(2.0) * math.pi)
-    rows = np.arange(20, 40)
-    np.testing.assert_array_equal(waves.at(rows).position, POSITION[10:20])
-    assert waves.at(np.arange(1, 21)) is None
-    images, signs = waves.images(np.array([[1.0, 0.5]]))
-    for image, sign in zip(images, signs, strict=True):
-        value = waves.columns(image)[0][0] * sign[:, None]
-        np.testing.assert_allclose(value, waves.columns(images[0])[0][0], atol=1e-12)
 
 
 def test_a_wave_between_those_of_a_grid_is_one_peak_at_its_place():

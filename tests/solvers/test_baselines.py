@@ -1,7 +1,6 @@
-"""best-scale, group-omp and parametric-nls against slow references and known flows."""
+"""best-scale and group-omp against slow references and known flows."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -10,13 +9,11 @@ import sparsefit as sf
 from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative
-from sparsefit.solvers.gridless import ParametricNLS
 from sparsefit.solvers.searches import BestScale, GroupOMP, explained
 from tests.problems import (
     DEGENERATE_KINDS,
     VEHICLE,
     degenerate,
-    flight,
     flight_problem,
     regular,
 )
@@ -118,63 +115,3 @@ def test_omp_sees_a_wrong_stop():
 def test_omp_bic_stops_at_the_truth():
     problem = regular(seed=2, samples=200, groups=6, size=3)
     assert chosen(problem, GroupOMP(stop="bic").solve(problem).weights).tolist() == [0]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_parametric_recovers_the_flow(seed):
-    problem = flight_problem(3.37, seed=seed)
-    backend = ParametricNLS()
-    solution = backend.solve(problem)
-    assert solution.status == "ok"
-    assert solution.problem.group_scales[0] == pytest.approx(3.37, rel=1e-5)
-    assert solution.weights[5, 0] == pytest.approx(15.0, rel=1e-3)
-    assert solution.weights[6, 1] == -solution.weights[5, 0]
-    assert np.count_nonzero(solution.weights) == 2
-    assert backend.certify(problem, solution).value < 1e-9
-
-
-def test_parametric_exact_on_exact_data():
-    problem = flight_problem(3.37)
-    flow = sf.CellularFlow(12.0, 2.9)
-    exact = dataclasses.replace(problem, target=flow.velocity(*problem.continuum.position.T))
-    solution = ParametricNLS().solve(exact)
-    assert solution.problem.group_scales[0] == pytest.approx(2.9, rel=1e-12)
-    assert solution.weights[5, 0] == pytest.approx(12.0, rel=1e-11)
-
-
-def test_parametric_is_no_worse_than_a_fine_scan():
-    problem = flight_problem(4.2, velocity_noise=1.0)
-    solution = ParametricNLS().solve(problem)
-    found = np.sum((problem.target - solution.problem.theta @ solution.weights) ** 2)
-    for k in np.linspace(math.pi / 7, math.pi / 2, 2000):
-        f = sf.CellularFlow(1.0, math.pi / k).velocity(*problem.continuum.position.T)
-        speed = max(np.sum(f * problem.target) / np.sum(f * f), 0.0)
-        assert found <= np.sum((problem.target - speed * f) ** 2) * (1 + 1e-12)
-
-
-def test_parametric_certificate_sees_a_wrong_answer():
-    problem = flight_problem(4.2)
-    backend = ParametricNLS()
-    good = backend.solve(problem)
-    wrong = dataclasses.replace(good, weights=1.01 * good.weights)
-    assert backend.certify(problem, wrong).value > 1e-3
-
-
-def test_parametric_flags_the_edge():
-    solution = ParametricNLS(lower=4.25, upper=4.4).solve(flight_problem(4.2))
-    assert solution.status == "unidentifiable"
-    assert "edge" in solution.reason
-
-
-def test_parametric_needs_the_flow_velocity():
-    flown = flight()
-    problem = Library(target="acceleration").build(Derivative()(flown), VEHICLE)
-    solution = ParametricNLS().solve(problem)
-    assert solution.status == "error"
-    assert "flow-velocity" in solution.reason
-
-
-def test_parametric_needs_positions():
-    solution = ParametricNLS().solve(regular())
-    assert solution.status == "error"
-    assert "position" in solution.reason

@@ -15,7 +15,7 @@ from sparsefit.errors import InputError
 from sparsefit.regression.backend import PathBackend, PenalisedBackend
 from sparsefit.regression.losses import RootSquares
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import GENERAL, flight_problem, orthonormal, regular
+from tests.problems import orthonormal, regular
 
 FOUND = {name.lower() for name in cvxpy.installed_solvers()}
 BY_SOLVER = [
@@ -63,8 +63,7 @@ SETTINGS = [
     ("square-root-lasso", {"alpha_fraction": 0.01}),
     ("group-omp", {"stop": "bic"}),
 ]
-OFF_GRID = [name for name in backends.BACKENDS if name not in GENERAL]
-CASES = [(name, {}) for name in backends.known() if name not in OFF_GRID] + SETTINGS + BY_SOLVER
+CASES = [(name, {}) for name in backends.known()] + SETTINGS + BY_SOLVER
 FIRST_ORDER = ("osqp", "scs")  # their weights are good to 1e-4, the others' to 1e-6
 PROBLEM = regular(3)
 GAP = 1e-10  # of Clarabel, whose tolerance that is
@@ -368,27 +367,3 @@ def test_fewer_samples_than_columns(case):
     assert np.isnan(found.weights).all() == refused
     if refused:
         assert "7 samples are fewer than 12 columns" in found.reason
-
-
-@pytest.mark.parametrize("name", OFF_GRID)
-def test_back_ends_off_the_grid_refuse_what_has_no_positions(name):
-    found = sf.fit(PROBLEM, backends.get(name))
-    assert found.status == "error"
-    assert found.reason
-    assert np.isnan(found.weights).all()
-
-
-@pytest.mark.parametrize("name", OFF_GRID)
-def test_back_ends_off_the_grid_are_pure_frozen_and_certified_on_flights(name):
-    problem, backend = flight_problem(velocity_noise=0.1), backends.get(name)
-    before = copy.deepcopy((problem.theta, problem.target))
-    first, second = backend.solve(problem).weights, backend.solve(problem).weights
-    assert np.array_equal(first, second)
-    assert np.array_equal(before[0], problem.theta)
-    assert np.array_equal(before[1], problem.target)
-    assert backends.get(name, **json.loads(json.dumps(backends.settings_of(backend)))) == backend
-    for key in backends.settings_of(backend):
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            setattr(backend, key, None)
-    found = solved(problem, backend)
-    assert found.certificate.kind == backend.certificate_kind

@@ -32,8 +32,6 @@ REFUSED = [
     ("group-omp", "scales", 0, "scales"),
     ("group-omp", "stop", "aic", 'unknown stop of group-omp "aic": did you mean "bic"'),
     ("group-omp", "tolerance", 2.0, "tolerance"),
-    ("parametric-nls", "starts", 0, "starts"),
-    ("parametric-nls", "lower", 0.0, "lower"),
     *(("least-squares", "rcond", v, "rcond") for v in (-1e-3, 1.5, math.nan, "0.1", True)),
     ("stlsq", "mode", "sindy", "mode of stlsq"),
     *(("stlsq", "threshold", value, "threshold") for value in (-0.1, math.nan, math.inf)),
