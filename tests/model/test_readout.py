@@ -129,7 +129,7 @@ def test_several_scales_are_the_peaks_of_the_weights_fitted_together():
     fit, _, _, read = reading(readout=Readout(scales="several", refine="none"))
     assert read.scales[0].length_scale == 4.2
     assert read.scales[0].mean_velocity == pytest.approx(15.0, rel=1e-3)
-    peaks = windows(fit, 0.2, (0.5, 1.5), on_grid=True)
+    peaks = windows(fit, 0.2, (0.5, 1.5))
     assert np.pi / peaks[0][0] == pytest.approx(4.2)
     assert all(low <= k <= high for k, low, high in peaks)
 
@@ -169,7 +169,7 @@ def weighted(scales, strengths):
 
 def test_peaks_and_windows_of_a_grid():
     fit = weighted([1.0, 2.0, 3.0, 4.0, 5.0], [0.001, 0.5, 3.0, 0.0, 2.0])
-    peaks = windows(fit, 1e-3, (np.pi / 5, np.pi), on_grid=True)
+    peaks = windows(fit, 1e-3, (np.pi / 5, np.pi))
     third, fifth = np.pi / np.array([3.0, 4.0, 2.0]), np.pi / np.array([5.0, 5.0, 4.0])
     # 2 m is the flank of 3 m; 1 m is below a fiftieth
     np.testing.assert_allclose(peaks, [third, fifth])
@@ -177,15 +177,8 @@ def test_peaks_and_windows_of_a_grid():
 
 def test_windows_are_never_narrower_than_a_lobe_either_side():
     fit = weighted([3.0, 3.01, 3.02], [1.0, 2.0, 1.0])
-    ((_, low, high),) = windows(fit, 0.1, (0.1, 3.0), on_grid=True)
+    ((_, low, high),) = windows(fit, 0.1, (0.1, 3.0))
     assert (low, high) == pytest.approx((np.pi / 3.01 - 0.1, np.pi / 3.01 + 0.1))
-
-
-def test_scales_a_back_end_placed_are_their_own_windows_and_one_per_lobe():
-    fit = weighted([2.0, 3.0, 3.05], [1.0, 2.0, 1.5])
-    peaks = windows(fit, 0.1, (0.1, 3.0), on_grid=False)
-    assert [k for k, _, _ in peaks] == pytest.approx([np.pi / 3, np.pi / 2])
-    assert peaks[1][2] - peaks[1][1] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("key", ["length_scale", "mean_velocity", "eq24"])
