@@ -228,10 +228,11 @@ def read_grid(
     own, coefficients = rows.cells(k)
     own, pairs = own / rows.ratio(coefficients), rows.unknowns.read(coefficients)
     possible = all(vehicle is not None for vehicle, _ in pairs)
-    speeds = np.array([readout.velocity(mode) for mode in own])
     if readout.mean_velocity == "paper":
         speeds = np.array([_paper_velocity(rows, readout, k, pairs)])
-    elif not several and not possible:
+    elif several or possible:
+        speeds = np.array([readout.velocity(mode) for mode in own])
+    else:
         speeds = np.array([math.nan])
     scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
     flow: CandidateFlow | WaveFlow | None = None
