@@ -137,9 +137,8 @@ class Estimator:
         from sparsefit.likelihood.vehicle_estimate import on_grid
         from sparsefit.model import read_grid
 
-        reading = read_grid(
-            fit, prepared.parts, prepared.vehicles, self.library, self.readout, prepared.weights
-        )
+        flights = (prepared.parts, prepared.vehicles, self.library)
+        reading = read_grid(fit, *flights, self.readout, prepared.weights, prepared.once)
         scales = []
         for own in reading.scales:
             speed, scale = own.mean_velocity, own.length_scale

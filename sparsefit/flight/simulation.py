@@ -226,6 +226,7 @@ def _integrate(
     states[0] = start
 
     halves, kicked = kicks / 2.0, bool(kicks.any())
+    stops = np.linspace(time[:-1], time[1:], halves.shape[1] + 1, axis=1)[:, 1:].tolist()
 
     def fly(solver: ode, start: int, interrupt: Callable[[], None]) -> int:
         """Fill the rows after ``start`` as far as the solver gets; return the last of them."""
@@ -237,8 +238,7 @@ def _integrate(
         solver.set_initial_value(states[start], time[start])
         for row in range(start + 1, len(time)):
             interrupt()
-            stops = np.linspace(time[row - 1], time[row], halves.shape[1] + 1)[1:]
-            for stop, half in zip(stops.tolist(), halves[row - 1], strict=True):
+            for stop, half in zip(stops[row - 1], halves[row - 1], strict=True):
                 push(half)
                 solver.integrate(stop)
                 if not solver.successful() or not np.isfinite(solver.y).all():

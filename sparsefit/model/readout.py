@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -202,10 +202,12 @@ def read_grid(
     library: Library,
     readout: Readout,
     weights: Sequence[float] = (1.0,),
+    once: Callable[[object, Callable[[], Any]], Any] = lambda key, work: work(),
 ) -> GridReading:
     """The parameters of the modes that a fit's weights choose, where they are on the grid.
 
-    weights: of the rows of each flight. Raises InputError where the flight does not move.
+    weights: of the rows of each flight; once: the result of work under a key, computed once for
+    all fits of these flights by this library. Raises InputError where the flight does not move.
     """
     position = np.concatenate([samples.position for samples in flights])
     several, extent = readout.scales == "several", extent_of(position)
@@ -225,11 +227,12 @@ def read_grid(
     else:
         by_scale = readout.by_scale(fit, library)
         k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
-    own, coefficients = rows.cells(k)
+    own, coefficients = once((*k.tolist(), *weights), lambda: rows.cells(k))
     own, pairs = own / rows.ratio(coefficients), rows.unknowns.read(coefficients)
     possible = all(vehicle is not None for vehicle, _ in pairs)
     if readout.mean_velocity == "paper":
-        speeds = np.array([_paper_velocity(rows, readout, k, pairs)])
+        key = (readout.eq24, *k.tolist())
+        speeds = np.array([once(key, lambda: _paper_velocity(rows, readout, k, pairs))])
     elif several or possible:
         speeds = np.array([readout.velocity(mode) for mode in own])
     else:

@@ -103,6 +103,7 @@ class FlightDesk:
 
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
+        self._estimators: dict[int, Estimator] = {}
         self._flown: tuple[object, Flown] | None = None
         self._prepared: tuple[object, Prepared] | None = None
         # What is imported at first use is imported now, so that no case is charged for it.
@@ -127,6 +128,11 @@ class FlightDesk:
         ]
         return {"rows": [(o.cell, o.status, o.reason, body_of(o)) for o in outcomes]}
 
+    def _estimator(self, cell: Cell) -> Estimator:
+        if cell.index not in self._estimators:
+            self._estimators[cell.index] = estimator_of(self._definition, cell)
+        return self._estimators[cell.index]
+
     def _fly(self, unit: int, cell: Cell) -> Flown:
         key = (unit, cell.setup.flights)
         if self._flown is None or self._flown[0] != key:
@@ -140,13 +146,13 @@ class FlightDesk:
         key = (setup.derivative, setup.library, setup.online)
         if self._prepared is None or self._prepared[0] != key:
             self._prepared = None
-            prepared = setup.online.prepare(estimator_of(self._definition, cell), flown.fleet)
+            prepared = setup.online.prepare(self._estimator(cell), flown.fleet)
             self._prepared = (key, prepared)
         return self._prepared[1]
 
     def _fits(self, prepared: Prepared, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Fit]]:
         """The fit of each cell; cells that differ in `alpha_fraction` only share a path."""
-        estimator = estimator_of(self._definition, cells[0])
+        estimator = self._estimator(cells[0])
         fractions = path_fractions(cells[0]) if len(cells) > 1 else ()
         if fractions:
             backend: Any = estimator.backend
@@ -159,7 +165,7 @@ class FlightDesk:
             yield from ((cell, fit) for cell in cells)
 
     def _outcome(self, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit) -> Outcome:
-        estimate, values = read_case(self._definition, flown, prepared, cell, fit)
+        estimate, values = read_case(self._estimator(cell), flown, prepared, fit)
         weights: tuple[tuple[float, float], ...] = ()
         if self._definition.keeps_weights:
             pairs = estimate.weights_by_scale.items()
@@ -171,10 +177,10 @@ class FlightDesk:
 
 
 def read_case(
-    definition: Definition, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit
+    estimator: Estimator, flown: Flown, prepared: Prepared, fit: Fit
 ) -> tuple[Estimate, dict[str, Value]]:
     """The estimate of a fit, and the values of its columns."""
-    estimate = estimator_of(definition, cell).read(prepared, fit)
+    estimate = estimator.read(prepared, fit)
     flow = flown.draw.flow
     return estimate, values_of(Reading(estimate, fit, prepared.problem, flow, flown.yardstick))
 
@@ -213,7 +219,7 @@ class CaseAgain:
             estimator = estimator_of(definition, cell)
             prepared = cell.setup.online.prepare(estimator, flown.fleet)
             fit = estimator.fit(prepared)
-            estimate, values = read_case(definition, flown, prepared, cell, fit)
+            estimate, values = read_case(estimator, flown, prepared, fit)
         except InputError:
             raise
         except Exception as error:
