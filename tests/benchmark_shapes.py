@@ -114,7 +114,6 @@ ACCURACY = 1e-8
 PEERS = {
     "lasso": (
         "scikit-learn-lars",
-        "spams",
         "scikit-learn-cd",
         "celer",
         "skglm",

@@ -8,7 +8,7 @@ block, the referee solves
 G = Z_J'Z_J/m, C = Z_J'Y/m; blocks within blocks have bounds and cones of their own, and a ridge
 adds to the diagonal of G. Other penalties and losses go to Clarabel by their conic form. Columns
 outside of J that object to being zero join, the worst first. Through cvxpy any penalty with a conic
-form is solved, on the compressed problem, or by the m rows as users of cvxpy write it.
+form is solved.
 
 Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. Res. 17 (2016) 1-5.
 """
@@ -22,12 +22,11 @@ import numpy as np
 from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError, MissingExtra, unknown
+from sparsefit.errors import InputError, MissingExtra
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
-from sparsefit.solvers.peers import matrix_of
 
 VIOLATION = 1e-10  # relative: below it a block outside the working set is optimal at zero
 EPS = ("eps_abs", "eps_rel")
@@ -48,15 +47,13 @@ QUADRATIC = ("osqp", "highs", "piqp", "daqp", "proxqp")  # solvers of quadratic 
 class Clarabel:
     """Clarabel on the columns in play: sparsefit's independent referee of every penalty.
 
-    working: whether columns join as they object to being zero; otherwise all are in play. batch:
-    columns that join at a time, at least; more join as the set grows. rounds: the most cone
-    programs at a penalty.
+    Columns join as they object to being zero. batch: columns that join at a time, at least; more
+    join as the set grows. rounds: the most cone programs at a penalty.
     """
 
     name: ClassVar[str] = "clarabel"
     package: ClassVar[str] = "clarabel"
     form: ClassVar[str] = "Clarabel itself on Z'Z of a working set of columns"
-    working: bool = True
     batch: int = 50
     rounds: int = 60
 
@@ -81,7 +78,7 @@ class Clarabel:
             raise InputError(reason)
         weights = np.zeros((len(alphas), penalty.columns, target.shape[1]))
         level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
-        whole = not self.working or isinstance(penalty, SquaredNorm)
+        whole = isinstance(penalty, SquaredNorm)
         whole = whole or penalty.restricted(np.arange(penalty.columns)) is None
         in_play = np.full(penalty.columns, whole)
         for point, alpha in enumerate(alphas.tolist()):
@@ -134,7 +131,7 @@ def _solve_on(
         values, status = _cone_program(gram, cross / alpha, inner, stop)
         values = values * alpha
     else:
-        program = _Program.of(columns, target, inner, alpha, design.samples, rows=False)
+        program = _Program.of(columns, target, inner, alpha, design.samples)
         values, status = program.solved("clarabel", stop)
     into[...] = 0.0
     into[index] = values
@@ -191,25 +188,23 @@ def _cone_program(
 
 @dataclass(frozen=True)
 class Cvxpy:
-    """Any solver that cvxpy finds, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
+    """A solver that cvxpy finds, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
 
-    solver: its name in cvxpy, in lower case; rows: the sum over the m rows, as users of cvxpy write
-    it, a problem per penalty.
+    solver: its name in cvxpy, in lower case.
     """
 
-    name: ClassVar[str] = "cvxpy"
     package: ClassVar[str] = "cvxpy"
     form: ClassVar[str] = "through cvxpy, in Z'Z, compiled once"
-    solver: str = "clarabel"
-    rows: bool = False
+    solver: str
 
     def __post_init__(self) -> None:
-        installed = installed_solvers()
-        if self.solver in installed:
-            return
-        if self.solver in BEHIND_CVXPY:
+        if self.solver not in installed_solvers():
             raise MissingExtra(f"{self.solver} is not installed: pip install {self.solver}")
-        raise unknown("solver of cvxpy", self.solver, installed)
+
+    @property
+    def name(self) -> str:
+        """The solver's."""
+        return self.solver
 
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
@@ -226,19 +221,11 @@ class Cvxpy:
         alphas: Array,
         tolerance: float | None,
     ) -> Array:
-        """Weights (p, k, n); tolerance: the solver's own.
-
-        Where none is asked for, it is 1e-9, and with ``rows`` the solver's default.
-        """
-        matrix = matrix_of(design) if self.rows else design.columns(np.arange(penalty.columns))
-        stop = tolerance if self.rows else tolerance or 1e-9
-        weights, program = [], None
+        """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for."""
+        matrix, unit = design.columns(np.arange(penalty.columns)), float(alphas[0])
+        program, weights = _Program.of(matrix, target, penalty, unit, design.samples), []
         for alpha in alphas.tolist():
-            if program is None or self.rows:
-                program = _Program.of(
-                    matrix, target, penalty, alpha, design.samples, rows=self.rows
-                )
-            values, status = program.solved(self.solver, stop, alpha)
+            values, status = program.solved(self.solver, tolerance or 1e-9, alpha)
             if status != "optimal":
                 warnings.warn(f"{self.solver}: {status}", RuntimeWarning, stacklevel=2)
             weights.append(values)
@@ -256,34 +243,30 @@ class _Program:
 
     @classmethod
     def of(
-        cls, matrix: Any, target: Array, penalty: Penalty, unit: float, samples: int, *, rows: bool
+        cls, matrix: Array, target: Array, penalty: Penalty, unit: float, samples: int
     ) -> "_Program":
-        """State loss and penalty; compressed to k x k, or by the ``rows`` of Z (m, k).
+        """State loss and penalty.
 
-        Half the mean square is 1/2 v'Gv - <C, V>; its root, and what is compressed of it, has the
-        rows of a QR of [Z, Y]; Huber's has all rows.
+        Half the mean square is 1/2 v'Gv - <C, V>; its root has the rows of a QR of [Z, Y], Huber's
+        loss all rows.
         """
         import cvxpy
 
         loss, scaled = penalty.loss, target / unit
-        variable, fraction = cvxpy.Variable((matrix.shape[1], target.shape[1])), 1.0
+        variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
+        fraction = cvxpy.Parameter(nonneg=True, value=1.0)
         level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
-        if not rows:
-            fraction = cvxpy.Parameter(nonneg=True, value=1.0)
-        if loss == SQUARES and not rows:
+        if loss == SQUARES:
             gram = matrix.T @ matrix / samples
             root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
             objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
             for t in range(target.shape[1]):
                 objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
         elif isinstance(loss, RootSquares):
-            if not rows and len(target) > matrix.shape[1] + target.shape[1]:
-                triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
-                matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
+            triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
+            matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
             size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
             objective = math.sqrt(float(np.sum(level**2))) * size
-        elif loss == SQUARES:
-            objective = cvxpy.sum_squares(matrix @ variable - scaled) / (2 * samples)
         else:
             residual = matrix @ variable - scaled
             parts = [
@@ -300,17 +283,15 @@ class _Program:
         return cls(cvxpy.Problem(goal, constraints), variable, fraction, unit)
 
     def solved(
-        self, solver: str, tolerance: float | None, alpha: float | None = None
+        self, solver: str, tolerance: float, alpha: float | None = None
     ) -> tuple[Array, str]:
         """V (k, n), NaN where the solver has none, and its status; at the unit or another alpha."""
         import cvxpy
 
-        settings: dict[str, Any] = {}
         if alpha is not None and alpha != self.unit:
             self.fraction.value = alpha / self.unit
-        if tolerance is not None:
-            stops, more = BEHIND_CVXPY.get(solver, ((), {}))
-            settings = {**more, **dict.fromkeys(stops, tolerance)}
+        stops, more = BEHIND_CVXPY[solver]
+        settings = {**more, **dict.fromkeys(stops, tolerance)}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": the status says so
             try:

@@ -1,4 +1,4 @@
-"""Public solvers as one table, and a problem in the form that they take it in.
+"""Public solvers, a class each, and a problem in the form that they take it in.
 
 With omega_j the weight of column j's block, u_j = omega_j v_j and targets divided by the largest
 alpha, a penalty of weighted norms is one with weights of one,
@@ -12,12 +12,12 @@ of its own meaning, and the caller's certificate judges them all.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from types import MappingProxyType
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -38,8 +38,8 @@ Kind: TypeAlias = Literal[
 TALL = 1.5  # rows per column from which a QR or X'X saves more than it costs
 SINGLE: tuple[Kind, ...] = ("LASSO", "elastic net")
 GROUPED: tuple[Kind, ...] = ("group-LASSO", "joint group-LASSO")
-SORTED: tuple[Kind, ...] = ("SLOPE", "LASSO")
-EVERY: tuple[Kind, ...] = (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")
+ON_GRAM = "on Z'Z, or on the rows where they are fewer"
+ON_ROWS = "on the rows, or on the triangle of a QR where they are many"
 
 
 def kind_of(penalty: Penalty) -> Kind:
@@ -62,14 +62,11 @@ def matrix_of(design: Design) -> Any:
 
     A design in memory whose columns have unit rms to rounding is not copied.
     """
-    rms = design.rms
-    unscaled = bool(np.all(np.abs(rms - 1.0) <= 1e-13))
-    if design.direction is not None:
-        return design.columns(np.arange(design.shape[1]))
-    if design.kind == "sparse":
-        return design.csc if unscaled else (design.csc @ sparse.diags(1.0 / rms)).tocsc()
-    if design.in_memory and design.weights is None:
-        return np.asfortranarray(design.source if unscaled else design.source / rms)
+    unscaled = bool(np.all(np.abs(design.rms - 1.0) <= 1e-13))
+    if design.kind == "sparse" and design.direction is None:
+        return design.csc if unscaled else (design.csc @ sparse.diags(1.0 / design.rms)).tocsc()
+    if unscaled and design.in_memory and design.weights is None and design.direction is None:
+        return np.asfortranarray(design.source)
     return design.columns(np.arange(design.shape[1]))
 
 
@@ -83,14 +80,26 @@ class Timed:
 
 
 @dataclass(frozen=True, eq=False)
-class Whole:
-    """X (m, k), dense in Fortran order or scipy CSC, with all targets (m, n), and what these share.
+class Task:
+    """Targets (m, n) and the design X (m, k), dense in Fortran order or CSC, at fractions f (p,).
 
-    Targets that are solved apart share X'X and a QR: each is formed once, and charged once.
+    lambdas (k,): weights of single coefficients of the sparse-group LASSO, or the sequence of
+    SLOPE. ridge: rho. Targets that are solved apart share X'X and a QR, each formed, and charged,
+    once.
     """
 
     design: Any
     target: Array
+    groups: IntArray
+    fractions: Array
+    kind: Kind
+    ridge: float = 0.0
+    lambdas: Array | None = None
+
+    @property
+    def samples(self) -> int:
+        """The number m of samples."""
+        return len(self.target)
 
     @property
     def tall(self) -> bool:
@@ -100,8 +109,8 @@ class Whole:
 
     @cached_property
     def gram(self) -> Array:
-        """X'X/m (k, k), dense."""
-        gram = self.design.T @ self.design / len(self.target)
+        """X'X/m (k, k), dense; some solvers work in place, on a copy of it."""
+        gram = self.design.T @ self.design / self.samples
         dense: Array = gram if isinstance(gram, np.ndarray) else gram.toarray()
         return dense
 
@@ -111,53 +120,20 @@ class Whole:
         rows: Any = np.linalg.qr(np.hstack([self.design, self.target]), mode="r")
         return rows[:, : self.design.shape[1]], rows[:, self.design.shape[1] :]
 
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """Targets y (m, b) that are solved together, at fractions f (p,), with the design X (m, k).
-
-    lambdas (k,): weights of single coefficients of the sparse-group LASSO, or the sequence of
-    SLOPE. ridge: rho.
-    """
-
-    whole: Whole
-    targets: slice
-    groups: IntArray
-    fractions: Array
-    kind: Kind
-    ridge: float = 0.0
-    lambdas: Array | None = None
-
-    @property
-    def target(self) -> Array:
-        """The targets (m, b)."""
-        return np.ascontiguousarray(self.whole.target[:, self.targets])
-
-    @property
-    def samples(self) -> int:
-        """The number m of samples."""
-        return len(self.whole.target)
+    def cross(self, targets: slice) -> Array:
+        """X'y/m (k,) of the first of some targets."""
+        cross: Array = self.design.T @ self.target[:, targets.start or 0] / self.samples
+        return cross
 
     @property
     def elastic(self) -> tuple[Array, float]:
         """The penalty as a (l |u|_1 + (1 - l)/2 |u|^2): a = f (1 + rho) (p,) and l."""
         return self.fractions * (1.0 + self.ridge), 1.0 / (1.0 + self.ridge)
 
-    def gram(self) -> Array:
-        """X'X/m (k, k), dense; a copy, as some work in place."""
-        return self.whole.gram.copy()
-
-    def cross(self) -> Array:
-        """X'y/m (k,) of the first of the targets."""
-        cross: Array = self.whole.design.T @ self.target[:, 0] / self.samples
-        return cross
-
-    def rows(self) -> tuple[Any, Array]:
+    def rows(self, targets: slice) -> tuple[Any, Array]:
         """X (r, k b) and y (r,) of |y - X u|^2 / 2r, by the rows of a QR where they are fewer."""
-        design, target = self.whole.design, self.target
-        if self.whole.tall:
-            design, target = self.whole.triangle
-            target = target[:, self.targets]
+        design, target = self.triangle if self.tall else (self.design, self.target)
+        target = target[:, targets]
         count = target.shape[1]
         root = math.sqrt(len(target) * count / self.samples)
         if count > 1:
@@ -168,16 +144,15 @@ class Task:
         ready = np.asfortranarray(design) if isinstance(design, np.ndarray) else design.tocsc()
         return ready, np.ascontiguousarray(target.T).ravel()
 
-    @property
-    def blocks(self) -> list[IntArray]:
+    def blocks(self, targets: slice) -> list[IntArray]:
         """The coefficients (c,) of each block, target by target."""
-        groups = np.tile(self.groups, self.target.shape[1]).astype(np.intp)
+        groups = np.tile(self.groups, self.target[:, targets].shape[1]).astype(np.intp)
         order = np.argsort(groups, kind="stable")
         return np.split(order, np.searchsorted(groups[order], np.arange(1, int(groups.max()) + 1)))
 
 
 def solved_in_parts(
-    call: Callable[[Task], Array | Timed],
+    call: Callable[[Task, slice], Array | Timed],
     design: Design,
     target: Array,
     penalty: Penalty,
@@ -185,7 +160,7 @@ def solved_in_parts(
     *,
     dense: bool = False,
 ) -> Array | Timed:
-    """Weights V (p, k, n) by a call that gives u (p, k b) of a part; its time, where it says it.
+    """Weights V (p, k, n) by a call that gives u (p, k b) of b targets; its time, if it says it.
 
     penalty: one that has a `kind_of`; ``dense``: a sparse design is handed over as an array.
     """
@@ -205,10 +180,10 @@ def solved_in_parts(
     if dense and not isinstance(matrix, np.ndarray):
         matrix = matrix.toarray(order="F")
     ridge = unit * penalty.ridge / float(omega[0]) ** 2
-    whole, count = Whole(matrix, target / unit), target.shape[1]
-    shared = (penalty.blocks, alphas / unit, kind_of(penalty), ridge, lambdas)
+    kind, count = kind_of(penalty), target.shape[1]
+    task = Task(matrix, target / unit, penalty.blocks, alphas / unit, kind, ridge, lambdas)
     apart = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(count)]
-    answers = [call(Task(whole, targets, *shared)) for targets in apart]
+    answers = [call(task, targets) for targets in apart]
     timed = [each for each in answers if isinstance(each, Timed)]
     raw = [each.weights if isinstance(each, Timed) else each for each in answers]
     stacked = np.concatenate([u.reshape(len(alphas), -1, len(omega)) for u in raw], axis=1)
@@ -219,39 +194,31 @@ def solved_in_parts(
 
 
 @dataclass(frozen=True)
-class Package:
-    """A public solver: the module it needs, the penalties it takes, and its call.
+class Peer(ABC):
+    """Base of the public solvers. iterations: the most at a penalty, in the solver's own unit.
 
-    call(part, tolerance, iterations) gives coefficients u (p, k b), target by target; tolerance:
-    None where none is asked for. extra: what pip installs for it; form: how the problem is handed
-    over, in words; stops: whether there is a tolerance to set; reads_sparse: whether it takes
-    scipy.sparse (others get a dense copy, which is in their time).
+    package: the module that it needs, and extra, what pip installs for it; kinds: the penalties
+    that it takes; form: how the problem is handed over, in words; stops: whether there is a
+    tolerance to set; reads_sparse: whether it takes scipy.sparse (others get a dense copy, which is
+    in their time).
     """
 
-    call: Callable[[Task, float | None, int], Array]
-    package: str
-    kinds: tuple[Kind, ...]
-    form: str
-    iterations: int
-    extra: str = "'sparsefit[peers]'"
-    stops: bool = True
-    reads_sparse: bool = False
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A solver of `PACKAGES`. iterations: the most that it makes at a penalty, in its own unit."""
-
-    name: str
-    iterations: int = 0
+    name: ClassVar[str]
+    package: ClassVar[str]
+    extra: ClassVar[str] = "'sparsefit[peers]'"
+    kinds: ClassVar[tuple[Kind, ...]]
+    form: ClassVar[str]
+    stops: ClassVar[bool] = True
+    reads_sparse: ClassVar[bool] = True
+    iterations: int = 1000
 
     def __post_init__(self) -> None:
-        integer_setting(self.name, "iterations", self.iterations, least=0)
+        integer_setting(self.name, "iterations", self.iterations, least=1)
 
     def takes(self, penalty: Penalty) -> str:
         """The reason why it does not solve this penalty; empty where it does."""
-        kinds = PACKAGES[self.name].kinds
-        return "" if kind_of(penalty) in kinds else f"{self.name} solves {', '.join(kinds)} only"
+        takes = kind_of(penalty) in self.kinds
+        return "" if takes else f"{self.name} solves {', '.join(self.kinds)} only"
 
     def path(
         self,
@@ -264,51 +231,43 @@ class Peer:
         """Weights (p, k, n) of columns of unit rms; see `registry`. Raises InputError."""
         if reason := self.takes(penalty):
             raise InputError(reason)
-        package = PACKAGES[self.name]
-        most = self.iterations or package.iterations
-        return solved_in_parts(
-            lambda part: package.call(part, tolerance, most),
-            *(design, target, penalty, alphas),
-            dense=not package.reads_sparse,
-        )
+        call, dense = partial(self.solved, stop=tolerance or 1e-8), not self.reads_sparse
+        return solved_in_parts(call, design, target, penalty, alphas, dense=dense)
+
+    @abstractmethod
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """Coefficients u (p, k b) of b targets, target by target; stop: the tolerance."""
 
 
-def _scikit_lars(part: Task, tolerance: float | None, iterations: int) -> Array:
-    """Breakpoints of LARS (Efron et al. 2004) on X'X where samples are many, else on X."""
-    linear_model: Any = import_module("sklearn.linear_model")
-    lowest, most = float(part.fractions[-1]), iterations * len(part.groups)
-    shared = {"method": "lasso", "alpha_min": lowest, "max_iter": most}
-    if part.whole.tall:
-        knots, _, values = linear_model.lars_path_gram(
-            *(part.cross() * part.samples, part.gram() * part.samples),
-            **shared, n_samples=part.samples, copy_Gram=False,
-        )  # fmt: skip
-    else:
-        design, target = part.whole.design, part.target[:, 0]
-        knots, _, values = linear_model.lars_path(design, target, Gram=None, **shared)
-    return _interpolated(knots, values, part.fractions).T
+@dataclass(frozen=True)
+class ScikitLars(Peer):
+    """Breakpoints of LARS (Efron et al. 2004) on X'X where samples are many, else on X.
 
+    iterations: events per column.
+    """
 
-def _spams(part: Task, tolerance: float | None, iterations: int) -> Array:
-    """Breakpoints of the LARS of SPAMS, on X'X/m where samples are many, else on X."""
-    spams: Any = import_module("spams")
-    root, columns = math.sqrt(part.samples), len(part.groups)
-    target = np.asfortranarray(part.target[:, :1] / root)
-    cross = np.asfortranarray(part.cross()[:, None])
-    data: dict[str, Any]
-    if part.whole.tall:
-        data = {"Q": np.asfortranarray(part.gram()), "q": cross}
-    else:
-        data = {"D": np.asfortranarray(part.whole.design / root)}
-    _, steps = spams.lasso(
-        target, **data, return_reg_path=True, lambda1=float(part.fractions[-1]),
-        mode=spams.PENALTY, max_length_path=iterations * min(part.samples, columns), numThreads=1,
-    )  # fmt: skip
-    values = np.hstack([np.zeros((columns, 1)), np.asarray(steps)])
-    # It returns the breakpoints without their penalties: the largest correlation there is one.
-    fitted = data["Q"] @ values if "Q" in data else data["D"].T @ (data["D"] @ values)
-    knots = np.minimum.accumulate(np.abs(cross - fitted).max(axis=0))
-    return _interpolated(knots, values, part.fractions).T
+    name: ClassVar[str] = "scikit-learn-lars"
+    package: ClassVar[str] = "sklearn"
+    kinds: ClassVar[tuple[Kind, ...]] = ("LASSO",)
+    form: ClassVar[str] = f"lars_path {ON_GRAM}"
+    stops: ClassVar[bool] = False
+    reads_sparse: ClassVar[bool] = False
+    iterations: int = 10
+
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """The path between its knots."""
+        linear_model: Any = import_module("sklearn.linear_model")
+        most = self.iterations * len(task.groups)
+        shared = {"method": "lasso", "alpha_min": float(task.fractions[-1]), "max_iter": most}
+        if task.tall:
+            knots, _, values = linear_model.lars_path_gram(
+                *(task.cross(targets) * task.samples, task.gram * task.samples),
+                **shared, n_samples=task.samples, copy_Gram=False,
+            )  # fmt: skip
+        else:
+            target = np.ascontiguousarray(task.target[:, targets])[:, 0]
+            knots, _, values = linear_model.lars_path(task.design, target, Gram=None, **shared)
+        return _interpolated(knots, values, task.fractions).T
 
 
 def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
@@ -326,143 +285,158 @@ def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
     return between
 
 
-def _scikit_descent(part: Task, tolerance: float | None, iterations: int) -> Array:
+@dataclass(frozen=True)
+class ScikitDescent(Peer):
     """Coordinate descent of scikit-learn, each point from the last; tolerance: of its gap."""
-    linear_model: Any = import_module("sklearn.linear_model")
-    form: dict[str, Any] = {"precompute": False}
-    if part.whole.tall:
-        form = {"precompute": part.gram() * part.samples, "Xy": part.cross() * part.samples}
-    alphas, ratio = part.elastic
-    values = [np.zeros(len(part.groups))]
-    for alpha in alphas.tolist():
-        # It works in place on what it is given.
-        _, coefficients, _ = linear_model.enet_path(
-            part.whole.design, part.target[:, 0], l1_ratio=ratio, alphas=[alpha],
-            coef_init=values[-1].copy(), tol=tolerance or 1e-8, max_iter=iterations,
-            check_input=False, **form,
-        )  # fmt: skip
-        values.append(coefficients[:, 0].copy())
-    return np.stack(values[1:])
+
+    name: ClassVar[str] = "scikit-learn-cd"
+    package: ClassVar[str] = "sklearn"
+    kinds: ClassVar[tuple[Kind, ...]] = SINGLE
+    form: ClassVar[str] = f"enet_path {ON_GRAM}"
+    iterations: int = 100_000
+
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """Point by point."""
+        linear_model: Any = import_module("sklearn.linear_model")
+        form: dict[str, Any] = {"precompute": False}
+        if task.tall:
+            gram, cross = task.gram * task.samples, task.cross(targets) * task.samples
+            form = {"precompute": gram, "Xy": cross}
+        (alphas, ratio), values = task.elastic, [np.zeros(len(task.groups))]
+        target = np.ascontiguousarray(task.target[:, targets])[:, 0]
+        for alpha in alphas.tolist():
+            # It works in place on what it is given.
+            _, coefficients, _ = linear_model.enet_path(
+                task.design, target, l1_ratio=ratio, alphas=[alpha], tol=stop,
+                coef_init=values[-1].copy(), max_iter=self.iterations, check_input=False, **form,
+            )  # fmt: skip
+            values.append(coefficients[:, 0].copy())
+        return np.stack(values[1:])
 
 
-def _celer(part: Task, tolerance: float | None, iterations: int) -> Array:
+@dataclass(frozen=True)
+class Celer(Peer):
     """``celer_path`` (Massias, Gramfort and Salmon 2018); tolerance: of its gap over |y|^2."""
-    package: Any = import_module("celer")
-    alphas, ratio = part.elastic
-    single = part.kind in SINGLE
-    _, coefficients, *_ = package.celer_path(
-        *part.rows(), "lasso" if single else "grouplasso", alphas=alphas, l1_ratio=ratio,
-        groups=None if single else [block.tolist() for block in part.blocks],
-        max_iter=iterations, tol=tolerance or 1e-8,
-    )  # fmt: skip
-    values: Array = coefficients.T
-    return values
+
+    name: ClassVar[str] = "celer"
+    package: ClassVar[str] = "celer"
+    kinds: ClassVar[tuple[Kind, ...]] = (*SINGLE, *GROUPED)
+    form: ClassVar[str] = f"celer_path {ON_ROWS}"
+    iterations: int = 200
+
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """Its own path."""
+        package: Any = import_module("celer")
+        (alphas, ratio), single = task.elastic, task.kind in SINGLE
+        _, coefficients, *_ = package.celer_path(
+            *task.rows(targets), "lasso" if single else "grouplasso", alphas=alphas, l1_ratio=ratio,
+            groups=None if single else [block.tolist() for block in task.blocks(targets)],
+            max_iter=self.iterations, tol=stop,
+        )  # fmt: skip
+        values: Array = coefficients.T
+        return values
 
 
-def _glum(part: Task, tolerance: float | None, iterations: int) -> Array:
+@dataclass(frozen=True)
+class Glum(Peer):
     """The IRLS with descent of glum; tolerance: the norm of its minimum-norm subgradient."""
-    package: Any = import_module("glum")
-    (design, target), (alphas, ratio) = part.rows(), part.elastic
-    model = package.GeneralizedLinearRegressor(
-        l1_ratio=ratio, fit_intercept=False, family="normal", solver="irls-cd", warm_start=True,
-        gradient_tol=tolerance or 1e-8, max_iter=iterations, copy_X=False, check_input=False,
-    )  # fmt: skip
-    values = []
-    for alpha in alphas.tolist():
-        model.set_params(alpha=alpha).fit(design, target)
-        values.append(np.array(model.coef_))
-    return np.stack(values)
+
+    name: ClassVar[str] = "glum"
+    package: ClassVar[str] = "glum"
+    kinds: ClassVar[tuple[Kind, ...]] = SINGLE
+    form: ClassVar[str] = f"its regressor, normal {ON_ROWS}"
+
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """Point by point, each from the last."""
+        package: Any = import_module("glum")
+        (design, target), (alphas, ratio) = task.rows(targets), task.elastic
+        model = package.GeneralizedLinearRegressor(
+            l1_ratio=ratio, fit_intercept=False, family="normal", solver="irls-cd", warm_start=True,
+            gradient_tol=stop, max_iter=self.iterations, copy_X=False, check_input=False,
+        )  # fmt: skip
+        values = []
+        for alpha in alphas.tolist():
+            model.set_params(alpha=alpha).fit(design, target)
+            values.append(np.array(model.coef_))
+        return np.stack(values)
 
 
-def _sortedl1(part: Task, tolerance: float | None, iterations: int) -> Array:
+@dataclass(frozen=True)
+class SortedL1(Peer):
     """``Slope.path`` of sortedl1 (Larsson et al. 2023); tolerance: of its relative gap."""
-    package: Any = import_module("sortedl1")
-    design, target = part.rows()
-    lambdas = np.ones(design.shape[1]) if part.lambdas is None else part.lambdas
-    model = package.Slope(
-        lam=lambdas, fit_intercept=False, tol=tolerance or 1e-8, max_iter=iterations
-    )
-    path = model.path(  # the whole path, however little its last points explain
-        *(design, target), alphas=part.fractions, tol_dev_change=0.0, tol_dev_ratio=1.0,
-        max_clusters=design.shape[1] + 1,
-    )  # fmt: skip
-    values: Array = np.asarray(path.coefs).reshape(design.shape[1], -1).T
-    return values
+
+    name: ClassVar[str] = "sortedl1"
+    package: ClassVar[str] = "sortedl1"
+    kinds: ClassVar[tuple[Kind, ...]] = ("SLOPE", "LASSO")
+    form: ClassVar[str] = f"Slope.path {ON_ROWS}"
+    iterations: int = 100_000
+
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """Its whole path, however little its last points explain."""
+        package: Any = import_module("sortedl1")
+        design, target = task.rows(targets)
+        columns = design.shape[1]
+        lambdas = np.ones(columns) if task.lambdas is None else task.lambdas
+        model = package.Slope(lam=lambdas, fit_intercept=False, tol=stop, max_iter=self.iterations)
+        path = model.path(
+            *(design, target), alphas=task.fractions, tol_dev_change=0.0, tol_dev_ratio=1.0,
+            max_clusters=columns + 1,
+        )  # fmt: skip
+        values: Array = np.asarray(path.coefs).reshape(columns, -1).T
+        return values
 
 
-def _skglm(part: Task, tolerance: float | None, iterations: int) -> Array:
+@dataclass(frozen=True)
+class Skglm(Peer):
     """AndersonCD, GroupBCD or FISTA of skglm (Bertrand et al. 2022), each point from the last one.
 
     tolerance: of the largest violation of its optimality conditions, in the largest penalty.
     """
-    solvers, datafits = import_module("skglm.solvers"), import_module("skglm.datafits")
-    penalties: Any = import_module("skglm.penalties")
-    compiled = import_module("skglm.utils.jit_compilation").compiled_clone
-    (design, target), (alphas, ratio) = part.rows(), part.elastic
-    stop: dict[str, Any] = {"max_iter": iterations, "tol": tolerance or 1e-8}
-    warm: dict[str, Any] = {"max_epochs": 50 * iterations, "warm_start": True}
-    datafit, blocks = datafits.Quadratic(), part.blocks
-    starts = np.concatenate([[0], np.cumsum(list(map(len, blocks)))]).astype(np.int32)
-    layout, ones = (starts, np.concatenate(blocks).astype(np.int32)), np.ones(len(blocks))
-    make: Callable[[float], Any]
-    if part.kind in SINGLE:
-        solver: Any = solvers.AndersonCD(**stop, **warm, fit_intercept=False)
-        make = partial(penalties.L1_plus_L2, l1_ratio=ratio) if part.ridge else penalties.L1
-    elif part.kind == "SLOPE":
-        stop["max_iter"] *= 100
-        solver = solvers.FISTA(**stop, opt_strategy="fixpoint")
-        make = partial(penalties.SLOPE, part.lambdas)
-    else:
-        strategy = "subdiff" if part.lambdas is None else "fixpoint"
-        solver = solvers.GroupBCD(**stop, **warm, ws_strategy=strategy)
-        datafit = datafits.QuadraticGroup(*layout)
-        parts = (ones,) if part.lambdas is None else (ones, part.lambdas)
-        norms = "WeightedGroupL2" if part.lambdas is None else "WeightedL1GroupL2"
 
-        def make(alpha: float) -> Any:
-            return getattr(penalties, norms)(alpha, *parts, *layout)
+    name: ClassVar[str] = "skglm"
+    package: ClassVar[str] = "skglm"
+    kinds: ClassVar[tuple[Kind, ...]] = (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")
+    form: ClassVar[str] = f"AndersonCD, GroupBCD, FISTA {ON_ROWS}"
 
-    datafit, penalty, fitted = compiled(datafit), None, np.zeros(len(target))
-    values = [np.zeros(design.shape[1])]
-    for alpha in alphas.tolist():
-        if penalty is None or part.kind in ("elastic net", "SLOPE"):
-            penalty = compiled(make(alpha))
-        penalty.alpha = alpha
-        values.append(solver.solve(design, target, datafit, penalty, values[-1].copy(), fitted)[0])
-        fitted = design @ values[-1]
-    return np.stack(values[1:])
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """Point by point, by the one of its solvers that takes the penalty."""
+        solvers, datafits = import_module("skglm.solvers"), import_module("skglm.datafits")
+        penalties: Any = import_module("skglm.penalties")
+        compiled = import_module("skglm.utils.jit_compilation").compiled_clone
+        (design, target), (alphas, ratio) = task.rows(targets), task.elastic
+        ends: dict[str, Any] = {"max_iter": self.iterations, "tol": stop}
+        warm: dict[str, Any] = {"max_epochs": 50 * self.iterations, "warm_start": True}
+        datafit, blocks = datafits.Quadratic(), task.blocks(targets)
+        starts = np.concatenate([[0], np.cumsum(list(map(len, blocks)))]).astype(np.int32)
+        layout, ones = (starts, np.concatenate(blocks).astype(np.int32)), np.ones(len(blocks))
+        make: Callable[[float], Any]
+        if task.kind in SINGLE:
+            solver: Any = solvers.AndersonCD(**ends, **warm, fit_intercept=False)
+            make = partial(penalties.L1_plus_L2, l1_ratio=ratio) if task.ridge else penalties.L1
+        elif task.kind == "SLOPE":
+            ends["max_iter"] *= 100
+            solver = solvers.FISTA(**ends, opt_strategy="fixpoint")
+            make = partial(penalties.SLOPE, task.lambdas)
+        else:
+            strategy = "subdiff" if task.lambdas is None else "fixpoint"
+            solver = solvers.GroupBCD(**ends, **warm, ws_strategy=strategy)
+            datafit = datafits.QuadraticGroup(*layout)
+            parts = (ones,) if task.lambdas is None else (ones, task.lambdas)
+            norms = "WeightedGroupL2" if task.lambdas is None else "WeightedL1GroupL2"
+
+            def make(alpha: float) -> Any:
+                return getattr(penalties, norms)(alpha, *parts, *layout)
+
+        datafit, penalty, fitted = compiled(datafit), None, np.zeros(len(target))
+        values = [np.zeros(design.shape[1])]
+        for alpha in alphas.tolist():
+            if penalty is None or task.kind in ("elastic net", "SLOPE"):
+                penalty = compiled(make(alpha))
+            penalty.alpha = alpha
+            last = values[-1].copy()
+            values.append(solver.solve(design, target, datafit, penalty, last, fitted)[0])
+            fitted = design @ values[-1]
+        return np.stack(values[1:])
 
 
-ON_GRAM = "on Z'Z, or on the rows where they are fewer"
-ON_ROWS = "on the rows, or on the triangle of a QR where they are many"
-PACKAGES: Mapping[str, Package] = MappingProxyType(
-    {
-        "scikit-learn-lars": Package(
-            _scikit_lars, "sklearn", ("LASSO",), f"lars_path {ON_GRAM}", 10, stops=False
-        ),
-        "spams": Package(
-            _spams, "spams", ("LASSO",), f"LARS {ON_GRAM}", 10, extra="spams-bin", stops=False
-        ),
-        "scikit-learn-cd": Package(
-            _scikit_descent, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000, reads_sparse=True
-        ),
-        "celer": Package(
-            _celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200, reads_sparse=True
-        ),
-        "skglm": Package(
-            _skglm,
-            "skglm",
-            EVERY,
-            f"AndersonCD, GroupBCD, FISTA {ON_ROWS}",
-            1000,
-            reads_sparse=True,
-        ),
-        "glum": Package(
-            _glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}", 1000, reads_sparse=True
-        ),
-        "sortedl1": Package(
-            _sortedl1, "sortedl1", SORTED, f"Slope.path {ON_ROWS}", 100_000, reads_sparse=True
-        ),
-    }
-)
-"""The public solvers by name; iterations: per column of the events of LARS, else of its own."""
+PEERS: tuple[type[Peer], ...] = (ScikitLars, ScikitDescent, Celer, Skglm, Glum, SortedL1)

@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, MissingExtra, unknown
+from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import (
     AlphaFraction,
     Checked,
@@ -50,9 +50,6 @@ class PenalisedPath(Checked, ABC):
             return
         from sparsefit.solvers.registry import solver, solver_names
 
-        if self.solver == "adelie":
-            words = "adelie pins numpy < 2: run it as a command, in an environment of its own"
-            raise MissingExtra(f"{self.name}: {words}")
         try:
             solver(self.solver)
         except InputError as error:

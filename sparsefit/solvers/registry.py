@@ -20,12 +20,11 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter, process_time
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -38,12 +37,13 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel, Cvxpy
-from sparsefit.solvers.peers import PACKAGES, Peer, Task, Timed, kind_of, solved_in_parts
+from sparsefit.solvers.peers import PEERS, Task, Timed, kind_of, solved_in_parts
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 __all__ = ["Answers", "Recipe", "Solver", "answers", "shipped_solvers", "solver", "solver_names"]
+SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **{cls.name: cls for cls in PEERS}}
 
 
 class Solver(Protocol):
@@ -64,90 +64,22 @@ class Solver(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Registered:
-    """A solver before it is made: how, the names of its settings, and the texts of its class."""
-
-    make: Callable[..., Any]
-    settings: tuple[str, ...]
-    form: str
-    package: str = ""
-    extra: str = ""
-    stops: bool = True
-
-    @classmethod
-    def of(cls, owner: Any, **preset: Any) -> "Registered":
-        """The form that a class tells of itself, with some of its settings made already."""
-        settings = tuple(f.name for f in fields(owner) if f.init and f.name not in preset)
-        form = preset.pop("form", "") or getattr(owner, "form", "")
-        form = form or (owner.__doc__ or "").strip().split("\n")[0]
-        texts = (str(getattr(owner, "package", "")), str(getattr(owner, "extra", "")))
-        make = partial(owner, **preset) if preset else owner
-        return cls(make, settings, form, *texts, getattr(owner, "stops", True))
-
-
-@cache
-def _shipped() -> Mapping[str, Registered]:
-    rows = "through cvxpy, as written: m rows"
-    direct = "Clarabel itself on Z'Z, all columns"
-    known = {
-        "clarabel": Registered.of(Clarabel),
-        "clarabel-direct": Registered.of(Clarabel, working=False, form=direct),
-        "cvxpy": Registered.of(Cvxpy),
-        "cvxpy-rows": Registered.of(Cvxpy, rows=True, form=rows),
-    }
-    for name, package in PACKAGES.items():
-        texts = (package.form, package.package, package.extra, package.stops)
-        known[name] = Registered(partial(Peer, name), ("iterations",), *texts)
-    return known
-
-
-@cache
-def _presets() -> Mapping[str, Registered]:
-    """Names that stand for a solver with settings, beside the names that are listed."""
-    rows = _shipped()["cvxpy-rows"].form
-    presets = {"clarabel-working-set": _shipped()["clarabel"]}
-    for name in BEHIND_CVXPY:
-        presets[f"cvxpy-{name}"] = Registered.of(Cvxpy, solver=name)
-        presets[f"cvxpy-rows-{name}"] = Registered.of(Cvxpy, solver=name, rows=True, form=rows)
-        presets.setdefault(name, presets[f"cvxpy-{name}"])
-    return {**presets, **_shipped()}
-
-
 @cache
 def _plugins() -> "Mapping[str, EntryPoint]":
     from importlib.metadata import entry_points
 
     listed = entry_points(group="sparsefit.solvers")
-    return {entry.name: entry for entry in listed if entry.name not in _shipped()}
+    return {entry.name: entry for entry in listed if entry.name not in shipped_solvers()}
 
 
 def solver_names() -> tuple[str, ...]:
     """Names of the solvers that ship, installed or not, then those of other packages."""
-    return (*_shipped(), *sorted(_plugins()))
+    return (*SHIPPED, *sorted(_plugins()))
 
 
 def shipped_solvers() -> set[str]:
-    """All names of solvers that ship, with those that stand for one with a setting."""
-    return set(_presets())
-
-
-def registered(name: str, file: str | Path = "") -> Registered:
-    """The record of a solver, of ``file`` where one is named.
-
-    Raises InputError on an unknown name, and on a plug-in or file that cannot be imported.
-    """
-    if file:
-        classes = _classes_of(str(Path(file).resolve()))
-        if name not in classes:
-            raise unknown(f"solver of {Path(file).name}", name, classes)
-        return Registered.of(classes[name])
-    if name in _presets():
-        return _presets()[name]
-    if name not in _plugins():
-        raise unknown("solver", name, solver_names())
-    owner = _imported(f"solver {name!r} (plug-in)", _plugins()[name].load)
-    return Registered.of(_checked(name, owner))
+    """All names of solvers that ship, with those behind cvxpy."""
+    return {*SHIPPED, *BEHIND_CVXPY}
 
 
 def solver(name: str, **settings: Any) -> Solver:
@@ -171,21 +103,38 @@ class Recipe:
     file: str = ""
     command: tuple[str, ...] = ()
 
+    @property
+    def owner(self) -> Any:
+        """The class of the solver. Raises InputError where there is none or it cannot be loaded."""
+        if self.file:
+            classes = _classes_of(str(Path(self.file).resolve()))
+            if self.name not in classes:
+                raise unknown(f"solver of {Path(self.file).name}", self.name, classes)
+            return classes[self.name]
+        if self.name in shipped_solvers():
+            return SHIPPED.get(self.name, Cvxpy)
+        if self.name not in _plugins():
+            raise unknown("solver", self.name, (*solver_names(), *BEHIND_CVXPY))
+        owner = _imported(f"solver {self.name!r} (plug-in)", _plugins()[self.name].load)
+        return _checked(self.name, owner)
+
     def make(self) -> Solver:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
         if self.command:
             folder = str(Path(self.file).parent) if self.file else "."
             return Command(self.name, self.command, folder, dict(self.settings))
-        record = registered(self.name, self.file)
+        owner = self.owner
+        preset = {"solver": self.name} if owner is Cvxpy else {}
+        valid = [item.name for item in fields(owner) if item.init and item.name not in preset]
         for key in self.settings:
-            if key not in record.settings:
-                raise unknown(f"setting of solver {self.name}", key, record.settings)
-        if record.package and importlib.util.find_spec(record.package) is None:
-            extra = record.extra or record.package
+            if key not in valid:
+                raise unknown(f"setting of solver {self.name}", key, valid)
+        if self.package and importlib.util.find_spec(self.package) is None:
+            extra = getattr(owner, "extra", self.package)
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
         try:
             with quiet():
-                return cast(Solver, record.make(**self.settings))
+                return cast(Solver, owner(**self.settings, **preset))
         except SparsefitError:
             raise
         except (TypeError, ValueError) as error:
@@ -203,18 +152,20 @@ class Recipe:
     @property
     def form(self) -> str:
         """Words for how the problem is handed over."""
-        command = f"the command {' '.join(self.command)}"
-        return command if self.command else registered(self.name, self.file).form
+        if self.command:
+            return f"the command {' '.join(self.command)}"
+        first = (self.owner.__doc__ or "").strip().split("\n")[0]
+        return str(getattr(self.owner, "form", first))
 
     @property
     def stops(self) -> bool:
         """Whether a tolerance can be set."""
-        return bool(self.command) or registered(self.name, self.file).stops
+        return bool(self.command) or bool(getattr(self.owner, "stops", True))
 
     @property
     def package(self) -> str:
         """The package that must be importable; empty of a command, and where none is needed."""
-        return "" if self.command else registered(self.name, self.file).package
+        return "" if self.command else str(getattr(self.owner, "package", ""))
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,15 +234,15 @@ def _classes_of(file: str) -> Mapping[str, type[Solver]]:
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module  # dataclasses look their module up by its name
     _imported(str(path), partial(spec.loader.exec_module, module))
-    classes = [cls for cls in vars(module).values() if _is_solver(cls, module)]
+    classes = [
+        cls
+        for cls in vars(module).values()
+        if isinstance(cls, type) and cls.__module__ == module_name
+        if hasattr(cls, "path") and hasattr(cls, "name")
+    ]
     if not classes:
         raise InputError(f"{path} has no frozen dataclass with a `name` and a `path` method")
     return {cls.name: _checked(cls.name, cls) for cls in classes}
-
-
-def _is_solver(cls: object, module: ModuleType) -> bool:
-    mine = isinstance(cls, type) and cls.__module__ == module.__name__
-    return mine and callable(getattr(cls, "path", None)) and hasattr(cls, "name")
 
 
 def _imported(where: str, load: Any) -> Any:
@@ -358,19 +309,19 @@ class Command:
         call = partial(self._solved, tolerance=tolerance)
         return solved_in_parts(call, design, target, penalty, alphas)
 
-    def _solved(self, part: Task, tolerance: float | None) -> Timed:
+    def _solved(self, task: Task, targets: slice, tolerance: float | None) -> Timed:
         with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
-            folder, matrix = Path(name), part.whole.design
+            folder, matrix = Path(name), task.design
             if isinstance(matrix, np.ndarray):
                 np.save(folder / "design.npy", matrix)
             else:
                 sparse.save_npz(folder / "design.npz", matrix, compressed=False)
-            np.save(folder / "target.npy", part.target)
-            np.save(folder / "groups.npy", part.groups)
-            if part.lambdas is not None:
-                np.save(folder / "lambdas.npy", part.lambdas)
-            words: dict[str, Any] = {"kind": part.kind, "ridge": part.ridge, "tolerance": tolerance}
-            words |= {"fractions": part.fractions.tolist(), "settings": dict(self.settings)}
+            np.save(folder / "target.npy", np.ascontiguousarray(task.target[:, targets]))
+            np.save(folder / "groups.npy", task.groups)
+            if task.lambdas is not None:
+                np.save(folder / "lambdas.npy", task.lambdas)
+            words: dict[str, Any] = {"kind": task.kind, "ridge": task.ridge, "tolerance": tolerance}
+            words |= {"fractions": task.fractions.tolist(), "settings": dict(self.settings)}
             with (folder / "problem.json").open("w", encoding="utf-8") as file:
                 json.dump(words, file)
             wall, cpu = self._run(folder)

@@ -68,7 +68,7 @@ def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, setting
         problem = degenerate(kind, seed)
         null = problem.statistics.null_objective
         exact = sf.path(problem, backends.get(name, **settings), [1.0, 0.3, 0.03, 1e-3])
-        reference = backends.get(name, solver="clarabel-direct", **settings)
+        reference = backends.get(name, solver="clarabel", **settings)
         assert exact.repaired == 0
         for fit, conic in zip(
             exact.fits, sf.path(problem, reference, exact.alpha_fractions).fits, strict=True

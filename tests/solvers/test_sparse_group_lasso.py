@@ -51,10 +51,9 @@ def test_a_naive_model_of_the_rows_agrees(separate, subgroups):
     assert (found.status, found.repaired) == ("ok", False)
     assert found.certificate.primal == pytest.approx(model.value, rel=1e-8)
     assert found.weights * rms[:, None] == pytest.approx(v.value, abs=1e-4)
-    for solver in ("clarabel", "clarabel-direct", "clarabel-working-set"):
-        other = sf.fit(problem, dataclasses.replace(found.backend, solver=solver))
-        assert other.status == "ok", other.reason
-        assert other.certificate.primal == pytest.approx(found.certificate.primal, rel=1e-8)
+    other = sf.fit(problem, dataclasses.replace(found.backend, solver="clarabel"))
+    assert other.status == "ok", other.reason
+    assert other.certificate.primal == pytest.approx(found.certificate.primal, rel=1e-8)
 
 
 @pytest.mark.parametrize(("ratio", "name"), [(0.0, "group-lasso"), (1.0, "lasso")])
