@@ -23,8 +23,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, wave_theta
 from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out
-from sparsefit.regression.given import compressed
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.rows import Samples
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
@@ -189,7 +188,7 @@ class Library:
         Gram matrices add up. What is unknown of a flight is taken from its own rows.
 
         Where theta would exceed 1 GiB it is compressed block by block
-        (`RegressionProblem.from_blocks`): the same solutions and certificates, memory of k^2.
+        (`problem.compressed`): the same solutions and certificates, memory of k^2.
         """
         position = np.concatenate([samples.position for samples in flights])
         if self.family == "cells":
@@ -224,8 +223,7 @@ class Library:
                     yield from project_out(basis, again)
 
         if large:
-            triangle, _, _ = compressed(blocks())
-            theta, target = triangle[:, :size].copy(), triangle[:, size:].copy()
+            theta, target = compressed(blocks())
         else:
             theta, target = (
                 part[0] if len(part) == 1 else np.concatenate(part)

@@ -107,11 +107,6 @@ class Fit(Brief):
         """Columns k of the problem."""
         return self.problem.columns
 
-    @property
-    def rank(self) -> int:
-        """Numerical rank of theta, as far as Z'Z/m shows it."""
-        return self.problem.design.rank
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Path(Brief):

@@ -15,7 +15,7 @@ from sparsefit.regression.problem import RegressionProblem
 
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
 AlphaFraction = float | Literal["auto"]
-Selection = Literal["ebic", "bic", "cross-validation", "stability"]
+Selection = Literal["bic", "cross-validation"]
 """The rules by which `fit` chooses an alpha_fraction of "auto"."""
 
 
@@ -42,8 +42,7 @@ class Backend(Protocol):
 
     ``certificate_kind`` says what the caller verifies: ``duality_gap`` back-ends also have
     ``alpha_fraction`` and ``penalty(problem)``, ``normal_equations`` ones ``rcond``, and
-    ``fixed_point`` ones ``next_weights(problem, weights)``, what one more iteration makes of these,
-    or ``next_support``, its support, where the weights are the least squares there.
+    ``fixed_point`` ones ``next_weights(problem, weights)``, what one more iteration makes of these.
     """
 
     name: ClassVar[str]
@@ -63,7 +62,7 @@ class PenalisedBackend(Backend, Protocol):
 
     @property
     def alpha_fraction(self) -> AlphaFraction:
-        """alpha / alpha_max, in (0, 1], or "auto" where the back-end is a ChoosingBackend."""
+        """alpha / alpha_max, in (0, 1], or "auto": chosen by `fit`, by the rule ``selection``."""
         ...
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
@@ -86,27 +85,14 @@ class PathBackend(PenalisedBackend, Protocol):
         ...
 
 
-@runtime_checkable
-class ChoosingBackend(PathBackend, Protocol):
-    """A path back-end whose penalty `fit` can choose: ``alpha_fraction = "auto"``."""
-
-    @property
-    def selection(self) -> Selection:
-        """The rule that chooses it."""
-        ...
-
-
-ALPHA_MEANING = "it is the penalty as a fraction of the smallest one whose solution is zero"
-
-
 def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> None:
     """Raise InputError unless value is a penalty fraction in (0, 1], or "auto" where it may be."""
     if auto and isinstance(value, str) and value == "auto":
         return
-    meaning = ALPHA_MEANING + (', or "auto", to be chosen from the data' if auto else "")
-    number_setting(
-        owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=meaning
-    )
+    meaning = "it is the penalty as a fraction of the smallest one whose solution is zero"
+    meaning += ', or "auto", to be chosen from the data' if auto else ""
+    limits: dict[str, Any] = {"low": 0.0, "high": 1.0, "open_low": True}
+    number_setting(owner, "alpha_fraction", value, **limits, meaning=meaning)
 
 
 def numeric_fraction(owner: str, value: AlphaFraction) -> float:

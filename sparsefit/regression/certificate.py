@@ -122,24 +122,21 @@ def duality_gaps(
         scaled = weights[part] * design.rms[:, None]
         count = len(scaled)
         values = np.ascontiguousarray(scaled.transpose(1, 0, 2)).reshape(-1, count * n)
-        bound = np.tile(penalty.loss.bound(level), count)
-        pull, sums = design.residual_sums(np.tile(target, (1, count)), values, bound)
-        square, product, overlap = sums.reshape(3, count, n)
+        wide, bound = np.tile(target, (1, count)), np.tile(penalty.loss.bound(level), count)
+        rest = wide - design.predict(values)
+        pull = rest if np.isinf(bound).all() else np.clip(rest, -bound, bound)
+        square, product, overlap = (
+            np.einsum("iq,iq->q", pull, other).reshape(count, n) / design.samples
+            for other in (pull, wide, rest)
+        )
         used = int(np.count_nonzero(values.any(axis=1)))
         gamma = rounding_of(design.terms + 2 * used * n + 20)
         reach, root = _reach(target_square, scaled), np.sqrt(square)
         rho = design.spread * rounding_of(used + 8) * reach
         error = design.spread * gamma * root + rho
-        residual = _Residual(
-            pull.reshape(-1, count, n).transpose(1, 0, 2),
-            square,
-            product,
-            overlap,
-            error,
-            (2.0 * root + rho) * error,
-            level * error,
-            gamma,
-        )
+        correlation = design.correlate(pull).reshape(-1, count, n).transpose(1, 0, 2)
+        errors = (error, (2.0 * root + rho) * error, level * error)
+        residual = _Residual(correlation, square, product, overlap, *errors, gamma)
         null = np.full(n, np.inf)
         if np.isfinite(penalty.loss.clip):
             cut = np.clip(target, -penalty.loss.bound(level), penalty.loss.bound(level))

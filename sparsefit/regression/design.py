@@ -226,18 +226,6 @@ class Design:
             out -= np.multiply.outer(self.direction, self.means @ values)
         return out
 
-    def raw_products(self, index: Index, others: Index) -> Array:
-        """theta_J'theta_K (j, l), symmetric where K is J."""
-        same, total = others is index, None
-        for _, block in self.blocks():
-            first = _taken(block, index)
-            part = _array(first.T @ (first if same else _taken(block, others)))
-            total = part if total is None else np.add(total, part, out=total)
-        assert total is not None
-        if self.direction is not None:
-            total -= np.multiply.outer(self.means[index], self.means[others])
-        return total
-
     def correlate(self, rows: Array) -> Array:
         """Z'R/m (k, n) of R (m, n)."""
         out = self.raw_correlate(rows)
@@ -255,30 +243,18 @@ class Design:
         return self.raw_predict(values / self.rms[:, None])
 
     def products(self, index: Index, others: Index | None = None) -> Array:
-        """Z_J'Z_K/m (j, l); K is J where there is none."""
+        """Z_J'Z_K/m (j, l), symmetric where there is no K: it is J then."""
+        total: Any = None
+        for _, block in self.blocks():
+            first = _taken(block, index)
+            part = _array(first.T @ (first if others is None else _taken(block, others)))
+            total = part if total is None else np.add(total, part, out=total)
         others = index if others is None else others
-        out = self.raw_products(index, others)
-        out /= (self.rms[index] * self.samples)[:, None]
-        out /= self.rms[others]
-        return out
-
-    def residual_sums(self, target: Array, values: Array, bound: Array) -> tuple[Array, Array]:
-        """Z'u/m (k, q), and |u_q|^2/m, <u_q, Y_q>/m, <u_q, R_q>/m (3, q), in one pass if it can.
-
-        R = Y - Z V for Y (m, q) and V (k, q), u = R where |R| <= bound (q,), cut to it elsewhere.
-        """
-        raw = values / self.rms[:, None]
         if self.direction is not None:
-            pull, sums = _cut_sums(target - self.raw_predict(raw), target, bound)
-            return self.correlate(pull), sums / self.samples
-        used, (k, count) = _in_use(raw), values.shape
-        total, sums = np.zeros((k, count)), np.zeros((3, count))
-        for part, block in self.blocks():
-            residual = target[part] - _array(_taken(block, used) @ raw[used])
-            pull, each = _cut_sums(residual, target[part], bound)
-            sums += each
-            total += self._pulled(block, pull)
-        return total / (self.rms * self.samples)[:, None], sums / self.samples
+            total -= np.multiply.outer(self.means[index], self.means[others])
+        total /= (self.rms[index] * self.samples)[:, None]
+        out: Array = np.divide(total, self.rms[others], out=total)
+        return out
 
     @cached_property
     def gram(self) -> Array:
@@ -300,13 +276,6 @@ class Design:
     def gram_rows(self, columns: IntArray) -> Array:
         """The rows (c, k) of Z'Z/m of some columns; where it is not formed, only these."""
         return self.gram[columns] if self.formed else self.products(columns, slice(None))
-
-    @cached_property
-    def rank(self) -> int:
-        """Numerical rank of Z (singular values above k * eps^(1/2) would be lost in Z'Z)."""
-        eigenvalues = np.linalg.eigvalsh(self.gram)
-        floor = len(eigenvalues) * np.finfo(float).eps * max(float(eigenvalues[-1]), 0.0)
-        return int(np.count_nonzero(eigenvalues > floor))
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,10 +335,3 @@ def _in_use(values: Array) -> Index:
 def _taken(block: Any, index: Index) -> Any:
     """Columns of a block; all of them without a copy."""
     return block if isinstance(index, slice) and index == slice(None) else block[:, index]
-
-
-def _cut_sums(residual: Array, target: Array, bound: Array) -> tuple[Array, Array]:
-    """u (m, q), and the sums of u^2, u Y and u R (3, q)."""
-    pull = residual if np.isinf(bound).all() else np.clip(residual, -bound, bound)
-    sums = [np.einsum("iq,iq->q", pull, other) for other in (pull, target, residual)]
-    return pull, np.stack(sums)

@@ -10,19 +10,11 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, is_integer
+from sparsefit.errors import InputError
 from sparsefit.regression.design import Design, Statistics
-from sparsefit.regression.given import (
-    compressed,
-    fitting,
-    numbers_of,
-    refuse_gaps,
-    refuse_unfit,
-    source_of,
-    squares_of,
-    target_of,
-)
 from sparsefit.regression.penalties import Penalty, alpha_max
+
+LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose products all are in range
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +59,8 @@ class Adjustment:
         cls, target: Array, sample_weight: ArrayLike | None, intercept: bool
     ) -> "tuple[Adjustment | None, Array]":
         """The adjustment, if there is one, and the target (m, n) with it made."""
+        if sample_weight is None and not intercept:
+            return None, target
         roots, direction, levels = None, None, np.zeros(target.shape[1])
         if sample_weight is not None:
             weight = np.asarray(sample_weight, dtype=float)
@@ -79,8 +73,7 @@ class Adjustment:
             direction = np.ones(len(target)) if roots is None else roots
             levels = direction @ target / float(direction @ direction)
             target = target - np.multiply.outer(direction, levels)
-        adjusted = roots is not None or intercept
-        return cls(roots, direction, levels) if adjusted else None, target
+        return cls(roots, direction, levels), target
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,12 +84,10 @@ class RegressionProblem(Brief):
     has rows to slice, or an array of several workers; ``design`` has its sums. theta and target are
     finite; norms of their columns are in [1e-140, 1e140], or 0 of a target. ``groups`` (k,) numbers
     the group of each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's
-    scale, where it has one. Raises InputError on arrays of other kinds or shapes, and as
-    `from_arrays` does, which makes all of this from any arrays and labels.
+    scale, where it has one. `from_arrays` makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
-    the m original ones (`from_blocks`).
-    ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within one group, such as
-    the waves of a ring, for penalties of both; None where there are none.
+    the m original ones. ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within
+    one group, such as the waves of a ring, for penalties of both; None where there are none.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
     ``adjusted``: weights of the samples and an intercept, which the target here has off already.
     """
@@ -113,15 +104,21 @@ class RegressionProblem(Brief):
     adjusted: Adjustment | None = None
 
     def __post_init__(self) -> None:
-        _check_shapes(self)
+        shapes = f"theta {self.theta.shape} and target {self.target.shape} must"
+        if len(self.target) != self.theta.shape[0]:
+            raise InputError(f"{shapes} have the same number of rows")
+        if not all((*self.theta.shape, self.targets)):
+            raise InputError(f"{shapes} not be empty")
         for name in ("theta", "target"):
             if isinstance(values := getattr(self, name), np.ndarray):
                 values = values.view()
                 values.flags.writeable = False
                 object.__setattr__(self, name, values)
-        refuse_unfit(self.design.squares, self.names)
+        _refuse_unfit(self.design.squares, self.names)
         _ = self.digest  # of the data as they are now
-        refuse_unfit(squares_of(self.target), self.target_names, self.target)
+        with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
+            squares = np.einsum("ij,ij->j", self.target, self.target)
+        _refuse_unfit(squares, self.target_names, self.target)
 
     @classmethod
     def from_arrays(
@@ -151,37 +148,23 @@ class RegressionProblem(Brief):
         subgroups that span groups, values that are not finite, columns of zeros (or constant ones
         beside an intercept) and masked arrays.
         """
-        source, values = source_of(theta), target_of(target)
-        columns = int(source.shape[1])
-        labels = np.arange(columns) if groups is None else groups
-        numbers = numbers_of(labels, columns, "groups")
-        inner = None if subgroups is None else numbers_of(subgroups, columns, "subgroups")
+        source, values = _source(theta), _matrix(target, "target")
+        columns, inner = int(source.shape[1]), None
+        numbers = _numbers(np.arange(columns) if groups is None else groups, columns, "groups")
+        if subgroups is not None:
+            inner = _numbers(subgroups, columns, "subgroups")
+            if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
+                raise InputError("subgroups must lie within groups: one of them spans two groups")
         if names is None and hasattr(theta, "columns") and hasattr(theta, "to_numpy"):
             names = [str(name) for name in theta.columns]
-        if isinstance(names, str) or not isinstance(names, Iterable | None):
-            raise InputError(f"names must be a list with one name per column, not {names!r}")
-        named = tuple(map(str, range(columns) if names is None else names))
-        targets = tuple(map(str, range(values.shape[1])))
-        adjusted = None
+        named = range(columns) if names is None else names
+        listed = isinstance(named, Iterable) and not isinstance(named, str)
+        if not listed or len(labels := tuple(map(str, named))) != columns:
+            raise InputError(f"names must be a list with one name per column, {columns} of them")
+        targets, adjusted = tuple(map(str, range(values.shape[1]))), None
         if len(values) == source.shape[0]:
             adjusted, values = Adjustment.of(values, sample_weight, intercept)
-        return cls(source, values, numbers, named, targets, subgroups=inner, adjusted=adjusted)
-
-    @classmethod
-    def from_blocks(
-        cls,
-        blocks: Iterable[tuple[ArrayLike, ArrayLike]],
-        groups: ArrayLike | None = None,
-        names: Sequence[str] | None = None,
-    ) -> "RegressionProblem":
-        """A problem from blocks of rows (theta, target), in memory of order k^2 + a block.
-
-        Each block is folded into the triangle of a QR decomposition of [theta, target]. Raises
-        InputError as `from_arrays` does, and on blocks that do not fit each other.
-        """
-        triangle, count, columns = compressed(fitting(blocks))
-        plain = cls.from_arrays(triangle[:, :columns], triangle[:, columns:], groups, names)
-        return replace(plain, sample_count=count)
+        return cls(source, values, numbers, labels, targets, subgroups=inner, adjusted=adjusted)
 
     @cached_property
     def design(self) -> Design:
@@ -219,11 +202,9 @@ class RegressionProblem(Brief):
     def raw_target(self) -> Array:
         """The target (m, n) as it was, before weights and an intercept."""
         target, adjusted = self.target, self.adjusted
-        if adjusted is None:
-            return target
-        if adjusted.direction is not None:
+        if adjusted is not None and adjusted.direction is not None:
             target = target + np.multiply.outer(adjusted.direction, adjusted.levels)
-        if adjusted.roots is not None:
+        if adjusted is not None and adjusted.roots is not None:
             target = target / np.where(adjusted.roots > 0, adjusted.roots, 1.0)[:, None]
         return target
 
@@ -233,8 +214,9 @@ class RegressionProblem(Brief):
         if adjusted is not None:
             weight = None if adjusted.roots is None else adjusted.roots[rows] ** 2
             adjusted, target = Adjustment.of(target, weight, adjusted.direction is not None)
-        content: Any = {"target": target, "adjusted": adjusted}
-        return replace(self, theta=self.theta[rows], **content, sample_count=None)
+        return replace(
+            self, theta=self.theta[rows], target=target, adjusted=adjusted, sample_count=None
+        )
 
     def alpha_max(self, penalty: Penalty) -> float:
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m of the target's u."""
@@ -278,59 +260,108 @@ class RegressionProblem(Brief):
         """Number of targets n."""
         return int(self.target.shape[1])
 
-    def together(self, coupled: bool) -> list[slice]:
-        """The targets that are one problem: all of them where ``coupled``, else each by itself."""
-        return [slice(None)] if coupled else [slice(t, t + 1) for t in range(self.targets)]
-
     @cached_property
     def statistics(self) -> Statistics:
         """Sums of the target in scaled columns, shared by all back-ends."""
         return Statistics.on(self.design, self.target)
 
     @cached_property
-    def compressed(self) -> tuple[Array, Array]:
-        """(theta, target) in at most k + n rows, by QR: the least-squares problems are the same."""
-        theta = self.rows
-        if len(theta) <= self.columns + self.targets:
-            return theta, self.target
-        triangle = cast(Array, np.linalg.qr(np.hstack([theta, self.target]), mode="r"))
-        return triangle[:, : self.columns], triangle[:, self.columns :]
-
-    @cached_property
     def spectrum(self) -> Spectrum:
         """Singular values of theta, by QR first: the tall matrix is read once."""
-        start = perf_counter()
-        rows, target = self.compressed
+        start, rows, target = perf_counter(), self.rows, self.target
+        if len(rows) > self.columns + self.targets:
+            triangle = cast(Array, np.linalg.qr(np.hstack([rows, target]), mode="r"))
+            rows, target = triangle[:, : self.columns], triangle[:, self.columns :]
         left, singular_values, right = np.linalg.svd(rows, full_matrices=False)
-        projected = left.T @ target
-        return Spectrum(singular_values, right, projected, perf_counter() - start)
+        return Spectrum(singular_values, right, left.T @ target, perf_counter() - start)
 
 
-def _check_shapes(problem: RegressionProblem) -> None:
-    for name, values in (("theta", problem.theta), ("target", problem.target)):
-        dense = isinstance(values, np.ndarray) and not isinstance(values, np.memmap)
-        right = values.dtype == np.float64 and values.ndim == 2 if dense else name == "theta"
-        if not right or not hasattr(values, "shape"):
-            raise InputError(f"{name} must be a float64 array (m, k); from_arrays makes one")
-    (m, k), (rows, n) = problem.theta.shape, problem.target.shape
-    both = f"theta {problem.theta.shape} and target {problem.target.shape} must"
-    if rows != m:
-        raise InputError(f"{both} have the same number of rows")
-    if m == 0 or k == 0 or n == 0:
-        raise InputError(f"{both} not be empty")
-    refuse_gaps(problem.groups, k, "groups")
-    scales, groups = problem.group_scales, int(problem.groups.max()) + 1
-    for name, count, right, each in (
-        ("names", len(problem.names), k, "name per column"),
-        ("target_names", len(problem.target_names), n, "name per target"),
-        ("group_scales", groups if scales is None else len(scales), groups, "scale per group"),
-    ):
-        if count != right:
-            raise InputError(f"{name} must have one {each}: {right}, not {count}")
-    if problem.sample_count is not None and not is_integer(problem.sample_count, m):
-        raise InputError(f"sample_count must be an integer, at least {m}: the rows stand for them")
-    if problem.subgroups is not None:
-        refuse_gaps(problem.subgroups, k, "subgroups")
-        pairs = np.unique(np.stack([problem.subgroups, problem.groups]), axis=1)
-        if pairs.shape[1] != problem.subgroups.max() + 1:
-            raise InputError("subgroups must lie within groups: one of them spans two groups")
+def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Theta and target in at most k + n rows: R of a QR of the rows [theta, target], in blocks.
+
+    QR, and not Z'Z, because the certificate takes residuals of these rows: orthogonal
+    transformations keep them to rounding, where Z'Z would lose half the digits.
+    """
+    triangle, columns = np.zeros((0, 0)), 0
+    for theta, target in blocks:
+        rows, columns = np.hstack([theta, target]), theta.shape[1]
+        stacked = np.vstack([triangle, rows]) if triangle.size else rows
+        triangle = cast(Array, np.linalg.qr(stacked, mode="r"))
+    return triangle[:, :columns].copy(), triangle[:, columns:].copy()
+
+
+def _source(theta: Any) -> Any:
+    """The source of a `Design`: arrays as float64, not copied, a DataFrame's values, CSC matrices.
+
+    Raises InputError on what is no matrix of real numbers.
+    """
+    package = type(theta).__module__.partition(".")[0]
+    sliced = not hasattr(theta, "__array__") and hasattr(theta, "__getitem__")
+    is_sparse = package == "scipy" and hasattr(theta, "tocsc")
+    by_rows = package == "dask" or isinstance(theta, np.memmap) or sliced
+    if not (is_sparse or (by_rows and hasattr(theta, "shape"))):
+        return _matrix(theta, "theta")
+    if len(theta.shape) != 2 or np.dtype(getattr(theta, "dtype", float)).kind not in "fiub":
+        raise InputError(f"theta must be a matrix of real numbers, not {type(theta).__name__}")
+    if not is_sparse:
+        return theta
+    matrix = theta.tocsc()  # a word on the format would help nobody: it is only stored so
+    matrix = matrix if matrix.dtype == np.float64 else matrix.astype(np.float64)
+    matrix.sum_duplicates()
+    return matrix
+
+
+def _matrix(values: ArrayLike, name: str) -> Array:
+    """A float64 matrix, not copied where it is one in C or Fortran order."""
+    if hasattr(values, "toarray"):
+        raise InputError(f"{name} is a sparse matrix: hand in {name}.toarray()")
+    if np.ma.is_masked(values):
+        raise InputError(f"{name} is masked: drop the rows whose values are missing")
+    try:
+        if np.asarray(values).dtype.kind in "cmM":
+            raise TypeError("it holds complex numbers or times")
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be an array of real numbers: {error}") from None
+    if array.ndim == 1 and name == "target":
+        array = array[:, None]
+    if array.ndim != 2:
+        words = "theta must have shape (m, k) and target (m,) or (m, n)"
+        raise InputError(f"{words}, and {name} has {array.shape}")
+    return array if array.flags.c_contiguous or array.flags.f_contiguous else array.copy()
+
+
+def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
+    """Numbers (k,) from 0 for the labels of the k columns, in the order of the labels."""
+    example = f"{name} must have one label per column, such as [0, 0, 1]"
+    try:
+        given = np.asarray(labels)
+    except ValueError:
+        raise InputError(f"{example}, not lists of columns") from None
+    if given.shape != (columns,):
+        raise InputError(f"{example}: {columns} columns, {name} of shape {given.shape}")
+    if np.any(given != given):
+        raise InputError(f"{name} holds NaN: each column needs a label")
+    try:
+        return np.unique(given, return_inverse=True)[1].astype(np.intp)
+    except TypeError:
+        raise InputError(f"{name} must have labels of one kind, such as all numbers") from None
+
+
+def _refuse_unfit(squares: Array, names: Sequence[str], target: Array | None = None) -> None:
+    """Raise InputError, which names it, on a column that cannot be reckoned with.
+
+    squares (k,) of the columns' norms: NaN, infinite, above LARGEST or below SMALLEST; a column of
+    the target (m, n) may be zero.
+    """
+    which, small = "", squares < SMALLEST**2
+    words = f"is zero in every sample (or below {SMALLEST:g}); drop it or change the unit"
+    if target is not None:
+        which, small = "of the target ", small & target.any(axis=0)
+        words = f"is below {SMALLEST:g}, not 0; change the unit"
+    large = f"holds NaN, infinity or values above {LARGEST:g}; clean the data or change the unit"
+    for bad, reason in ((~(squares <= LARGEST**2), large), (small, words)):
+        columns = np.flatnonzero(bad)
+        if len(columns):
+            more = f" (and {len(columns) - 1} more)" if len(columns) > 1 else ""
+            raise InputError(f"column {names[columns[0]]!r}{more} {which}{reason}")

@@ -44,8 +44,8 @@ class GroupMCP(Checked):
     gamma > 1: how soon the penalty lets go, at |V_g| = gamma alpha omega_g; large, it is the
     group-LASSO. A group spans all targets, or each target has groups of its own (``separate``).
     group_weights: omega_g = 1 (``unit``) or the root of the number of columns (``sqrt-size``).
-    alpha_fraction ``auto``: chosen by `fit` from the data, by the rule ``selection``; information
-    criteria do not apply, as they count degrees of freedom of convex penalties.
+    alpha_fraction ``auto``: chosen by `fit` from the data, by cross-validation: an information
+    criterion counts degrees of freedom of convex penalties.
     """
 
     name: ClassVar[str] = "group-mcp"
@@ -54,7 +54,7 @@ class GroupMCP(Checked):
     gamma: float = setting(3.0, low=1.0, open_low=True)
     separate: bool = False
     group_weights: GroupWeights = "unit"
-    selection: Literal["cross-validation", "stability"] = "cross-validation"
+    selection: Literal["cross-validation"] = "cross-validation"
 
     def penalty(self, problem: RegressionProblem) -> GroupNorms:
         """The group-LASSO's penalty, whose alpha_max is the unit of alpha_fraction."""
@@ -74,7 +74,7 @@ class GroupMCP(Checked):
         for fraction in alpha_fractions:
             solved = [
                 self._fixed_point(problem, penalty, targets, fraction * unit)
-                for targets in problem.together(not self.separate)
+                for targets in self._parts(problem)
             ]
             weights = np.concatenate([values for values, _ in solved], axis=1)
             scaled, rounds = weights / problem.design.rms[:, None], max(n for _, n in solved)
@@ -95,10 +95,14 @@ class GroupMCP(Checked):
         fraction = numeric_fraction(self.name, self.alpha_fraction)
         alpha = fraction * alpha_max(problem.statistics.cross, penalty)
         following = np.zeros(weights.shape)
-        for targets in problem.together(not self.separate) if alpha else []:
+        for targets in self._parts(problem) if alpha else []:
             slopes = self._slopes(penalty, weights[:, targets] * rms, alpha)
             following[:, targets] = _weighted(problem, penalty, targets, slopes, alpha)
         return following / rms
+
+    def _parts(self, problem: RegressionProblem) -> list[slice]:
+        """The targets that are one problem."""
+        return [slice(t, t + 1) for t in range(problem.targets)] if self.separate else [slice(None)]
 
     def _slopes(self, penalty: GroupNorms, values: Array, alpha: float) -> Array:
         """p'(|V_g|) / alpha (g,): the weights of the next group-LASSO."""

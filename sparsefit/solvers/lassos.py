@@ -77,13 +77,12 @@ class Ridge(PenalisedPath):
     """1/(2m) |Y - ZV|^2 + alpha/2 |V|^2, alpha = alpha_fraction * k (Hoerl and Kennard 1970).
 
     No penalty has a solution of zero: the unit is the number of columns k, the trace of Z'Z/m,
-    which bounds its largest eigenvalue. The rules ``selection`` that count zeros do not apply.
+    which bounds its largest eigenvalue.
     """
 
     name: ClassVar[str] = "ridge"
     alpha_fraction: float | Literal["auto"] = 0.001
     solver: str = "cholesky"
-    selection: Literal["bic", "cross-validation"] = "cross-validation"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
         """A ridge alone."""
@@ -109,12 +108,12 @@ class SquareRootLasso(PenalisedPath):
 class HuberLasso(PenalisedPath):
     """Huber's loss of Y - ZV plus alpha sum |V_jt|: outliers beyond clip * y count linearly.
 
-    clip: in units of the rms y of each target. Rules ``selection`` that count squares do not apply.
+    clip: in units of the rms y of each target. BIC, which counts squares, does not apply.
     """
 
     name: ClassVar[str] = "huber-lasso"
     solver: str = "newton"
-    selection: Literal["cross-validation", "stability"] = "cross-validation"
+    selection: Literal["cross-validation"] = "cross-validation"
     clip: float = setting(1.0, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:

@@ -1,6 +1,7 @@
 """The certificate, from rows and from the Gram matrix, against hand values and high precision."""
 
 import itertools
+from dataclasses import replace
 
 import mpmath as mp
 import numpy as np
@@ -14,7 +15,7 @@ from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import alpha_max, lasso_penalty
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem, compressed
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -348,7 +349,8 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     rng = np.random.default_rng(3)
     theta, target = rng.normal(size=(900, 5)), rng.normal(size=(900, 2))
     blocks = ((theta[i : i + 100], target[i : i + 100]) for i in range(0, 900, 100))
-    small = RegressionProblem.from_blocks(blocks)
+    triangle = RegressionProblem.from_arrays(*compressed(blocks))
+    small = replace(triangle, sample_count=900)
     weights = rng.normal(size=(1, 5, 2))
     assert (small.statistics.samples, small.design.terms) == (900, 7)
     whole = certified(theta, target, weights, [0.1], lasso_penalty(5))[0]

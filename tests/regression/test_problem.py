@@ -107,56 +107,15 @@ def test_labels_that_are_missing_are_refused(labels, words):
 
 
 @pytest.mark.parametrize(
-    ("blocks", "words"),
-    [
-        ([np.ones((3, 2))], "block 0: it must be a pair"),
-        ([(np.ones((3, 2)), np.ones(3)), (np.ones((3, 1)), np.ones(3))], "block 1: theta"),
-        ([(np.ones((3, 2)), np.ones(2))], "block 0: theta"),
-        ([(np.ones((3, 2)), [1.0, np.nan, 1.0])], "block 0: column '0' of the target holds NaN"),
-    ],
-)
-def test_blocks_that_do_not_fit_are_named(blocks, words):
-    with pytest.raises(InputError, match=words):
-        RegressionProblem.from_blocks(blocks)
-
-
-def test_blocks_may_have_targets_of_one_dimension():
-    theta = np.arange(12.0).reshape(6, 2) ** 2 + 1.0
-    blocks = [(theta[:3], [1.0, 2.0, 3.0]), (theta[3:], [1.0, 0.0, 1.0])]
-    problem = RegressionProblem.from_blocks(blocks)
-    assert (problem.samples, problem.columns, problem.targets) == (6, 2, 1)
-
-
-WHOLE = {
-    "theta": columns(a=2.0, b=3.0),
-    "target": np.ones((ROWS, 2)),
-    "groups": np.array([0, 0, 1, 1]),
-    "names": tuple("abcd"),
-    "target_names": ("x", "y"),
-}
-
-
-@pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"groups": np.array([0, 0, 2, 2])}, "groups .* without a gap"),
-        ({"groups": np.array([-1, 0, 0, 1])}, "groups .* without a gap"),
-        ({"groups": np.array([1, 1, 2, 2])}, "from 0"),
-        ({"groups": np.array([0.0, 0.0, 1.0, 1.0])}, "an integer for each of the 4 columns"),
-        ({"groups": np.array([0, 1])}, "an integer for each of the 4 columns"),
-        ({"groups": [0, 0, 1, 1]}, "must be an array"),
-        ({"subgroups": np.array([0, 0, 3, 3])}, "subgroups .* without a gap"),
-        ({"theta": np.ones((ROWS, 4), dtype=np.float32)}, "theta must be a float64 array"),
-        ({"theta": np.ones((ROWS, 4)).tolist()}, "theta must be a float64 array"),
-        ({"target": np.ones(ROWS)}, "target must be a float64 array"),
-        ({"target": np.ones((ROWS, 2), dtype=int)}, "target must be a float64 array"),
-        ({"names": ("a",)}, "one name per column: 4, not 1"),
-        ({"target_names": ("x",)}, "one name per target: 2, not 1"),
-        ({"group_scales": np.ones(3)}, "one scale per group: 2, not 3"),
-        ({"sample_count": ROWS - 1}, f"an integer, at least {ROWS}"),
+        ({"target": np.ones((ROWS - 1, 2))}, "the same number of rows"),
+        ({"target": np.ones((ROWS, 0))}, "must not be empty"),
+        ({"subgroups": [0, 0, 1, 1], "groups": [0, 1, 2, 2]}, "one of them spans two groups"),
+        ({"names": ("a",)}, "one name per column, 4 of them"),
     ],
 )
-def test_what_is_built_without_conversion_has_to_be_whole(change, words):
-    assert RegressionProblem(**WHOLE).columns == 4
+def test_shapes_that_do_not_match_are_refused(change, words):
+    arrays = {"theta": columns(), "target": np.ones((ROWS, 2))}
     with pytest.raises(InputError, match=words):
-        RegressionProblem(**(WHOLE | change))
+        RegressionProblem.from_arrays(**(arrays | change))

@@ -46,8 +46,8 @@ class Hostile:
                 return solution
         return Solution(np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0])
 
-    def next_support(self, problem, weights):
-        return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0] != 0
+    def next_weights(self, problem, weights):
+        return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0]
 
 
 def do(deed):
