@@ -27,7 +27,7 @@ OPTIONS = {  # (section, key) of an estimator's record: the option that sets it
     ("library.grid", "step"): Option(
         "--grid-step", "between candidates; default: 0.2 m", "M", METRES),
     ("library", "family"): Option(
-        "--family", "of the library: cells (default), stream or waves", "NAME"),
+        "--family", "of the library: cells (default) or waves", "NAME"),
     ("library", "groups"): Option("--groups", "of waves: wave (default), ring or nested", "NAME"),
     ("library", "target"): Option(
         "--target", "flow-velocity (default), acceleration or state-derivative", "NAME"),
@@ -37,7 +37,7 @@ OPTIONS = {  # (section, key) of an estimator's record: the option that sets it
     ("readout", "length_scale"): Option(
         "--length-scale-readout", "group-norm (default), absolute-sum or signed-sum", "NAME"),
     ("readout", "mean_velocity"): Option(
-        "--mean-velocity-readout", "rms (default), peak or paper", "NAME"),
+        "--mean-velocity-readout", "rms (default) or paper", "NAME"),
     ("readout", "refine"): Option(
         "--refine", "ladder (default: off the grid, with shape, heading and drift), "
         "variable-projection (off the grid, steady square cells along the axes only) or none "

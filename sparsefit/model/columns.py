@@ -173,31 +173,6 @@ def rms_mean_velocity(weights: Array) -> float:
     return float(np.sqrt(2 * np.sum(MEAN_SQUARE[:, None] * weights**2)))
 
 
-def peak_mean_velocity(weights: Array) -> float:
-    """The largest |w| over the cell [m/s], for weights (8, 2) [m/s]: U0 for the flow of Eq. 1."""
-    from scipy.optimize import minimize
-
-    def speed_square(phases: Array) -> Array:
-        x, y = phases.T
-        columns = candidates(x, y, np.empty((8, len(phases))))
-        square: Array = np.sum((columns.T @ weights) ** 2, axis=1)
-        return square
-
-    # 64 points along each axis bracket the peak before it is refined.
-    axis = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    squares = speed_square(cell)
-    top = float(squares.max())
-    if not top > 0:
-        return top
-
-    def loss(phase: Array) -> float:
-        return -float(speed_square(phase[None, :])[0]) / top
-
-    best = minimize(loss, cell[int(squares.argmax())], tol=1e-14)
-    return float(math.sqrt(-best.fun * top))
-
-
 @dataclass(frozen=True, eq=False)
 class CandidateFlow:
     """A sum of weighted candidates and a constant; with free weights it may have a divergence.

@@ -1,10 +1,9 @@
 """Candidate functions over a grid, and the regression problem they make.
 
-Three families: the paper's cells (Eqs. 17-19), for every length scale L the 8 products and singles
-of sin and cos of pi x / L and pi y / L, with weights for each velocity component; ``stream``, the 4
-amplitudes of a stream function for every L, which both components share; ``waves``, the waves of a
-stream function over the plane of wavevectors, cells of any heading and shape among them. Where both
-components share their weights, theta has a row for each, x before y, sample after sample.
+Two families: the paper's cells (Eqs. 17-19), for every length scale L the 8 products and singles of
+sin and cos of pi x / L and pi y / L, with weights for each velocity component; and ``waves``, those
+of a stream function over the plane of wavevectors, cells of any heading and shape among them. Both
+components share the weights of a wave: theta has a row for each, x before y, sample after sample.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.rows import Samples
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
-FamilyName = Literal["cells", "stream", "waves"]
+FamilyName = Literal["cells", "waves"]
 WaveGroups = Literal["wave", "ring", "nested"]
 
 TARGET_NAMES: dict[str, tuple[str, ...]] = {
@@ -44,7 +43,6 @@ class GridColumns:
 
     Args:
         family: of the columns.
-        wavevectors: of the waves (w, 2) [rad/m]; none of cells.
         parameters: of the modes on the grid, (s, p): k [1/m], or wavevectors [rad/m].
         group: of each column (k,).
         scales: the length scale of each group (g,) [m].
@@ -53,7 +51,6 @@ class GridColumns:
     """
 
     family: FamilyName
-    wavevectors: Array
     parameters: Array
     group: IntArray
     scales: Array
@@ -69,7 +66,7 @@ class GridColumns:
         """Theta at positions (m, 2) [m]; InputError where it would not fit in memory."""
         if self.family == "cells":
             return candidate_columns(position, self.scales)
-        return wave_theta(position, self.wavevectors)
+        return wave_theta(position, self.parameters)
 
     def blocks(self, source: Samples, *, whole: bool) -> Iterator[tuple[slice, Array]]:
         """Rows of theta in blocks, of samples or of averages of them, and which they are.
@@ -95,8 +92,8 @@ class Library:
     ``state-derivative`` (x', v'), the literal reading of Eq. 20.
     ``unknown``: what is estimated with the flow, of `sparsefit.model.unknowns.UNKNOWNS`; the rest
     is as the vehicle says, and the air at rest but for the flow.
-    ``family``: ``cells``, ``stream`` or ``waves``. Those of a stream function have one weight for
-    both velocity components, and their one target is the flow velocity.
+    ``family``: ``cells`` or ``waves``. Waves have one weight for both velocity components, and
+    their one target is the flow velocity.
     ``waves``: how fine the wavevectors of ``waves`` are; ``grid`` gives the bounds of the length
     scale. ``groups``: what its groups are: the ``wave``, the ``ring`` of waves of one |k|, which is
     the length scale, or ``nested``: waves within rings, for penalties of groups in groups.
@@ -118,7 +115,7 @@ class Library:
         one_of("groups of the library", self.groups, get_args(WaveGroups))
         if self.family != "cells" and self.target != "flow-velocity":
             raise InputError(
-                f"family {self.family!r} is of a stream function, which gives the flow velocity: "
+                "family 'waves' is of a stream function, which gives the flow velocity: "
                 f"target {self.target!r} needs family 'cells'"
             )
         if self.family != "waves" and (self.groups != "wave" or self.waves != WaveGrid()):
@@ -154,26 +151,19 @@ class Library:
             k, wave = rings.wavevectors, np.repeat(np.arange(len(rings.ring)), 2)
             if self.groups == "wave":
                 scales = rings.scales[rings.ring]
-                return GridColumns("waves", k, k, wave, scales, wave_names(k))
+                return GridColumns("waves", k, wave, scales, wave_names(k))
             ring, nested = np.repeat(rings.ring, 2), wave if self.groups == "nested" else None
-            return GridColumns("waves", k, k, ring, rings.scales, wave_names(k), nested)
+            return GridColumns("waves", k, ring, rings.scales, wave_names(k), nested)
         scales = self.grid.resolving(extent).scales
-        wavenumbers = math.pi / scales[:, None]
         words = [f" (L = {scale:g} m)" for scale in scales.tolist()]
-        if self.family == "cells":
-            names = tuple(name + scale for scale in words for name in CANDIDATES)
-            group, none = np.repeat(np.arange(len(scales)), len(CANDIDATES)), np.zeros((0, 2))
-            return GridColumns("cells", none, wavenumbers, group, scales, names)
-        parts = ("cos k(x + y)", "sin k(x + y)", "cos k(x - y)", "sin k(x - y)")
-        names = tuple(f"psi = {part}{scale}" for scale in words for part in parts)
-        k = (wavenumbers[:, None] * [[1.0, 1.0], [1.0, -1.0]]).reshape(-1, 2)
-        group = np.repeat(np.arange(len(scales)), len(parts))
-        return GridColumns("stream", k, wavenumbers, group, scales, names)
+        names = tuple(name + scale for scale in words for name in CANDIDATES)
+        group = np.repeat(np.arange(len(scales)), len(CANDIDATES))
+        return GridColumns("cells", math.pi / scales[:, None], group, scales, names)
 
     def build(self, samples: Samples, vehicle: PointMassVehicle) -> RegressionProblem:
         """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
 
-        Of a stream function theta has two rows a sample, x and y, and one column of the target.
+        Of waves theta has two rows a sample, x and y, and one column of the target.
         """
         return self.build_flights([samples], [vehicle], [1.0])
 

@@ -20,7 +20,6 @@ from sparsefit.flight.waves import WaveFlow
 from sparsefit.model.columns import (
     CandidateFlow,
     candidate_columns,
-    peak_mean_velocity,
     rms_mean_velocity,
     strengths,
     wave_peaks,
@@ -36,11 +35,10 @@ from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
 
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
-MeanVelocityReadout = Literal["paper", "rms", "peak"]
+MeanVelocityReadout = Literal["paper", "rms"]
 Eq24 = Literal["mean-ratio", "pseudo-inverse"]
 Refine = Literal["none", "variable-projection", "ladder"]
 Scales = Literal["one", "several"]
-Correction = Literal["none", "first-order"]
 
 UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
 MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
@@ -56,18 +54,14 @@ class Readout:
     block (``group-norm``).
     mean_velocity, after a refit on the 8 columns of that scale: ``paper`` (Eqs. 22-24, whose last
     step is read as the mean of element-wise ratios, ``mean-ratio``, which has poles, or as the
-    least-squares coefficient, ``pseudo-inverse``), ``rms`` over the cell in closed form, or the
-    ``peak`` of |w| over the cell.
+    least-squares coefficient, ``pseudo-inverse``) or ``rms`` over the cell in closed form.
     refine: ``variable-projection`` moves the chosen scale off the grid, to the steady square cells
     along the axes that fit best between the grid's bounds; ``ladder``, the default, goes on from
     there to the shapes of an incompressible flow, cells at any heading, of any sides, steady or
     drifting, and lets the flight choose (`sparsefit.model.search`). ``none`` reports the candidate
     itself. Files that name no refinement mean ``variable-projection``.
     scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
-    flight bears out, each with a velocity, ``rms`` or ``peak``. Its peaks are those of the
-    Euclidean norm always.
-    correction: ``first-order`` or ``none``; kept for old files, the measurement has no bias to take
-    off.
+    flight bears out, each with its ``rms``. Its peaks are those of the Euclidean norm always.
     precision: the largest half-width of the 95 % intervals of U0, L and tau_w, as a share of the
     value, that is still called ``ok``; at 0.03 a value is off by 5 % once in a thousand flights.
     """
@@ -77,7 +71,6 @@ class Readout:
     eq24: Eq24 = "pseudo-inverse"
     refine: Refine = "ladder"
     scales: Scales = "one"
-    correction: Correction = "first-order"
     precision: float = 0.03
 
     def __post_init__(self) -> None:
@@ -87,14 +80,13 @@ class Readout:
             ("eq24", get_args(Eq24)),
             ("refine", get_args(Refine)),
             ("scales", get_args(Scales)),
-            ("correction", get_args(Correction)),
         ):
             one_of(f"readout {key}", getattr(self, key), valid)
         number_setting("readout", "precision", self.precision, low=0.0)
         if self.scales == "several" and self.mean_velocity == "paper":
             raise InputError(
                 "readout: mean_velocity 'paper' (Eq. 22) scales one field to its range and cannot "
-                "part several; use 'rms' or 'peak', or scales 'one'"
+                "part several; use 'rms', or scales 'one'"
             )
 
     def scale_weights(self, problem: RegressionProblem, weights: Array) -> Array:
@@ -111,8 +103,7 @@ class Readout:
     def by_scale(self, fit: Fit, library: Library) -> dict[float, float]:
         """The weight of each length scale [m]: of waves the norm of their strengths [m/s]."""
         if library.family == "waves":
-            assert fit.problem.parameters is not None
-            k, weights = fit.problem.parameters, fit.weights.reshape(-1, 2)
+            k, weights = _waves_of(fit)
             scales = math.sqrt(2.0) * math.pi / np.linalg.norm(k, axis=1)
             rings, ring = np.unique(np.round(scales, 9), return_inverse=True)
             squares = np.bincount(ring, strengths(k, weights) ** 2, len(rings))
@@ -121,18 +112,11 @@ class Readout:
         own = self.scale_weights(fit.problem, fit.weights).tolist()
         return dict(zip(fit.problem.group_scales.tolist(), own, strict=True))
 
-    def velocity(self, weights: Array) -> float:
-        """U0 [m/s], ``rms`` or ``peak``, from the weights (8, 2) [m/s] of one mode of cells."""
-        rms = self.mean_velocity == "rms"
-        return rms_mean_velocity(weights) if rms else peak_mean_velocity(weights)
-
     def start(self, search: Search, fit: Fit, library: Library) -> Start:
         """The start of a search that the weights of a fit propose."""
         lookout = search.lookout
         if library.family == "waves":
-            assert fit.problem.parameters is not None
-            k, weights = fit.problem.parameters, fit.weights.reshape(-1, 2)
-            peaks = wave_peaks(k, weights, lookout.extent, MOST_WAVES)[1].tolist()
+            peaks = wave_peaks(*_waves_of(fit), lookout.extent, MOST_WAVES)[1].tolist()
             return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
         if self.scales == "several":
             lobe = 2 * math.pi / lookout.extent
@@ -214,7 +198,8 @@ def read_grid(
     averaged = any(samples.averages for samples in flights)
     if not (several or library.unknown or averaged or library.family == "waves"):
         weights = (1.0,) * len(flights)
-    rows = _GridRows(flights, vehicles, library, weights)
+    unknowns = JointUnknowns.of(library.unknown, vehicles)
+    rows = _Rows(flights, vehicles, unknowns, weights)
     if library.family == "waves":
         return _read_waves(fit, rows, extent)
     if several:
@@ -222,73 +207,64 @@ def read_grid(
             raise InputError("the flight does not move: no length scale can be told; fly farther")
         places = windows(fit, 2 * math.pi / extent, (0.0, math.inf))
         k = np.array([place[0] for place in places])
-        speeds = np.array([readout.velocity(mode) for mode in rows.cells(k)[0]])
+        speeds = np.array([rms_mean_velocity(mode) for mode in rows.cells(k)[0]])
         k = k[speeds >= 0.05 * speeds.max()]  # systematic errors of a derivative reach 2 %
     else:
         by_scale = readout.by_scale(fit, library)
         k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
     own, coefficients = once((*k.tolist(), *weights), lambda: rows.cells(k))
-    own, pairs = own / rows.ratio(coefficients), rows.unknowns.read(coefficients)
+    own, pairs = own / rows.ratio(coefficients), unknowns.read(coefficients)
     possible = all(vehicle is not None for vehicle, _ in pairs)
     if readout.mean_velocity == "paper":
-        key = (readout.eq24, *k.tolist())
-        speeds = np.array([once(key, lambda: _paper_velocity(rows, readout, k, pairs))])
+        key, eq24 = (readout.eq24, *k.tolist()), readout.eq24
+        speeds = np.array([once(key, lambda: _paper_velocity(rows, library, eq24, k, pairs))])
     elif several or possible:
-        speeds = np.array([readout.velocity(mode) for mode in own])
+        speeds = np.array([rms_mean_velocity(mode) for mode in own])
     else:
         speeds = np.array([math.nan])
     scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
-    flow: CandidateFlow | WaveFlow | None = None
+    flow: CandidateFlow | None = None
     if several and possible:
         flow = CandidateFlow(k, own, rows.origin, pairs[0][1] if pairs else (0.0, 0.0))
     elif not several and library.target == "flow-velocity" and not library.unknown:
-        flow = _weighed(fit, library)
+        assert fit.problem.group_scales is not None
+        weighed = fit.weights.reshape(len(fit.problem.group_scales), 8, -1)
+        used = weighed.any(axis=(1, 2))
+        flow = CandidateFlow(math.pi / fit.problem.group_scales[used], weighed[used], np.zeros(2))
     return GridReading(scales, flow, pairs)
 
 
-def _weighed(fit: Fit, library: Library) -> CandidateFlow | WaveFlow | None:
-    """The flow that the weights of a back-end say as they are."""
-    scales = fit.problem.group_scales
-    if scales is None:
-        return None
-    if library.family == "stream":
-        assert fit.problem.parameters is not None
-        k = (fit.problem.parameters[:, None] * [[1.0, 1.0], [1.0, -1.0]]).reshape(-1, 2)
-        return WaveFlow(k, *fit.weights.reshape(-1, 2).T)
-    own = fit.weights.reshape(len(scales), 8, -1)
-    used = own.any(axis=(1, 2))
-    return CandidateFlow(math.pi / scales[used], own[used], np.zeros(2))
-
-
-def _read_waves(fit: Fit, rows: _GridRows, extent: float) -> GridReading:
+def _read_waves(fit: Fit, rows: _Rows, extent: float) -> GridReading:
     """Waves on the grid: U0 and L of their peaks, fitted together, and their sum as the flow."""
-    assert fit.problem.parameters is not None
-    k, own = fit.problem.parameters, fit.weights.reshape(-1, 2)
+    k, own = _waves_of(fit)
     tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
-    amplitudes, coefficients = rows.waves(k[tops])
+    weights, coefficients = rows.fitted(lambda place: wave_theta(place, k[tops]), shared=True)
     ratio, used = rows.ratio(coefficients), own.any(axis=1)
-    cells = read_cells(k[tops], amplitudes / ratio)
+    cells = read_cells(k[tops], weights.reshape(-1, 2) / ratio)
     flow = WaveFlow(k[used], *(own[used] / ratio).T)
     reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
     return GridReading((reading,), flow, rows.unknowns.read(coefficients))
 
 
-def _paper_velocity(rows: _GridRows, readout: Readout, k: Array, pairs: tuple[Read, ...]) -> float:
+def _paper_velocity(
+    rows: _Rows, library: Library, eq24: Eq24, k: Array, pairs: tuple[Read, ...]
+) -> float:
     """U0 by Eqs. 22-24 at k (1,), by the vehicles that fit best where these are unknown."""
-    believed = list(zip(rows.flights, rows.vehicles, strict=True))
-    phi = np.concatenate([own.flow_velocity(vehicle) for own, vehicle in believed])
-    target = np.concatenate([rows.library.response(own, vehicle) for own, vehicle in believed])
-    if pairs:
-        parts = []
-        for samples, (vehicle, background) in zip(rows.flights, pairs, strict=True):
+    vehicles, background = list(rows.vehicles), np.zeros(2)
+    phi, target = [], []
+    for number, samples in enumerate(rows.flights):
+        if pairs:
+            vehicle, steady = pairs[number]
             if vehicle is None:
                 return math.nan
-            parts.append(samples.flow_velocity(vehicle) - np.array(background))
-        phi = target = np.concatenate(parts)
+            vehicles[number], background = vehicle, np.array(steady)
+        phi.append(samples.flow_velocity(vehicles[number]) - background)
+        own = phi[-1] if pairs else library.response(samples, vehicles[number])
+        target.append(own[:, -2:])
     position = np.concatenate([samples.position for samples in rows.flights])
     columns = candidate_columns(position, np.pi / k)
-    field = columns @ _least_squares(columns, target[:, -2:])
-    return paper_mean_velocity(field, phi, readout.eq24)
+    field = columns @ _least_squares(columns, np.concatenate(target))
+    return paper_mean_velocity(field, np.concatenate(phi), eq24)
 
 
 def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
@@ -306,19 +282,19 @@ def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _GridRows:
+class _Rows:
     """The rows of the regression of flights, to refit a few modes on.
 
     Args:
         flights: the samples of each.
         vehicles: of each, as they are believed to be.
-        library: of the regression.
+        unknowns: of all flights.
         weights: of the rows of each flight.
     """
 
     flights: Sequence[Samples]
     vehicles: Sequence[PointMassVehicle]
-    library: Library
+    unknowns: JointUnknowns
     weights: Sequence[float]
 
     @cached_property
@@ -326,22 +302,13 @@ class _GridRows:
         """The place (2,) [m] from which the phases of cells count."""
         return middle(np.concatenate([samples.source.position for samples in self.flights]))
 
-    @cached_property
-    def unknowns(self) -> JointUnknowns:
-        """The unknowns of the flights."""
-        return JointUnknowns.of(self.library.unknown, self.vehicles)
-
     def cells(self, k: Array) -> tuple[Array, Array]:
-        """Weights (s, 8, 2) [m/s] of cells at k (s,), and the coefficients of the unknowns."""
+        """Weights (s, 8, 2) [m/s] of cells of wavenumbers k (s,), phases from the origin."""
+        scales, origin = np.pi / k, self.origin
         weights, coefficients = self.fitted(
-            lambda position: candidate_columns(position - self.origin, math.pi / k), shared=False
+            lambda position: candidate_columns(position - origin, scales), shared=False
         )
         return weights.reshape(2, len(k), 8).transpose(1, 2, 0), coefficients
-
-    def waves(self, k: Array) -> tuple[Array, Array]:
-        """Weights a, b (w, 2) [m^2/s] of waves k (w, 2) in the flight's own coordinates."""
-        weights, coefficients = self.fitted(lambda position: wave_theta(position, k), shared=True)
-        return weights.reshape(-1, 2), coefficients
 
     def fitted(self, theta: Callable[[Array], Array], *, shared: bool) -> tuple[Array, Array]:
         """Weights of the columns and coefficients of the unknowns, by least squares.
@@ -368,6 +335,12 @@ class _GridRows:
         """Phi of the believed vehicle over the true one's, where one flight tells it."""
         ratios = self.unknowns.ratios(coefficients)
         return ratios[0] if len(ratios) == 1 else 1.0
+
+
+def _waves_of(fit: Fit) -> tuple[Array, Array]:
+    """The wavevectors (w, 2) [rad/m] of a fit of waves, and their weights (w, 2)."""
+    assert fit.problem.parameters is not None
+    return fit.problem.parameters, fit.weights.reshape(-1, 2)
 
 
 def _least_squares(columns: Array, target: Array) -> Array:

@@ -4,34 +4,38 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
+from sparsefit.likelihood import Disturbance, FlightLog, StreamPattern, bound
+from sparsefit.likelihood.vehicle_estimate import model_of
 from sparsefit.model.grid import extent_of
-from sparsefit.model.regression_bound import Bound, cramer_rao
 from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
 from sparsefit.study.draw import Draw
 
 LISTED_DIGITS = 7  # significant, of the numbers in a listed set of scales
 INTERVAL_BITS = 17  # binary digits, of the width of an interval
+EXACT = 1e-6  # noise of a known position and velocity, in L and U0
 
 
 @dataclass(frozen=True)
 class Yardstick:
-    """The extent [m] of the flights of a case, and the Cramér-Rao bound of U0, L and tau_w.
+    """The extent [m] of the flights of a case, and the Cramér-Rao bounds by parameter.
 
-    others: flights through the same flow, along which it is predicted.
+    bounds: the least standard deviations of U0 [m/s], L [m] and tau_w [s]; none where none is
+    known. others: flights through the same flow, along which it is predicted.
     """
 
     extent: float
-    bound: Bound | None = None
+    bounds: Mapping[str, float] = field(default_factory=dict)
     others: tuple[Flight, ...] = ()
 
 
@@ -77,8 +81,7 @@ class Reading:
 
     def bound(self, parameter: str) -> float | None:
         """The Cramér-Rao bound of one of `PARAMETERS`, in its unit, where there is one."""
-        bound = self.yardstick.bound
-        return None if bound is None else float(getattr(bound, parameter))
+        return self.yardstick.bounds.get(parameter)
 
     @property
     def prediction_error(self) -> float | None:
@@ -115,23 +118,35 @@ def _listed(scales: Sequence[Cells | ScaleEstimate]) -> str:
 
 
 def yardstick(draw: Draw, fleet: tuple[Flight, ...], others: tuple[Flight, ...]) -> Yardstick:
-    """The extent of flights together, and their semiparametric Cramér-Rao bound under Eq. 7.
+    """The extent of flights together, and their Cramér-Rao bounds under Eq. 7.
 
-    The bound is that of noise on v' alone at known positions: there is none without process
-    noise, with noise of position or velocity, or without a single cellular flow.
+    Bounds are those of trajectories that are known, with noise on v' alone: there are none
+    without process noise, with noise of position or velocity, without a single cellular flow, or
+    where the flights do not see all of it.
     """
-    position = np.concatenate([flown.position for flown in fleet])
-    extent, noise = extent_of(position), draw.values.get("process_noise", 0.0)
+    extent = extent_of(np.concatenate([flown.position for flown in fleet]))
+    noise, flow = draw.values.get("process_noise", 0.0), draw.flow
     measured = any(draw.values.get(name, 0.0) > 0 for name in ("position_noise", "velocity_noise"))
-    if noise <= 0 or measured or not isinstance(draw.flow, CellularFlow):
+    if noise <= 0 or measured or not isinstance(flow, CellularFlow):
         return Yardstick(extent, others=others)
-    velocity = np.concatenate([flown.velocity for flown in fleet])
-    bound = cramer_rao(
-        position,
-        draw.flow,
-        draw.vehicle,
-        process_noise=noise,
-        model="semiparametric",
-        velocity=velocity,
-    )
-    return Yardstick(extent, bound, others)
+    # psi = U0/(2k) [cos k(x - y) - cos k(x + y)]
+    speed, scale = flow.mean_velocity, flow.length_scale
+    k, height = flow.wavenumber, 0.5 * speed / flow.wavenumber
+    waves, cosine = k * np.array([[1.0, 1.0], [1.0, -1.0]]), height * np.array([-1.0, 1.0])
+    pattern, models = StreamPattern.of_waves("axis", waves, cosine, np.zeros(2)), []
+    for flown in fleet:
+        density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
+        noises = Disturbance(density, EXACT * scale, EXACT * speed)
+        model = model_of(pattern, flown, draw.vehicle, (0.0, 0.0))
+        models.append(replace(model, disturbance=noises))
+    states = [np.hstack([flown.position, flown.velocity]) for flown in fleet]
+    try:
+        covariance = bound([FlightLog.of_flight(flown) for flown in fleet], models, states)
+    except InputError:
+        return Yardstick(extent, others=others)
+    slopes = np.zeros((3, len(covariance)))  # of U0, L and tau_w by the parameters of the pattern
+    slopes[0, 0] = slopes[1, 1] = 1.0
+    slopes[2, :2] = -scale / speed**2, 1.0 / speed
+    errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes)).tolist()
+    bounds = dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))
+    return Yardstick(extent, bounds, others)

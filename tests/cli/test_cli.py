@@ -239,7 +239,7 @@ def test_options_of_the_estimator_reach_it(capsys, flight):
     options += ("--derivative", "savgol", "--window", "7", "--order", "3", "--target")
     options += ("acceleration", "--length-scale-readout", "absolute-sum")
     _, out, _ = run(
-        capsys, "estimate", flight, *options, "--mean-velocity-readout", "peak", "--json"
+        capsys, "estimate", flight, *options, "--mean-velocity-readout", "paper", "--json"
     )
     found = json.loads(out)
     assert [scale for scale, _ in found["weights_by_scale"]] == [3.0, 3.5, 4.0, 4.5, 5.0]

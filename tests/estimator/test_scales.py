@@ -86,16 +86,6 @@ def test_unrefined_scales_are_candidates_of_the_grid():
     assert scored.max_mean_velocity_error < 10.0
 
 
-def test_rms_and_peak_agree_on_cellular_flows():
-    flight_ = flown((10.0, 3.1), (4.0, 4.4))
-    plain = sf.Readout(scales="several", correction="none")
-    rms = Estimator(readout=plain).estimate(flight_)
-    peak = Estimator(readout=sf.Readout(scales="several", mean_velocity="peak")).estimate(flight_)
-    for one, other in zip(rms.scales, peak.scales, strict=True):
-        assert one.length_scale == other.length_scale
-        assert one.mean_velocity == pytest.approx(other.mean_velocity, rel=1e-2)
-
-
 def test_nothing_is_found_in_noise():
     rng = np.random.default_rng(5)
     t = np.arange(800) / 100.0

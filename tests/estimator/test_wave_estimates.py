@@ -78,48 +78,6 @@ def test_on_the_grid_the_flow_is_the_sum_of_its_waves(groups):
     assert off < 1.0
 
 
-def test_a_stream_function_per_length_scale_is_a_flow_too():
-    straight = flown(sf.CellularFlow(12.0, 4.0), noise=0.0)
-    library = sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), family="stream")
-    estimator = sf.Estimator(library=library, readout=sf.Readout(refine="none"))
-    prepared = estimator.prepare(straight)
-    fit = estimator.fit(prepared)
-    found = estimator.read(prepared, fit)
-    assert (found.status, found.grid_length_scale) == ("ok", 4.0)
-    np.testing.assert_allclose(
-        found.flow.velocity(*prepared.samples.position.T).reshape(-1, 1),
-        prepared.problem.theta @ fit.weights, atol=1e-9,
-    )  # fmt: skip
-    refined = sf.Estimator(library=library).estimate(straight)
-    assert refined.length_scale == pytest.approx(4.0, rel=1e-6)
-    assert refined.mean_velocity == pytest.approx(12.0, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("method", "unknown"), [("auto", ()), ("weak", ()), ("auto", ("response_time",))]
-)
-def test_off_the_grid_a_stream_function_has_4_amplitudes_for_both_components(method, unknown):
-    straight = flown(sf.CellularFlow(12.0, 4.0), seed=3)
-    free, stream = (
-        sf.Estimator(
-            method,
-            sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), family=family, unknown=unknown),
-            readout=sf.Readout(refine="variable-projection"),
-        ).estimate(straight)
-        for family in ("cells", "stream")
-    )  # fmt: skip
-    assert stream.status == free.status == "ok"
-    assert (free.shape, stream.shape, stream.heading) == ("axis", "axis", 0.0)
-    assert len(stream.flow.wavevectors) == 2
-    assert abs(stream.mean_velocity - 12.0) < 3 * stream.uncertainty.mean_velocity
-    assert abs(stream.length_scale - 4.0) < 3 * stream.uncertainty.length_scale
-    # Both are measured by one likelihood, whatever columns proposed them.
-    error = free.uncertainty.mean_velocity
-    assert abs(stream.mean_velocity - free.mean_velocity) < 1e-3 * error
-    assert abs(stream.uncertainty.mean_velocity - error) < 1e-3 * error
-    assert math.isnan(stream.response_time) == (not unknown)
-
-
 def test_a_wind_that_was_unknown_is_part_of_the_flow():
     windy = flown(sf.flows.SuperposedFlow((FLOW,), (1.5, -0.5)), noise=0.0)
     found = sf.Estimator(library=replace(WAVES, unknown=("wind",))).estimate(windy)

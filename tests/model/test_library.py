@@ -12,7 +12,7 @@ from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model import library as room
-from sparsefit.model.columns import CANDIDATES
+from sparsefit.model.columns import CANDIDATES, wave_theta
 from sparsefit.model.columns import candidate_columns as columns_of
 from sparsefit.model.grid import LengthScaleGrid, WaveGrid
 from sparsefit.model.library import Library
@@ -152,7 +152,7 @@ def test_an_unknown_target_is_refused():
 
 
 def test_a_large_flight_is_compressed_to_the_same_inner_products(monkeypatch):
-    for settings in ({}, {"unknown": ("response_time", "wind")}, {"family": "stream"}):
+    for settings in ({}, {"unknown": ("response_time", "wind")}):
         for method in ("auto", "weak"):
             samples, library = Derivative(method)(flight()), Library(SMALL_GRID, **settings)
             whole = library.build(samples, VEHICLE)
@@ -277,15 +277,12 @@ def test_the_columns_are_those_of_their_stream_functions():
     np.testing.assert_allclose(theta[:, 1], v, atol=1e-9)
 
 
-def test_a_cellular_flow_is_two_waves_and_one_scale_of_stream_functions():
-    flow = CellularFlow(7.0, 4.2)
-    target = flow.velocity(*POSITION.T).reshape(-1, 1)
-    stream = Library(LengthScaleGrid(4.2, 4.2), family="stream").columns(POSITION).at(POSITION)
-    left = target - stream @ np.linalg.lstsq(stream, target, rcond=None)[0]
-    assert np.abs(left).max() < 1e-12
+def test_a_cellular_flow_is_two_waves():
+    target = CellularFlow(7.0, 4.2).velocity(*POSITION.T).reshape(-1, 1)
+    waves = wave_theta(POSITION, math.pi / 4.2 * np.array([[1.0, 1.0], [1.0, -1.0]]))
     # psi = (U0 L/pi) sin(pi x/L) sin(pi y/L) = (U0 L/2 pi) (cos k(x - y) - cos k(x + y))
     weights = 7.0 * 4.2 / (2 * math.pi) * np.array([[-1.0], [0.0], [1.0], [0.0]])
-    np.testing.assert_allclose(stream @ weights, target, atol=1e-12)
+    np.testing.assert_allclose(waves @ weights, target, atol=1e-12)
 
 
 def test_rows_are_x_and_y_of_one_sample_after_the_other(samples, problem):
@@ -319,7 +316,7 @@ def test_groups_are_waves_rings_or_both(samples, problem, groups):
         ({"family": "waves", "groups": "rings"}, 'did you mean "ring"'),
         ({"groups": "ring"}, "'groups' is a setting of family 'waves', not of 'cells'"),
         ({"waves": WaveGrid(0.5)}, "'waves' is a setting of family 'waves'"),
-        ({"family": "stream", "target": "acceleration"}, "needs family 'cells'"),
+        ({"family": "waves", "target": "acceleration"}, "needs family 'cells'"),
         ({"every": 0}, "every must be an integer, at least 1"),
     ],
 )

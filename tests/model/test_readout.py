@@ -10,7 +10,7 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Readout, Search, read_grid
-from sparsefit.model.columns import CANDIDATES, candidate_columns
+from sparsefit.model.columns import CANDIDATES, candidate_columns, rms_mean_velocity
 from sparsefit.model.readout import paper_mean_velocity, windows
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative
@@ -92,7 +92,7 @@ def test_the_papers_readout_has_no_answer_for_a_constant_field():
 
 
 @pytest.mark.parametrize("method", ["auto", "weak"])
-@pytest.mark.parametrize("readout", ["rms", "peak", "paper"])
+@pytest.mark.parametrize("readout", ["rms", "paper"])
 def test_a_noise_free_flight_is_read_on_the_grid(method, readout):
     _, _, _, read = reading(method, Readout(mean_velocity=readout, refine="none"))
     (scale,) = read.scales
@@ -108,7 +108,7 @@ def test_the_velocity_is_a_refit_on_the_columns_of_the_scale():
     phi = samples.flow_velocity(VEHICLE)
     theta = candidate_columns(samples.position, np.array([4.2]))
     weights = np.linalg.lstsq(theta, phi, rcond=None)[0]
-    assert read.scales[0].mean_velocity == pytest.approx(Readout().velocity(weights), rel=1e-12)
+    assert read.scales[0].mean_velocity == pytest.approx(rms_mean_velocity(weights), rel=1e-12)
 
 
 @pytest.mark.parametrize("readout", ["rms", "paper"])

@@ -173,7 +173,7 @@ def test_the_last_samples_are_a_flight():
     [
         ({"library": sf.Library(grid=GRID, unknown=("wind",))}, "unknown wind"),
         ({"readout": sf.Readout(scales="several")}, "several scales"),
-        ({"readout": sf.Readout(mean_velocity="peak")}, "U0 is the rms"),
+        ({"readout": sf.Readout(mean_velocity="paper")}, "U0 is the rms"),
         ({"library": sf.Library(grid=sf.model.LengthScaleGrid(1.0, 40.0))}, "wider than 16 times"),
     ],
 )

@@ -8,8 +8,8 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
+from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.regression_bound import cramer_rao
 from sparsefit.study.columns import read_body
 from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, Flown
@@ -92,11 +92,29 @@ def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
     np.testing.assert_array_equal(one[0].position, three[0].position)
     assert len({flight.position[0, 0] for flight in three}) == 3
     assert all(flight.flow is None for flight in three)
-    draw = swept.definition.flights.cells[1].setup.flights.draw(1, 2, 5)
-    every = np.concatenate([flight.position for flight in three])
-    expected = cramer_rao(every, draw.flow, draw.vehicle, process_noise=1.0, model="semiparametric")
-    assert less.bound == expected
-    assert less.bound.length_scale < least.bound.length_scale
+    assert less.bounds["length_scale"] < least.bounds["length_scale"]
+
+
+def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
+    swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
+    cell = swept.definition.flights.cells[0]
+    flown, draw = Flown.of(swept.definition, 1, cell), cell.setup.flights.draw(1, 2, 5)
+    place, speed, scale = (
+        flown.fleet[0].position.T,
+        draw.flow.mean_velocity,
+        draw.flow.length_scale,
+    )
+    rows = [
+        sum(
+            sign * CellularFlow(speed + sign * h, scale + sign * g).velocity(*place).ravel()
+            for sign in (1, -1)
+        ) / 2e-6
+        for h, g in ((1e-6, 0.0), (0.0, 1e-6))
+    ]  # fmt: skip
+    known = draw.vehicle.response_time * np.sqrt(np.diag(np.linalg.inv(rows @ np.transpose(rows))))
+    bounds = flown.yardstick.bounds
+    assert known[0] <= bounds["mean_velocity"] < 1.5 * known[0]
+    assert known[1] <= bounds["length_scale"] < 5.0 * known[1]
 
 
 def test_a_case_of_one_flight_is_what_it_was_and_others_are_others(tmp_path):
@@ -201,20 +219,20 @@ def test_bad_logs_are_refused_by_key(folder, old, new, message):
 
 
 def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
-    peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "peak"\nreading = "peak velocity"\n'
-    study = together(tmp_path, sweep=peak + '"readout.mean_velocity" = "peak"')
+    peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "paper"\nreading = "by Eq. 22"\n'
+    study = together(tmp_path, sweep=peak + '"readout.mean_velocity" = "paper"')
     assert study.plan()["title"].unique().tolist() == [
         "rms: best-scale",
-        "peak velocity: best-scale",
+        "by Eq. 22: best-scale",
     ]
-    assert list(study.refusals) == ["peak velocity: best-scale"]
-    assert "U0 is the rms" in study.refusals["peak velocity: best-scale"]
+    assert list(study.refusals) == ["by Eq. 22: best-scale"]
+    assert "U0 is the rms" in study.refusals["by Eq. 22: best-scale"]
     flown = study.flown()
     assert flown.folder == study.folder / "on-board"
     assert flown.plan()["title"].tolist() == ["rms: best-scale"] * 2
     assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
     (row,) = FlightDesk(flown.definition).answer("cases", unit=0, cells=[0])["rows"]
     assert row[1] == "unidentifiable"  # two seconds are few for a board
-    alone = together(tmp_path, '[readout]\nmean_velocity = "peak"')
+    alone = together(tmp_path, '[readout]\nmean_velocity = "paper"')
     with pytest.raises(InputError, match="no candidate can fly"):
         _ = alone.refusals

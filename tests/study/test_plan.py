@@ -36,7 +36,7 @@ name = "least-squares"
 name = "one"
 [[protocols]]
 name = "two"
-"readout.mean_velocity" = "peak"
+"readout.mean_velocity" = "paper"
 [sweep]
 "flights.velocity_noise" = [0.0, 0.5]
 "library.target" = ["flow-velocity", "acceleration"]
