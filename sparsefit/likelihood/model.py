@@ -213,7 +213,7 @@ class StateSpace:
         elements: the values of the elements (22 + 5 j,).
         walkers: the elements (w,) that wander, states 4 to n.
         rates: their rates beta (w,) [1/s].
-        columns: the elements (p,) by which sensitivities are carried.
+        chain: the derivatives (22 + 5 j, p) of the elements by the parameters in question.
         kicks: the variance per second that each level gives to each state (l, n).
         spread: the variance that each level gives to each state at the start (l, n).
         noise: the variance that each level gives to each channel (l, 4): position, velocity.
@@ -222,14 +222,14 @@ class StateSpace:
     elements: Array
     walkers: IntArray
     rates: Array
-    columns: IntArray
+    chain: Array
     kicks: Array
     spread: Array
     noise: Array
 
     @classmethod
-    def of(cls, model: Model, columns: Iterable[int] = ()) -> StateSpace:
-        """Return the state space of a model, with sensitivities by the elements `columns`."""
+    def of(cls, model: Model, names: Iterable[str] = ()) -> StateSpace:
+        """Return the state space of a model, with sensitivities by named parameters."""
         disturbance, order = model.disturbance, list(ELEMENTS)
         walkers = [
             (order.index(name), process.rate, process.level**2, level)
@@ -246,5 +246,5 @@ class StateSpace:
             spread[level, state] = variance if rate else 0.0
         places = np.array([walker[0] for walker in walkers], dtype=np.intp)
         rates = np.array([walker[1] for walker in walkers], dtype=np.float64)
-        ids = np.array(list(columns), dtype=np.intp)
-        return cls(model.elements, places, rates, ids, kicks, spread, noise)
+        chain = model.jacobian(names)
+        return cls(model.elements, places, rates, chain, kicks, spread, noise)

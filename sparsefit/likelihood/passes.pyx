@@ -16,12 +16,16 @@ cdef enum:
 ctypedef const double[::1] Vector
 ctypedef const double[:, ::1] Matrix
 ctypedef const Py_ssize_t[::1] Indices
+ctypedef double ByOwn[OWN]
+ctypedef double ByElement[OWN + 5 * WAVES]
 
 
-cdef struct Force:
+cdef struct Force:  # zero before it is used: entries that are never set stay so
     double value[2]
     double by_state[2][4]
     double by_element[2][COLUMNS]
+    ByOwn own[2]  # by the elements directly
+    ByElement air[2]  # of the flow, by the elements
 
 
 cdef inline void add(Py_ssize_t n, double a, const double* x, double* y) noexcept nogil:
@@ -49,14 +53,11 @@ cdef void acceleration(
     cdef double x = state[0] - lag * state[2], y = state[1] - lag * state[3], t = time - lag
     cdef double swell = 1.0 + element[12], shape = 1.0 + element[13] * time
     cdef double u = 0.0, v = 0.0, xx = 0.0, xy = 0.0, yx = 0.0, ut = 0.0, vt = 0.0
-    cdef double air[2][OWN + 5 * WAVES]  # derivatives of the flow, and of the acceleration
-    cdef double own[2][OWN]
+    cdef ByElement* air = force.air
+    cdef ByOwn* own = force.own
     cdef double kx, ky, omega, slope, phase, c, s, px, py
     cdef const double* wave = element + OWN
     cdef Py_ssize_t j, i, k
-    memset(own, 0, sizeof(own))
-    memset(air[0], 0, OWN * sizeof(double))
-    memset(air[1], 0, OWN * sizeof(double))
     for j in range(waves):
         kx, ky, omega = wave[5 * j], wave[5 * j + 1], wave[5 * j + 4]
         phase = kx * x + ky * y - omega * t
@@ -124,10 +125,9 @@ cdef struct Step:
 cdef void transition(
     const double* elements, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
     const double* rates, double time, double step, const double* push, const double* track,
-    double* full, Step* result,
+    double* full, Force* force, Step* result,
 ) noexcept nogil:
     """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first."""
-    cdef Force force
     cdef double state[4]
     cdef double speed[4]
     cdef double tangent[4][STATES + COLUMNS]
@@ -158,7 +158,7 @@ cdef void transition(
         acceleration(
             full, waves, ids, w + p, state, time + reach,
             (1.0 - share) * push[0] + share * push[2],
-            (1.0 - share) * push[1] + share * push[3], &force,
+            (1.0 - share) * push[1] + share * push[3], force,
         )
         for i in range(w):
             force.by_element[0][i] *= result.fading[i]
@@ -184,35 +184,34 @@ cdef void transition(
 
 
 cdef void observation(
-    const double* elements, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
-    const double* state, double* full, double* reading, double (*by_state)[STATES],
-    double (*by_column)[STATES + COLUMNS],
+    const double* elements, const Py_ssize_t* walkers, Py_ssize_t w, const double* state,
+    double* full, double* reading, double (*by_state)[STATES], ByOwn* by_element,
 ) noexcept nogil:
-    """The readings (4,) of a state, H (4, 4 + w), and the derivatives by the `ids` (4, w + p)."""
+    """The readings (4,) of a state, H (4, 4 + w), the derivatives by the elements (4, 22).
+
+    Entries that are zero whatever the state are not set.
+    """
     cdef Py_ssize_t i, c
-    cdef double table[4][OWN]
-    memset(table, 0, sizeof(table))
     for i in range(w):
-        full[ids[i]] = elements[ids[i]]
+        full[walkers[i]] = elements[walkers[i]]
     for i in range(w):
-        full[ids[i]] += state[4 + i]
+        full[walkers[i]] += state[4 + i]
     cdef double place = full[14], rate = full[15], turn = full[18]
     cdef double co = cos(turn) if turn != 0.0 else 1.0, si = sin(turn) if turn != 0.0 else 0.0
     cdef double vx = co * state[2] - si * state[3], vy = si * state[2] + co * state[3]
     reading[0], reading[1] = place * state[0] + full[20], place * state[1] + full[21]
     reading[2], reading[3] = rate * vx + full[16], rate * vy + full[17]
-    table[0][14], table[1][14], table[2][15], table[3][15] = state[0], state[1], vx, vy
-    table[2][16] = table[3][17] = table[0][20] = table[1][21] = 1.0
-    table[2][18], table[3][18] = -rate * vy, rate * vx
-    table[0][19], table[1][19] = -place * state[2], -place * state[3]
-    memset(by_state, 0, 4 * STATES * sizeof(double))
+    by_element[0][14], by_element[1][14] = state[0], state[1]
+    by_element[2][15], by_element[3][15] = vx, vy
+    by_element[2][16] = by_element[3][17] = by_element[0][20] = by_element[1][21] = 1.0
+    by_element[2][18], by_element[3][18] = -rate * vy, rate * vx
+    by_element[0][19], by_element[1][19] = -place * state[2], -place * state[3]
     by_state[0][0] = by_state[1][1] = place
     by_state[2][2] = by_state[3][3] = rate * co
     by_state[2][3], by_state[3][2] = -rate * si, rate * si
     for c in range(4):
-        for i in range(w + p):
-            by_column[c][i] = table[c][ids[i]] if ids[i] < OWN else 0.0
-        memcpy(by_state[c] + 4, by_column[c], w * sizeof(double))
+        for i in range(w):
+            by_state[c][4 + i] = by_element[c][walkers[i]]
 
 
 def _room(states, columns, waves):
@@ -233,106 +232,122 @@ def forward(
     cdef Matrix scores = track if last is None else last.scores
     cdef double[::1] delta = state.delta, score = state.score
     cdef double[:, ::1] v = state.sensitivity, cov = state.covariance, info = state.information
-    cdef Py_ssize_t w = rates.shape[0] - 1, p = space.columns.shape[0], n = 4 + w
+    cdef Py_ssize_t w = rates.shape[0] - 1, p = space.chain.shape[1], n = 4 + w
     cdef Py_ssize_t levels = 0 if last is None else kicks.shape[0], q = p + levels
     cdef Py_ssize_t waves = (elements.shape[0] - OWN) // 5
-    _room(n, w + q, waves)
-    cdef Indices ids = np.concatenate([space.walkers, space.columns, [0]]).astype(np.intp)
+    # The elements that parameters move, and the links (element, parameter) of the chain rule.
+    columns = np.flatnonzero(space.chain.any(axis=1))
+    sources, targets = np.nonzero(space.chain[columns])
+    cdef Indices ids = np.concatenate([space.walkers, columns, [0]]).astype(np.intp)
+    cdef Indices source = np.append(sources, 0).astype(np.intp)
+    cdef Indices target = np.append(targets, 0).astype(np.intp)
+    cdef Vector slope = np.append(space.chain[columns][sources, targets], 0.0)
+    cdef Py_ssize_t moving = len(columns), links = len(sources)
+    cdef Py_ssize_t of_sensors = np.sum(columns[sources] < OWN)  # they stand first
+    _room(n, max(w + moving, q), waves)
     cdef double[::1] full = np.array(elements)
     cdef double[::1] kick = np.sum(kicks, axis=0), spread = np.sum(noise, axis=0)
-    cdef double by_column[4][STATES + COLUMNS]
+    cdef ByOwn by_element[4]
     cdef double by_state[4][STATES]
-    cdef double fresh[STATES][COLUMNS]
-    cdef double half[STATES][STATES]
-    cdef double moved[STATES]
-    cdef double gain[STATES]
-    cdef double response[COLUMNS]
+    cdef double rows[STATES][STATES + COLUMNS + 1]  # P, V and delta side by side
+    cdef double fresh[STATES][STATES + COLUMNS + 1]
+    cdef double pivot[STATES + COLUMNS + 1]  # P h, the response and minus the innovation
     cdef double reading[4]
-    cdef double total = 0.0, size, innovation, dt
+    cdef double total = 0.0, size, dt
     cdef double* saved = NULL
     cdef const double* h
     cdef Step step
-    cdef Py_ssize_t i, j, k, c, width = 2 * n + p + 2
+    cdef Force force
+    cdef Py_ssize_t i, j, k, c, kept = 2 * n + p + 2, last_one = n + q, width = n + q + 1
+    memset(&force, 0, sizeof(force))
+    memset(by_state, 0, sizeof(by_state))
+    memset(by_element, 0, sizeof(by_element))
+    for k in range(n):
+        memcpy(rows[k], &cov[k, 0], n * sizeof(double))
+        for j in range(q):
+            rows[k][n + j] = v[k, j]
+        rows[k][last_one] = delta[k]
     for i in range(first, end):
         if stored is not None:
             saved = &stored[i - first, 0]
-            memcpy(saved, &delta[0], n * sizeof(double))
             for k in range(n):
-                memcpy(saved + n + k * p, &v[k, 0], p * sizeof(double))
-            memcpy(saved + n * (1 + p), &cov[0, 0], n * n * sizeof(double))
+                saved[k] = rows[k][last_one]
+                memcpy(saved + n + k * p, rows[k] + n, p * sizeof(double))
+                memcpy(saved + n * (1 + p) + k * n, rows[k], n * sizeof(double))
         observation(
-            &elements[0], &ids[0], w, p, &track[i, 0], &full[0], reading, by_state, by_column
+            &elements[0], &ids[0], w, &track[i, 0], &full[0], reading, by_state, by_element
         )
         for c in range(4):
             if weights[i, c] <= 0.0:
                 continue
             h = by_state[c]
-            memcpy(response, by_column[c] + w, p * sizeof(double))
+            memset(pivot, 0, width * sizeof(double))
+            for k in range(of_sensors):
+                pivot[n + target[k]] += slope[k] * by_element[c][ids[w + source[k]]]
             for k in range(levels):
-                response[p + k] = noise[k, c] * scores[i, c] / weights[i, c]
-            memset(gain, 0, n * sizeof(double))
+                pivot[n + p + k] = noise[k, c] * scores[i, c] / weights[i, c]
+            pivot[last_one] = reading[c] - measured[i, c]
             for k in range(n):
                 if h[k] != 0.0:
-                    add(n, h[k], &cov[k, 0], gain)
-                    add(q, h[k], &v[k, 0], response)
-            innovation = measured[i, c] - reading[c] - dot(n, h, &delta[0])
-            size = spread[c] / weights[i, c] + dot(n, h, gain)
+                    add(width, h[k], rows[k], pivot)
+            size = spread[c] / weights[i, c] + dot(n, h, pivot)
             if not size > 0.0:  # the covariance has lost its sign
                 return -INFINITY
-            total -= 0.5 * (innovation * innovation / size + log(2.0 * M_PI * size))
-            add(n, innovation / size, gain, &delta[0])
-            add(q, innovation / size, response, &score[0])
+            total -= 0.5 * (pivot[last_one] * pivot[last_one] / size + log(2.0 * M_PI * size))
             for k in range(n):
-                add(q, -gain[k] / size, response, &v[k, 0])
-                add(n, -gain[k] / size, gain, &cov[k, 0])
-            for k in range(q):
-                add(q, response[k] / size, response, &info[k, 0])
+                add(width, -pivot[k] / size, pivot, rows[k])
+            for k in range(q):  # the lower triangle
+                score[k] -= pivot[n + k] * pivot[last_one] / size
+                add(k + 1, pivot[n + k] / size, pivot + n, &info[k, 0])
             if stored is not None:
-                saved = &stored[i - first, n * (1 + p + n) + c * width]
+                saved = &stored[i - first, n * (1 + p + n) + c * kept]
                 memcpy(saved, h, n * sizeof(double))
                 for k in range(n):
-                    saved[n + k] = gain[k] / size
-                memcpy(saved + 2 * n, response, p * sizeof(double))
-                saved[2 * n + p], saved[2 * n + p + 1] = innovation, size
+                    saved[n + k] = pivot[k] / size
+                memcpy(saved + 2 * n, pivot + n, p * sizeof(double))
+                saved[2 * n + p], saved[2 * n + p + 1] = -pivot[last_one], size
         if i + 1 == time.shape[0]:
             break
         dt = time[i + 1] - time[i]
         transition(
-            &elements[0], waves, &ids[0], w, p, &rates[0], time[i], dt, &push[i, 0],
-            &track[i, 0], &full[0], &step,
+            &elements[0], waves, &ids[0], w, moving, &rates[0], time[i], dt, &push[i, 0],
+            &track[i, 0], &full[0], &force, &step,
         )
         for k in range(n):
             for j in range(levels):
-                v[k, p + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
-            cov[k, k] += 0.5 * dt * kick[k]
-        for k in range(n):  # F times delta, V and P
-            moved[k] = step.following[k] - track[i + 1, k]
-            memset(fresh[k], 0, q * sizeof(double))
-            memset(half[k], 0, n * sizeof(double))
-            if k < 4:
-                memcpy(fresh[k], step.slope[k] + n, p * sizeof(double))
-            for c in range(n if k < 4 else 0):
-                moved[k] += step.slope[k][c] * delta[c]
-                add(q, step.slope[k][c], &v[c, 0], fresh[k])
-                add(n, step.slope[k][c], &cov[c, 0], half[k])
+                rows[k][n + p + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
+            rows[k][k] += 0.5 * dt * kick[k]
+        for k in range(n):  # F times P, V and delta
+            memset(fresh[k], 0, width * sizeof(double))
+            fresh[k][last_one] = step.following[k] - track[i + 1, k]
             if k >= 4:
-                moved[k] += step.fading[k - 4] * delta[k]
-                add(q, step.fading[k - 4], &v[k, 0], fresh[k])
-                add(n, step.fading[k - 4], &cov[k, 0], half[k])
+                add(width, step.fading[k - 4], rows[k], fresh[k])
+                continue
+            for j in range(links):
+                fresh[k][n + target[j]] += slope[j] * step.slope[k][n + source[j]]
+            for c in range(n):
+                add(width, step.slope[k][c], rows[c], fresh[k])
         for k in range(n):  # and P times F'
             for j in range(k + 1):
-                cov[k, j] = dot(n, half[k], step.slope[j]) if j < 4 else (
-                    half[k][j] * step.fading[j - 4]
+                rows[k][j] = dot(n, fresh[k], step.slope[j]) if j < 4 else (
+                    fresh[k][j] * step.fading[j - 4]
                 )
-                cov[j, k] = cov[k, j]
-            cov[k, k] += 0.5 * dt * kick[k]
+                rows[j][k] = rows[k][j]
+            rows[k][k] += 0.5 * dt * kick[k]
+            memcpy(rows[k] + n, fresh[k] + n, (q + 1) * sizeof(double))
             for j in range(levels):
-                fresh[k][p + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
-            delta[k] = moved[k]
-            memcpy(&v[k, 0], fresh[k], q * sizeof(double))
+                rows[k][n + p + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
             if stored is not None and k < 4:
                 saved = &stored[i - first, stored.shape[1] - 4 * n + k * n]
                 memcpy(saved, step.slope[k], n * sizeof(double))
+    for k in range(n):
+        memcpy(&cov[k, 0], rows[k], n * sizeof(double))
+        for j in range(q):
+            v[k, j] = rows[k][n + j]
+        delta[k] = rows[k][last_one]
+    for k in range(q):
+        for j in range(k):
+            info[j, k] = info[k, j]
     return total
 
 

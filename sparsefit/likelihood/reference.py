@@ -87,13 +87,12 @@ def derived(
     function: Callable[[Array, Array], Array], space: StateSpace, states: Array
 ) -> tuple[Array, Array]:
     """A function (4, m) of elements and states (n, m) as (m, 4), and its slopes (m, 4, n + p)."""
-    point = space.elements.astype(complex), states.astype(complex)
-    slopes = []
-    places = [(1, place) for place in range(len(states))] + [(0, own) for own in space.columns]
-    for part, place in places:
-        moved = point[0].copy(), point[1].copy()
-        moved[part][place] += 1j * SMALL
-        slopes.append(function(*moved).imag.T / SMALL)
+    slopes, still = [], np.zeros(len(states))
+    pushes = [(0.0, unit) for unit in np.eye(len(states))] + [(own, still) for own in space.chain.T]
+    for of_elements, of_states in pushes:
+        elements = space.elements + 1j * SMALL * of_elements
+        moved = states + 1j * SMALL * of_states[:, None]
+        slopes.append(function(elements, moved).imag.T / SMALL)
     return function(space.elements, states).T, np.stack(slopes, axis=2)
 
 
@@ -104,7 +103,7 @@ def transitions(
     n, steps = track.shape[1], np.diff(time)
     moved, slopes = derived(lambda e, s: following(space, time, push, e, s), space, track[:-1].T)
     fading = np.exp(-np.outer(steps, space.rates))
-    matrices, inputs = np.zeros((len(steps), n, n)), np.zeros((len(steps), n, len(space.columns)))
+    matrices, inputs = np.zeros((len(steps), n, n)), np.zeros((len(steps), n, space.chain.shape[1]))
     matrices[:, :4], inputs[:, :4] = slopes[:, :, :n], slopes[:, :, n:]
     matrices[:, range(4, n), range(4, n)] = fading
     return np.concatenate([moved, fading * track[:-1, 4:]], axis=1), matrices, inputs
@@ -134,7 +133,7 @@ def forward(
     Returns:
         The log-likelihood of the block at dtheta = 0, -inf where rounding has won.
     """
-    p, n = len(space.columns), track.shape[1]
+    p, n = space.chain.shape[1], track.shape[1]
     delta, sensitivity, covariance = state.delta, state.sensitivity, state.covariance
     part = slice(first, min(end + 1, len(nodes.time)))
     time, along = nodes.time[part], track[part]
@@ -200,7 +199,7 @@ def backward(
 
     Args:
         space, nodes, first, end: as of `forward`.
-        change: dtheta (p,) of the columns' elements.
+        change: dtheta (p,) of the parameters.
         stored: written by `forward`.
         carried: r and N of the node after the block (1 + n, n): changed in place.
         result: its delta is added to the track; its adjoint and scores are written.

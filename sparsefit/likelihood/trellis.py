@@ -23,7 +23,7 @@ try:
 except ImportError:  # no compiler where the package was installed
     passes = importlib.import_module("sparsefit.likelihood.reference")
 
-BLOCK = 2048  # nodes whose passes are stored at once
+BLOCK = 8192  # nodes whose passes are stored at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,27 +90,22 @@ class Leg:
 
         names: the parameters (p,) by which the score and the information are wanted.
         """
-        chain = self.model.jacobian(names)
-        columns = np.flatnonzero(np.abs(chain).sum(axis=1))
-        chain, space = chain[columns], StateSpace.of(self.model, columns)
-        (m, n), c, last = self.track.shape, len(columns), self.last
-        state = State.of(n, c if last is None else c + len(space.kicks))
+        space = StateSpace.of(self.model, names)
+        (m, n), p, last = self.track.shape, len(names), self.last
+        state = State.of(n, p if last is None else p + len(space.kicks))
         state.covariance[:] = np.diag(space.spread.sum(axis=0))
         state.covariance[range(4), range(4)] += self.log.spread
         state.delta[4:] = -self.track[0, 4:]  # walkers start about 0
         if last is not None:
-            state.sensitivity[:, c:] = (space.spread * last.adjoint[0, :n]).T
+            state.sensitivity[:, p:] = (space.spread * last.adjoint[0, :n]).T
         value, starts = 0.0, []
-        stored = np.empty((m, _width(n, c))) if keep and m <= BLOCK else None
+        stored = np.empty((m, _width(n, p))) if keep and m <= BLOCK else None
         for first in range(0, m, BLOCK):
-            carried = state.delta, state.sensitivity[:, :c], state.covariance
+            carried = state.delta, state.sensitivity[:, :p], state.covariance
             starts.append(tuple(part.copy() for part in carried))
             end = min(first + BLOCK, m)
             value += passes.forward(space, self.nodes, self.track, first, end, last, state, stored)
-        score = np.concatenate([state.score[:c] @ chain, state.score[c:]])
-        half = np.concatenate([chain.T @ state.information[:c], state.information[c:]])
-        information = np.concatenate([half[:, :c] @ chain, half[:, c:]], axis=1)
-        return Pass(self, space, chain, value, score, information, tuple(starts), stored)
+        return Pass(self, space, value, state.score, state.information, tuple(starts), stored)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +115,6 @@ class Pass:
     Args:
         leg: that was filtered.
         space: its model.
-        chain: the derivatives (c, p) of the columns' elements by the parameters.
         value: the log-likelihood at dtheta = 0.
         score: b (p + l,) by the parameters, and by the levels where a last pass gave them.
         information: J (p + l, p + l).
@@ -130,7 +124,6 @@ class Pass:
 
     leg: Leg
     space: StateSpace
-    chain: Array
     value: float
     score: Array
     information: Array
@@ -145,7 +138,7 @@ class Pass:
             self.leg.track,
             self.leg.track.shape,
         )
-        c, levels = len(self.chain), len(space.kicks)
+        p, levels = len(change), len(space.kicks)
         carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
         result = Smoothed(
             track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)), np.zeros((levels, 2))
@@ -154,12 +147,11 @@ class Pass:
             first, stored = block * BLOCK, self.stored
             end = min(first + BLOCK, m)
             if stored is None:  # the block once more, without the levels' columns
-                stored = np.empty((end - first, _width(n, c)))
+                stored = np.empty((end - first, _width(n, p)))
                 delta, sensitivity, covariance = (part.copy() for part in self.starts[block])
-                state = State(delta, sensitivity, covariance, np.zeros(c), np.zeros((c, c)))
+                state = State(delta, sensitivity, covariance, np.zeros(p), np.zeros((p, p)))
                 passes.forward(space, nodes, track, first, end, None, state, stored)
-            moved = self.chain @ change
-            passes.backward(space, nodes, first, end, moved, stored, carried, result, sums)
+            passes.backward(space, nodes, first, end, change, stored, carried, result, sums)
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
         squares = space.kicks @ sums[:n] + space.spread @ initial + (space.noise > 0.0) @ sums[n:]
         result.squares[:] = 0.5 * squares
@@ -188,6 +180,6 @@ def _between(old: Array, track: Array, new: Array) -> Array:
     return between
 
 
-def _width(n: int, c: int) -> int:
+def _width(n: int, p: int) -> int:
     """The numbers that a node stores for the backward pass."""
-    return n * (1 + c + n) + 4 * (2 * n + c + 2) + 4 * n
+    return n * (1 + p + n) + 4 * (2 * n + p + 2) + 4 * n
