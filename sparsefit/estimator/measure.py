@@ -140,12 +140,25 @@ class Measured:
         parts = flows_of(self.waves[:, :2], self.waves[:, 3:])
         if len(self.waves) > 4 and not len(self.waves) % 2:  # cells of several length scales
             parts = [[j, j + 1] for j in range(0, len(self.waves), 2)]
+        pattern, names = self.posterior.model.pattern, self.posterior.names
+
+        def values(place: int, step: float) -> list[Array]:
+            moved = np.array(pattern.values)
+            moved[place] += step
+            waves = replace(pattern, values=tuple(moved.tolist())).waves[:, [0, 1, 4, 2, 3]]
+            return [read_waves(waves[list(flow)]) for flow in parts]
+
+        slopes = []
+        for place, size in enumerate(pattern.values):
+            step = 1e-6 * max(abs(size), 1e-2)
+            pairs = zip(values(place, step), values(place, -step), strict=True)
+            slopes.append([(up - down) / (2.0 * step) for up, down in pairs])
+        places = [names.index(name) for name in pattern.names]
+        covariance = self.posterior.covariance[np.ix_(places, places)]
         every = []
-        for flow in parts:
-            places = np.concatenate([np.arange(5 * j, 5 * j + 5) for j in flow])
-            every.append(
-                read_with_errors(self.waves[flow], self.covariance[np.ix_(places, places)])
-            )
+        for value, slope in zip(values(0, 0.0), zip(*slopes, strict=True), strict=True):
+            variances = np.einsum("if,ij,jf->f", slope, covariance, slope)
+            every.append((value, np.sqrt(np.maximum(variances, 0.0))))
         return every
 
     def scales(self, grid: Sequence[float]) -> tuple[ScaleEstimate, ...]:
@@ -393,19 +406,3 @@ def read_waves(waves: Array) -> Array:
     two = np.argsort(-strength, kind="stable")[:2]
     moves = np.linalg.lstsq(waves[two, :2], waves[two, 2], rcond=1e-9)[0]
     return np.array([*values, *cells.length_scales, cells.heading, *moves])
-
-
-def read_with_errors(waves: Array, covariance: Array) -> tuple[Array, Array]:
-    """`read_waves` and the standard errors of its values, by the covariance (5 j, 5 j) of waves."""
-    size = np.abs(waves).max(axis=0)
-    steps = 1e-6 * np.where(size > 0, size, 1.0)
-    steps[2] = 1e-6 * max(size[2], 1.0)
-    gradients = []
-    for place in np.ndindex(*waves.shape):
-        moved = [waves.copy(), waves.copy()]
-        for sign, own in zip((1, -1), moved, strict=True):
-            own[place] += sign * steps[place[1]]
-        gradients.append((read_waves(moved[0]) - read_waves(moved[1])) / (2 * steps[place[1]]))
-    slopes = np.array(gradients)
-    variances = np.einsum("if,ij,jf->f", slopes, covariance, slopes)
-    return read_waves(waves), np.sqrt(np.maximum(variances, 0.0))

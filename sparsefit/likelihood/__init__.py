@@ -4,7 +4,6 @@ from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, bound, measure
-from sparsefit.likelihood.smoother import SmootherSettings
 
 __all__ = [
     "ELEMENTS",
@@ -13,7 +12,6 @@ __all__ = [
     "Model",
     "Posterior",
     "Process",
-    "SmootherSettings",
     "StreamPattern",
     "bound",
     "measure",

@@ -29,7 +29,6 @@ from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, measure
-from sparsefit.likelihood.smoother import SmootherSettings
 
 
 @dataclass(frozen=True)
@@ -337,13 +336,7 @@ def fitted(
             )
             starts[number] = replace(model, disturbance=fresh)
     try:
-        return measure(
-            logs,
-            starts,
-            tuple(starts[0].disturbance.levels),
-            start,
-            SmootherSettings(passes=passes),
-        )
+        return measure(logs, starts, tuple(starts[0].disturbance.levels), start, passes)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None
 
@@ -394,6 +387,8 @@ def gains_of(
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled, b = information / size[:, None] / size, score / size
     base = [place for place, name in enumerate(names) if name.partition("@")[0] in local]
+    along = np.linalg.lstsq(scaled[np.ix_(base, base)], scaled[base], rcond=1e-12)[0]
+    efficient, free = b - along.T @ b[base], scaled - along.T @ scaled[base]
     gains = {}
     for group, elements in groups.items():
         for flight in range(1, len(posterior.legs) + 1):
@@ -401,16 +396,14 @@ def gains_of(
             if not elements or f"{elements[0]}{suffix}" not in names:
                 continue
             added = [names.index(f"{own}{suffix}") for own in elements]
-            inner, cross = scaled[np.ix_(base, base)], scaled[np.ix_(base, added)]
-            along = np.linalg.lstsq(inner, cross, rcond=1e-12)[0]
-            rest = scaled[np.ix_(added, added)] - along.T @ cross
+            rest = free[np.ix_(added, added)]
             roots, axes = np.linalg.eigh(0.5 * (rest + rest.T))
             roots, axes = roots[roots > seen], axes[:, roots > seen]
-            efficient = axes.T @ (b[added] - along.T @ b[base])
-            step = axes @ (efficient / roots) / size[added]
+            along_axes = axes.T @ efficient[added]
+            step = axes @ (along_axes / roots) / size[added]
             error = np.sqrt(np.sum(axes**2 / roots, axis=1)) / size[added]
             own_flight = flight if f"{elements[0]}@2" in names else 0
-            gains[group, own_flight] = Gain(float(np.sum(efficient**2 / roots)), step, error)
+            gains[group, own_flight] = Gain(float(np.sum(along_axes**2 / roots)), step, error)
     return gains
 
 

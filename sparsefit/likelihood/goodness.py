@@ -15,13 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.likelihood.causes import Suspect
 from sparsefit.likelihood.diagnosis import Diagnosis
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.posterior import Posterior
 
-FEWEST = 16  # innovations of a channel that are tested
 NORMAL_95 = 1.959963984540054
 
 
@@ -118,7 +116,7 @@ class Goodness:
         """From a posterior, and the diagnosis behind it."""
         speed = posterior.model.pattern.mean_velocity
         gusts, kicks = np.array([_disturbances(model) for model in posterior.models]).T
-        every = [whiteness(each) for each in posterior.innovations]
+        every = posterior.whiteness
         each = [
             cls(explained(speed**2 / 4, gust + kick, 0.0), white)
             for gust, kick, white in zip(gusts.tolist(), kicks.tolist(), every, strict=True)
@@ -168,28 +166,6 @@ class Constancy:
             return None
         chance = math.erfc(abs(rate / spread) / math.sqrt(2.0))
         return cls(rate, spread, interval(rate, spread), chance)
-
-
-def whiteness(innovations: Array) -> float:
-    """The p-value of Bartlett's test of standardised innovations (m, c), the least of c channels.
-
-    Missing ones are NaN; the p-value counts the channels. NaN where too few were read.
-    """
-    from scipy.special import kolmogorov
-
-    chances = []
-    for channel in innovations.T:
-        values = channel[np.isfinite(channel)]
-        if len(values) < FEWEST:
-            continue
-        power = np.abs(np.fft.rfft(values - values.mean())[1 : (len(values) + 1) // 2]) ** 2
-        if not power.sum() > 0.0:
-            continue
-        steps = np.cumsum(power) / power.sum()
-        line = np.arange(1, len(power) + 1) / len(power)
-        away = float(np.abs(steps - line).max())
-        chances.append(float(kolmogorov(away * math.sqrt(len(power)))))
-    return 1.0 - (1.0 - min(chances)) ** len(chances) if chances else math.nan
 
 
 def explained(flow: float, turbulence: float, noise: float) -> float:

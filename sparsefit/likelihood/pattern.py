@@ -128,15 +128,17 @@ class StreamPattern:
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""
         waves = _expanded(self.shape, np.array(self.values)[:, None], self.drifting)[:, :, 0]
-        silent = np.pad(np.array(self.silent).reshape(-1, 2), ((0, 0), (0, 3)))
+        silent = np.zeros((len(self.silent), 5))
+        silent[:, :2] = np.array(self.silent).reshape(-1, 2)
         return np.concatenate([waves, silent])
 
     @cached_property
     def jacobian(self) -> Array:
         """The derivatives (5 j, p) of the elementary quantities by the values (complex steps)."""
         pushed = np.array(self.values)[:, None] + 1e-30j * np.eye(len(self.values))
-        slopes: Array = _expanded(self.shape, pushed, self.drifting).imag / 1e-30
-        return np.pad(slopes.reshape(-1, len(self.values)), ((0, 5 * len(self.silent)), (0, 0)))
+        slopes = _expanded(self.shape, pushed, self.drifting).imag / 1e-30
+        silent = np.zeros((5 * len(self.silent), len(self.values)))
+        return np.concatenate([slopes.reshape(-1, len(self.values)), silent])
 
     @property
     def mean_velocity(self) -> float:
@@ -190,7 +192,8 @@ def _expanded(shape: str, values: Array, drifting: bool) -> Array:
             for sign, phase in ((1.0, "phase_1"), (-1.0, "phase_2"))
         ])  # fmt: skip
     else:
-        waves = np.pad(bare.reshape(-1, 4, bare.shape[1]), ((0, 0), (0, 1), (0, 0)))
+        waves = np.zeros((len(bare) // 4, 5, bare.shape[1]), dtype=values.dtype)
+        waves[:, :4] = bare.reshape(-1, 4, bare.shape[1])
     if drifting:  # omega = k . c
         waves[:, 4] = np.sum(waves[:, :2] * values[-2:], axis=1)
     return waves

@@ -25,8 +25,13 @@ from sparsefit.errors import InputError
 from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.smoother import (
+    ANNEAL,
+    COARSE,
+    EXACT,
+    GAIN,
+    PASSES,
+    PHASE,
     Ascent,
-    SmootherSettings,
     Step,
     inverted,
     joined,
@@ -38,6 +43,56 @@ from sparsefit.likelihood.trellis import Leg, longest_step
 NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
 NEIGHBOURS = 30  # waves beside those of the flow
 NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of it
+FEWEST = 16  # innovations of a channel that are tested
+FAR = 64.0  # degrees of freedom: where process noise is looked for above none
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """Logs at another level than that of the optimum.
+
+    Args:
+        height: the logarithm of the level over that of the optimum.
+        value: the log-likelihood, the parameters moved to its maximum there.
+        covariance: of these (p, p), and of how far they moved.
+    """
+
+    height: float
+    value: float
+    covariance: Array
+
+    @classmethod
+    def of(cls, legs: tuple[Leg, ...], height: float, name: str, place: int | None = None) -> Rung:
+        """One forward pass of the logs; place: of the log whose level it is, None: all."""
+        moved = tuple(
+            leg.louder(height, name) if place in (None, number) else leg
+            for number, leg in enumerate(legs)
+        )
+        step = Step.of(moved, keep=False)
+        spread = step.covariance + np.outer(step.change, step.change)
+        return cls(height, step.reached, spread)
+
+
+def climbed_levels(
+    legs: tuple[Leg, ...], degrees: float, name: str, place: int | None = None, least: float = 0.0
+) -> tuple[Rung, ...]:
+    """Rungs of a level by factors of 3, from one that counts as nothing to one that is unlikely.
+
+    Args:
+        legs: at an optimum.
+        degrees: of freedom that the level takes there; they grow with its square at most.
+        name: of the level.
+        place: of the log whose level it is; None: of all.
+        least: the degrees of freedom that the highest rung has, if they grow so.
+    """
+    height = 0.5 * math.log(NOTHING / degrees) + (degrees <= NOTHING) * math.log(3.0)
+    rungs = [Rung.of(legs, height, name, place)]
+    while len(rungs) < 40 and (
+        rungs[-1].height < 0.5 * math.log(max(least / degrees, 1.0))
+        or rungs[-1].value > max(rung.value for rung in rungs) - 4.0
+    ):
+        rungs.append(Rung.of(legs, rungs[-1].height + math.log(3.0), name, place))
+    return tuple(rungs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +108,7 @@ class Posterior:
         level_information: of the logarithms of their variances, of the first log (l, l).
         reason: why the search did not end at the optimum; empty where it did.
         passes: the number of passes over few rows, and over all.
-        settings: of the smoother.
+        ladder: likelihoods at more process noise, of one log where it fell to nothing.
     """
 
     legs: tuple[Leg, ...]
@@ -64,7 +119,7 @@ class Posterior:
     level_information: Array
     reason: str
     passes: tuple[int, int]
-    settings: SmootherSettings
+    ladder: tuple[Rung, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -77,9 +132,9 @@ class Posterior:
         pattern, values = self.model.pattern, self.model.values
         speed, turnover = pattern.mean_velocity, pattern.length_scale / pattern.mean_velocity
         pull = speed * (1.0 + abs(values["quadratic_drag"]) * speed) / values["response_time"]
-        bound = 1e2 * self.settings.exact * pull * math.sqrt(turnover)  # a wrong motion has more
+        bound = 1e2 * EXACT * pull * math.sqrt(turnover)  # a wrong motion has more
         return all(
-            disturbance.position_noise < 3.0 * self.settings.exact * pattern.length_scale
+            disturbance.position_noise < 3.0 * EXACT * pattern.length_scale
             and disturbance.acceleration < bound
             for disturbance in (leg.model.disturbance for leg in self.legs)
         )
@@ -103,6 +158,11 @@ class Posterior:
             if leg.last is not None
         )
 
+    @cached_property
+    def whiteness(self) -> tuple[float, ...]:
+        """The p-value of each log that white innovations show as much structure in time."""
+        return tuple(whiteness(each) for each in self.innovations)
+
     @property
     def bic(self) -> float:
         """Return -2 log L + (p + l) log(readings)."""
@@ -124,7 +184,7 @@ class Posterior:
     @cached_property
     def covariance(self) -> Array:
         """Of the free parameters (p, p), levels integrated out, neighbouring waves allowed for."""
-        bare = inverted(self.information, self.settings.dependent)[0]
+        bare = inverted(self.information)[0]
         if not self.converged or not np.isfinite(bare).all():
             return bare
         total = bare.copy()
@@ -138,42 +198,30 @@ class Posterior:
 
     def _widened(self, place: int, name: str, bare: Array) -> Array:
         """The part that a level's uncertainty adds to the covariance (p, p)."""
-
-        def at(factor: float) -> tuple[float, Array]:
-            legs = list(self.legs)
-            level = legs[place].model.disturbance.levels[name]
-            legs[place] = legs[place].at({name: factor * level})
-            step = Step.of(tuple(legs), self.settings.dependent, keep=False)
-            away = step.reached - self.log_likelihood
-            return away, step.covariance + np.outer(step.change, step.change)
-
         leg = self.legs[place]
         assert leg.last is not None
         index = list(leg.model.disturbance.levels).index(name)
         degrees = max(float(leg.last.squares[index, 1]), 1e-12)
         if degrees > 1.0:
-            (up, wide), (down, narrow) = at(math.exp(NUDGE)), at(math.exp(-NUDGE))
-            bend = -(up + down) / NUDGE**2
+            up, down = (Rung.of(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
+            bend = -(up.value + down.value - 2.0 * self.log_likelihood) / NUDGE**2
             if bend > 4.0:  # a deviation of less than half: to second order
-                spread: Array = 0.5 * (wide + narrow - 2.0 * bare) / NUDGE**2 / bend
-                return spread
-        rungs = [0.5 * math.log(NOTHING / degrees)]  # from where the level counts as nothing
-        ladder = [(0.0, bare) if rungs[0] >= 0.0 else at(math.exp(rungs[0]))]
-        while len(rungs) < 40 and (
-            rungs[-1] < 0.0 or ladder[-1][0] > max(value for value, _ in ladder) - 4.0
-        ):
-            rungs.append(rungs[-1] + math.log(3.0))
-            ladder.append(at(math.exp(rungs[-1])))
-        likely = np.array([value for value, _ in ladder]) + 0.5 * np.array(rungs)
+                spread: Array = 0.5 * (up.covariance + down.covariance - 2.0 * bare)
+                return spread / NUDGE**2 / bend
+        ladder = self.ladder or climbed_levels(self.legs, degrees, name, place)
+        start = Rung(0.5 * math.log(NOTHING / degrees), self.log_likelihood, bare)
+        if start.height >= 0.0:
+            ladder = (start, *ladder)
+        likely = np.array([rung.value + 0.5 * rung.height for rung in ladder])
         weights = np.exp(likely - likely.max())
-        mean = sum(weight * each for weight, (_, each) in zip(weights, ladder, strict=True))
-        result: Array = mean / weights.sum() - bare
+        parts = (weight * rung.covariance for weight, rung in zip(weights, ladder, strict=True))
+        result: Array = sum(parts) / weights.sum() - bare
         return result
 
     @cached_property
     def inflation(self) -> float:
         """The mean score of neighbouring waves where something wanders, 1 or more."""
-        pattern, settings = self.model.pattern, self.settings
+        pattern = self.model.pattern
         if not self.model.disturbance.processes:
             return 1.0
         waves, silent = pattern.waves[:, :2], np.zeros((0, 2))
@@ -197,7 +245,7 @@ class Posterior:
         names, score, information = replace(self, legs=tuple(legs)).scores(extra)
         own = np.isin(names, self.names)
         among, across = information[np.ix_(own, own)], information[np.ix_(own, ~own)]
-        regression = inverted(among, settings.dependent)[0] @ across
+        regression = inverted(among)[0] @ across
         pairs = (score[~own] - regression.T @ score[own]).reshape(-1, 2)
         block = information[np.ix_(~own, ~own)] - across.T @ regression
         shares = [
@@ -219,7 +267,7 @@ def measure(
     model: Model | Sequence[Model],
     levels: Sequence[str] = LEVELS,
     start: Posterior | None = None,
-    settings: SmootherSettings | None = None,
+    passes: int = PASSES,
 ) -> Posterior:
     """Find the maximum of the likelihood of logs that share the free parameters.
 
@@ -230,13 +278,12 @@ def measure(
         levels: the names of the levels to estimate; others are at their values.
         start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
             its trajectories are where the search starts, and the noise is not annealed.
-        settings: of the smoother.
+        passes: over all rows at most.
 
     Raises:
         InputError: if a level or a parameter has no such name, or the log has gaps too long.
     """
     records, models = _about(logs, model)
-    settings = settings or SmootherSettings()
     for name in levels:
         if name not in models[0].disturbance.levels:
             valid = ", ".join(models[0].disturbance.levels)
@@ -245,52 +292,50 @@ def measure(
     floors = []
     for each in models:
         pattern, floor = each.pattern, np.full(len(each.disturbance.levels), 1e-150)
-        speed, length = settings.exact * pattern.mean_velocity, pattern.length_scale
+        speed, length = EXACT * pattern.mean_velocity, pattern.length_scale
         floor[:3] = (
             speed * math.sqrt(pattern.mean_velocity / length),
-            settings.exact * length,
+            EXACT * length,
             speed,
         )
         if 0 not in wanted:
             floor[0] = max(each.disturbance.acceleration, 1e-9)
         floors.append(floor)
-    ascent, few, hold = Ascent(settings, wanted, tuple(floors)), 0, 0
+    ascent, few, hold = Ascent(wanted, tuple(floors)), 0, 0
     pairs = list(zip(records, models, strict=True))
     with np.errstate(all="ignore"):  # a step that is no number is not taken
         if start is None:
             strides = [
                 min(
-                    len(log.time) / settings.coarse,
-                    4.0
-                    * longest_step(log, each, settings.phase)
-                    / float(np.median(np.diff(log.time))),
+                    len(log.time) / COARSE,
+                    4.0 * longest_step(log, each, PHASE) / float(np.median(np.diff(log.time))),
                 )
                 for log, each in pairs
             ]
             stride, hold = max(int(min(strides)), 1), 2
             speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
             rate = math.sqrt(2.0) * math.pi * speed / length + 1e-9
-            annealed = settings.anneal * speed / math.sqrt(rate)
+            annealed = ANNEAL * speed / math.sqrt(rate)
             legs = tuple(
-                noisier(
-                    Leg.of(*pair, settings.phase, stride), annealed / each.values["response_time"]
-                )
+                noisier(Leg.of(*pair, PHASE, stride), annealed / each.values["response_time"])
                 for pair, each in zip(pairs, models, strict=True)
             )
             if stride > 1:
-                step, smoothed, few, _ = ascent.climbed(legs, settings.passes)
+                step, smoothed, few, _ = ascent.climbed(legs, PASSES)
                 hold = 0
-                legs = tuple(leg.again(settings.phase, 1) for leg in step.moved(smoothed))
+                legs = tuple(leg.again(PHASE, 1) for leg in step.moved(smoothed))
         else:
             legs = tuple(
-                Leg.of(*pair, settings.phase, 1, (leg.nodes.time, leg.track))
+                Leg.of(*pair, PHASE, 1, (leg.nodes.time, leg.track))
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
-        step, smoothed, whole, reason = ascent.climbed(legs, hold)
-        higher = None if reason else ascent.ladder(step.moved(smoothed), step.reached)
-        if higher is not None:
-            again = ascent.climbed(higher, 0)
-            whole += again[2]
+        step, smoothed, whole, reason = ascent.climbed(legs, hold, passes)
+        ladder = () if reason or 0 not in wanted else _above(step.moved(smoothed), floors)
+        highest = max(ladder, key=lambda rung: rung.value, default=None)
+        if highest and highest.value > step.reached + 10.0 * GAIN:
+            raised = tuple(leg.louder(highest.height) for leg in step.moved(smoothed))
+            again = ascent.climbed(raised, 0, passes)
+            whole, ladder = whole + again[2], ()
             if again[0].reached > step.reached:
                 step, smoothed, _, reason = again
     shape = np.ix_(wanted, wanted)
@@ -298,8 +343,21 @@ def measure(
     names = joined(models[0].names, len(models))[0]
     return Posterior(
         step.moved(smoothed), names, step.information, step.reached, tuple(levels), information,
-        reason, (few, whole), settings,
+        reason, (few, whole), ladder if len(records) == 1 else (),
     )  # fmt: skip
+
+
+def _above(legs: tuple[Leg, ...], floors: Sequence[Array]) -> tuple[Rung, ...]:
+    """Rungs of process noise that fell to nothing: the likelihood may have a maximum above."""
+    levels = [leg.model.disturbance.levels for leg in legs]
+    seen = max(float(leg.last.squares[0, 1]) for leg in legs if leg.last is not None)
+    exact = all(
+        min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
+        for level, floor in zip(levels, floors, strict=True)
+    )
+    if exact or legs[0].model.disturbance.processes or not 0.0 < seen < 2.0:
+        return ()
+    return climbed_levels(legs, seen, "acceleration", least=FAR)
 
 
 def bound(
@@ -320,7 +378,7 @@ def bound(
         InputError: if the logs do not see a free parameter.
     """
     records, models = _about(logs, model)
-    settings, paths = SmootherSettings(), []
+    paths = []
     if states is None:
         known = [each.known(*each.names) for each in models]
         paths = [(leg.nodes.time, leg.track) for leg in measure(records, known, ()).legs]
@@ -329,10 +387,10 @@ def bound(
             x, y, t = each.pattern.origin
             paths.append((log.time - t, np.asarray(state, dtype=np.float64) - [x, y, 0.0, 0.0]))
     legs = tuple(
-        Leg.of(log, each, settings.phase, 1, path)
+        Leg.of(log, each, PHASE, 1, path)
         for log, each, path in zip(records, models, paths, strict=True)
     )
-    step = Step.of(legs, settings.dependent, keep=False)
+    step = Step.of(legs, keep=False)
     if step.blind:
         raise InputError(f"the log does not see all of {', '.join(step.blind)}: there is no bound")
     return step.covariance
@@ -348,3 +406,25 @@ def _about(
         raise InputError("several logs need one model each, with the same free parameters")
     x, y, t = np.mean([log.origin for log in records], axis=0).tolist()
     return records, tuple(replace(each, pattern=each.pattern.about((x, y, t))) for each in models)
+
+
+def whiteness(innovations: Array) -> float:
+    """The p-value of Bartlett's test of standardised innovations (m, c), the least of c channels.
+
+    Missing ones are NaN; the p-value counts the channels. NaN where too few were read.
+    """
+    from scipy.special import kolmogorov
+
+    chances = []
+    for channel in innovations.T:
+        values = channel[np.isfinite(channel)]
+        if len(values) < FEWEST:
+            continue
+        power = np.abs(np.fft.rfft(values - values.mean())[1 : (len(values) + 1) // 2]) ** 2
+        if not power.sum() > 0.0:
+            continue
+        steps = np.cumsum(power) / power.sum()
+        line = np.arange(1, len(power) + 1) / len(power)
+        away = float(np.abs(steps - line).max())
+        chances.append(float(kolmogorov(away * math.sqrt(len(power)))))
+    return 1.0 - (1.0 - min(chances)) ** len(chances) if chances else math.nan

@@ -24,37 +24,18 @@ from sparsefit.likelihood.trellis import Leg, Pass
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 
 
-@dataclass(frozen=True)
-class SmootherSettings:
-    """Settings of the iterated smoother.
-
-    Args:
-        coarse: the rows of a log that the first passes see.
-        phase: the largest step of the motion, in the phase of the flow's waves [rad].
-        anneal: the process noise that the search starts from, in |w|/tau per sqrt(|k| |w|).
-        passes: the most passes on few rows, and on all.
-        gain: the log-likelihood that a last pass may still gain.
-        lifts: how often the search may start again with ten times the process noise.
-        negligible: the degrees of freedom that a level may take and count as zero.
-        gate: the deviations beyond which a reading is left out; infinite: none is.
-        outliers: the largest share of readings that may be left out.
-        sorting: the passes after which no reading is left out or taken in any more.
-        exact: noise below this share of the flow's length and velocity counts as none.
-        dependent: the least eigenvalue of the scaled information that an observable model has.
-    """
-
-    coarse: int = 200
-    phase: float = 0.25
-    anneal: float = 1.0
-    passes: int = 30
-    gain: float = 0.005
-    lifts: int = 2
-    negligible: float = 0.01
-    gate: float = 4.5
-    outliers: float = 0.2
-    sorting: int = 8
-    exact: float = 1e-6
-    dependent: float = 1e-11
+COARSE = 200  # rows of a log that the first passes see
+PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion
+ANNEAL = 1.0  # process noise that the search starts from, in |w|/tau per sqrt(|k| |w|)
+PASSES = 30  # at most, on few rows and on all
+GAIN = 0.005  # of the log-likelihood, that a last pass may still bring
+LIFTS = 2  # times that the search may start again with ten times the process noise
+NEGLIGIBLE = 0.01  # degrees of freedom that a level may take and count as zero
+GATE = 4.5  # deviations beyond which a reading is left out
+OUTLIERS = 0.2  # the largest share of readings that may be left out
+SORTING = 8  # passes after which no reading is left out or taken in any more
+EXACT = 1e-6  # of the flow's length and velocity: noise below it counts as none
+DEPENDENT = 1e-11  # the least eigenvalue of the scaled information of an observable model
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +65,13 @@ class Step:
     blind: tuple[str, ...]
 
     @classmethod
-    def of(cls, legs: Sequence[Leg], dependent: float, *, keep: bool = True) -> Step:
+    def of(cls, legs: Sequence[Leg], *, keep: bool = True) -> Step:
         """Filter all logs, and solve for the change of the free parameters."""
         local = legs[0].model.names
         names, places = joined(local, len(legs))
         passes, p = tuple(leg.forward(local, keep=keep) for leg in legs), len(local)
         score, information = summed(passes, places)
-        covariance, blind = inverted(information, dependent)
+        covariance, blind = inverted(information)
         change, levels = covariance @ score, []
         for each, place in zip(passes, places, strict=True):
             cross = each.information[p:, :p]
@@ -142,44 +123,42 @@ class Ascent:
     """The way up: all that does not change from pass to pass.
 
     Args:
-        settings: of the smoother.
         wanted: the places of the levels that are estimated.
         floors: per log, standard deviations (l,) that no level goes below.
     """
 
-    settings: SmootherSettings
     wanted: list[int]
     floors: tuple[Array, ...]
 
     def climbed(
-        self, start: tuple[Leg, ...], hold: int
+        self, start: tuple[Leg, ...], hold: int, most: int = PASSES
     ) -> tuple[Step, tuple[Smoothed, ...], int, str]:
         """Pass after pass while the likelihood rises.
 
         Args:
             start: the legs where the search starts.
             hold: the passes before the levels of the instruments move.
+            most: passes.
 
         Returns:
             The last pass that was accepted, forward and backward, the number of passes, and the
             reason why the search did not converge.
         """
-        settings = self.settings
         legs, reason, halvings, lifts, fresh = start, "", 0, 0, True
         scouts = self._scouts(hold)
         history: list[float] = []
         best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
         count = 0
-        while count < settings.passes:
+        while count < most:
             count += 1
-            step = Step.of(legs, settings.dependent)
+            step = Step.of(legs)
             fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
             if fallen or not math.isfinite(step.reached):
                 if best is not None and halvings < 4:
                     halvings += 1
                     legs = self._placed(best[0].moved(best[1], 0.5**halvings, best[2]))
                     continue
-                if lifts == settings.lifts:
+                if lifts == LIFTS:
                     reason = "the likelihood cannot be raised from where the search started"
                     break
                 legs = tuple(
@@ -189,7 +168,7 @@ class Ascent:
                 best, lifts, halvings, fresh, scouts = None, lifts + 1, 0, True, self._scouts(hold)
                 continue
             halvings, smoothed = 0, step.smoothed()
-            fresh = len(history) < settings.sorting and self._gated(legs, smoothed)
+            fresh = len(history) < SORTING and self._gated(legs, smoothed)
             history.append(step.reached)
             moves = [
                 scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
@@ -199,13 +178,13 @@ class Ascent:
             ]
             best = step, smoothed, [change for change, _ in moves]
             gains = sum(gain for _, gain in moves)
-            enough = settings.gain * (30.0 if legs[0].stride > 1 else 1.0)
+            enough = GAIN * (30.0 if legs[0].stride > 1 else 1.0)
             level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
             legs = self._placed(step.moved(smoothed, 1.0, best[2]))
         else:
-            reason = f"not at the maximum after {settings.passes} passes"
+            reason = f"not at the maximum after {most} passes"
         if best is None:  # the tracks as they were
             nothing = tuple(
                 Smoothed(leg.track, np.zeros((len(leg.track) + 1, 2 * leg.track.shape[1])),
@@ -221,44 +200,15 @@ class Ascent:
             )  # fmt: skip
         return best[0], best[1], count, reason
 
-    def ladder(self, end: tuple[Leg, ...], reached: float) -> tuple[Leg, ...] | None:
-        """Legs with more process noise and a higher likelihood, where it fell to nothing.
-
-        Args:
-            end: legs at a maximum, with their last passes.
-            reached: its log-likelihood.
-        """
-        best = None
-        levels = [leg.model.disturbance.levels for leg in end]
-        seen = [leg.last.squares[0, 1] for leg in end if leg.last is not None]
-        exact = all(
-            min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
-            for level, floor in zip(levels, self.floors, strict=True)
-        )
-        if 0 not in self.wanted or exact or not 0.0 < max(seen) < 2.0:
-            return None
-        reached += 10.0 * self.settings.gain
-        for degrees in (8.0, 128.0):  # if they grew with the variance: they grow more slowly
-            factor = math.sqrt(degrees / max(seen))
-            legs = tuple(
-                leg.at({"acceleration": factor * level["acceleration"]})
-                for leg, level in zip(end, levels, strict=True)
-            )
-            step = Step.of(legs, self.settings.dependent, keep=False)
-            if step.reached > reached:
-                best, reached = legs, step.reached
-        return best
-
     def _scouts(self, hold: int) -> list[LevelSteps]:
         """Steps of the levels of each log, far from the optimum."""
-        negligible = self.settings.negligible
-        return [LevelSteps(self.wanted, floors, negligible, hold) for floors in self.floors]
+        return [LevelSteps(self.wanted, floors, NEGLIGIBLE, hold) for floors in self.floors]
 
     def _placed(self, legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
         """The legs on nodes of their latency, where that may have moved."""
         if "latency" not in legs[0].model.names:
             return legs
-        return tuple(leg.again(self.settings.phase, leg.stride) for leg in legs)
+        return tuple(leg.again(PHASE, leg.stride) for leg in legs)
 
     def _gated(self, legs: tuple[Leg, ...], smoothed: tuple[Smoothed, ...]) -> bool:
         """Leave readings out that all others contradict, take in those that they bear out.
@@ -266,16 +216,18 @@ class Ascent:
         Returns:
             Whether any weight changed.
         """
-        changed, gate = False, self.settings.gate
+        changed = False
         for leg, each in zip(legs, smoothed, strict=True):
             nodes, far = leg.nodes, np.abs(each.scores[:, 4:8])
-            if not math.isfinite(gate) or np.median(far[nodes.weights > 0.0]) > 0.85:
+            if not far.max() > GATE and ((nodes.weights > 0.0) == nodes.seen).all():
+                continue
+            if np.median(far[nodes.weights > 0.0]) > 0.85:
                 continue  # a normal one's is .67: there is no model yet
             noise = np.sqrt(StateSpace.of(leg.model).noise.sum(axis=0))
             away = np.abs(nodes.measured - each.track[:, :4]) / noise
-            out = (nodes.weights == 0.0) & (away > gate)
-            out = nodes.seen & (out | (far > max(gate, 0.3 * float(far.max()))))
-            if out.sum() <= self.settings.outliers * nodes.seen.sum():
+            out = (nodes.weights == 0.0) & (away > GATE)
+            out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))
+            if out.sum() <= OUTLIERS * nodes.seen.sum():
                 weights = np.where(nodes.seen & ~out, 1.0, 0.0)
                 changed |= bool((weights != nodes.weights).any())
                 nodes.weights[:] = weights
@@ -308,14 +260,14 @@ def summed(passes: Sequence[Pass], places: Sequence[list[int]]) -> tuple[Array, 
     return score, information
 
 
-def inverted(information: Array, least: float) -> tuple[Array, IntArray]:
+def inverted(information: Array) -> tuple[Array, IntArray]:
     """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
     if not len(information) or not np.isfinite(information).all():
         return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(information / scale / scale[:, None])
-    blind = values < least
+    blind = values < DEPENDENT
     unseen = np.flatnonzero((np.abs(vectors[:, blind]) > 0.2).any(axis=1))
     half = vectors[:, ~blind] / np.sqrt(values[~blind]) / scale[:, None]
     return half @ half.T, unseen

@@ -7,6 +7,7 @@ stored, and what the way back needs of a block is filtered once more when it get
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -84,6 +85,10 @@ class Leg:
         """The leg at other levels, of which no pass was made."""
         disturbance = self.model.disturbance.at(levels)
         return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
+
+    def louder(self, height: float, name: str = "acceleration") -> Leg:
+        """The leg with a level times exp(height)."""
+        return self.at({name: self.model.disturbance.levels[name] * math.exp(height)})
 
     def forward(self, names: Sequence[str], *, keep: bool = True) -> Pass:
         """Filter the log; keep: whether a backward pass follows.

@@ -8,10 +8,11 @@ import pytest
 import sparsefit as sf
 from sparsefit.likelihood.causes import FREEDOMS
 from sparsefit.likelihood.diagnosis import diagnose, fitted, gains_of
-from sparsefit.likelihood.goodness import Constancy, explained, whiteness
+from sparsefit.likelihood.goodness import Constancy, explained
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
+from sparsefit.likelihood.posterior import whiteness
 
 FLOW = sf.CellularFlow(10.0, 4.0)
 TAU = 0.4
