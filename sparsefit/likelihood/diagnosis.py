@@ -30,6 +30,9 @@ from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, measure
 
+CHANCE = 2.0  # of log-likelihood, that process noise may gain where there is none
+COLOURED = 1e-3  # the p-value of innovations that are not white
+
 
 @dataclass(frozen=True)
 class Suspicion:
@@ -415,11 +418,11 @@ def chance_of(gain: float, freedom: int) -> float:
 
 
 def disturbed(posterior: Posterior, least: float = Suspicion.noise) -> bool:
-    """Whether there is process noise: its level takes more than `least` degrees of freedom."""
-    if posterior.exact:
+    """Whether there is process noise, or colour: a level is seen, and is more than chance."""
+    information = posterior.level_information
+    if posterior.exact or not information.size or not float(information[0, 0]) > least:
         return False
-    information = np.atleast_2d(posterior.level_information)
-    return bool(information.size) and float(information[0, 0]) > least
+    return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
 
 
 def _calmer(there: Posterior, here: Posterior, share: float) -> bool:

@@ -23,7 +23,7 @@ from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.likelihood.model import LEVELS, Model
-from sparsefit.likelihood.nodes import FlightLog
+from sparsefit.likelihood.nodes import FlightLog, Smoothed
 from sparsefit.likelihood.smoother import (
     ANNEAL,
     COARSE,
@@ -74,22 +74,27 @@ class Rung:
 
 
 def climbed_levels(
-    legs: tuple[Leg, ...], degrees: float, name: str, place: int | None = None, least: float = 0.0
+    legs: tuple[Leg, ...],
+    optimum: Rung,
+    degrees: float,
+    name: str,
+    place: int | None = None,
+    least: float = 0.0,
 ) -> tuple[Rung, ...]:
     """Rungs of a level by factors of 3, from one that counts as nothing to one that is unlikely.
 
     Args:
         legs: at an optimum.
+        optimum: its own rung, of height 0.
         degrees: of freedom that the level takes there; they grow with its square at most.
         name: of the level.
         place: of the log whose level it is; None: of all.
         least: the degrees of freedom that the highest rung has, if they grow so.
     """
-    height = 0.5 * math.log(NOTHING / degrees) + (degrees <= NOTHING) * math.log(3.0)
-    rungs = [Rung.of(legs, height, name, place)]
+    start, top = (0.5 * math.log(own / degrees) for own in (NOTHING, max(least, degrees)))
+    rungs = [replace(optimum, height=start) if start >= 0.0 else Rung.of(legs, start, name, place)]
     while len(rungs) < 40 and (
-        rungs[-1].height < 0.5 * math.log(max(least / degrees, 1.0))
-        or rungs[-1].value > max(rung.value for rung in rungs) - 4.0
+        rungs[-1].height < top or rungs[-1].value > max(own.value for own in rungs) - 4.0
     ):
         rungs.append(Rung.of(legs, rungs[-1].height + math.log(3.0), name, place))
     return tuple(rungs)
@@ -163,6 +168,17 @@ class Posterior:
         """The p-value of each log that white innovations show as much structure in time."""
         return tuple(whiteness(each) for each in self.innovations)
 
+    @cached_property
+    def evidence(self) -> float:
+        """The log-likelihood that process noise gains."""
+        if self.ladder:
+            return self.log_likelihood - self.ladder[0].value
+        degrees = max(float(leg.last.squares[0, 1]) for leg in self.legs if leg.last is not None)
+        if degrees <= NOTHING:
+            return 0.0
+        fall = 0.5 * math.log(NOTHING / degrees)
+        return self.log_likelihood - Rung.of(self.legs, fall, LEVELS[0]).value
+
     @property
     def bic(self) -> float:
         """Return -2 log L + (p + l) log(readings)."""
@@ -202,16 +218,15 @@ class Posterior:
         assert leg.last is not None
         index = list(leg.model.disturbance.levels).index(name)
         degrees = max(float(leg.last.squares[index, 1]), 1e-12)
-        if degrees > 1.0:
+        if degrees > 1.0 and not self.ladder:
             up, down = (Rung.of(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
             bend = -(up.value + down.value - 2.0 * self.log_likelihood) / NUDGE**2
             if bend > 4.0:  # a deviation of less than half: to second order
                 spread: Array = 0.5 * (up.covariance + down.covariance - 2.0 * bare)
                 return spread / NUDGE**2 / bend
-        ladder = self.ladder or climbed_levels(self.legs, degrees, name, place)
-        start = Rung(0.5 * math.log(NOTHING / degrees), self.log_likelihood, bare)
-        if start.height >= 0.0:
-            ladder = (start, *ladder)
+        ladder = self.ladder if name == LEVELS[0] else ()
+        optimum = Rung(0.0, self.log_likelihood, bare)
+        ladder = ladder or climbed_levels(self.legs, optimum, degrees, name, place)
         likely = np.array([rung.value + 0.5 * rung.height for rung in ladder])
         weights = np.exp(likely - likely.max())
         parts = (weight * rung.covariance for weight, rung in zip(weights, ladder, strict=True))
@@ -330,14 +345,17 @@ def measure(
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         step, smoothed, whole, reason = ascent.climbed(legs, hold, passes)
-        ladder = () if reason or 0 not in wanted else _above(step.moved(smoothed), floors)
+        ladder = () if reason or 0 not in wanted else _above(step, smoothed, floors)
         highest = max(ladder, key=lambda rung: rung.value, default=None)
-        if highest and highest.value > step.reached + 10.0 * GAIN:
+        if highest and highest.height > 0.0 and highest.value > step.reached + 10.0 * GAIN:
             raised = tuple(leg.louder(highest.height) for leg in step.moved(smoothed))
             again = ascent.climbed(raised, 0, passes)
-            whole, ladder = whole + again[2], ()
+            whole += again[2]
             if again[0].reached > step.reached:
+                before = step.moved(smoothed)[0].model.disturbance.acceleration
                 step, smoothed, _, reason = again
+                fall = math.log(before / step.moved(smoothed)[0].model.disturbance.acceleration)
+                ladder = tuple(replace(rung, height=rung.height + fall) for rung in ladder)
     shape = np.ix_(wanted, wanted)
     information = step.levels[0][shape] if step.levels[0].size else np.zeros((len(wanted),) * 2)
     names = joined(models[0].names, len(models))[0]
@@ -347,17 +365,19 @@ def measure(
     )  # fmt: skip
 
 
-def _above(legs: tuple[Leg, ...], floors: Sequence[Array]) -> tuple[Rung, ...]:
+def _above(step: Step, smoothed: tuple[Smoothed, ...], floors: Sequence[Array]) -> tuple[Rung, ...]:
     """Rungs of process noise that fell to nothing: the likelihood may have a maximum above."""
+    legs = step.moved(smoothed)
     levels = [leg.model.disturbance.levels for leg in legs]
-    seen = max(float(leg.last.squares[0, 1]) for leg in legs if leg.last is not None)
+    seen = max(float(each.squares[0, 1]) for each in smoothed)
     exact = all(
         min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
         for level, floor in zip(levels, floors, strict=True)
     )
     if exact or legs[0].model.disturbance.processes or not 0.0 < seen < 2.0:
         return ()
-    return climbed_levels(legs, seen, "acceleration", least=FAR)
+    optimum = Rung(0.0, step.reached, step.covariance)
+    return climbed_levels(legs, optimum, seen, LEVELS[0], least=FAR)
 
 
 def bound(
