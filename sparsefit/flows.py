@@ -6,9 +6,8 @@ function.
 
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import CellularFlow, FlowField, ShapedCells, SuperposedFlow
-from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.vehicle import ThrustSeries
-from sparsefit.flight.waves import WaveFlow
+from sparsefit.flight.waves import Turbulence, WaveFlow
 
 __all__ = [
     "CellularFlow",

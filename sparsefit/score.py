@@ -55,7 +55,8 @@ def strongest(flow: Flow) -> Cells:
 
     A flow without cells has none: ValueError.
     """
-    return max(flow.cells, key=lambda part: part.mean_velocity)
+    cells: Cells = max(flow.cells, key=lambda part: part.mean_velocity)
+    return cells
 
 
 def score(estimate: Estimate, flow: Flow, scales: Array) -> Score:

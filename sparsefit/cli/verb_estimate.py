@@ -104,6 +104,7 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     from sparsefit.cli.printed import ReadLog
     from sparsefit.logs.checks import check_log, quality_of
     from sparsefit.logs.files import read_table
+    from sparsefit.logs.layout import Layout
     from sparsefit.rows import Derivative
 
     if len(args.only or ()) > 1:
@@ -114,11 +115,11 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     only = args.only[0] if args.only else None
     tables: list[FlightTable] = []
     for path in args.flight:
-        anchor = tables[0].anchor if tables else None
-        table = read_table(path, columns=args.columns, only=only, anchor=anchor)
+        zeros = (tables[0].origin, tables[0].epoch) if tables else ()
+        table = read_table(path, Layout.of(args.columns, only, *zeros))
         with told_with(path):
             tables.append(table.between(args.begin, args.end))
-    placed = [table.anchor.origin is not None for table in tables]
+    placed = [table.origin is not None for table in tables]
     if any(placed) and not all(placed):
         where, nowhere = args.flight[placed.index(True)], args.flight[placed.index(False)]
         raise InputError(
@@ -139,10 +140,10 @@ def _flight(
     args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
 ) -> Flight:
     """The flight of a table, its vehicle as in the file unless the command line says otherwise."""
-    from sparsefit.logs.head import vehicle_of
+    from sparsefit.logs.flight_table import vehicle_of
 
     given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
-    settings = dict(table.head.settings) | given
+    settings = dict(table.settings) | given
     for law, other in (("response_time", "drag"), ("drag", "response_time")):
         if law in given and other not in given:
             settings.pop(other, None)

@@ -150,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
 def _flow(args: argparse.Namespace) -> Flow:
     """The flow of the options. Raises InputError for an option without the one it belongs to."""
     from sparsefit.flight.flow import Cells, CellularFlow, ShapedCells, SuperposedFlow
-    from sparsefit.flight.turbulence import Turbulence
+    from sparsefit.flight.waves import Turbulence
 
     for option in ("turbulence_memory", "spectrum"):
         if getattr(args, option) is not None and args.turbulence is None:

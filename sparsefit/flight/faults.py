@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_number, non_negative, positive
 from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, level_of
 
@@ -86,32 +86,21 @@ class LogFaults:
         np.add.at(steps, rows, self.jump_size * _directions(self.jumps, jump))
         hit = outlier.random(samples) < self.outliers
         off = self.outlier_size * hit[:, None] * _directions(samples, outlier)
-        logged = self._logged(flight, gap, loss)
+        lengths = np.minimum(self.gap_duration * gap.random(self.gaps), flight.duration)
+        begins = flight.time[0] + (flight.duration - lengths) * gap.random(self.gaps)
+        time = flight.time[:, None]
+        logged = ~((begins < time) & (time < begins + lengths)).any(axis=1)
+        lost = loss.random(samples) < self.lost_samples
+        lost[[0, -1]] = False  # neither these, nor are they in a gap
+        logged &= ~lost
         if np.count_nonzero(logged) < MINIMUM_SAMPLES:
             raise InputError(
                 f"gaps of up to {self.gap_duration:g} s and {self.lost_samples:g} of lost samples "
                 f"leave {np.count_nonzero(logged)} samples of a flight of {flight.duration:g} s: "
                 "make them fewer or shorter"
             )
-        return replace(
-            flight,
-            time=flight.time[logged],
-            position=(flight.position + self.wander * error + np.cumsum(steps, axis=0))[logged],
-            velocity=(flight.velocity + off)[logged],
-            thrust=None if flight.thrust is None else flight.thrust[logged],
-        )
-
-    def _logged(
-        self, flight: Flight, gap: np.random.Generator, loss: np.random.Generator
-    ) -> BoolArray:
-        """The samples (m,) that are neither in a gap nor lost; the first and the last never are."""
-        lengths = np.minimum(self.gap_duration * gap.random(self.gaps), flight.duration)
-        starts = flight.time[0] + (flight.duration - lengths) * gap.random(self.gaps)
-        time = flight.time[:, None]
-        logged: BoolArray = ~((starts < time) & (time < starts + lengths)).any(axis=1)
-        lost = loss.random(flight.samples) < self.lost_samples
-        lost[[0, -1]] = False
-        return logged & ~lost
+        position = flight.position + self.wander * error + np.cumsum(steps, axis=0)
+        return replace(flight, position=position, velocity=flight.velocity + off).rows(logged)
 
 
 def _directions(count: int, stream: np.random.Generator) -> Array:

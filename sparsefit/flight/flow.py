@@ -1,19 +1,60 @@
-"""The flows a vehicle flies through: the paper's cells (Eqs. 1-2), cells of any shape, and sums."""
+"""The flows a vehicle flies through: the paper's cells (Eqs. 1-2), cells of any shape, and sums.
+
+Cells are two waves of equal energy,
+
+    psi = A sin(p . xi) sin(q . xi) (1 + s sin(2 pi t/T + phase)),    xi = x - x0 - c t
+
+p and q stand on the two families of walls between the cells: |p| = pi/L_x, |q| = pi/L_y, q turned
+from p by ``angle``. As waves, k = p - q and k = p + q with the amplitudes A/2 and -A/2.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, finite, is_number, non_negative, pair, positive
-from sparsefit.flight.waves import Cells, Flow, FlowField
+from sparsefit.flight.waves import Flow, FlowField, Formula, WaveFlow
 
 __all__ = ["Cells", "CellularFlow", "Flow", "FlowField", "ShapedCells", "SuperposedFlow", "as_flow"]
 THINNEST = 1e6  # the longer side of a cell over the other
+
+
+class Cells(Flow):
+    """Base of the flows that are an array of cells."""
+
+    heading: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
+
+    if TYPE_CHECKING:  # fields of one subclass, properties of the other
+
+        @property
+        def length_scale(self) -> float:
+            """L [m] of square cells."""
+
+        @property
+        def length_scales(self) -> tuple[float, float]:
+            """(L_x, L_y) [m]."""
+
+    @property
+    def timescale(self) -> float:
+        """The turnover time, length_scale / mean_velocity [s]."""
+        return self.length_scale / self.mean_velocity
+
+    @property
+    def period(self) -> float:
+        """Twice the longer side of a cell [m]."""
+        return 2.0 * max(self.length_scales)
+
+    @property
+    def cells(self) -> tuple[Cells, ...]:  # type: ignore[override]
+        """The flow itself."""
+        return (self,)
 
 
 @dataclass(frozen=True)
@@ -51,12 +92,7 @@ class CellularFlow(Cells):
         """(L, L) [m]: the cells are square."""
         return (self.length_scale, self.length_scale)
 
-    @property
-    def components(self) -> tuple[CellularFlow, ...]:
-        """The flow as a superposition of one."""
-        return (self,)
-
-    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+    def formula(self, functions: Any) -> Formula:
         """Return Eq. 1, as of `Flow`."""
         k, speed, sin, cos = self.wavenumber, self.mean_velocity, functions.sin, functions.cos
 
@@ -131,14 +167,48 @@ class ShapedCells(Cells):
         """The length sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells."""
         return self.waves.length_scale
 
+    @cached_property
+    def waves(self) -> WaveFlow:
+        """The two waves of the cells, without their swell."""
+
+        def turned(vector: Array, angle: float) -> Array:
+            cos, sin, (x, y) = math.cos(angle), math.sin(angle), vector
+            return np.array([cos * x - sin * y, sin * x + cos * y])
+
+        (p_size, q_size), half = math.pi / np.array(self.length_scales), 0.5 * self.angle
+        p = p_size * np.array([math.cos(-half), math.sin(-half)])
+        q = q_size * np.array([math.cos(half), math.sin(half)])
+        bisector = np.mean([math.atan2(*wave[::-1]) for wave in (p - q, p + q)])
+        p, q = (turned(wave, self.heading - float(bisector)) for wave in (p, q))
+        wavevectors = np.stack([p - q, p + q])
+        amplitude = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
+        shift = wavevectors @ np.array(self.offset)
+        signed = np.array([amplitude, -amplitude])
+        return WaveFlow(
+            wavevectors, signed * np.cos(shift), signed * np.sin(shift), wavevectors @ self.drift
+        )
+
+    def formula(self, functions: Any) -> Formula:
+        """Return the two waves times their swell, as of `Flow`."""
+        steady = self.waves.formula(functions)
+        if not self.swell:
+            return steady
+        rate, phase, share = 2.0 * math.pi / self.swell_period, self.swell_phase, self.swell
+
+        def swollen(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
+            u, v = steady(x, y, t)
+            level = 1.0 + share * functions.sin(rate * t + phase)
+            return u * level, v * level
+
+        return swollen
+
 
 @dataclass(frozen=True)
 class SuperposedFlow(Flow):
-    """The sum of several flows, eddies within eddies or in turbulence, and of a steady wind.
+    """The sum of several flows, eddies within eddies or among random waves, and of a steady wind.
 
     Args:
-        components: the flows, `CellularFlow`, `ShapedCells`, `WaveFlow` or `Turbulence`; none are
-            needed where there is a wind.
+        components: the flows, none of them such a sum; none are needed where there is a wind.
         wind: a steady wind beside them [m/s], (x, y); it carries the vehicle, and no pattern.
 
     Raises:
@@ -152,14 +222,13 @@ class SuperposedFlow(Flow):
     def __post_init__(self) -> None:
         """Check the components and the wind, and store them as tuples."""
         given = self.components
-        parts = tuple(given) if isinstance(given, (tuple, list)) else ()
+        parts = tuple(given) if isinstance(given, (tuple, list)) else (None,)
         object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
-        only_wind = given == () and any(self.wind)
-        flows = [isinstance(part, Flow) and not isinstance(part, SuperposedFlow) for part in parts]
-        if not (only_wind or (flows and all(flows))):
+        single = all(isinstance(part, Flow) and not isinstance(part, type(self)) for part in parts)
+        if not single or not (parts or any(self.wind)):
             raise InputError(
-                "SuperposedFlow needs a tuple of at least one CellularFlow or other flow, "
-                f"SuperposedFlow((CellularFlow(10.0, 4.0), ...)); got {given!r}"
+                "SuperposedFlow: components must be a tuple of at least one CellularFlow or other "
+                f"flow, (CellularFlow(10.0, 4.0), ...), but for a wind alone; got {given!r}"
             )
         object.__setattr__(self, "components", parts)
 
@@ -169,7 +238,7 @@ class SuperposedFlow(Flow):
         return math.hypot(*(part.mean_velocity for part in self.components))
 
     @property
-    def cells(self) -> tuple[Cells, ...]:
+    def cells(self) -> tuple[Cells, ...]:  # type: ignore[override]
         """The components that are cells."""
         return tuple(cell for part in self.components for cell in part.cells)
 
@@ -178,7 +247,7 @@ class SuperposedFlow(Flow):
         """The longest period of its cells [m], of all components without cells, 0 of a wind."""
         return max((part.period for part in self.cells or self.components), default=0.0)
 
-    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+    def formula(self, functions: Any) -> Formula:
         """Return the sum of the components and the wind, as of `Flow`."""
         (east, north), parts = self.wind, [part.formula(functions) for part in self.components]
 
@@ -209,7 +278,7 @@ class FieldFlow(Flow):
         """The period [m] where the object has one, else 0: flights start at the origin."""
         return float(getattr(self.field, "period", 0.0))
 
-    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+    def formula(self, functions: Any) -> Formula:
         """Return the object's own velocity, as of `Flow`."""
 
         def velocity(x: Any, y: Any, t: Any) -> tuple[Any, Any]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array, Brief
+from sparsefit.arrays import Array, BoolArray, Brief
 from sparsefit.errors import InputError, non_negative, one_of
 from sparsefit.flight.flow import Flow, as_flow
 from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle
@@ -96,6 +96,20 @@ class Flight(Brief):
                 words = f"thrust has {len(thrust)} rows for {len(time)} samples"
                 raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
             object.__setattr__(self, "thrust", thrust)
+
+    def rows(self, chosen: BoolArray) -> Flight:
+        """Return the samples (m,) that are chosen, as a flight.
+
+        Raises:
+            InputError: if they are fewer than three.
+        """
+        thrust = None if self.thrust is None else self.thrust[chosen]
+        own = (self.time[chosen], self.position[chosen])
+        if not self.velocity_measured:
+            return Flight.from_positions(*own, self.vehicle, self.flow, thrust, self.frame)
+        return replace(
+            self, time=own[0], position=own[1], velocity=self.velocity[chosen], thrust=thrust
+        )
 
     @property
     def samples(self) -> int:

@@ -7,25 +7,17 @@ import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeAlias
+from contextlib import contextmanager, nullcontext
+from typing import TypeAlias
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, is_number, pair, positive
-from sparsefit.flight.flow import Flow, FlowField, as_flow
-from sparsefit.flight.record import (
-    MINIMUM_SAMPLES,
-    MOST_SAMPLES,
-    SMALLEST_STEP,
-    Flight,
-    level_of,
-)
-from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
-
-if TYPE_CHECKING:
-    from scipy.integrate import ode
+from sparsefit.flight.flow import FlowField, as_flow
+from sparsefit.flight.record import MINIMUM_SAMPLES, SMALLEST_STEP, Flight, level_of
+from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle, ThrustSeries
+from sparsefit.flight.waves import Formula
 
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
@@ -68,7 +60,7 @@ def simulate_flight(
         sample_rate: [Hz].
         seed: a non-negative integer or a seed sequence, which is left as it was.
         initial_position: [m]; by default uniform over one period of the flow, [0, 2L)^2 of the
-            largest cells, in still air or a mere wind the origin.
+            largest cells, where there are none the origin.
         initial_velocity: [m/s].
         process_noise: standard deviation [m/s^2] of the noise on v' (Eq. 7), averaged over one
             sample interval; white within it.
@@ -89,43 +81,41 @@ def simulate_flight(
     true_flow = as_flow(flow)
     if not isinstance(vehicle, PointMassVehicle):
         raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
-    if not isinstance(seed, np.random.SeedSequence):
-        if not is_integer(seed, 0):
-            raise InputError(
-                f"seed must be an integer, 0 or above, or a SeedSequence; got {seed!r}"
-            )
+    if is_integer(seed, 0):
         seed = np.random.SeedSequence(int(seed))
-    children = [  # those of `spawn(6)`, without its count of past spawns
+    if not isinstance(seed, np.random.SeedSequence):
+        raise InputError(f"seed must be an integer, 0 or above, or a SeedSequence; got {seed!r}")
+    starts, process, places, speeds, clock, pushes = (  # those of `spawn(6)`, without its count
         np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, i)))
         for i in range(6)
-    ]
-    start_stream, process_stream, position_stream, velocity_stream = children[:4]
+    )
     time = _sample_times(duration, sample_rate)
     if not is_number(time_jitter, 0.0) or time_jitter >= 0.5:
         raise InputError(
             f"time_jitter is a share of 1/sample_rate in [0, 0.5); got {time_jitter!r}"
         )
     if time_jitter:
-        shifts = time_jitter * float(time[1]) * children[4].uniform(-1.0, 1.0, len(time) - 1)
+        shifts = time_jitter * float(time[1]) * clock.uniform(-1.0, 1.0, len(time) - 1)
         time = np.concatenate([time[:1], time[1:] + shifts])
     period = true_flow.period if true_flow is not None else 0.0
     if initial_position is None:
-        initial_position = start_stream.uniform(0.0, period, 2) if period else (0.0, 0.0)
+        initial_position = starts.uniform(0.0, period, 2) if period else (0.0, 0.0)
     place = pair("initial_position", initial_position, "m")
     state = (*place, *pair("initial_velocity", initial_velocity, "m/s"))
-    kicks = _kicks(process_noise, time, integer("substeps", substeps, 1), process_stream)
+    kicks = _kicks(process_noise, time, integer("substeps", substeps, 1), process)
     blur = level_of("position_noise", position_noise, "m")
     jitter = level_of("velocity_noise", velocity_noise, "m/s")
     level = level_of("thrust_noise", thrust_noise, "m/s^2")
     logged = None if thrust is None else thrust.at(time)
     most = EVALUATIONS[0] + EVALUATIONS[1] * len(time)
-    states = _integrate(_right_hand_side(true_flow, vehicle, thrust, most), state, time, kicks)
+    flow_at = true_flow.formula(math) if true_flow else lambda _x, _y, _t: (0.0, 0.0)
+    states = _integrate(_right_hand_side(flow_at, vehicle, thrust, most), state, time, kicks)
     if logged is not None:
-        logged = logged + level * children[5].standard_normal(logged.shape)
+        logged = logged + level * pushes.standard_normal(logged.shape)
     return Flight(
         time=time,
-        position=states[:, :2] + blur * position_stream.standard_normal((len(time), 2)),
-        velocity=states[:, 2:] + jitter * velocity_stream.standard_normal((len(time), 2)),
+        position=states[:, :2] + blur * places.standard_normal((len(time), 2)),
+        velocity=states[:, 2:] + jitter * speeds.standard_normal((len(time), 2)),
         vehicle=vehicle,
         flow=true_flow,
         thrust=logged,
@@ -165,20 +155,18 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
     steps = np.diff(time)
     if np.ptp(steps) <= EVEN * steps[0]:
         return sigma * float(time[1]) / math.sqrt(substeps) * kicks
-    powers = np.sqrt(steps * steps.mean() / substeps)
-    kicks *= sigma * powers[:, None, None]
+    kicks *= sigma * np.sqrt(steps * steps.mean() / substeps)[:, None, None]
     return kicks
 
 
 def _right_hand_side(
-    flow: Flow | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None, most: int
+    flow_at: Formula, vehicle: PointMassVehicle, thrust: ThrustSeries | None, most: int
 ) -> RightHandSide:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more.
 
     The compiled integrator calls it: it raises nothing. It is NaN where a step has left all
     places, which `math.sin` refuses, and after ``most`` evaluations; `_integrate` sees both.
     """
-    flow_at = flow.pointwise() if flow else lambda _x, _y, _t: (0.0, 0.0)
     push = thrust.pointwise() if thrust else None
     rate, drag, scale = vehicle.rate, vehicle.drag, vehicle.thrust_scale
     ax, ay = vehicle.thrust_acceleration
@@ -189,15 +177,11 @@ def _right_hand_side(
         count += 1
         x, y, vx, vy = state.tolist()
         try:
-            wx, wy = flow_at(x, y, t)
+            wx, wy = flow_at(x, y, t) if count <= most else (math.nan, math.nan)
         except (ValueError, OverflowError):
             wx = wy = math.nan
-        if count > most:
-            wx = wy = math.nan
-        if push is None and not drag:
-            return [vx, vy, (wx - vx) * rate + ax, (wy - vy) * rate + ay]
         mx, my = push(t) if push else (0.0, 0.0)
-        own = rate + drag * math.hypot(wx - vx, wy - vy)
+        own = rate + drag * math.hypot(wx - vx, wy - vy) if drag else rate
         return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
 
     return derivative
@@ -208,55 +192,54 @@ def _integrate(
 ) -> Array:
     """Return the states (m, 4) at ``time``; every sample is the end of a step.
 
-    Strang splitting: half a kick, the exact motion over one substep, the other half. The drift
+    Strang splitting: half a kick, the exact motion over one substep, the other half. The motion
     stays exact however small the noise; the error of Euler-Maruyama would drown it. A stiff
     equation, of a vehicle that follows the flow at once, is passed on to an implicit method.
 
     Raises:
         InputError: where neither method gets to the end of an interval.
     """
-    import scipy.integrate  # half of what the package takes to import
+    from scipy.integrate import ode  # half of what the package takes to import
 
     # The compiled DOP853 stops at each sample in 10-45 ms per 1000 samples. solve_ivp with
     # t_eval interpolates (defect 1e-9 m/s at rtol 1e-11); stepping it to each sample costs 5x.
-    explicit = scipy.integrate.ode(right_hand_side).set_integrator(
-        "dop853", rtol=INTEGRATION, atol=INTEGRATION, nsteps=EXPLICIT
-    )
-    states = np.empty((len(time), 4))
+    states, row, last = np.empty((len(time), 4)), 0, len(time) - 1
     states[0] = start
-
     halves, kicked = kicks / 2.0, bool(kicks.any())
-    stops = np.linspace(time[:-1], time[1:], halves.shape[1] + 1, axis=1)[:, 1:].tolist()
-
-    def fly(solver: ode, start: int, interrupt: Callable[[], None]) -> int:
-        """Fill the rows after ``start`` as far as the solver gets; return the last of them."""
-
-        def push(half: Array) -> None:
-            if kicked:  # the solver starts anew from there
-                solver.set_initial_value([*solver.y[:2], *(solver.y[2:] + half)], solver.t)
-
-        solver.set_initial_value(states[start], time[start])
-        for row in range(start + 1, len(time)):
-            interrupt()
-            for stop, half in zip(stops[row - 1], halves[row - 1], strict=True):
-                push(half)
-                solver.integrate(stop)
-                if not solver.successful() or not np.isfinite(solver.y).all():
-                    return row - 1
-                push(half)
-            states[row] = solver.y
-        return len(time) - 1
-
+    stops = np.linspace(time[:-1], time[1:], halves.shape[1] + 1, axis=1)[:, 1:]
     with warnings.catch_warnings(), _interrupts_kept() as interrupt:
         warnings.simplefilter("ignore", UserWarning)  # the refusal below says it
-        row = fly(explicit, 0, interrupt)
-        if row < len(time) - 1:
-            implicit = scipy.integrate.ode(right_hand_side).set_integrator(
-                "lsoda", rtol=10 * INTEGRATION, atol=10 * INTEGRATION, nsteps=IMPLICIT
+        for stiff in (False, True):
+            if row == last:
+                break
+            solver, tolerance = ode(right_hand_side), (10 if stiff else 1) * INTEGRATION
+            solver.set_integrator(
+                "lsoda" if stiff else "dop853",
+                rtol=tolerance,
+                atol=tolerance,
+                nsteps=IMPLICIT if stiff else EXPLICIT,
             )
-            with _LSODA:
-                row = fly(implicit, row, interrupt)
-    if row < len(time) - 1:
+            solver.set_initial_value(states[row], time[row])
+
+            def kick(half: Array, solver: ode = solver) -> None:
+                if kicked:  # the solver starts anew from there
+                    solver.set_initial_value([*solver.y[:2], *(solver.y[2:] + half)], solver.t)
+
+            with _LSODA if stiff else nullcontext():
+                while row < last:
+                    interrupt()
+                    for stop, half in zip(stops[row].tolist(), halves[row], strict=True):
+                        kick(half)
+                        solver.integrate(stop)
+                        if not solver.successful() or not np.isfinite(solver.y).all():
+                            break
+                        kick(half)
+                    else:
+                        row += 1
+                        states[row] = solver.y
+                        continue
+                    break
+    if row < last:
         raise InputError(
             f"the equation of motion cannot be integrated past t={time[row]:.6g} s: it is too "
             "stiff or too fast; raise response_time or sample_rate, or lower mean_velocity"
@@ -269,28 +252,20 @@ def _interrupts_kept() -> Iterator[Callable[[], None]]:
     """Keep Ctrl-C until the function that is yielded is called, or the block ends.
 
     An exception inside a call back of compiled code would end the process. The interrupt then
-    does as it would have done: raise KeyboardInterrupt, or call the handler that was set. Only
-    the main thread is ever interrupted; in any other this does nothing.
+    does as it would have done. Only the main thread is ever interrupted.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before is None:
-        yield lambda: None
+    before, pressed = signal.getsignal(signal.SIGINT), []  # type: ignore[var-annotated]
+
+    def interrupt() -> None:
+        while pressed and callable(before):
+            before(*pressed.pop())
+
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield interrupt
         return
-    pressed: list[int] = []
-
-    def keep() -> None:
-        signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
-
-    def release() -> None:
-        if pressed:
-            pressed.clear()
-            signal.signal(signal.SIGINT, before)
-            signal.raise_signal(signal.SIGINT)
-            keep()
-
-    keep()
+    signal.signal(signal.SIGINT, lambda *press: pressed.append(press))
     try:
-        yield release
-        release()
+        yield interrupt
+        interrupt()
     finally:
         signal.signal(signal.SIGINT, before)

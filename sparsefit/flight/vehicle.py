@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, finite, is_real, non_negative, pair, positive
 
-GRAVITY = 9.80665  # m/s^2
 MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
 SLACK = 1e-6  # of the mean step: how far rounding may lead beyond the ends of a series
 
@@ -79,8 +78,7 @@ class PointMassVehicle:
         constant: Array = np.array(self.thrust_acceleration)
         if measured is None:
             return constant
-        changing: Array = constant + self.thrust_scale * np.asarray(measured, np.float64)
-        return changing
+        return constant + self.thrust_scale * np.asarray(measured, np.float64)
 
     def acceleration(
         self, velocity: ArrayLike, flow_velocity: ArrayLike, thrust: ArrayLike | None = None
@@ -90,15 +88,10 @@ class PointMassVehicle:
         thrust: m [m/s^2], (..., 2), where it was measured.
         """
         relative = np.asarray(flow_velocity, np.float64) - np.asarray(velocity, np.float64)
-        rate: Array = self.drag_of(relative) + self.thrust(thrust)
-        return rate
-
-    def drag_of(self, relative: Array) -> Array:
-        """F(r) [m/s^2], (..., 2), of r = w - v [m/s], (..., 2)."""
-        linear: Array = relative / self.response_time
-        if not self.drag:
-            return linear
-        return linear + self.drag * _length(relative) * relative
+        force: Array = relative / self.response_time
+        if self.drag:
+            force = force + self.drag * _length(relative) * relative
+        return force + self.thrust(thrust)
 
     def flow_velocity(
         self, velocity: ArrayLike, acceleration: ArrayLike, thrust: ArrayLike | None = None
@@ -112,18 +105,13 @@ class PointMassVehicle:
             acceleration: v' [m/s^2], shape (..., 2).
             thrust: m [m/s^2], shape (..., 2), where it was measured.
         """
-        excess = np.asarray(acceleration, np.float64) - self.thrust(thrust)
-        flow: Array = self.relative_of(excess) + np.asarray(velocity, np.float64)
-        return flow
-
-    def relative_of(self, force: Array) -> Array:
-        """The relative velocity r = w - v [m/s], (..., 2), that drags with F(r) = force [m/s^2]."""
-        if not self.drag:
-            linear: Array = self.response_time * force
-            return linear
-        root = np.sqrt(self.rate**2 + 4.0 * self.drag * _length(force))
-        reach: Array = 2.0 * force / np.where(root > 0, self.rate + root, 1.0)
-        return reach
+        force = np.asarray(acceleration, np.float64) - self.thrust(thrust)
+        if self.drag:
+            root = np.sqrt(self.rate**2 + 4.0 * self.drag * _length(force))
+            relative: Array = 2.0 * force / np.where(root > 0, self.rate + root, 1.0)
+        else:
+            relative = self.response_time * force
+        return relative + np.asarray(velocity, np.float64)
 
     def slope(self, relative: Array) -> Array:
         """dF/dr [1/s], (2, 2, m), symmetric, at r = relative (m, 2) [m/s]: 1/tau of linear drag."""
@@ -143,7 +131,7 @@ def _length(vectors: Array) -> Array:
 class ThrustSeries:
     """A thrust acceleration that changes in time, a straight line from sample to sample.
 
-    Its clock and its axes are those of the flight: x and y as in the position.
+    Its clock and its axes are those of the flight.
 
     Args:
         time: t [s], (k,), strictly increasing, k >= 2.
@@ -158,8 +146,7 @@ class ThrustSeries:
 
     def __post_init__(self) -> None:
         """Check both and freeze them."""
-        time = _series("time of the thrust", self.time)
-        given = np.array(self.acceleration, dtype=np.float64)
+        time, given = _series(self.time), np.array(self.acceleration, dtype=np.float64)
         if len(time) < 2 or not (np.diff(time) > 0).all():
             raise InputError("the thrust needs two times or more, increasing strictly")
         if given.shape != (len(time), 2) or not np.isfinite(given).all():
@@ -172,47 +159,13 @@ class ThrustSeries:
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "acceleration", given)
 
-    @classmethod
-    def from_attitude(
-        cls, time: object, *, heading: object, tilt: object = None, magnitude: object = None
-    ) -> ThrustSeries:
-        """The series of a vehicle that thrusts where it points.
-
-        The frame: heading is counter-clockwise from the x axis of the position (with x east and
-        y north, a compass course psi clockwise from north is pi/2 - psi). A multirotor thrusts
-        along its own upward axis, tilted from the vertical towards its heading: the horizontal part
-        is ``magnitude * sin(tilt)``. Without a magnitude it holds its height: ``g tan(tilt)``.
-        Without a tilt the thrust lies in the plane, as of a boat or of an aircraft in level flight.
-
-        Args:
-            time: t [s], (k,).
-            heading: [rad], (k,) or one number.
-            tilt: from the vertical [rad], in [0, pi/2), (k,) or one number.
-            magnitude: thrust over mass [m/s^2], (k,) or one number.
-
-        Raises:
-            InputError: if both tilt and magnitude are missing, or a value is out of its range.
-        """
-        clock = _series("time of the thrust", time)
-        course = _along("heading", heading, clock)
-        if tilt is None and magnitude is None:
-            raise InputError("an attitude needs tilt, magnitude, or both; neither is given")
-        push = None if magnitude is None else _along("magnitude", magnitude, clock)
-        if tilt is not None:
-            lean = _along("tilt", tilt, clock)
-            if not ((lean >= 0) & (lean < np.pi / 2)).all():
-                raise InputError("tilt must be in [0, pi/2) rad, from the vertical; got others")
-            push = GRAVITY * np.tan(lean) if push is None else push * np.sin(lean)
-        assert push is not None
-        return cls(clock, (push * np.array([np.cos(course), np.sin(course)])).T)
-
     def at(self, time: object) -> Array:
         """The acceleration [m/s^2] at times (m,) [s], (m, 2).
 
         Raises:
             InputError: for a time that the series does not cover.
         """
-        sought = _series("time", time)
+        sought = _series(time)
         first, last = float(self.time[0]), float(self.time[-1])
         slack = SLACK * (last - first) / (len(self.time) - 1)
         if sought.min() < first - slack or sought.max() > last + slack:
@@ -259,19 +212,11 @@ def turning(
     return ThrustSeries(time, np.array(constant) + finite("thrust", size, "m/s^2") * circle)
 
 
-def _series(name: str, given: object) -> Array:
+def _series(given: object) -> Array:
     try:
         values: Array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be an array of numbers, (k,)") from None
+        raise InputError("time must be an array of numbers, (k,)") from None
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
-        raise InputError(f"{name} must be finite numbers, (k,); got shape {values.shape}")
+        raise InputError(f"time must be finite numbers, (k,); got shape {values.shape}")
     return values
-
-
-def _along(name: str, given: object, time: Array) -> Array:
-    """A value for each time (k,): the ones given, or one for all."""
-    values = _series(name, np.atleast_1d(np.asarray(given)))
-    if len(values) not in (1, len(time)):
-        raise InputError(f"{name} has {len(values)} values for {len(time)} times; give one each")
-    return np.broadcast_to(values, time.shape).copy()

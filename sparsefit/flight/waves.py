@@ -3,13 +3,20 @@
     psi = sum_j a_j cos(phi_j) + b_j sin(phi_j),    phi_j = k_j . x - omega_j t,
     w = (d psi/dy, -d psi/dx)
 
-A flow of a stream function has no divergence, whatever its waves. A pattern that drifts with the
-velocity c has omega_j = k_j . c. Cells are two waves of equal energy,
+A flow of a stream function has no divergence, whatever its waves. A pattern that moves with the
+velocity c has omega_j = k_j . c.
 
-    psi = A sin(p . xi) sin(q . xi) (1 + s sin(2 pi t/T + phase)),    xi = x - x0 - c t
+Isotropic turbulence in the plane is a sum of random waves with the spectral density of the stream
+function S(k) ~ (a^2 + |k|^2)^-p, so that the longitudinal velocity has, along any line, the
+spectrum ~ (a^2 + k1^2)^-(p - 3/2):
 
-p and q stand on the two families of walls between the cells: |p| = pi/L_x, |q| = pi/L_y, q turned
-from p by ``angle``. As waves, k = p - q and k = p + q with the amplitudes A/2 and -A/2.
+    Dryden         p = 5/2, a = 1/L             1 / (1 + (L k1)^2)
+    von Karman     p = 7/3, a = 1/(1.339 L)     1 / (1 + (1.339 L k1)^2)^(5/6)
+
+with L the integral length. Of the energy, a share 1 - (p-1) c^(p-2) + (p-2) c^(p-1) lies below
+|k|, c = a^2/(a^2 + k^2). Every band of wavenumbers gets two waves, at right angles, with its
+energy (Kraichnan, 1970, Phys. Fluids 13, 22). Where it evolves, every wave has a frequency of its
+own, normal, so that a velocity forgets itself as exp(-pi/4 (t/T)^2), of integral T.
 """
 
 from __future__ import annotations
@@ -24,10 +31,18 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, is_integer, one_of, positive
 
-PointVelocity: TypeAlias = Callable[[float, float, float], tuple[float, float]]
+Formula: TypeAlias = Callable[[Any, Any, Any], tuple[Any, Any]]
 FEW = 8  # waves: below this plain floats are faster than arrays
+SPECTRA = {  # the power p of a spectrum, and a times the integral length
+    "dryden": (5.0 / 2.0, 1.0),
+    "von-karman": (7.0 / 3.0, 1.0 / 1.339),
+}
+BANDS = 64
+LONGEST = 0.1  # |k|/a of the longest waves: less than 1e-4 of the energy is in longer ones
+SHORTEST = 100.0  # |k| L of the shortest: 5 % (von Karman) or 1.5 % (Dryden) is in shorter ones
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 class FlowField(Protocol):
@@ -44,8 +59,6 @@ class Flow:
     A subclass defines `waves`, or its own `formula`.
     """
 
-    wind: tuple[float, float] = (0.0, 0.0)  # steady, beside the waves [m/s]
-
     if TYPE_CHECKING:  # fields of some subclasses, properties of others
 
         @property
@@ -56,10 +69,8 @@ class Flow:
         def waves(self) -> WaveFlow:
             """The waves of the stream function."""
 
-    @property
-    def cells(self) -> tuple[Cells, ...]:
-        """The parts of the flow that an estimator seeks."""
-        return ()
+    cells: tuple[Any, ...] = ()
+    """The parts of the flow that an estimator seeks."""
 
     @property
     def period(self) -> float:
@@ -74,12 +85,8 @@ class Flow:
         places = np.broadcast_arrays(*(np.asarray(given, np.float64) for given in (x, y, t)))
         return np.stack(np.broadcast_arrays(*self.formula(np)(*places), places[0])[:2], axis=-1)
 
-    def pointwise(self) -> PointVelocity:
-        """Return the velocity [m/s] at one x, y [m] and t [s], as a function of plain floats."""
-        return self.formula(math)
-
-    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
-        """Return w(x, y, t) as a function of floats or arrays.
+    def formula(self, functions: Any) -> Formula:
+        """Return w(x, y, t) [m/s] as a function of floats or arrays.
 
         Args:
             functions: where it has its sines from: `math` for floats, `numpy` for arrays.
@@ -156,39 +163,26 @@ class WaveFlow(Flow):
         """The longest wavelength [m]."""
         return 2.0 * math.pi / float(np.min(np.hypot(*self.wavevectors.T)))
 
-    @cached_property
-    def _phases(self) -> Array:
-        """(n, 4): kx, ky, omega and the shift that makes a wave a cosine with one amplitude."""
-        shift = -np.arctan2(self.sine, self.cosine)
+    def formula(self, functions: Any) -> Formula:
+        """Return the sum of the waves, each a cosine with one amplitude and a shift."""
         assert self.frequencies is not None
-        return np.column_stack([self.wavevectors, self.frequencies, shift])
-
-    @cached_property
-    def _slopes(self) -> Array:
-        """(2, n): u and v [m/s] of a wave where the sine of its phase is 1."""
-        amplitude = np.hypot(self.cosine, self.sine)
-        slopes: Array = np.stack([-self.wavevectors[:, 1], self.wavevectors[:, 0]]) * amplitude
-        return slopes
-
-    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
-        """Return the sum of the waves, as of `Flow`."""
-        if functions is math and len(self.cosine) > FEW:
-            phases = np.ascontiguousarray(self._phases * (1.0, 1.0, -1.0, 1.0))
-            slopes = np.ascontiguousarray(self._slopes)
+        shift = -np.arctan2(self.sine, self.cosine)
+        phases = np.column_stack([self.wavevectors, -self.frequencies, shift])
+        normals = np.stack([-self.wavevectors[:, 1], self.wavevectors[:, 0]])
+        slopes = normals * np.hypot(self.cosine, self.sine)  # (u, v) where a phase's sine is 1
+        if functions is math and len(shift) > FEW:
 
             def of_many(x: float, y: float, t: float) -> tuple[float, float]:
                 u, v = slopes.dot(np.sin(phases.dot((x, y, t, 1.0)))).tolist()
                 return u, v
 
             return of_many
-        sin = functions.sin
-        waves = [(*phase, *slope) for phase, slope in
-                 zip(self._phases.tolist(), self._slopes.T.tolist(), strict=True)]  # fmt: skip
+        sin, waves = functions.sin, np.column_stack([phases, slopes.T]).tolist()
 
         def of_few(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
             u = v = 0.0
-            for kx, ky, omega, shift, of_u, of_v in waves:
-                height = sin(kx * x + ky * y - omega * t + shift)
+            for kx, ky, rate, shift, of_u, of_v in waves:
+                height = sin(kx * x + ky * y + rate * t + shift)
                 u = u + of_u * height
                 v = v + of_v * height
             return u, v
@@ -196,73 +190,71 @@ class WaveFlow(Flow):
         return of_few
 
 
-class Cells(Flow):
-    """Base of the flows that are an array of cells: two waves, of any heading, which may swell."""
+@dataclass(frozen=True)
+class Turbulence(Flow):
+    """One field of random, divergence-free, isotropic turbulence in the plane.
 
-    heading: float = 0.0
-    angle: float = math.pi / 2.0
-    offset: tuple[float, float] = (0.0, 0.0)
-    drift: tuple[float, float] = (0.0, 0.0)
-    swell: float = 0.0
-    swell_period: float = 20.0
-    swell_phase: float = 0.0
+    The waves are drawn from ``seed``: the same record is the same field. Waves shorter than
+    length/16 are left out, and their energy is given to the others.
 
-    if TYPE_CHECKING:
+    Args:
+        intensity: rms [m/s] of each velocity component, over the plane, > 0.
+        length: the longitudinal integral length [m], > 0.
+        memory: the integral time [s] for which the velocity at a place remembers itself, > 0;
+            None: frozen.
+        spectrum: ``dryden`` or ``von-karman``.
+        seed: a non-negative integer.
 
-        @property
-        def length_scale(self) -> float:
-            """L [m] of square cells."""
+    Raises:
+        InputError: if a number is not in its range or the spectrum has another name.
+    """
 
-        @property
-        def length_scales(self) -> tuple[float, float]:
-            """(L_x, L_y) [m]."""
+    intensity: float
+    length: float
+    memory: float | None = None
+    spectrum: str = "dryden"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the parameters and store the numbers as floats."""
+        object.__setattr__(self, "intensity", positive("intensity", self.intensity, "m/s"))
+        object.__setattr__(self, "length", positive("length", self.length, "m"))
+        if self.memory is not None:
+            object.__setattr__(self, "memory", positive("memory", self.memory, "s"))
+        one_of("spectrum of turbulence", self.spectrum, SPECTRA)
+        if not is_integer(self.seed, 0):
+            raise InputError(f"seed must be an integer, 0 or above; got {self.seed!r}")
 
     @property
-    def timescale(self) -> float:
-        """The turnover time, length_scale / mean_velocity [s]."""
-        return self.length_scale / self.mean_velocity
+    def mean_velocity(self) -> float:
+        """U0 = sqrt(2 <|w|^2>) [m/s]: twice the intensity."""
+        return 2.0 * self.intensity
 
     @property
     def period(self) -> float:
-        """Twice the longer side of a cell [m]."""
-        return 2.0 * max(self.length_scales)
-
-    @property
-    def cells(self) -> tuple[Cells, ...]:
-        """The flow itself."""
-        return (self,)
+        """2 pi times the integral length [m], in which most of its waves pass once."""
+        return 2.0 * math.pi * self.length
 
     @cached_property
     def waves(self) -> WaveFlow:
-        """The two waves of the cells, without their swell."""
-
-        def turned(vector: Array, angle: float) -> Array:
-            cos, sin, (x, y) = math.cos(angle), math.sin(angle), vector
-            return np.array([cos * x - sin * y, sin * x + cos * y])
-
-        (p_size, q_size), half = math.pi / np.array(self.length_scales), 0.5 * self.angle
-        p = p_size * np.array([math.cos(-half), math.sin(-half)])
-        q = q_size * np.array([math.cos(half), math.sin(half)])
-        bisector = np.mean([math.atan2(*wave[::-1]) for wave in (p - q, p + q)])
-        p, q = (turned(wave, self.heading - float(bisector)) for wave in (p, q))
-        wavevectors = np.stack([p - q, p + q])
-        amplitude = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
-        shift = wavevectors @ np.array(self.offset)
-        signed = np.array([amplitude, -amplitude])
+        """The waves of the field, two per band of wavenumbers; a stream for each quantity."""
+        place, turn, phase, tempo = (np.random.default_rng([self.seed, i]) for i in range(4))
+        power, knee = SPECTRA[self.spectrum]
+        edges = np.geomspace(LONGEST * knee, SHORTEST, BANDS + 1) / self.length
+        c = 1.0 / (1.0 + (edges * self.length / knee) ** 2)
+        above = (power - 1.0) * c ** (power - 2.0) - (power - 2.0) * c ** (power - 1.0)
+        shares = (above[:-1] - above[1:]) / (above[0] - above[-1])
+        inside = place.random(BANDS)
+        size = edges[:-1] ** (1.0 - inside) * edges[1:] ** inside
+        heading = math.pi / 2.0 * (turn.random() + GOLDEN * np.arange(BANDS))
+        headings = np.concatenate([heading, heading + math.pi / 2.0])
+        sizes = np.tile(size, 2)
+        amplitudes = self.intensity * np.sqrt(2.0 * np.tile(shares, 2)) / sizes
+        phases = phase.uniform(0.0, 2.0 * math.pi, 2 * BANDS)
+        rates = tempo.standard_normal(2 * BANDS)
         return WaveFlow(
-            wavevectors, signed * np.cos(shift), signed * np.sin(shift), wavevectors @ self.drift
+            sizes[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1),
+            amplitudes * np.cos(phases),
+            amplitudes * np.sin(phases),
+            rates * (math.sqrt(math.pi / 2.0) / self.memory if self.memory else 0.0),
         )
-
-    def formula(self, functions: Any) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
-        """Return the two waves times their swell, as of `Flow`."""
-        steady = self.waves.formula(functions)
-        if not self.swell:
-            return steady
-        rate, phase, share = 2.0 * math.pi / self.swell_period, self.swell_phase, self.swell
-
-        def swollen(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
-            u, v = steady(x, y, t)
-            level = 1.0 + share * functions.sin(rate * t + phase)
-            return u * level, v * level
-
-        return swollen

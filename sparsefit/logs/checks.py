@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,37 +18,27 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, positive
 from sparsefit.flight import Flight
-from sparsefit.logs.layout import LENGTHS, SPEEDS, TIMES, named
+from sparsefit.logs.layout import LENGTHS, SPEEDS, TIMES
 
 GAP = 4.0  # median steps: a polynomial through the samples carries over less
 ONE_STEP = 1e-6  # relative: what is taken for one and the same step
 CLEAN = 1e-9  # of the extent, or the speed: noise below it is rounding
-OPPOSITE = "opposite sign of the position's motion; check the frame"
-FRAMES = (  # T, and what it says
+AXES = (  # T, and what it says
     (np.eye(2), ""),
     (
         np.eye(2)[::-1],
         "vx goes with y and vy with x: position and velocity are in different frames, "
         "NED and ENU, say; exchange vx and vy",
     ),
-    (np.diag([-1.0, 1.0]), f"vx has the {OPPOSITE}"),
-    (np.diag([1.0, -1.0]), f"vy has the {OPPOSITE}"),
-    (-np.eye(2), f"vx and vy have the {OPPOSITE}"),
+    *(
+        (turn, f"{which} the opposite sign of the position's motion; check the frame")
+        for turn, which in (
+            (np.diag([-1.0, 1.0]), "vx has"),
+            (np.diag([1.0, -1.0]), "vy has"),
+            (-np.eye(2), "vx and vy have"),
+        )
+    ),
 )
-
-
-class NoiseLevels(Protocol):
-    """Noise levels of a log, as a smoother finds them."""
-
-    @property
-    def sigma_position(self) -> float:
-        """Standard deviation of the position's noise [m]."""
-        ...
-
-    @property
-    def sigma_velocity(self) -> float:
-        """Standard deviation of the velocity's noise [m/s]."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -92,9 +82,8 @@ class LogQuality:
         if self.gaps:
             plural = "s" if self.gaps > 1 else ""
             gaps = f"{self.gaps} gap{plural} of up to {self.longest_gap:.3g} s"
-        sides = f"{x:.3g} × {y:.3g} m"
-        if max(x, y) >= 1e3:
-            sides = f"{x / 1e3:.3g} × {y / 1e3:.3g} km"
+        scale, unit = (1e3, "km") if max(x, y) >= 1e3 else (1.0, "m")
+        sides = f"{x / scale:.3g} × {y / scale:.3g} {unit}"
         noise = []
         if self.velocity_noise > CLEAN * self.speed and self.velocity_measured:
             noise.append(f"{self.velocity_noise:.2g} m/s")
@@ -106,19 +95,20 @@ class LogQuality:
         return f"{pace}, {even}; {gaps}; {sides} at {self.speed:.3g} m/s rms; {levels}"
 
 
-def quality_of(flight: Flight, smoothing: NoiseLevels | None = None) -> LogQuality:
+def quality_of(flight: Flight, smoothing: Any = None) -> LogQuality:
     """Return what a flight's log is like.
 
     Args:
         flight: the flight.
-        smoothing: what the smoother found of its noise, where it was asked.
+        smoothing: has ``sigma_position`` [m] and ``sigma_velocity`` [m/s], the noise as a smoother
+            finds it.
     """
     steps = np.diff(flight.time)
     step, gap = float(np.median(steps)), gaps_of(flight.time)
     within = steps[~gap]
     jitter = math.sqrt(float(np.mean((within - step) ** 2))) if within.size else 0.0
     even = jitter <= ONE_STEP * step + clock_rounding(flight.time)
-    sides = np.ptp(flight.position, axis=0).tolist()
+    width, height = np.ptp(flight.position, axis=0).tolist()
     return LogQuality(
         samples=flight.samples,
         duration=flight.duration,
@@ -126,7 +116,7 @@ def quality_of(flight: Flight, smoothing: NoiseLevels | None = None) -> LogQuali
         jitter=0.0 if even else jitter / step,
         gaps=int(gap.sum()),
         longest_gap=float(steps[gap].max(initial=0.0)),
-        extent=(sides[0], sides[1]),
+        extent=(width, height),
         speed=math.sqrt(float(np.mean(np.sum(flight.velocity**2, axis=1)))),
         velocity_measured=flight.velocity_measured,
         frame=flight.frame,
@@ -167,47 +157,41 @@ def check_log(
             too far apart for what is sought, rows of two vehicles or flights, velocities in another
             unit, frame or sign than positions.
     """
-    longest = None if longest_gap is None else positive("longest_gap", longest_gap, "s")
-    _check_motion(flight, smallest, largest, longest)
-    _check_tracks(flight)
-    if flight.velocity_measured:
-        _check_units(flight)
-
-
-def _check_motion(flight: Flight, smallest: float, largest: float, longest: float | None) -> None:
-    """A log without long gaps, of a vehicle that moves, sampled as finely as what is sought."""
     steps = np.diff(flight.time)
-    row = int(np.argmax(steps))
-    allowed = max(60.0, 20.0 * float(np.median(steps)))  # s; of slow logs a gap is longer
-    if steps[row] > (allowed if longest is None else longest):
-        long = float(steps[row])
-        words = f"{long:.4g} s" if long < 120.0 else f"{long / 60.0:.4g} minutes"
+    row, allowed = int(np.argmax(steps)), max(60.0, 20.0 * float(np.median(steps)))
+    if longest_gap is not None:
+        allowed = positive("longest_gap", longest_gap, "s")
+    if (gap := float(steps[row])) > allowed:
+        words = f"{gap:.4g} s" if gap < 120.0 else f"{gap / 60.0:.4g} minutes"
         raise InputError(
             f"a gap of {words} after t={flight.time[row]:.10g} s (row {row}): what flew there is "
-            f"not known; cut the log, or allow a longest gap of {math.ceil(long)} s"
+            f"not known; cut the log, or allow a longest gap of {math.ceil(gap)} s"
         )
     # Who goes no farther in 5 s rests; shorter logs are only short.
     if not flight.extent or (flight.duration >= 5.0 and flight.extent < smallest):
-        where = "never leaves its place"
-        if flight.extent:
-            where = f"stays within {flight.extent:.3g} m in {flight.duration:.3g} s"
-        least = f", less than the smallest length scale sought, {smallest:g} m" if smallest else ""
-        raise InputError(f"the vehicle stands still: it {where}{least}; give a log of a flight")
+        raise InputError(
+            f"the vehicle stands still: it stays within {flight.extent:.3g} m in "
+            f"{flight.duration:.3g} s, and the smallest length scale sought is {smallest:g} m; "
+            "give a log of a flight"
+        )
     apart = _median_step(flight.position, 1)
     if apart > largest:  # half a period is the least step that tells a wave from another one
         raise InputError(
             f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
             f": no flow of that size shows; raise the grid's bounds (--grid-lower, --grid-upper)"
         )
+    _check_tracks(flight, apart)
+    if flight.velocity_measured:
+        _check_units(flight)
 
 
 def _median_step(position: Array, lag: int) -> float:
     return float(np.median(np.hypot(*(position[lag:] - position[:-lag]).T)))
 
 
-def _check_tracks(flight: Flight) -> None:
+def _check_tracks(flight: Flight, apart: float) -> None:
     """Rows of one vehicle in one flight: none that take turns, no sudden place and velocity."""
-    position, apart = flight.position, _median_step(flight.position, 1)
+    position = flight.position
     for count in (2, 3, 4):  # vehicles whose rows take turns move little, and are far apart
         if count < len(position) - 1 and _median_step(position, count) < 0.1 * apart:
             raise InputError(
@@ -217,15 +201,12 @@ def _check_tracks(flight: Flight) -> None:
     moved = np.hypot(*np.diff(position, axis=0).T)
     speeds = moved / np.diff(flight.time)
     row = int(np.argmax(speeds))
-    others = np.delete(speeds, row)
-    if len(others) < 2:
-        return
     if flight.velocity_measured:
         fastest = float(np.hypot(*flight.velocity.T).max())
         turns = any(_turns(flight.velocity, row, width) for width in (1, 5))
         elsewhere = speeds[row] > 5.0 * fastest and turns
     else:
-        elsewhere = speeds[row] > 20.0 * others.max()  # no step of one vehicle
+        elsewhere = len(speeds) > 2 and speeds[row] > 20.0 * np.delete(speeds, row).max()
     if elsewhere:
         raise InputError(
             f"between rows {row} and {row + 1} (t={flight.time[row]:.10g} s) the vehicle jumps by "
@@ -238,6 +219,8 @@ def _turns(velocity: Array, row: int, width: int) -> bool:
 
     A velocity that is far off by itself changes twice, and is no second flight.
     """
+    if len(velocity) < 2 * width:
+        return False
     medians = np.median(sliding_window_view(velocity, width, axis=0), axis=-1)
     changes = np.hypot(*(medians[width:] - medians[:-width]).T)  # behind row width - 1, ...
     place = row - width + 1
@@ -257,11 +240,11 @@ def _check_units(flight: Flight) -> None:
     moved = np.diff(flight.position, axis=0)[within]
     if not meant.any():
         raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
-    shares, factor, together = [0.0] * len(FRAMES), 1.0, 1
+    shares, factor, together = [0.0] * len(AXES), 1.0, 1
     while together * 12 <= len(moved):  # steps at least that are held against the velocity
         whole = len(moved) // together * together
         d, m = (part[:whole].reshape(-1, together, 2).sum(axis=1) for part in (moved, meant))
-        along = [float(np.sum(m @ frame * d)) for frame, _ in FRAMES]
+        along = [float(np.sum(m @ turn * d)) for turn, _ in AXES]
         own, square = max(float(np.sum(m * m)), 1e-300), float(np.sum(d * d))
         explained = [max(part, 0.0) ** 2 / max(own * square, 1e-300) for part in along]
         if max(explained) > max(shares):
@@ -271,16 +254,19 @@ def _check_units(flight: Flight) -> None:
     if shares[best] < 0.8:
         return
     if shares[best] > shares[0] + 0.05:
-        raise InputError(FRAMES[best][1])
+        raise InputError(AXES[best][1])
     if not 0.67 < factor < 2.0:  # coarse samples alone do as much
-        units = (
-            ("position", named(1.0 / factor, LENGTHS)),
-            ("velocity", named(factor, SPEEDS)),
-            ("time", named(factor, TIMES)),
-        )
-        likely = " or ".join(f"{what} in {unit}" for what, unit in units if unit)
+        likely = [
+            f"{kind} in {unit}"
+            for kind, ratio, units in (
+                ("position", 1.0 / factor, LENGTHS),
+                ("velocity", factor, SPEEDS),
+                ("time", factor, TIMES),
+            )
+            for unit in [unit for unit, size in units.items() if abs(ratio / size - 1.0) < 0.02][:1]
+        ]
+        words = f" ({' or '.join(likely)}?)" if likely else ""
         raise InputError(
             f"the position moves {factor:.4g} times as far as the velocity says: units are "
-            f"mixed{f' ({likely}?)' if likely else ''}; give all in s, m and m/s, or name their "
-            "units"
+            f"mixed{words}; give all in s, m and m/s, or name their units"
         )

@@ -6,31 +6,32 @@ comma, a comma in a number is its decimal mark. UTF-8, UTF-16 with its mark, or 
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import BinaryIO
 
+import numpy as np
+
 from sparsefit.errors import InputError
-from sparsefit.logs.flight_table import FlightTable
-from sparsefit.logs.head import Head
+from sparsefit.logs.flight_table import FlightTable, said
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.sheet import Cells, Sheet, check_size
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
-_BINARY = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
-_LONGEST = 1 << 16  # bytes of a line
-_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_LONGEST = 1 << 16  # characters of a line
+_BLANKS = r"\s+"
+_NO_TEXT = "not a text file; expected CSV with the header time,x,y,vx,vy"
 
 
 def encode(table: FlightTable) -> bytes:
     """Return the file's content, in UTF-8; its numbers read back to the same floats."""
     # The shortest digits that do are those of repr.
-    lines = [f"# {key}={text}" for key, text in table.head.texts().items()]
+    lines = [f"# {key}={text}" for key, text in table.texts().items()]
     lines.append(",".join(table.columns))
     rows = zip(*(column.tolist() for column in table.columns.values()), strict=True)
     lines.extend(",".join(map(repr, row)) for row in rows)
@@ -43,100 +44,113 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
-    text = _Text(file, _encoding(file))
-    matches = (
-        (f"line {count}", match)
-        for count, line in enumerate(text.lines(), start=1)
-        if "#" in line and (match := _SETTING.fullmatch(line.strip()))
-    )  # other comments, and a foreign table's, are text
-    head = Head.parsed(
-        ((at, match[1], match[2]) for at, match in matches), strict=not layout.foreign
-    )
-    header = next(filter(None, map(str.strip, text.plain())), "")
-    best = max(",;\t", key=header.count)
-    delimiter = best if best in header or " " not in header else " "
-    try:
-        names = [name.strip() for name in next(text.rows(delimiter), (0, []))[1]]
-
-        def row(place: int) -> str:
-            line, _ = next(islice(text.rows(delimiter), place + 1, None))
-            return f"line {line}"
-
-        def read(wanted: list[str]) -> dict[str, Cells]:
-            cells: dict[str, list[str]] = {name: [] for name in wanted}
-            pairs = [(column.append, names.index(name)) for name, column in cells.items()]
-            for line, items in islice(text.rows(delimiter), 1, None):
-                if len(items) != len(names):
-                    words = f"line {line} has {len(items)} cells, the header has {len(names)}"
-                    raise InputError(f"{words}; repair that line")
-                for append, place in pairs:
-                    append(items[place])
-            return dict(cells)
-
-        sheet = Sheet(names, read, row, head, commas=delimiter != ",")
-        return sheet.flight_table(layout)
-    except csv.Error as error:
-        raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
+    marked, lines = file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE), 0
+    while block := file.read(_LONGEST):
+        lines += max(block.count(b"\n"), block.count(b"\r"))
+        check_size(lines - 1)
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+        try:
+            text = _Text.scanned(file, encoding)
+        except UnicodeError:
+            continue
+        head = said(text.settings, strict=not layout.foreign)
+        return Sheet(text.names, text.read, text.row, head).flight_table(layout)
+    raise InputError(_NO_TEXT)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Text:
     """The text of a file, decoded anew by every reader: a long one is never held as text."""
 
     file: BinaryIO
     encoding: str
+    delimiter: str = ","
+    names: list[str] = field(default_factory=list)
+    settings: list[tuple[str, str, str]] = field(default_factory=list)
+    skipped: list[int] = field(default_factory=list)  # lines, from 0, that are no row
+    rows: int = 0
 
-    def lines(self) -> Iterator[str]:
-        """Yield every line, without its end, whatever that is."""
-        decoder = io.IncrementalNewlineDecoder(
-            codecs.getincrementaldecoder(self.encoding)(errors="replace"), translate=True
-        )
-        place, rest = 0, ""
-        while block := (self.file.seek(place), self.file.read(_LONGEST))[1]:
-            place += len(block)
-            *lines, rest = (rest + decoder.decode(block)).split("\n")
-            yield from lines
-        yield rest
-
-    def plain(self) -> Iterator[str]:
-        """Yield every line, comments as empty ones so that the count stays right."""
-        for line in self.lines():
-            yield "" if line.lstrip().startswith("#") else line.strip(" ")
-
-    def rows(self, delimiter: str) -> Iterator[tuple[int, list[str]]]:
-        """Yield line numbers and cells of the header and of every row; empty lines are none."""
-        reader = csv.reader(self.plain(), delimiter=delimiter, skipinitialspace=delimiter == " ")
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                yield reader.line_num, row
-
-
-def _encoding(file: BinaryIO) -> str:
-    """The encoding of a file's text; blocks of it are read, so that a bomb costs nothing.
-
-    Raises:
-        InputError: where it is no text, has too many lines or one that is too long.
-    """
-    file.seek(0)
-    head, lines, utf8 = b"", 0, True
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    while block := file.read(_LONGEST):
-        ends = max(block.count(b"\n"), block.count(b"\r"))
-        if not ends and len(block) == _LONGEST:
-            raise InputError(
-                f"line {lines + 1} is longer than {_LONGEST} bytes: not a CSV file; check quotes "
-                "and line ends"
-            )
-        head, lines = head or block, lines + ends
-        check_size(lines - 1)
+    @contextmanager
+    def lines(self) -> Iterator[io.TextIOWrapper]:
+        """The file from its begin, line ends of any kind."""
+        self.file.seek(0)
+        text = io.TextIOWrapper(self.file, self.encoding)
         try:
-            utf8 and decoder.decode(block)
-        except UnicodeDecodeError:
-            utf8 = False
-    if head.startswith(_MARKS):
-        return "utf-16"
-    # Numbers are the same in all encodings of a spreadsheet but the first.
-    encoding = "utf-8-sig" if utf8 else "cp1252"
-    if _BINARY.search(head) or (not utf8 and "\ufffd" in head.decode(encoding, "replace")):
-        raise InputError("not a text file; expected CSV with the header time,x,y,vx,vy")
-    return encoding
+            yield text
+        finally:
+            text.detach()
+
+    @classmethod
+    def scanned(cls, file: BinaryIO, encoding: str) -> _Text:
+        """Look through a file line by line, so that a bomb costs nothing.
+
+        Raises:
+            InputError: where it is no text, has too many lines, one that is too long, or a row of
+                more or fewer cells than the header.
+            UnicodeError: where it is of another encoding.
+        """
+        own = cls(file, encoding)
+        with own.lines() as text:
+            for place, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), "")):
+                if len(line) > _LONGEST:
+                    raise InputError(
+                        f"line {place + 1} is longer than {_LONGEST} characters: not a CSV file; "
+                        "check quotes and line ends"
+                    )
+                if "\0" in line:
+                    raise InputError(_NO_TEXT)
+                if "#" in line and line.lstrip().startswith("#"):  # others than settings are text
+                    if match := _SETTING.fullmatch(line.strip()):
+                        own.settings.append((f"line {place + 1}", match[1], match[2]))
+                    own.skipped.append(place)
+                elif not line.strip(",;\t\n "):
+                    own.skipped.append(place)
+                elif not own.names:
+                    best = max(",;\t", key=line.count)
+                    own.delimiter = best if best in line or " " not in line.strip() else _BLANKS
+                    own.names = own.cells(line)
+                    own.skipped.append(place)
+                else:
+                    own.rows += 1
+                    plain = '"' not in line and own.delimiter != _BLANKS
+                    count = line.count(own.delimiter) + 1 if plain else len(own.cells(line))
+                    if count != len(own.names):
+                        words = f"line {place + 1} has {count} cells, the header has"
+                        raise InputError(f"{words} {len(own.names)}; repair that line")
+        return own
+
+    def cells(self, line: str) -> list[str]:
+        """The cells of a line."""
+        if self.delimiter == _BLANKS:
+            return line.split()
+        cells = next(
+            csv.reader([line.rstrip("\n")], delimiter=self.delimiter, skipinitialspace=True)
+        )
+        return [cell.strip() for cell in cells]
+
+    def row(self, place: int) -> str:
+        """The words for a row, counted from 0."""
+        for line in self.skipped:
+            place += line <= place
+        return f"line {place + 1}"
+
+    def read(self, wanted: list[str]) -> dict[str, Cells]:
+        """The texts of columns, a comma in a number as a point where it does not part cells."""
+        import pandas as pd
+
+        places = [self.names.index(name) for name in wanted]
+        columns: dict[str, Cells] = {name: np.empty(0, object) for name in wanted}
+        if not self.rows:
+            return columns
+        with self.lines() as text:
+            frame = pd.read_csv(
+                text, sep=self.delimiter, header=None, names=range(len(self.names)),
+                usecols=places, skiprows=self.skipped, dtype=str, keep_default_na=False,
+                skip_blank_lines=False, skipinitialspace=True, index_col=False,
+            )  # fmt: skip
+        for name, place in zip(wanted, places, strict=True):
+            cells = frame.pop(place)  # type: ignore[arg-type]
+            if self.delimiter != "," and not cells.str.contains(".", regex=False).any():
+                cells = cells.str.replace(",", ".", regex=False)
+            columns[name] = cells.to_numpy(object)
+        return columns

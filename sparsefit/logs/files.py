@@ -11,16 +11,15 @@ from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file, igc_file, parquet_file, ulog_file
-from sparsefit.logs.flight_table import Anchor, FlightTable
+from sparsefit.logs.flight_table import FlightTable
 from sparsefit.logs.layout import Columns, Layout
 from sparsefit.whole_file import regular_file, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
 WRITTEN: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
-TEXTS = (".txt", ".tsv", ".dat")  # tables of other programs
 FORMATS: dict[str, ModuleType] = {
     **WRITTEN,
-    **dict.fromkeys(TEXTS, csv_file),
+    **dict.fromkeys((".txt", ".tsv", ".dat"), csv_file),  # tables of other programs
     **{".ulg": ulog_file, ".igc": igc_file},
 }
 
@@ -39,11 +38,11 @@ def read_flight(
     Of a table (``.csv``, ``.parquet``, ``.txt``, ``.tsv``, ``.dat``): columns ``time, x, y, vx,
     vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; others are ignored.
     Without both ``vx`` and ``vy`` it has positions only (`Flight.from_positions`). The vehicle:
-    ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (thrust is 0 where it is
-    not given) and the others of `sparsefit.logs.head`, ``frame`` (``ENU`` or ``NED``) among them;
-    the same keys in the metadata of Parquet. Columns ``ax`` and ``ay`` [m/s^2] are a measured
-    thrust (`Flight.thrust`). The true flow, where known: ``mean_velocity`` and ``length_scale``, or
-    ``flow``, the JSON object that `write_flight` writes of any other.
+    ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (0 where one is not given)
+    and the others of `sparsefit.logs.flight_table`, ``frame`` (``ENU`` or ``NED``) among them;
+    the same keys in the metadata of Parquet. Columns ``ax`` and ``ay`` [m/s^2] are what the
+    propulsion was measured to push. The true flow, where known: ``mean_velocity`` and
+    ``length_scale``, or ``flow``, the JSON object that `write_flight` writes of any other.
 
     Args:
         path: the file.
@@ -65,37 +64,23 @@ def read_flight(
         MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj, for
             logs of PX4 without pyulog, for IGC files without aerofiles.
     """
-    anchor = Anchor.of(origin, epoch)
-    table = read_table(path, columns=columns, only=only, anchor=anchor)
+    table = read_table(path, Layout.of(columns, only, origin, epoch))
     with told_with(Path(path)):
         return table.flight(vehicle)
 
 
-def read_table(
-    path: str | os.PathLike[str],
-    *,
-    columns: Columns = None,
-    only: str | None = None,
-    anchor: Anchor | None = None,
-) -> FlightTable:
+def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> FlightTable:
     """Read the columns and settings of a flight file, which may lack a vehicle.
-
-    Args:
-        path: the file.
-        columns: as of `read_flight`.
-        only: as of `read_flight`.
-        anchor: where and when the zeros shall be; as the log says where it is None.
 
     Raises:
         InputError: naming file, line and column, if the file is missing or holds no such table.
         MissingExtra: as of `read_flight`.
     """
-    path = Path(path)
+    path, layout = Path(path), layout or Layout()
     decode = _format(path, FORMATS).decode
-    layout = Layout.of(columns, only, anchor)
     with regular_file(path, most=LARGEST) as file, told_with(path):
         table: FlightTable = decode(file, layout)
-        return table.since(layout.anchor.epoch)
+        return table.since(layout.epoch)
 
 
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -1,87 +1,67 @@
-"""A flight as a file holds it: three to seven named columns, and where and when its zeros are."""
+"""A flight as a file holds it: columns in SI units, settings as texts by key, and its zeros.
+
+The parameters of the vehicle are numbers. The paper's cells are ``mean_velocity`` and
+``length_scale``, as a person types them; any other flow is one ``flow`` entry, a JSON object of its
+``kind`` and the fields of its record. The axes are ``frame``.
+"""
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from datetime import datetime
+from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, pair
-from sparsefit.flight.record import Flight
+from sparsefit.codec import Place, build, finite_or_none, mapping, shown
+from sparsefit.errors import InputError, one_of, suggestion, told_with, unknown
+from sparsefit.flight.flow import CellularFlow, Flow, ShapedCells, SuperposedFlow
+from sparsefit.flight.record import FRAMES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.logs.head import Head, vehicle_of
+from sparsefit.flight.waves import Turbulence, WaveFlow
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
 VELOCITY = ("vx", "vy")  # m/s
 COLUMNS = (*POSITIONS, *VELOCITY)
-THRUST = ("ax", "ay")  # m/s^2, measured; in some logs
-
-
-def moment_of(text: str) -> datetime | None:
-    """Return the time that a calendar names, UTC where no zone is named; None of anything else."""
-    try:
-        moment = datetime.fromisoformat(text.strip())
-    except ValueError:
-        return None
-    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-
-
-def moment_at(microseconds: int) -> datetime | None:
-    """Return the time so many microseconds after 1970 began; None beyond all calendars."""
-    try:
-        return datetime.fromtimestamp(0, UTC) + timedelta(microseconds=microseconds)
-    except OverflowError:
-        return None
-
-
-@dataclass(frozen=True)
-class Anchor:
-    """The zero of a log's coordinates and of its time, which several logs must share.
-
-    Args:
-        origin: longitude and latitude of x = y = 0 [degrees]; None where they are not known.
-        epoch: the time of t = 0; None where it is not known.
-    """
-
-    origin: tuple[float, float] | None = None
-    epoch: datetime | None = None
-
-    @classmethod
-    def of(cls, origin: object = None, epoch: str | datetime | None = None) -> Anchor:
-        """Return an anchor from a pair of degrees and an ISO 8601 time, UTC without a zone.
-
-        Raises:
-            InputError: if they are none.
-        """
-        place = None if origin is None else pair("origin", origin, "degrees")
-        if place is not None and not (abs(place[0]) <= 360.0 and abs(place[1]) <= 90.0):
-            raise InputError(f"origin must be longitude and latitude in degrees; got {place}")
-        if epoch is None:
-            return cls(place)
-        moment = moment_of(epoch) if isinstance(epoch, str) else epoch
-        if not isinstance(moment, datetime):
-            raise InputError(f"epoch must be an ISO time, 2012-07-22T14:15:00, say; got {epoch!r}")
-        return cls(place, moment if moment.tzinfo else moment.replace(tzinfo=UTC))
+PUSH = ("ax", "ay")  # m/s^2, of the propulsion, measured; in some logs
+CELLS = ("mean_velocity", "length_scale")
+NUMBERS = ("response_time", "thrust_ax", "thrust_ay", "drag", "thrust_scale", *CELLS)
+KEYS = (*NUMBERS, "flow", "frame")
+KINDS: dict[str, type[Any]] = {
+    "cells": CellularFlow,
+    "shaped-cells": ShapedCells,
+    Turbulence.__name__.lower(): Turbulence,
+    "waves": WaveFlow,
+    "sum": SuperposedFlow,
+}
+LONGEST = 60_000  # characters of a flow: a line of CSV is no longer than 65,536 bytes
 
 
 @dataclass(frozen=True)
 class FlightTable:
-    """The columns of a flight and the head of its file.
+    """The columns of a flight, and what its file says beside them.
 
     Args:
-        columns: `COLUMNS` and `THRUST` by name, (m,) each, in SI units.
-        head: the vehicle, the true flow and the axes, which may be missing.
+        columns: `COLUMNS` and `PUSH` by name, (m,) each, in SI units.
+        settings: the parameters of the vehicle by name, which may be missing.
+        flow: the true flow, where it is known.
+        frame: the axes, a key of `FRAMES`.
         notes: how a foreign log was read, in words.
-        anchor: where and when the zeros are, as far as the log says.
+        origin: longitude and latitude of x = y = 0 [degrees], as far as the log says.
+        epoch: the time of t = 0, likewise.
     """
 
     columns: dict[str, Array]
-    head: Head = Head()
+    settings: Mapping[str, float]
+    flow: Flow | None = None
+    frame: str = ""
     notes: tuple[str, ...] = ()
-    anchor: Anchor = Anchor()
+    origin: tuple[float, float] | None = None
+    epoch: datetime | None = None
 
     @classmethod
     def from_flight(cls, flight: Flight) -> FlightTable:
@@ -90,8 +70,13 @@ class FlightTable:
         names = COLUMNS if flight.velocity_measured else POSITIONS
         columns = {name: values[:, place] for place, name in enumerate(names)}
         if flight.thrust is not None:
-            columns |= dict(zip(THRUST, flight.thrust.T, strict=True))
-        return cls(columns, Head.of(flight))
+            columns |= dict(zip(PUSH, flight.thrust.T, strict=True))
+        vehicle = flight.vehicle
+        settings = {"response_time": vehicle.response_time} if vehicle.rate else {}
+        settings |= dict(zip(NUMBERS[1:3], vehicle.thrust_acceleration, strict=True))
+        settings |= {"drag": vehicle.drag} if vehicle.drag else {}
+        settings |= {"thrust_scale": vehicle.thrust_scale} if vehicle.thrust_scale != 1.0 else {}
+        return cls(columns, settings, flight.flow, flight.frame)
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
         """Return the flight; a ``vehicle`` given here replaces the one in the settings.
@@ -101,24 +86,23 @@ class FlightTable:
         """
         vectors = {
             names: np.column_stack([self.columns[name] for name in names])
-            for names in (("x", "y"), VELOCITY, THRUST)
+            for names in (("x", "y"), VELOCITY, PUSH)
             if names[0] in self.columns
         }
-        flown = vehicle_of(self.head.settings) if vehicle is None else vehicle
-        first, thrust = (self.columns["time"], vectors["x", "y"]), vectors.get(THRUST)
-        flow, frame = self.head.flow, self.head.frame
+        flown = vehicle_of(self.settings) if vehicle is None else vehicle
+        first, push = (self.columns["time"], vectors["x", "y"]), vectors.get(PUSH)
         if VELOCITY not in vectors:
-            return Flight.from_positions(*first, flown, flow, thrust, frame)
-        return Flight(*first, vectors[VELOCITY], flown, flow, True, thrust, frame)
+            return Flight.from_positions(*first, flown, self.flow, push, self.frame)
+        return Flight(*first, vectors[VELOCITY], flown, self.flow, True, push, self.frame)
 
     def since(self, epoch: datetime | None) -> FlightTable:
-        """Return the same rows by a clock that is 0 at ``epoch``, where the log has a calendar."""
-        own = self.anchor.epoch
-        if epoch is None or own is None or epoch == own:
+        """Return the rows by a clock that is 0 at ``epoch``, where the log has a calendar."""
+        if epoch is None or self.epoch is None:
             return self
-        late = (own - epoch).total_seconds()
-        columns = self.columns | {"time": late + self.columns["time"]}
-        return replace(self, columns=columns, anchor=replace(self.anchor, epoch=epoch))
+        late = (self.epoch - epoch).total_seconds()
+        return replace(
+            self, columns=self.columns | {"time": late + self.columns["time"]}, epoch=epoch
+        )
 
     def between(self, start: float | None, end: float | None) -> FlightTable:
         """Return the rows from one time of the log to another [s]; None is its own end.
@@ -126,12 +110,114 @@ class FlightTable:
         Raises:
             InputError: where no row is between them.
         """
-        if start is None and end is None:
-            return self
         time = self.columns["time"]
         low, high = -math.inf if start is None else start, math.inf if end is None else end
         inside = (time >= low) & (time <= high)
-        if not inside.any():
-            ends = f"{time.min():g} … {time.max():g} s" if len(time) else "nothing"
+        if len(time) and not inside.any():
+            ends = f"{time.min():g} … {time.max():g} s"
             raise InputError(f"no sample from {low:g} s to {high:g} s; the log has {ends}")
         return replace(self, columns={name: row[inside] for name, row in self.columns.items()})
+
+    def texts(self) -> dict[str, str]:
+        """Return the settings as `said` reads them exactly; a flow of a user's own has none."""
+        texts = {name: repr(value) for name, value in self.settings.items()}
+        if isinstance(self.flow, CellularFlow):
+            texts |= {name: repr(getattr(self.flow, name)) for name in CELLS}
+        elif record := self.flow and _record(self.flow):
+            line = json.dumps(finite_or_none(record))
+            texts |= {"flow": line} if len(line) <= LONGEST else {}
+        return texts | ({"frame": self.frame} if self.frame else {})
+
+
+def said(entries: Iterable[tuple[str, str, str]], *, strict: bool) -> dict[str, Any]:
+    """Return the settings, flow and frame of a `FlightTable` by a file's (place, key, text).
+
+    strict: unknown keys are refused, and not passed over.
+
+    Raises:
+        InputError: naming the place, on a key that is unknown or stands twice and on a value
+            that is none of its kind.
+    """
+    texts: dict[str, str] = {}
+    numbers: dict[str, float] = {}
+    flow: Flow | None = None
+    for place, key, text in entries:
+        if key not in KEYS:
+            if strict:
+                raise InputError(f"{place}: {unknown('key', key, KEYS)}")
+            continue
+        if key in texts:
+            raise InputError(f"{place}: {key} is given twice; keep one")
+        texts[key] = text.strip()
+        if key in NUMBERS:
+            numbers[key] = number(text, f"{place}, {key}")
+        elif key == "flow":
+            where = Place(place, "", "flow")
+            try:
+                flow = _flow_of(json.loads(text), where)
+            except (json.JSONDecodeError, RecursionError):
+                raise where.error("is no JSON object of a flow; repair or drop it") from None
+        else:
+            with told_with(place):
+                one_of("frame", texts[key], filter(None, FRAMES))
+    cells = [numbers.pop(name) for name in CELLS if name in numbers]
+    if len(cells) == 1:
+        alone, other = sorted(CELLS, key=lambda name: name not in texts)
+        raise InputError(f"{alone} is given without {other}; add it or drop both")
+    if cells and flow is not None:
+        raise InputError("mean_velocity and flow both say what the flow is; drop one")
+    flow = CellularFlow(*cells) if cells else flow
+    return {"settings": numbers, "flow": flow, "frame": texts.get("frame", "")}
+
+
+def vehicle_of(settings: Mapping[str, float]) -> PointMassVehicle:
+    """Return the vehicle that settings name; with quadratic drag alone it has no other drag.
+
+    Raises:
+        InputError: if they name neither a response time nor drag, or a value is out of its range.
+    """
+    drag = settings.get("drag", 0.0)
+    if "response_time" not in settings and not drag:
+        raise InputError(
+            "no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
+        )
+    constant = (settings.get("thrust_ax", 0.0), settings.get("thrust_ay", 0.0))
+    response, scale = settings.get("response_time", math.inf), settings.get("thrust_scale", 1.0)
+    return PointMassVehicle(response, constant, drag, scale)
+
+
+def number(text: str, place: str) -> float:
+    """Return the finite number that ``text`` is; ``1_000`` is none in a log.
+
+    Raises:
+        InputError: naming ``place``, the line and column, where it is no number.
+    """
+    try:
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        cell = ascii(text.strip()[:40])
+        raise InputError(f"{place}: {cell} is not a finite number; repair or drop it")
+    return value
+
+
+def _record(flow: Flow) -> dict[str, Any] | None:
+    """The kind and the fields of a flow; None where it, or a component, is of a user's own."""
+    kind = next((kind for kind, home in KINDS.items() if type(flow) is home), None)
+    values = {item.name: getattr(flow, item.name) for item in fields(KINDS[kind])} if kind else {}
+    if isinstance(flow, SuperposedFlow):
+        values["components"] = [_record(part) for part in flow.components]
+    return {"kind": kind, **values} if kind and None not in values.get("components", ()) else None
+
+
+def _flow_of(record: object, where: Place) -> Flow:
+    """The flow of a JSON object. Raises `InputError`, naming the place, where it is none."""
+    values = dict(mapping(record, where))
+    kind = values.pop("kind", None)
+    if str(kind) not in KINDS:
+        raise where.error(f"is of unknown kind {shown(kind)}{suggestion(str(kind), KINDS)}")
+    if isinstance(parts := values.get("components"), list):
+        values["components"] = [_flow_of(part, where) for part in parts]
+    flow: Flow = build(KINDS[str(kind)], values, where)
+    return flow

@@ -12,70 +12,41 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
-from typing import TypeAlias
+from datetime import UTC, datetime
+from typing import NamedTuple, TypeAlias
 
-from sparsefit.errors import InputError, one_of, suggestion, unknown
-from sparsefit.logs.flight_table import COLUMNS, POSITIONS, THRUST, VELOCITY, Anchor
+from sparsefit.errors import InputError, one_of, pair, suggestion, unknown
+from sparsefit.logs.flight_table import COLUMNS, POSITIONS, PUSH, VELOCITY
 
 Columns: TypeAlias = "str | Mapping[str, str] | None"
 """A column map as it is typed, or as a mapping of fields to columns."""
-FIELDS = (*COLUMNS, *THRUST)
 DEGREES = "deg"  # of longitude and latitude, which a projection turns into metres
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
-         "d": 86400.0}  # fmt: skip
-LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "mi": 1609.344, "nmi": 1852.0}
+TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9,
+         "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
+LENGTHS = {"m": 1.0, "metres": 1.0, "meters": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048,
+           "mi": 1609.344, "nmi": 1852.0}  # fmt: skip
 SPEEDS = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "km/s": 1e3, "km/h": 1.0 / 3.6, "ft/s": 0.3048,
-          "mph": 0.44704, "kn": 1852.0 / 3600.0}  # fmt: skip
+          "mph": 0.44704, "kn": 1852.0 / 3600.0, "knots": 1852.0 / 3600.0}  # fmt: skip
 ACCELERATIONS = {"m/s^2": 1.0, "m/s2": 1.0, "cm/s^2": 1e-2, "ft/s^2": 0.3048, "g": 9.80665}
-_UNITS = {"t": TIMES, "x": LENGTHS | {DEGREES: 1.0}, "v": SPEEDS, "a": ACCELERATIONS}
-_SPELLED = {  # in headers
-    **{"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "hr": "h", "hours": "h"},
-    **{"meters": "m", "metres": "m", "°": DEGREES, "degrees": DEGREES},
-    **{"m s-1": "m/s", "cm s-1": "cm/s", "kmh": "km/h", "kph": "km/h", "kt": "kn", "knots": "kn"},
-}
-_TYPED = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]")
-_HEADING = re.compile(r"(?P<name>.+?)\s*(?:\[(?P<unit>[^\[\]]*)\]|\((?P<other>[^()]*)\))")
-_GEOGRAPHIC = ("lon", "lat")  # how names of columns begin that hold degrees
+ANGLES = {DEGREES: 1.0, "°": 1.0, "degrees": 1.0}
+UNITS = {"t": TIMES, "x": LENGTHS | ANGLES, "y": LENGTHS | ANGLES, "v": SPEEDS, "a": ACCELERATIONS}
+_WITH_UNIT = re.compile(r"(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))")
 
 
-def factor_of(name: str, unit: str) -> float:
-    """Return the SI value of one ``unit`` of a field; 1 for degrees and for no unit.
-
-    Args:
-        name: of the field: ``time``, ``x``, ``y``, ``vx``, ``vy``, ``ax`` or ``ay``.
-        unit: as written in the log; empty for the SI unit.
-
-    Raises:
-        InputError: naming the known units, where it is none of them.
-    """
-    units, unit = _UNITS["x" if name == "y" else name[0]], _SPELLED.get(unit, unit)
-    if unit and unit not in units:
-        raise InputError(f"{name}: {unknown('unit', unit, units)}")
-    return units[unit] if unit else 1.0
-
-
-def named(ratio: float, units: Mapping[str, float], within: float = 0.02) -> str:
-    """Return the unit that is ``ratio`` of the first of ``units``, to a share; else nothing."""
-    near = (unit for unit, one in list(units.items())[1:] if abs(ratio / one - 1.0) < within)
-    return next(near, "")
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where a field is read from.
-
-    Args:
-        column: the name of the column, as the header spells it.
-        unit: empty for s, m and m/s.
-    """
+class Source(NamedTuple):
+    """The column that a field is read from, as the header spells it, and its unit, if any."""
 
     column: str
     unit: str = ""
 
     def __str__(self) -> str:
-        plain = not self.unit or _heading(self.column)[1] == self.unit
+        plain = not self.unit or _split(self.column).unit == self.unit
         return self.column if plain else f"{self.column} [{self.unit}]"
+
+    @property
+    def degrees(self) -> bool:
+        """Whether it is an angle on the Earth."""
+        return self.unit in ANGLES
 
 
 @dataclass(frozen=True)
@@ -86,38 +57,50 @@ class Layout:
         sources: the fields that a column map names; none where the table is as this package
             writes it.
         only: a column and the text in it of the rows that are read; None for all rows.
-        anchor: where and when the zeros shall be, of a log that has places and times; its own
-            middle and its first sample where nothing is said.
+        origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has places;
+            None: its own middle.
+        epoch: the time where t = 0 shall be, of a log that has times; None: its first sample.
     """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
     only: tuple[str, str] | None = None
-    anchor: Anchor = Anchor()
+    origin: tuple[float, float] | None = None
+    epoch: datetime | None = None
 
     @classmethod
     def of(
-        cls, columns: Columns = None, only: str | None = None, anchor: Anchor | None = None
+        cls,
+        columns: Columns = None,
+        only: str | None = None,
+        origin: tuple[float, float] | None = None,
+        epoch: str | datetime | None = None,
     ) -> Layout:
         """Return the layout of ``time=t,x=lon[deg],...``, or of a mapping, and ``column=value``.
 
         Raises:
-            InputError: on a field that is none, or is given twice, and on an unknown unit.
+            InputError: on a field that is none, or is given twice, on an unknown unit, and on an
+                origin or epoch that is none.
         """
+        pairs = list(columns.items()) if isinstance(columns, Mapping) else []
+        if columns and not pairs:
+            if not isinstance(columns, str):
+                raise InputError(f"columns must be text, time=t,x=lon,y=lat, or a mapping of it; "
+                                 f"got {columns!r}")  # fmt: skip
+            pairs = [_halves(text, "columns: ", "time=t") for text in columns.split(",")]
         sources: dict[str, Source] = {}
-        for name, text in _pairs(columns):
-            one_of("field", name, FIELDS)
+        for name, text in pairs:
+            one_of("field", name, (*COLUMNS, *PUSH))
             if name in sources:
                 raise InputError(f"columns: {name} is given twice; keep one")
-            match = _TYPED.fullmatch(text)
-            column, unit = (match["name"], match["unit"].strip()) if match else (text, "")
-            factor_of(name, unit)
-            sources[name] = Source(column, _SPELLED.get(unit, unit))
-        if only is None:
-            return cls(sources, None, anchor or Anchor())
-        column, equals, value = str(only).partition("=")
-        if not equals or not column.strip():
-            raise InputError(f'"{only}" is not column=value, as in id=7')
-        return cls(sources, (column.strip(), value.strip()), anchor or Anchor())
+            sources[name] = _split(str(text))
+            factor_of(name, sources[name].unit)
+        place = None if origin is None else pair("origin", origin, "degrees")
+        if place is not None and not (abs(place[0]) <= 360.0 and abs(place[1]) <= 90.0):
+            raise InputError(f"origin must be longitude and latitude in degrees; got {place}")
+        moment = moment_of(epoch) if isinstance(epoch, str) else epoch
+        if epoch is not None and not isinstance(moment, datetime):
+            raise InputError(f"epoch must be an ISO time, 2012-07-22T14:15:00, say; got {epoch!r}")
+        return cls(sources, _halves(only, "only: ", "id=7") if only else None, place, moment)
 
     @property
     def foreign(self) -> bool:
@@ -131,31 +114,29 @@ class Layout:
             InputError: where a column is missing or stands twice.
         """
         chosen: dict[str, Source] = {}
-        for name in FIELDS:
-            source = self.sources.get(name)
-            if source is not None:
+        for name in (*COLUMNS, *PUSH):
+            source = self.sources.get(name, Source(name))
+            headings = _matching(source.column, names)
+            if name not in self.sources and (not headings or (self.foreign and name in PUSH)):
+                continue
+            if not headings:
                 wanted = source.column
-                exact = _named(f"{wanted} [{source.unit}]", names) if source.unit else []
-                columns = exact or _named(wanted, names)
-                if not columns:
-                    raise InputError(f'no column "{wanted}"{suggestion(wanted, names)}')
-                geographic = name in "xy" and wanted.casefold().startswith(_GEOGRAPHIC)
-            else:
-                columns, geographic = _named(name, names), False
-                if not columns or (self.foreign and name in THRUST):
-                    continue
-                source = Source(name)
-            if len(columns) > 1:
-                raise InputError(f"column {columns[0]} appears more than once; keep one of each")
-            unit = source.unit or _heading(columns[0])[1] or (DEGREES if geographic else "")
+                raise InputError(f'no column "{wanted}"{suggestion(wanted, names)}')
+            if len(headings) > 1:
+                raise InputError(f"column {headings[0]} appears more than once; keep one of each")
+            unit = source.unit or _split(headings[0]).unit
+            if name in self.sources and source.column.casefold().startswith(("lon", "lat")):
+                unit = unit or DEGREES
             factor_of(name, unit)
-            chosen[name] = Source(columns[0], unit)
-        pairs = [pair for pair in (VELOCITY, THRUST) if set(pair) & set(chosen)]
-        wanted_fields = (*POSITIONS, *chain.from_iterable(pairs)) if chosen else COLUMNS
-        missing = [name for name in wanted_fields if name not in chosen]
+            chosen[name] = Source(headings[0], unit)
+        pairs = [pair for pair in (VELOCITY, PUSH) if set(pair) & set(chosen)]
+        needed = (*POSITIONS, *sum(pairs, ())) if chosen else COLUMNS
+        missing = [name for name in needed if name not in chosen]
         if missing:
-            raise InputError(_lacks(missing, names))
-        if len({chosen[name].unit == DEGREES for name in "xy"}) > 1:
+            header = ascii(", ".join(names)[:200])[1:-1] or "nothing"
+            remedy = "rename or add it, or say which it is: --columns time=t,x=lon,..."
+            raise InputError(f"no column {', '.join(missing)}; found {header}; {remedy}")
+        if chosen["x"].degrees != chosen["y"].degrees:
             words = f"x = {chosen['x']}, y = {chosen['y']}"
             raise InputError(f"columns: {words}: both are degrees, or none; say [deg] or [m]")
         return chosen
@@ -166,56 +147,43 @@ class Layout:
             raise InputError(f"{kind} tells its own columns; leave columns and only out")
 
 
-def is_number(text: str) -> bool:
-    """Whether a cell is a number, infinite or NaN too, with a decimal point or comma."""
+def factor_of(name: str, unit: str) -> float:
+    """Return the SI value of one ``unit`` of a field; 1 for degrees and for no unit.
+
+    Raises:
+        InputError: naming the known units, where it is none of them.
+    """
+    units = UNITS[name[0]]
+    if unit and unit not in units:
+        raise InputError(f"{name}: {unknown('unit', unit, units)}")
+    return units[unit] if unit else 1.0
+
+
+def moment_of(text: str) -> datetime | None:
+    """Return the time that a calendar names, UTC where no zone is named; None of anything else."""
     try:
-        float(text.replace(",", "."))
+        moment = datetime.fromisoformat(text.strip())
     except ValueError:
-        return False
-    return True
+        return None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
-def _pairs(columns: Columns) -> list[tuple[str, str]]:
-    """The fields and columns of a column map."""
-    if columns is None:
-        return []
-    if isinstance(columns, Mapping):
-        return [(str(name), str(text)) for name, text in columns.items()]
-    if not isinstance(columns, str):
-        raise InputError(
-            f"columns must be text or a mapping, as time=t,x=lon,y=lat; got {columns!r}"
-        )
-    pairs = [pair.partition("=") for pair in columns.split(",")]
-    for name, equals, text in pairs:
-        if not equals or not name.strip() or not text.strip():
-            words = f"{name}{equals}{text}".strip()
-            raise InputError(f'columns: "{words}" is not field=column, as in time=t,x=lon,y=lat')
-    return [(name.strip(), text.strip()) for name, _, text in pairs]
+def _halves(text: str, what: str, example: str) -> tuple[str, str]:
+    name, equals, value = str(text).partition("=")
+    if not equals or not name.strip() or not value.strip():
+        raise InputError(f'{what}"{text}" is not NAME=VALUE, as in {example}')
+    return name.strip(), value.strip()
 
 
-def _heading(text: str) -> tuple[str, str]:
-    """The name of a column, and the unit behind it as this module spells it."""
-    match = _HEADING.fullmatch(text)
-    unit = (match["unit"] or match["other"] or "").strip() if match else ""
-    return (match["name"] if match else text), _SPELLED.get(unit, unit)
+def _split(heading: str) -> Source:
+    """The name of a column, and the unit behind it."""
+    match = _WITH_UNIT.fullmatch(heading)
+    return Source(match[1], (match[2] or match[3] or "").strip()) if match else Source(heading)
 
 
-def _named(wanted: str, names: list[str]) -> list[str]:
+def _matching(wanted: str, names: list[str]) -> list[str]:
     """The headings that are a name: exactly, or but for their unit, or their case."""
-    for key in (
-        lambda heading: heading,
-        lambda heading: _heading(heading)[0],
-        lambda heading: _heading(heading)[0].casefold(),
-    ):
-        headings = [name for name in names if key(name) == key(wanted)]
-        if headings:
+    for key in (str, lambda name: _split(name).column, lambda name: _split(name).column.casefold()):
+        if headings := [name for name in names if key(name) == key(wanted)]:
             return headings
     return []
-
-
-def _lacks(missing: list[str], names: list[str]) -> str:
-    lack, header = ", ".join(missing), ascii(", ".join(names)[:200])[1:-1] or "nothing"
-    if names and all(is_number(name) for name in names):
-        return f"no column {lack}: the first line holds numbers; put the names of columns above it"
-    remedy = "rename or add it, or say which it is: --columns time=t,x=lon,..."
-    return f"no column {lack}; found {header}; {remedy}"

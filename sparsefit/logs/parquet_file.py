@@ -1,18 +1,16 @@
-"""Flight tables as Parquet: the same columns, the settings in the file's metadata."""
+"""Flight tables as Parquet: columns as in CSV, the settings in the file's metadata."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.logs.flight_table import FlightTable
-from sparsefit.logs.head import Head
+from sparsefit.logs.flight_table import FlightTable, said
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.sheet import Cells, Sheet, check_size
 
@@ -28,7 +26,7 @@ def encode(table: FlightTable) -> bytes:
     """
     arrow, parquet = _arrow()
     buffer = io.BytesIO()
-    parquet.write_table(arrow.table(table.columns, metadata=table.head.texts()), buffer)
+    parquet.write_table(arrow.table(table.columns, metadata=table.texts()), buffer)
     return buffer.getvalue()
 
 
@@ -41,21 +39,33 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         MissingExtra: without pyarrow.
     """
     arrow, parquet = _arrow()
+
+    def read(wanted: list[str]) -> dict[str, Cells]:
+        # Texts stay packed as places in a dictionary until they are cells, which share them.
+        source = parquet.ParquetFile(file, read_dictionary=wanted)
+        meta = source.metadata
+        groups = [meta.row_group(group) for group in range(meta.num_row_groups)]
+        for name in wanted:
+            kind = source.schema_arrow.field(name).type
+            if arrow.types.is_nested(kind):
+                raise InputError(f"column {name} holds {kind}; it must hold numbers")
+            place = [meta.schema.column(i).path for i in range(meta.num_columns)].index(name)
+            unpacked = sum(group.column(place).total_uncompressed_size for group in groups)
+            if unpacked > _WIDEST * meta.num_rows + _SPARE:
+                size = f"column {name} unpacks to {unpacked / 1e6:.0f} MB for {meta.num_rows} rows"
+                raise InputError(f"{size}: no log of a flight; write it again")
+        table = source.read(columns=wanted)
+        return {name: _cells(arrow, table.column(name)) for name in wanted}
+
     try:
         source = parquet.ParquetFile(file)
-        schema, rows = source.schema_arrow, source.metadata.num_rows
-        check_size(rows)
+        check_size(source.metadata.num_rows)
         entries = (
             ("metadata", key.decode(errors="replace"), text.decode(errors="replace"))
-            for key, text in (schema.metadata or {}).items()
+            for key, text in (source.schema_arrow.metadata or {}).items()
         )
-
-        def read(wanted: list[str]) -> Mapping[str, Cells]:
-            return {name: _cells(arrow, parquet, file, name) for name in wanted}
-
-        head = Head.parsed(entries, strict=False)
-        sheet = Sheet(schema.names, read, "row {}".format, head)
-        return sheet.flight_table(layout)
+        head = said(entries, strict=False)
+        return Sheet(source.schema_arrow.names, read, "row {}".format, head).flight_table(layout)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
 
@@ -70,28 +80,18 @@ def _arrow() -> tuple[ModuleType, ModuleType]:
         ) from None
 
 
-def _cells(arrow: ModuleType, parquet: ModuleType, file: BinaryIO, name: str) -> Cells:
-    """The cells as an array of numbers or moments, or as texts; NaN or no text where empty.
-
-    Texts stay packed as places in a dictionary until they are cells, which share them.
-    """
-    source = parquet.ParquetFile(file, read_dictionary=[name])
-    meta, types = source.metadata, arrow.types
-    kind = source.schema_arrow.field(name).type
-    if types.is_nested(kind):
-        raise InputError(f"column {name} holds {kind}; it must hold numbers")
-    place = [meta.schema.column(i).path for i in range(meta.num_columns)].index(name)
-    groups = [meta.row_group(group) for group in range(meta.num_row_groups)]
-    unpacked = sum(group.column(place).total_uncompressed_size for group in groups)
-    if unpacked > _WIDEST * meta.num_rows + _SPARE:
-        size = f"column {name} unpacks to {unpacked / 1e6:.0f} MB for {meta.num_rows} rows"
-        raise InputError(f"{size}: no log of a flight; write it again")
-    column = source.read(columns=[name]).column(0).combine_chunks()
-    if types.is_timestamp(kind) or types.is_floating(kind) or types.is_integer(kind):
-        array: Cells = column.to_numpy(zero_copy_only=False)
+def _cells(arrow: ModuleType, column: Any) -> Cells:
+    """The cells as an array of numbers or moments, or as texts; NaN or no text where empty."""
+    kind = column.type
+    numeric = arrow.types.is_floating(kind) or arrow.types.is_integer(kind)
+    if numeric or arrow.types.is_timestamp(kind):
+        array: Cells = column.to_numpy()
         return array
-    if not types.is_dictionary(column.type):
-        column = column.cast(arrow.string()).dictionary_encode()
-    words = ["" if cell is None else str(cell) for cell in column.dictionary.to_pylist()]
-    places = np.asarray(column.indices.fill_null(len(words)).to_numpy(zero_copy_only=False))
-    return [*map([*words, ""].__getitem__, places.tolist())]
+    packed = (
+        column if arrow.types.is_dictionary(kind) else column.cast("string").dictionary_encode()
+    )
+    packed = packed.combine_chunks()
+    words = ["" if word is None else str(word) for word in packed.dictionary.to_pylist()]
+    places = packed.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)
+    texts: Cells = np.array([*words, ""], dtype=object)[places]
+    return texts

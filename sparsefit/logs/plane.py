@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from sparsefit.errors import InputError, MissingExtra
 POLAR = 85.0  # degrees: few fly beyond, and whoever seems to has likely exchanged his columns
 WIDEST = 2_000e3  # m: a plane beyond it is none
 RADIUS = 6_371e3  # m, of the Earth
-FINEST = 1e-3  # %, of lengths: nobody asks for more
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,26 +64,32 @@ def plane_of(
             wider than 2000 km.
         MissingExtra: without pyproj.
     """
-    _check(longitude, latitude, names)
+    _check(longitude, latitude, *names)
     # In one piece past 180 degrees.
     longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
     middle = [(float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude)]
     east, north = origin or middle
-    projection = _pyproj().Proj(proj="aeqd", lon_0=east, lat_0=north, ellps="WGS84")
+    try:
+        pyproj = import_module("pyproj")
+    except ImportError:
+        remedy = "pip install 'sparsefit[logs]'"
+        raise MissingExtra(f"longitude and latitude need pyproj: {remedy}") from None
+    projection = pyproj.Proj(proj="aeqd", lon_0=east, lat_0=north, ellps="WGS84")
     position = np.column_stack(projection(longitude, latitude))
     farthest = float(np.hypot(*position.T).max())
     if not farthest < WIDEST:
-        middle_of = "the origin" if origin else "its middle"
-        words = f"the track goes {farthest / 1e3:.0f} km from {middle_of}"
-        raise InputError(f"{words}: no plane; cut it")
+        words = f"the track goes {farthest / 1e3:.0f} km from {'the origin' if origin else 'its'}"
+        raise InputError(f"{words}{'' if origin else ' middle'}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
-    share = max(FINEST, 100.0 * (farthest / RADIUS) ** 2 / 6.0)
-    words = f"local plane about {_place(east, north)}, lengths true to {share:.1g} %"
+    share = max(1e-3, 100.0 * (farthest / RADIUS) ** 2 / 6.0)  # %
+    west = (east + 180.0) % 360.0 - 180.0
+    place = f"{abs(north):.4f}° {'NS'[north < 0]}, {abs(west):.4f}° {'EW'[west < 0]}"
+    words = f"local plane about {place}, lengths true to {share:.1g} %"
     return Plane(position, turned, words, (east, north))
 
 
-def _check(longitude: Array, latitude: Array, names: tuple[str, str]) -> None:
-    x, y = names
+def _check(longitude: Array, latitude: Array, x: str, y: str) -> None:
+    """Refuse what is no longitude and latitude, or looks exchanged."""
     swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
     low, high = float(latitude.min()), float(latitude.max())
     if max(-low, high) > 90.0:
@@ -99,17 +103,3 @@ def _check(longitude: Array, latitude: Array, names: tuple[str, str]) -> None:
     crossed = x.casefold().startswith("lat") and y.casefold().startswith("lon")
     if crossed and np.median(np.abs(longitude)) <= POLAR:  # else the header has them wrong
         raise InputError(f"x = {x} and y = {y}: x is east, the longitude; {swap}")
-
-
-def _place(east: float, north: float) -> str:
-    ns, ew = "N" if north >= 0 else "S", "E" if (east + 180.0) % 360.0 >= 180.0 else "W"
-    return f"{abs(north):.4f}° {ns}, {abs((east + 180.0) % 360.0 - 180.0):.4f}° {ew}"
-
-
-def _pyproj() -> Any:
-    """Import pyproj where the first degrees are met; metres need none."""
-    try:
-        return import_module("pyproj")
-    except ImportError:
-        remedy = "pip install 'sparsefit[logs]'"
-        raise MissingExtra(f"longitude and latitude need pyproj: {remedy}") from None

@@ -22,8 +22,8 @@ from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, Flow, ShapedCells, SuperposedFlow
 from sparsefit.flight.record import MOST_SAMPLES
-from sparsefit.flight.turbulence import Turbulence
 from sparsefit.flight.vehicle import PointMassVehicle, turning
+from sparsefit.flight.waves import Turbulence
 from sparsefit.study.quantities import (
     FLOW_KEYS,
     LAW_KEYS,

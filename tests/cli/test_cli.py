@@ -14,7 +14,7 @@ import sparsefit.flight
 from sparsefit.cli import main
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight.flow import ShapedCells, SuperposedFlow
-from sparsefit.flight.turbulence import Turbulence
+from sparsefit.flight.waves import Turbulence
 from sparsefit.logs import read_flight, write_flight
 from sparsefit.model import LengthScaleGrid, Library
 from tests.cli.verbs import refused, run

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sparsefit.errors import InputError
-from sparsefit.flight import simulate_flight
+from sparsefit.flight import simulate_flight, simulation
 from sparsefit.flight.flow import CellularFlow, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 
@@ -193,14 +193,14 @@ def test_bad_arguments_are_named(changes, message):
 @pytest.fixture
 def pressed_at(monkeypatch):
     """Press Ctrl-C once in a flight, under a handler; the times [s] at which the flow was asked."""
-    inherited, at = signal.getsignal(signal.SIGINT), CellularFlow.pointwise
+    inherited, at = signal.getsignal(signal.SIGINT), CellularFlow.formula
 
     def under(handler):
         asked = []
         signal.signal(signal.SIGINT, handler)
 
-        def pointwise(flow):
-            velocity = at(flow)
+        def formula(flow, functions):
+            velocity = at(flow, functions)
 
             def pressed(x, y, t):
                 asked.append(t)
@@ -210,7 +210,7 @@ def pressed_at(monkeypatch):
 
             return pressed
 
-        monkeypatch.setattr(CellularFlow, "pointwise", pointwise)
+        monkeypatch.setattr(CellularFlow, "formula", formula)
         return asked
 
     yield under
@@ -257,7 +257,7 @@ def test_steps_out_of_all_places_are_tried_again():
     ],
 )
 def test_what_no_flight_has_is_refused_before_it_is_flown(changes, words, monkeypatch):
-    monkeypatch.setattr(CellularFlow, "pointwise", None)
+    monkeypatch.setattr(CellularFlow, "formula", None)
     with pytest.raises(InputError, match=words):
         fly(**changes)
 
@@ -274,7 +274,8 @@ def test_a_vehicle_that_follows_the_flow_at_once_is_flown_implicitly(vehicle):
 
 
 @pytest.mark.parametrize("flow", [CellularFlow(1e6, 1.0), CellularFlow(1.0, 1e-9)])
-def test_an_equation_too_fast_is_refused(flow):
+def test_an_equation_too_fast_is_refused(flow, monkeypatch):
+    monkeypatch.setattr(simulation, "EVALUATIONS", (300_000, 0))  # which would take seconds
     with pytest.raises(InputError, match="too stiff or too fast; raise response_time"):
         fly(flow)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.flight.turbulence import BANDS, Turbulence
+from sparsefit.flight.waves import BANDS, Turbulence
 
 LENGTH, STEP, POINTS = 5.0, 0.5, 2048
 LINE = np.arange(POINTS) * STEP

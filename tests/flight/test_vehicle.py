@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight
-from sparsefit.flight.vehicle import GRAVITY, PointMassVehicle, ThrustSeries, turning
+from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries, turning
 
 VEHICLE = PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 TIME = np.arange(101) / 20.0
@@ -110,22 +110,10 @@ def test_a_thrust_that_turns_is_flown_and_logged():
     assert np.std(noisy[0.5].thrust - noisy[0.0].thrust) == pytest.approx(0.5, rel=0.2)
 
 
-def test_attitudes_are_thrust():
-    # Tilted by 30 degrees towards +y with 20 m/s^2: 10 m/s^2; in level flight g tan 30 degrees.
-    tilted = ThrustSeries.from_attitude(
-        [0.0, 1.0], heading=math.pi / 2, tilt=math.pi / 6, magnitude=20.0
-    )
-    np.testing.assert_allclose(tilted.acceleration, [[0.0, 10.0]] * 2, atol=1e-14)
-    level = ThrustSeries.from_attitude([0.0, 1.0], heading=[0.0, math.pi], tilt=math.pi / 6)
-    own = GRAVITY / math.sqrt(3.0)
-    np.testing.assert_allclose(level.acceleration, [[own, 0.0], [-own, 0.0]], atol=1e-14)
-    boat = ThrustSeries.from_attitude([0.0, 1.0], heading=0.0, magnitude=[1.0, 3.0])
+def test_a_series_is_a_straight_line_between_its_samples():
+    boat = ThrustSeries([0.0, 1.0], [[1.0, 0.0], [3.0, 0.0]])
     np.testing.assert_allclose(boat.at([0.5]), [[2.0, 0.0]])
     assert boat.pointwise()(0.25) == pytest.approx((1.5, 0.0))
-    with pytest.raises(InputError, match="neither is given"):
-        ThrustSeries.from_attitude([0.0, 1.0], heading=0.0)
-    with pytest.raises(InputError, match="from the vertical"):
-        ThrustSeries.from_attitude([0.0, 1.0], heading=0.0, tilt=1.6)
     with pytest.raises(InputError, match="known from 0 to 1 s, the flight is from 0 to 2 s"):
         boat.at([0.0, 2.0])
 
