@@ -12,7 +12,6 @@ import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
@@ -50,7 +49,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         check_size(lines - 1)
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
         try:
-            text = _Text.scanned(file, encoding)
+            text = _Text(file, encoding)
         except UnicodeError:
             continue
         head = said(text.settings, strict=not layout.foreign)
@@ -58,39 +57,22 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     raise InputError(_NO_TEXT)
 
 
-@dataclass
 class _Text:
     """The text of a file, decoded anew by every reader: a long one is never held as text."""
 
-    file: BinaryIO
-    encoding: str
-    delimiter: str = ","
-    names: list[str] = field(default_factory=list)
-    settings: list[tuple[str, str, str]] = field(default_factory=list)
-    skipped: list[int] = field(default_factory=list)  # lines, from 0, that are no row
-    rows: int = 0
-
-    @contextmanager
-    def lines(self) -> Iterator[io.TextIOWrapper]:
-        """The file from its begin, line ends of any kind."""
-        self.file.seek(0)
-        text = io.TextIOWrapper(self.file, self.encoding)
-        try:
-            yield text
-        finally:
-            text.detach()
-
-    @classmethod
-    def scanned(cls, file: BinaryIO, encoding: str) -> _Text:
+    def __init__(self, file: BinaryIO, encoding: str) -> None:
         """Look through a file line by line, so that a bomb costs nothing.
 
         Raises:
-            InputError: where it is no text, has too many lines, one that is too long, or a row of
-                more or fewer cells than the header.
+            InputError: where it is no text, has a line that is too long, or a row of more or fewer
+                cells than the header.
             UnicodeError: where it is of another encoding.
         """
-        own = cls(file, encoding)
-        with own.lines() as text:
+        self.file, self.encoding, self.delimiter, self.rows = file, encoding, ",", 0
+        self.names: list[str] = []
+        self.settings: list[tuple[str, str, str]] = []
+        self.skipped: list[int] = []  # lines, from 0, that are no row
+        with self.lines() as text:
             for place, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), "")):
                 if len(line) > _LONGEST:
                     raise InputError(
@@ -101,23 +83,32 @@ class _Text:
                     raise InputError(_NO_TEXT)
                 if "#" in line and line.lstrip().startswith("#"):  # others than settings are text
                     if match := _SETTING.fullmatch(line.strip()):
-                        own.settings.append((f"line {place + 1}", match[1], match[2]))
-                    own.skipped.append(place)
+                        self.settings.append((f"line {place + 1}", match[1], match[2]))
+                    self.skipped.append(place)
                 elif not line.strip(",;\t\n "):
-                    own.skipped.append(place)
-                elif not own.names:
+                    self.skipped.append(place)
+                elif not self.names:
                     best = max(",;\t", key=line.count)
-                    own.delimiter = best if best in line or " " not in line.strip() else _BLANKS
-                    own.names = own.cells(line)
-                    own.skipped.append(place)
+                    self.delimiter = best if best in line or " " not in line.strip() else _BLANKS
+                    self.names = self.cells(line)
+                    self.skipped.append(place)
                 else:
-                    own.rows += 1
-                    plain = '"' not in line and own.delimiter != _BLANKS
-                    count = line.count(own.delimiter) + 1 if plain else len(own.cells(line))
-                    if count != len(own.names):
+                    self.rows += 1
+                    plain = '"' not in line and self.delimiter != _BLANKS
+                    count = line.count(self.delimiter) + 1 if plain else len(self.cells(line))
+                    if count != len(self.names):
                         words = f"line {place + 1} has {count} cells, the header has"
-                        raise InputError(f"{words} {len(own.names)}; repair that line")
-        return own
+                        raise InputError(f"{words} {len(self.names)}; repair that line")
+
+    @contextmanager
+    def lines(self) -> Iterator[io.TextIOWrapper]:
+        """The file from its begin, line ends of any kind."""
+        self.file.seek(0)
+        text = io.TextIOWrapper(self.file, self.encoding)
+        try:
+            yield text
+        finally:
+            text.detach()
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line."""
