@@ -1,7 +1,7 @@
 """The columns of `cases.parquet` of both kinds of study, each declared here and nowhere else.
 
-A line says the name of a column, its kind and, of flights, how it is read from a case. A column
-without a reader comes from the plan, or from the outcome by its name. To add one, add a line.
+A row says the kind and the name of columns and, of flights, where in a case they are read. A column
+without a path comes from the plan, or from the outcome by its name. To add one, add a row.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     from sparsefit.study.reading import Reading
@@ -21,7 +21,6 @@ STATUSES = (
 )
 FAILED = ("error", "timeout", "crashed")  # rows that --retry-failed computes again
 PARAMETERS = ("mean_velocity", "length_scale", "timescale")  # [m/s], [m], [s]
-WITHIN = 1.0  # percent: the error within which all length scales count as right
 MAX_REASON = 500  # characters of a reason that are kept
 
 
@@ -51,16 +50,24 @@ LEVEL = Kind("float64", float, math.nan, (float, int))  # numbers that repeat fr
 REAL = Kind("float64", float, math.nan, (float, int), dense=True)
 SINGLE = Kind("float32", float, math.nan, (float, int), dense=True)  # seven digits are enough
 
-Read: TypeAlias = "Callable[[Reading], Value | None]"
-
 
 @dataclass(frozen=True)
 class Column:
-    """One column; read: its value from a case of flights, None where there is nothing to read."""
+    """One column; path: the names from a case of flights to its value, `.0` of a pair."""
 
     name: str
     kind: Kind
-    read: Read | None = None
+    path: str = ""
+
+    def read(self, case: Reading) -> Value | None:
+        """The value of a case; None where there is no path, or nothing on the way."""
+        value: Any = case if self.path else None
+        for name in self.path.split("."):
+            if isinstance(value, Mapping):
+                value = value.get(name)
+            elif value is not None:
+                value = value[int(name)] if name.isdigit() else getattr(value, name)
+        return None if value is None or value == "" else self.kind.of(value)
 
 
 @dataclass(frozen=True)
@@ -120,124 +127,86 @@ def outcome_of(
     return Outcome(unit, cell, status, reason, values, float(shared), pairs, body)
 
 
-def _three(prefix: str, kind: Kind, read: Callable[[Reading, str], Value | None]) -> list[Column]:
-    """A column for each of the three parameters, by name."""
-
-    def at(parameter: str) -> Read:
-        return lambda case: read(case, parameter)
-
-    return [Column(f"{prefix}_{name}", kind, at(name)) for name in PARAMETERS]
-
-
-def _of(path: str) -> Read:
-    """The attribute at a dotted path from the case; None where one on the way is None."""
-
-    def read(case: Reading) -> Value | None:
-        value: Any = case
-        for name in path.split("."):
-            value = getattr(value, name, None)
-        return cast("Value | None", value)
-
-    return read
+def _columns(*rows: tuple[Kind, str] | tuple[Kind, str, str]) -> tuple[Column, ...]:
+    """Columns of rows (kind, names, path); `*` stands for each of the three parameters."""
+    return tuple(
+        Column(name.replace("*", parameter), kind, path[0].replace("*", parameter) if path else "")
+        for kind, names, *path in rows
+        for name in names.split()
+        for parameter in (PARAMETERS if "*" in name else ("",))
+    )
 
 
-def _item(path: str, place: int) -> Read:
-    """Item number `place` of a pair at a dotted path; None where there is no pair."""
-    pair = _of(path)
-    return lambda case: (pair(case) or (None, None))[place]  # type: ignore[index]
-
-
-def _or_none(path: str) -> Read:
-    """A text at a dotted path; None where it is empty."""
-    read = _of(path)
-    return lambda case: str(read(case)) if read(case) else None
-
-
-FLIGHT_COLUMNS: tuple[Column, ...] = (
-    *(Column(name, TEXT) for name in ("case_id", "study")),
-    Column("flight", WHOLE),
-    *(Column(name, TEXT) for name in ("split", "protocol", "backend", "settings", "label")),
-    *(Column(name, TEXT) for name in ("status", "reason")),
-    *(Column(f"true_{name}", LEVEL) for name in PARAMETERS),
-    *_three("est", REAL, lambda case, name: getattr(case.estimate, name)),
-    Column("grid_length_scale", LEVEL, _of("estimate.grid_length_scale")),
-    Column("hit", FLAG, _of("hit")),
-    Column("certificate_kind", TEXT, _of("estimate.certificate.kind")),
-    Column("certificate", SINGLE, _of("estimate.certificate.value")),
-    Column("seconds", SINGLE, _of("fit.seconds")),
-    Column("samples", WHOLE, _of("problem.samples")),
-    Column("columns", WHOLE, _of("problem.columns")),
-    Column("scales_true", LEVEL, _of("scale_sets.score.true")),
-    Column("scales_detected", LEVEL, _of("scale_sets.score.detected")),
-    Column("scales_missed", LEVEL, _of("scale_sets.score.missed")),
-    Column("scales_spurious", LEVEL, _of("scale_sets.score.spurious")),
-    Column("scales_max_length_scale_error", LEVEL, _of("scale_sets.score.max_length_scale_error")),
-    Column(
-        "scales_max_mean_velocity_error", LEVEL, _of("scale_sets.score.max_mean_velocity_error")
-    ),
-    Column(
-        "scales_within_1_percent",
-        LEVEL,
-        lambda case: case.scale_sets.score.within(WITHIN) if case.scale_sets else None,
-    ),
-    Column("true_scales", TEXT, _of("scale_sets.true")),
-    Column("est_scales", TEXT, _of("scale_sets.estimated")),
-    Column("flow", TEXT),
-    Column("extent", SINGLE, _of("yardstick.extent")),
-    *_three("se", SINGLE, lambda case, name: case.standard_error(name)),
-    *_three("low", REAL, lambda case, name: case.interval(name)[0]),
-    *_three("high", REAL, lambda case, name: case.interval(name)[1]),
-    *_three("bound", SINGLE, lambda case, name: case.bound(name)),
-    Column("doubt", TEXT, _or_none("estimate.doubt")),
-    *(Column(f"true_{name}", LEVEL) for name in ("length_scale_x", "length_scale_y", "heading")),
-    *(Column(f"true_{name}", LEVEL) for name in ("drift_x", "drift_y")),
-    Column("est_heading", SINGLE, _of("estimate.heading")),
-    Column("est_shape", TEXT, _or_none("estimate.shape")),
-    Column("est_drift_x", SINGLE, _item("estimate.drift", 0)),
-    Column("est_drift_y", SINGLE, _item("estimate.drift", 1)),
-    Column("prediction_error", SINGLE, _of("prediction_error")),
-    Column("outliers", WHOLE, _of("estimate.repairs.outliers")),
-    Column("wander", SINGLE, _of("estimate.agreement.wander")),
-    Column("repairs", TEXT, _of("estimate.repairs.words")),
-    Column("r_squared", SINGLE, _of("estimate.goodness.r_squared")),
-    Column("whiteness", SINGLE, _of("estimate.goodness.whiteness")),
-    Column("turbulence_ratio", SINGLE, _of("estimate.goodness.likelihood_ratio")),
-    Column("turbulence", SINGLE, _of("estimate.goodness.turbulence")),
-    Column("turbulence_share", SINGLE, _of("estimate.goodness.turbulence_share")),
-    Column("cause", TEXT, _or_none("estimate.goodness.suspect.cause")),
-    Column("log", TEXT),
-    Column("est_length_scale_x", SINGLE, _item("estimate.length_scales", 0)),
-    Column("est_length_scale_y", SINGLE, _item("estimate.length_scales", 1)),
-    *(Column(name, TEXT) for name in ("identity", "version")),
+FLIGHT_COLUMNS = _columns(
+    (TEXT, "case_id study"),
+    (WHOLE, "flight"),
+    (TEXT, "split protocol backend settings label status reason"),
+    (LEVEL, "true_*"),
+    (REAL, "est_*", "estimate.*"),
+    (LEVEL, "grid_length_scale", "estimate.grid_length_scale"),
+    (FLAG, "hit", "hit"),
+    (TEXT, "certificate_kind", "estimate.certificate.kind"),
+    (SINGLE, "certificate", "estimate.certificate.value"),
+    (SINGLE, "seconds", "fit.seconds"),
+    (WHOLE, "samples", "problem.samples"),
+    (WHOLE, "columns", "problem.columns"),
+    (LEVEL, "scales_true", "scale_sets.score.true"),
+    (LEVEL, "scales_detected", "scale_sets.score.detected"),
+    (LEVEL, "scales_missed", "scale_sets.score.missed"),
+    (LEVEL, "scales_spurious", "scale_sets.score.spurious"),
+    (LEVEL, "scales_max_length_scale_error", "scale_sets.score.max_length_scale_error"),
+    (LEVEL, "scales_max_mean_velocity_error", "scale_sets.score.max_mean_velocity_error"),
+    (LEVEL, "scales_within_1_percent", "scale_sets.within_1_percent"),
+    (TEXT, "true_scales", "scale_sets.true"),
+    (TEXT, "est_scales", "scale_sets.estimated"),
+    (TEXT, "flow"),
+    (SINGLE, "extent", "yardstick.extent"),
+    (SINGLE, "se_*", "estimate.uncertainty.*"),
+    (REAL, "low_*", "intervals.*.0"),
+    (REAL, "high_*", "intervals.*.1"),
+    (SINGLE, "bound_*", "yardstick.bounds.*"),
+    (TEXT, "doubt", "estimate.doubt"),
+    (LEVEL, "true_length_scale_x true_length_scale_y true_heading true_drift_x true_drift_y"),
+    (SINGLE, "est_heading", "estimate.heading"),
+    (TEXT, "est_shape", "estimate.shape"),
+    (SINGLE, "est_drift_x", "estimate.drift.0"),
+    (SINGLE, "est_drift_y", "estimate.drift.1"),
+    (SINGLE, "prediction_error", "prediction_error"),
+    (WHOLE, "outliers", "estimate.repairs.outliers"),
+    (SINGLE, "wander", "estimate.agreement.wander"),
+    (TEXT, "repairs", "estimate.repairs.words"),
+    (SINGLE, "r_squared", "estimate.goodness.r_squared"),
+    (SINGLE, "whiteness", "estimate.goodness.whiteness"),
+    (SINGLE, "turbulence_ratio", "estimate.goodness.likelihood_ratio"),
+    (SINGLE, "turbulence", "estimate.goodness.turbulence"),
+    (SINGLE, "turbulence_share", "estimate.goodness.turbulence_share"),
+    (TEXT, "cause", "estimate.goodness.suspect.cause"),
+    (TEXT, "log"),
+    (SINGLE, "est_length_scale_x", "estimate.length_scales.0"),
+    (SINGLE, "est_length_scale_y", "estimate.length_scales.1"),
+    (TEXT, "identity version"),
 )
-PROBLEM_COLUMNS: tuple[Column, ...] = (
-    *(Column(name, TEXT) for name in ("case_id", "study", "problem", "series", "level")),
-    *(Column(name, WHOLE) for name in ("samples", "columns", "targets")),
-    *(Column(name, TEXT) for name in ("objective", "backend", "settings", "solver")),
-    Column("tolerance", LEVEL),  # asked of the solver; NaN where it has none
-    Column("points", WHOLE),  # penalties of the path, 1 for a single fit
-    *(Column(name, TEXT) for name in ("status", "reason")),
-    Column("word", TEXT),  # the back-end's own status
-    Column("certificate_kind", TEXT),
-    Column("certificate", REAL),  # its own duality gap, worst over the path
-    Column("excess", REAL),  # above the best certified lower bound, worst over the path
-    Column("cpu", REAL),  # median [s] of the solver's processes
-    *(Column(name, REAL) for name in ("cpu_low", "cpu_high")),  # 95 % interval of the median
-    Column("wall", REAL),  # median [s] of the parent's clock: the time that counts
-    *(Column(name, WHOLE) for name in ("repeats",)),
-    Column("known", FLAG),  # whether the median is known to the precision asked for
-    Column("first", REAL),  # [s] imports and compilation, on a small problem
-    Column("memory", REAL),  # MB above what the process had, at its highest
-    Column("load", REAL),  # of the machine, when the case began
-    Column("disturbed", FLAG),  # whether the wall clock ran well ahead of the CPU's
-    Column("flight", WHOLE),  # the problem's number
-    *(Column(name, TEXT) for name in ("identity", "version")),
-    *(Column(name, REAL) for name in ("wall_low", "wall_high")),
-    Column("holdout_error", REAL),  # share of the held-out squares that is not predicted
-    Column("holdout_error_se", REAL),
-    Column("alpha_fraction", REAL),  # chosen on the folds; NaN of single fits
-    *(Column(name, WHOLE) for name in ("support", "true_support")),
-    *(Column(name, REAL) for name in ("precision", "recall", "f1", "stability")),
+PROBLEM_COLUMNS = _columns(
+    (TEXT, "case_id study problem series level"),
+    (WHOLE, "samples columns targets"),
+    (TEXT, "objective backend settings solver"),
+    (LEVEL, "tolerance"),  # asked of the solver; NaN where it has none
+    (WHOLE, "points"),  # penalties of the path, 1 for a single fit
+    (TEXT, "status reason word certificate_kind"),  # word: the back-end's own status
+    (REAL, "certificate excess"),  # the gap, and above the best lower bound: worst over the path
+    (REAL, "cpu cpu_low cpu_high"),  # median [s] of the solver's processes, 95 % interval
+    (REAL, "wall"),  # median [s] of the parent's clock: the time that counts
+    (WHOLE, "repeats"),
+    (FLAG, "known"),  # whether the median is known to the precision asked for
+    (REAL, "first memory load"),  # [s] of imports; [MB] above what it had; when the case began
+    (FLAG, "disturbed"),  # whether the wall clock ran well ahead of the CPU's
+    (WHOLE, "flight"),  # the problem's number
+    (TEXT, "identity version"),
+    (REAL, "wall_low wall_high"),
+    (REAL, "holdout_error holdout_error_se"),  # share of the held-out squares not predicted
+    (REAL, "alpha_fraction"),  # chosen on the folds; NaN of single fits
+    (WHOLE, "support true_support"),
+    (REAL, "precision recall f1 stability"),
 )
 
 
@@ -248,5 +217,5 @@ def kinds_of(columns: Sequence[Column]) -> dict[str, Kind]:
 
 def values_of(case: Reading) -> dict[str, Value]:
     """The values that the columns read from a case of flights, by name; those there are."""
-    read = ((column, column.read(case)) for column in FLIGHT_COLUMNS if column.read)
-    return {c.name: c.kind.of(value) for c, value in read if value is not None}
+    values = {column.name: column.read(case) for column in FLIGHT_COLUMNS}
+    return {name: value for name, value in values.items() if value is not None}

@@ -18,8 +18,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 
 from sparsefit import RegressionProblem, backends
-from sparsefit.codec import Place, only, shown
+from sparsefit.codec import Place, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
+from sparsefit.solvers.registry import Recipe, shipped_solvers
 from sparsefit.study.crossing import Setting, points_of, read_grid
 from sparsefit.study.holdout import Holdout
 from sparsefit.study.problem_sources import ProblemSource, read_problems
@@ -41,6 +41,7 @@ from sparsefit.study.schema import (
     Range,
     distinct,
     key,
+    names_of,
     read,
     read_sections,
     required,
@@ -52,23 +53,26 @@ from sparsefit.study.worker import in_child
 NO_TOLERANCE = (math.nan,)
 OURS = "sparsefit"
 EXACT = "sparsefit's exact path"
-PROBLEM_SECTIONS = (
-    *("name", "kind", "question", "path", "clock", "holdout", "problems", "backends", "solvers"),
-    *("flights", "derivative", "library", "run", "select", "outputs"),
-)
+FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
+MOST_CASES = 20_000
 
 
 @dataclass(frozen=True)
 class ProblemRules:
     """The keys of a study of problems that are numbers."""
 
-    seed: int = key("Whole number that decides everything random.", 0, NOT_NEGATIVE)
     accuracies: tuple[float, ...] = key(
         "Certified accuracies at which success and time are counted.", (1e-4, 1e-6, 1e-8), INSIDE
     )
     tolerances: tuple[float, ...] = key(
         "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
     )
+
+
+PROBLEM_SECTIONS = (
+    *names_of(ProblemRules), "path", "clock", "holdout", "problems", "backends", "solvers",
+    "flights", "derivative", "library", "run", "select", "outputs",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class ContenderKeys:
         "The objective, as tables call it: entries of one label are compared. Without it, the "
         "back-end and its settings.", ""
     )  # fmt: skip
-    solver: tuple[str, ...] = key("Who solves it, a list; without it, the exact path.", ())
+    solver: tuple[str, ...] = key("Who solves it, a list; without it, the exact path.", ("",))
     tolerances: tuple[float, ...] = key("In place of the file's own.", (), INSIDE)
     certified: bool = key(
         "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "
@@ -170,9 +174,18 @@ class Contender:
     @property
     def content(self) -> str:
         """All its settings, of the back-end and of the solver, as canonical JSON."""
-        own = dict(self.recipe.settings) if self.recipe else {}
-        named = {"solver": self.recipe.name} if self.recipe else {}
-        return canonical_json({**self.settings, **named, **own})
+        own = {"solver": self.recipe.name, **self.recipe.settings} if self.recipe else {}
+        return canonical_json({**self.settings, **own})
+
+    @property
+    def ships(self) -> bool:
+        """Whether its code is of sparsefit or of the packages that sparsefit knows."""
+        recipe = self.recipe
+        if self.backend not in backends.BACKENDS and self.backend not in backends.PUBLIC:
+            return False
+        if recipe is None:
+            return True
+        return not recipe.file and not recipe.command and recipe.name in shipped_solvers()
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +203,6 @@ class ProblemDesign:
     accuracies: tuple[float, ...]
     clock: Clock
     holdout: Holdout | None = None
-    sweep: tuple[()] = field(default=(), init=False)
 
     @cached_property
     def cells(self) -> tuple[tuple[int, float], ...]:
@@ -220,39 +232,34 @@ class ProblemDesign:
         return numbered(map(digest, content))
 
 
-def read_problem_design(document: Section, place: Place) -> tuple[ProblemDesign, object]:
+def read_problem_design(
+    document: Section, seed: int, place: Place, *, holds_out: bool
+) -> tuple[ProblemDesign, object]:
     """The design of a study of problems, and the content that all its cases depend on."""
-    own, rest = taken(ProblemRules, document, place)
+    rules, _ = taken(ProblemRules, document, place)
     for name in ("accuracies", "tolerances"):
-        distinct(getattr(own, name), place.at(name))
-    only(rest, PROBLEM_SECTIONS, place)
+        distinct(getattr(rules, name), place.at(name))
     path = read(PathRule, document, "path", place) if "path" in document else None
-    clock, holdout = read(Clock, document, "clock", place), None
-    if "holdout" in document or document.get("kind") == "problems":
-        holdout = read(Holdout, document, "holdout", place)
-    problems = read_problems(document, own.seed, place)
+    clock = read(Clock, document, "clock", place)
+    problems = read_problems(document, seed, place)
     design = ProblemDesign(
         problems,
-        _read_contenders(document, _descending(own.tolerances), clock, place),
+        _read_contenders(document, rules.tolerances, clock, place),
         path.fractions if path else (),
-        _descending(own.accuracies),
+        tuple(sorted(rules.accuracies, reverse=True)),
         clock,
-        holdout,
+        read(Holdout, document, "holdout", place) if holds_out else None,
     )
     planned = len(problems) * len(design.cells)
-    if planned > 20_000:
-        raise InputError(f"{place.file}: plans {planned} cases, more than 20000")
+    if planned > MOST_CASES:
+        raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}")
     shown_only = ("question", "accuracies", "outputs", "select", "kind")
     judged_by = {key: value for key, value in document.items() if key not in shown_only}
     return design, [judged_by, [source.identity for source in problems]]
 
 
-def _descending(numbers: Sequence[float]) -> tuple[float, ...]:
-    return tuple(sorted(numbers, reverse=True))
-
-
 def _read_contenders(
-    document: Section, tolerances: tuple[float, ...], clock: Clock, place: Place
+    document: Section, tolerances: Sequence[float], clock: Clock, place: Place
 ) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
     here, recipes = place.within("backends"), _read_solvers(document, place)
@@ -261,18 +268,19 @@ def _read_contenders(
         if "path" in document and "alpha_fraction" in entry:
             raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
         keys, given = taken(ContenderKeys, entry, here)
-        stops = _descending(keys.tolerances) or tolerances
+        stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))
         limit = keys.limit or clock.limit
         for settings in points_of(read_grid(given, here)):
             words = [f"{name}={shown(value)}" for name, value in settings.items()]
             label = keys.label or " ".join([keys.name, *words])
-            base = Contender(label, keys.name, settings, keys.name, stops, limit=limit)
-            for solver in keys.solver or ("",):
-                for contender in _resolved(base, solver, recipes, here):
-                    if keys.certified and contender.form != EXACT:
-                        why = "is for an exact path of sparsefit: no other certifies its answers"
-                        raise here.at("certified").error(why)
-                    contenders.append(_charged(contender) if keys.certified else contender)
+            contenders += [
+                Contender(
+                    label, keys.name, settings, solver, stops,
+                    certified=keys.certified, limit=limit, recipe=recipe,
+                )
+                for name in keys.solver
+                for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]
+            ]  # fmt: skip
     contenders = _described(contenders, here)
     counts = Counter((contender.objective, contender.solver) for contender in contenders)
     for (objective, solver), count in counts.items():
@@ -280,14 +288,17 @@ def _read_contenders(
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{objective}": {remedy}')
     return tuple(
-        replace(c, first=clock.first or (max(c.limit, 120.0) if _ships(c) else c.limit))
+        replace(c, first=clock.first or (max(c.limit, FIRST_SECONDS) if c.ships else c.limit))
         for c in contenders
     )
 
 
-def _read_solvers(document: Section, place: Place) -> dict[str, list[Recipe]]:
-    """The [[solvers]] by name: of each a recipe for every point of the grid of its settings."""
-    recipes: dict[str, list[Recipe]] = {}
+def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, Recipe | None]]]:
+    """The [[solvers]] by name: the words and a recipe for every point of the grid of its settings.
+
+    The words are its name and the settings that vary.
+    """
+    recipes: dict[str, list[tuple[str, Recipe | None]]] = {}
     here, folder = place.within("solvers"), Path(place.file).parent
     for entry in read_sections(document["solvers"], here) if "solvers" in document else []:
         keys, settings = taken(SolverKeys, entry, here)
@@ -296,111 +307,88 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[Recipe]]:
             file = str(folder / "solver")  # a command is sought beside the study
         elif file and not Path(file).is_file():
             raise here.at("file").error(f'"{keys.file}": no such file beside the study')
-        recipes.setdefault(keys.name, []).extend(
-            Recipe(keys.name, point, file, keys.command)
-            for point in points_of(read_grid(settings, here))
-        )
+        grid = read_grid(settings, here)
+        for point in points_of(grid):
+            varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]
+            recipe = Recipe(keys.name, point, file, keys.command)
+            recipes.setdefault(keys.name, []).append((" ".join([keys.name, *varied]), recipe))
     return recipes
 
 
-def _charged(contender: Contender) -> Contender:
-    """The exact path, charged for checks of the data and every certificate."""
-    form = f"{EXACT}, the checks of the data and every certificate"
-    return replace(contender, solver=f"{contender.solver}, certified", form=form, certified=True)
-
-
-def _resolved(
-    base: Contender, solver: str, recipes: Mapping[str, list[Recipe]], place: Place
-) -> Iterator[Contender]:
-    """The contenders of a solver by its name, or why it is missing."""
-    name = base.backend
-    try:
-        backend: Any = backends.get(name, **base.settings)
-    except MissingExtra as error:
-        words = str(error).removeprefix(f"{name}: ")
-        yield replace(base, tolerances=NO_TOLERANCE, missing=words)
-        return
-    except (SparsefitError, TypeError, ValueError) as error:
-        raise place.error(str(error)) from None
-    exact = type(backend).solver if isinstance(backend, PenalisedPath) else ""
-    if not exact:
-        if solver:
-            words = f'{name} has no penalty, so "{solver}" is none of its own'
-            raise place.at("solver").error(words)
-        form = (backends.load(name).__doc__ or "").strip().split("\n")[0]
-        family = OURS if name in backends.BACKENDS else name
-        yield replace(base, tolerances=NO_TOLERANCE, form=form, family=family)
-        return
-    if backend.alpha_fraction == "auto":
-        raise place.at("alpha_fraction").error('"auto" is many fits: give a number')
-    if solver in ("", exact):
-        yield replace(base, tolerances=NO_TOLERANCE, form=EXACT, solver=exact)
-        return
-    chosen = recipes.get(solver) or [Recipe(solver)]
-    for recipe in chosen:
-        varied = [
-            f"{name}={shown(value)}"
-            for name, value in recipe.settings.items()
-            if any(repr(other.settings.get(name)) != repr(value) for other in chosen)
-        ]
-        yield replace(base, solver=" ".join([solver, *varied]), recipe=recipe)
-
-
-def _ships(contender: Contender) -> bool:
-    """True where its code is of sparsefit or of the packages that sparsefit knows."""
-    recipe = contender.recipe
-    if recipe is None:
-        return contender.backend in backends.BACKENDS
-    return not recipe.file and not recipe.command and recipe.name in shipped_solvers()
-
-
 def _described(contenders: Sequence[Contender], place: Place) -> list[Contender]:
-    """The contenders with what their recipes tell; code of others tells it in another process."""
-    solved = [(c, (c.recipe, c.backend, dict(c.settings))) for c in contenders if c.recipe]
-    plugged = set(solver_names()) - set(shipped_solvers())
-    foreign = [
-        (c, question)
-        for c, question in solved
-        if c.recipe and not c.recipe.command and (c.recipe.file or c.recipe.name in plugged)
-    ]
-    try:
-        questions = [question for _, question in foreign]
-        told = in_child(about_solvers, questions, seconds=120.0) if foreign else []
-    except InputError as error:
-        raise place.at("solver").error(str(error)) from None
-    abouts = {id(c): about for (c, _), about in zip(foreign, told, strict=True)}
-    for contender, question in solved:
-        about = abouts.setdefault(id(contender), None) or about_solvers([question])[0]
-        if about["refused"]:
-            raise place.at("solver").error(about["refused"])
-        abouts[id(contender)] = {
-            "tolerances": contender.tolerances if about["stops"] else NO_TOLERANCE,
-            "form": about["form"],
-            "missing": about["missing"],
-            "family": about["package"] or f"{question[0].name}{dict(question[0].settings) or ''}",
-        }
-    return [replace(c, **abouts[id(c)]) if id(c) in abouts else c for c in contenders]
-
-
-def about_solvers(requested: Sequence[tuple[Any, str, dict[str, Any]]]) -> list[dict[str, Any]]:
-    """Of each (recipe, back-end, its settings): form, package, whether a tolerance stops it.
-
-    missing: why it cannot run here; refused: why it is none, or does not take the penalty.
-    """
-    content = []
-    for recipe, backend, settings in requested:
-        about: dict[str, Any] = {"missing": "", "refused": "", "package": ""}
+    """The contenders with what their code tells; that of others tells it in another process."""
+    about: dict[int, dict[str, Any]] = {}
+    apart = [not c.ships and not (c.recipe and c.recipe.command) for c in contenders]
+    for foreign in (False, True):
+        numbers = [number for number, own in enumerate(apart) if own is foreign]
+        chosen = [contenders[number] for number in numbers]
+        asked = [(c.backend, dict(c.settings), c.recipe) for c in chosen]
         try:
-            about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
-            about["package"] = recipe.package
-            if not about["missing"]:
-                takes = getattr(recipe.make(), "takes", None)
-                penalised: Any = backends.get(backend, **settings)
-                penalty = penalised.penalty(small_problem())
-                about["refused"] = str(takes(penalty) or "") if callable(takes) else ""
+            if foreign and asked:
+                told = in_child(about_contenders, asked, seconds=120.0)
+            else:
+                told = about_contenders(asked)
         except InputError as error:
-            about["refused"] = str(error)
+            raise place.error(str(error)) from None
+        about |= dict(zip(numbers, told, strict=True))
+    content = []
+    for number, contender in enumerate(contenders):
+        words = about[number]
+        if refused := words.pop("refused"):
+            raise place.error(refused)
+        stops, own = words.pop("stops"), words.pop("solver")
+        tolerances = contender.tolerances if stops else NO_TOLERANCE
+        described = replace(contender, tolerances=tolerances, **words)
+        if own:
+            described = replace(described, solver=own, recipe=None)
+        if described.certified:
+            if described.form != EXACT:
+                why = "is for an exact path of sparsefit: no other certifies its answers"
+                raise place.at("certified").error(why)
+            form = f"{EXACT}, the checks of the data and every certificate"
+            described = replace(described, solver=f"{described.solver}, certified", form=form)
+        content.append(described)
+    return content
+
+
+def about_contenders(
+    asked: Sequence[tuple[str, dict[str, Any], Recipe | None]],
+) -> list[dict[str, Any]]:
+    """Of each (back-end, its settings, recipe): its solver, form, family, whether it stops.
+
+    solver: the name of the back-end's own, empty where the recipe's counts; missing: why it cannot
+    run here; refused: why it is none.
+    """
+    problem, content = small_problem(), []
+    for name, settings, recipe in asked:
+        about: dict[str, Any] = {
+            "solver": "", "form": "", "family": OURS, "stops": False, "missing": "", "refused": "",
+        }  # fmt: skip
         content.append(about)
+        try:
+            backend: Any = backends.get(name, **settings)
+            exact = type(backend).solver if isinstance(backend, PenalisedPath) else ""
+            if exact and backend.alpha_fraction == "auto":
+                raise InputError('alpha_fraction = "auto" is many fits: give a number')
+            if exact and (recipe is None or recipe.name == exact):
+                about |= {"solver": exact, "form": EXACT}
+            elif recipe is None:
+                form = (type(backend).__doc__ or "").strip().split("\n")[0]
+                family = OURS if name in backends.BACKENDS else name
+                about |= {"solver": name, "form": form, "family": family}
+            elif not exact:
+                raise InputError(f'{name} has no penalty, so "{recipe.name}" is none of its own')
+            else:
+                own = f"{recipe.name}{dict(recipe.settings) or ''}"
+                about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
+                about["family"] = recipe.package or own
+                takes = None if about["missing"] else getattr(recipe.make(), "takes", None)
+                if callable(takes):
+                    about["refused"] = str(takes(backend.penalty(problem)) or "")
+        except MissingExtra as error:
+            about |= {"solver": name, "missing": str(error).removeprefix(f"{name}: ")}
+        except (SparsefitError, TypeError, ValueError) as error:
+            about["refused"] = str(error)
     return content
 
 

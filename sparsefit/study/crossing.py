@@ -1,4 +1,4 @@
-"""What is done to every flight of a study: protocols x sweep levels x back-ends x settings.
+"""The cells of a study of flights: protocols x sweep levels x back-ends x settings.
 
     [[protocols]]                        alternatives, which are not crossed with each other
     name = "weak"
@@ -22,7 +22,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
-from sparsefit.codec import Place, build, made, number, only, shown
+from sparsefit.codec import Place, build, made, number, only, shown, text
 from sparsefit.errors import SparsefitError, suggestion, told_with
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.readout import UNNAMED
@@ -33,7 +33,6 @@ from sparsefit.study.draw import FlightRules, read_flight_rules
 from sparsefit.study.logged import FILES, Logs, read_logs
 from sparsefit.study.quantities import nearest
 from sparsefit.study.schema import (
-    Named,
     as_items,
     distinct,
     items,
@@ -49,6 +48,8 @@ from sparsefit.study.worker import in_child
 
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
+Levels: TypeAlias = Mapping[str, object]  # values by dotted key
+MOST_POINTS = 100_000  # of the grid of settings of one entry
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
     "derivative": names_of(Derivative),
@@ -69,47 +70,31 @@ class Setup:
     online: Stream = Stream()
 
 
-@dataclass(frozen=True)
-class ProtocolWords:
-    """The names of a protocol in tables."""
-
-    name: str = key("What tables call it. Needed.")
-    world: str = key("What they call all protocols that change the flights as this one does.", "")
-    reading: str = key("What they call all that change the estimator as this one does.", "")
-
-
 @dataclass(frozen=True, eq=False)
 class Protocol:
     """A named alternative: values for dotted keys."""
 
-    words: ProtocolWords
-    overrides: Mapping[str, object]
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return self.words.name
+    name: str
+    overrides: Levels
 
 
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """A swept dotted key and its levels."""
+@dataclass(frozen=True)
+class BackendKeys:
+    """The keys of [[backends]] beside settings."""
 
-    key: str
-    levels: tuple[object, ...]
+    name: str = key(
+        "The back-end. All its settings, below, may stand beside it, each a value or a list."
+    )
+    label: str = key("What tables call this entry; without it, the name.", "")
 
 
 @dataclass(frozen=True, eq=False)
 class BackendChoice:
-    """One [[backends]] entry: every setting with the values it takes.
-
-    points: every point of the grid, the last key fastest, with what `about_backend` tells of it.
-    """
+    """One [[backends]] entry: every setting with the values that it takes."""
 
     name: str
     label: str
     grid: Mapping[str, tuple[Setting, ...]]
-    points: tuple[tuple[Mapping[str, Setting], str, str, bool], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +110,7 @@ class Cell:
     index: int
     key: str
     protocol: str
-    levels: Mapping[str, object]
+    levels: Levels
     setup: Setup
     choice: BackendChoice
     settings: Mapping[str, Setting]
@@ -139,10 +124,7 @@ class Cell:
         return (self.choice.name, self.choice.label, self.protocol)
 
 
-def points_of(grid: Mapping[str, tuple[Any, ...]]) -> Iterator[dict[str, Any]]:
-    """Every point of a grid, the last key fastest; one empty point where it has no keys."""
-    for chosen in itertools.product(*grid.values()):
-        yield dict(zip(grid, chosen, strict=True))
+Fitted: TypeAlias = tuple[BackendChoice, Mapping[str, Setting], str, str, bool]
 
 
 def read_setup(sections: Sections, place: Place, parts: dict[object, Any] | None = None) -> Setup:
@@ -151,25 +133,24 @@ def read_setup(sections: Sections, place: Place, parts: dict[object, Any] | None
     parts: what was read before, by content, so that setups share what is equal.
     """
     parts = {} if parts is None else parts
-    texts = [json.dumps([name, sections.get(name, {})], default=repr) for name in SECTION_KEYS]
-    for name, text in zip(SECTION_KEYS, texts, strict=True):
-        if text not in parts:
-            parts[text] = _read_part(name, sections.get(name, {}), place.within(name))
-    setup = Setup(*(parts[text] for text in texts))
-    combined = tuple(texts[1:])
+    contents = [json.dumps([name, sections.get(name, {})], default=repr) for name in SECTION_KEYS]
+    for name, content in zip(SECTION_KEYS, contents, strict=True):
+        if content not in parts:
+            parts[content] = _read_part(name, sections.get(name, {}), place.within(name))
+    setup = Setup(*(parts[content] for content in contents))
+    combined = tuple(contents[1:])
     if combined not in parts:
         # What no estimator can combine is refused here, not in the first case.
-        content = {name: getattr(setup, name) for name in ("derivative", "library", "readout")}
+        read = {name: getattr(setup, name) for name in ("derivative", "library", "readout")}
         with told_with(place.within("online")):
-            setup.online.refuse_unfit(made(Estimator, content, place))
+            setup.online.refuse_unfit(made(Estimator, read, place))
         parts[combined] = True
     return setup
 
 
 def _read_part(name: str, section: Section, place: Place) -> Any:
     if name == "flights":
-        read = read_logs if FILES in section else read_flight_rules
-        return read(section, place)
+        return (read_logs if FILES in section else read_flight_rules)(section, place)
     if name == "library":
         only(section, SECTION_KEYS[name], place)
         grid, rest = taken(LengthScaleGrid, section, place)
@@ -180,7 +161,7 @@ def _read_part(name: str, section: Section, place: Place) -> Any:
     return build(Derivative if name == "derivative" else Stream, section, place)
 
 
-def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:
+def override(sections: Sections, overrides: Levels) -> Sections:
     """The sections with dotted keys (`library.target`) replaced."""
     changed = {name: dict(section) for name, section in sections.items()}
     for dotted, value in overrides.items():
@@ -192,8 +173,8 @@ def override(sections: Sections, overrides: Mapping[str, object]) -> Sections:
 def cross(
     sections: Sections,
     protocols: tuple[Protocol, ...],
-    sweep: tuple[Factor, ...],
-    choices: tuple[BackendChoice, ...],
+    sweep: Mapping[str, tuple[object, ...]],
+    fitted: Sequence[Fitted],
     place: Place,
 ) -> Iterator[Cell]:
     """Every cell, in plan order: protocol, sweep levels, back-end, setting (last is fastest).
@@ -201,10 +182,9 @@ def cross(
     Raises:
         InputError: with the protocol and levels that resolve to something that cannot be.
     """
-    fitted = [(choice, *point) for choice in choices for point in choice.points]
     parts: dict[object, Any] = {}
     index = itertools.count()
-    for protocol, levels in itertools.product(protocols, level_sets(sweep)):
+    for protocol, levels in itertools.product(protocols, points_of(sweep)):
         words = [f'protocol "{protocol.name}"'] if protocol.overrides else []
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]
         within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
@@ -216,36 +196,35 @@ def cross(
             yield Cell(*here, choice, settings, canonical, own, walks)
 
 
-def level_sets(sweep: tuple[Factor, ...]) -> list[dict[str, object]]:
-    """The levels of all factors crossed, by key; one empty set where nothing is swept."""
-    return list(points_of({factor.key: factor.levels for factor in sweep}))
+def points_of(grid: Mapping[str, tuple[Any, ...]]) -> list[dict[str, Any]]:
+    """Every point of a grid, the last key fastest; one empty point where it has no keys."""
+    return [dict(zip(grid, chosen, strict=True)) for chosen in itertools.product(*grid.values())]
 
 
 def read_protocols(
-    document: Section, sweep: tuple[Factor, ...], place: Place
+    document: Section, sweep: Mapping[str, tuple[object, ...]], place: Place
 ) -> tuple[Protocol, ...]:
     """The [[protocols]], or one called "default" without overrides."""
     if "protocols" not in document:
-        return (Protocol(ProtocolWords("default"), {}),)
+        return (Protocol("default", {}),)
     here, protocols = place.within("protocols"), []
     for entry in read_sections(document["protocols"], here):
-        words, changes = taken(ProtocolWords, entry, here)
-        protocols.append(Protocol(words, _dotted(changes, here)))
+        name = text(required(entry, "name", here), here.at("name"))
+        changes = {dotted: value for dotted, value in entry.items() if dotted != "name"}
+        protocols.append(Protocol(name, _dotted(changes, here)))
+        for dotted in set(sweep) & set(protocols[-1].overrides):
+            raise here.at(dotted).error(f'is in [sweep] too: "{name}" cannot also set it')
     distinct([protocol.name for protocol in protocols], here.at("name"))
-    swept = {factor.key for factor in sweep}
-    for protocol in protocols:
-        for name in swept & set(protocol.overrides):
-            raise here.at(name).error(f'is in [sweep] too: "{protocol.name}" cannot also set it')
     return tuple(protocols)
 
 
-def read_sweep(document: Section, place: Place) -> tuple[Factor, ...]:
-    """The factors of [sweep], sorted by key: their order in the file means nothing."""
-    here = place.within("sweep")
-    dotted = _dotted(read_section(document.get("sweep", {}), place.at("sweep")), here)
-    for name, levels in dotted.items():
-        distinct(items(levels, here.at(name)), here.at(name))
-    return tuple(Factor(name, tuple(items(dotted[name], here))) for name in sorted(dotted))
+def read_sweep(section: object, place: Place) -> dict[str, tuple[object, ...]]:
+    """The levels by dotted key, sorted by key: their order in the file means nothing."""
+    dotted, sweep = _dotted(read_section(section, place), place), {}
+    for name in sorted(dotted):
+        sweep[name] = tuple(items(dotted[name], place.at(name)))
+        distinct(sweep[name], place.at(name))
+    return sweep
 
 
 def _dotted(entries: Section, place: Place) -> dict[str, object]:
@@ -258,58 +237,55 @@ def _dotted(entries: Section, place: Place) -> dict[str, object]:
             flat[name] = value
     for dotted in flat:
         section, _, name = dotted.partition(".")
-        here = place.at(dotted)
-        if section not in SECTION_KEYS:
+        here, keys = place.at(dotted), SECTION_KEYS.get(section)
+        if keys is None:
             near = suggestion(section, SECTION_KEYS)
             raise here.error(f'unknown: the part before the dot, "{section}"' + near)
-        if name not in SECTION_KEYS[section]:
-            keys = SECTION_KEYS[section]
+        if name not in keys:
             near = nearest(name, keys) if section == "flights" else suggestion(name, keys)
             raise here.error(f'unknown: [{section}] has no "{name}"' + near)
     return flat
 
 
-def read_backends(document: Section, place: Place) -> tuple[BackendChoice, ...]:
-    """The [[backends]] of flights, each name and setting accepted by the back-end itself."""
-    choices, here = [], place.within("backends")
-    seen: set[str] = set()
+def read_backends(document: Section, place: Place) -> list[Fitted]:
+    """Every point of the [[backends]] of flights, accepted by the back-end itself."""
+    fitted: list[Fitted] = []
+    here, seen = place.within("backends"), set[str]()
     for entry in read_sections(required(document, "backends", place), here):
-        names, rest = taken(Named, entry, here)
-        grid = read_grid(dict(sorted(rest.items())), here)
-        size, name = math.prod(map(len, grid.values())), names.name
-        if size > 100_000:
-            words = f'"{name}" has a grid of {size} settings: 100000 are the most'
-            raise here.error(words)
-        points, foreign = list(points_of(grid)), name not in backends.BACKENDS
+        keys, rest = taken(BackendKeys, entry, here)
+        choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, here))
+        points = points_of(choice.grid)
         try:
-            if foreign:
-                about = in_child(about_backend, name, points, seconds=120.0)
-            else:
-                about = about_backend(name, points)
+            if keys.name in backends.BACKENDS:
+                about = about_backend(keys.name, points)
+            else:  # code of others
+                about = in_child(about_backend, keys.name, points, seconds=120.0)
         except (SparsefitError, TypeError, ValueError) as error:
             raise here.error(str(error)) from None
-        for settings in points:
-            identity = canonical_json([name, settings])
+        for settings, words in zip(points, about, strict=True):
+            identity = canonical_json([keys.name, settings])
             if identity in seen:
-                raise here.error(f'"{name}" is listed twice with {shown(settings)}')
+                raise here.error(f'"{keys.name}" is listed twice with {shown(settings)}')
             seen.add(identity)
-        told = tuple((point, *words) for point, words in zip(points, about, strict=True))
-        choices.append(BackendChoice(name, names.label or name, grid, told))
-    return tuple(choices)
+            fitted.append((choice, settings, *words))
+    return fitted
 
 
 def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]:
-    """The values that each setting takes: a number, a text or true/false, or a list of these."""
+    """The values that each setting takes, by name: a number, a text, true/false, or a list."""
     grid: dict[str, tuple[Setting, ...]] = {}
-    for name, value in settings.items():
-        listed = as_items(value, place.at(name))
-        for item in listed:
-            if isinstance(item, int | float) and not isinstance(item, bool):
-                number(item, place.at(name))
-            elif not isinstance(item, bool | str):
+    for name, value in sorted(settings.items()):
+        values: list[Setting] = []
+        for item in as_items(value, place.at(name)):
+            if not isinstance(item, bool | str | int | float):
                 words = "must be a number, text or true/false, or a list of them"
                 raise place.at(name).error(f"{words}, not {shown(item)}")
-        grid[name] = tuple(item for item in listed if isinstance(item, bool | str | int | float))
+            if not isinstance(item, bool | str):
+                number(item, place.at(name))
+            values.append(item)
+        grid[name] = tuple(values)
+    if (size := math.prod(map(len, grid.values()))) > MOST_POINTS:
+        raise place.error(f"has a grid of {size} settings: {MOST_POINTS} are the most")
     return grid
 
 

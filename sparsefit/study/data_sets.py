@@ -1,4 +1,4 @@
-"""Regression problems of a study: flights, files of numbers, data sets by name, and generators.
+"""Arrays of regression problems: files of numbers, data sets by name, and generators.
 
     [[problems]]
     dataset = "digits"                     # all that ships inside scikit-learn
@@ -12,8 +12,8 @@
     samples = 200
     columns = 1000
 
-Any may have `groups`, and be made degenerate (`alter`). Sizes in files are read before numbers are,
-and nothing in a file is ever run.
+Any may be made degenerate (`alter`). Sizes in files are read before numbers are, and nothing in a
+file is ever run.
 """
 
 from __future__ import annotations
@@ -38,11 +38,9 @@ from sparsefit.study.schema import POSITIVE, Range, key
 
 MOST_VALUES = 64_000_000  # numbers in a problem: half a gigabyte
 MOST_BYTES = 1 << 30  # of a file
-LONGEST_LINE = 1 << 22  # bytes of the line of names of a .csv
-TARGET = "target"
-DATASETS = (
-    *("diabetes", "diabetes-quadratic", "linnerud", "digits", "iris", "wine", "breast-cancer"),
-)
+LABEL_BYTES = 256  # of a label of a group
+CLASSIFIED = ("digits", "iris", "wine", "breast-cancer")
+DATASETS = ("diabetes", "diabetes-quadratic", "linnerud", *CLASSIFIED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,20 +66,42 @@ class Data:
 
 
 def read_data(path: Path) -> Data:
-    """The arrays of a data file.
+    """The arrays of a NumPy file, whose shapes are read from their headers before they are.
 
     Raises:
         InputError: if there is no such file, it is too large, holds no theta or target, or
             anything but plain numbers.
     """
     check_file(path)
+    shapes: dict[str, tuple[int, ...]] = {}
     try:
-        return _read_npz(path) if path.suffix == ".npz" else _read_table(path)
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.namelist():
+                with archive.open(member) as stream:
+                    first = np.lib.format.read_magic(stream) == (1, 0)
+                    headers = np.lib.format
+                    read = headers.read_array_header_1_0 if first else headers.read_array_header_2_0
+                    shape, _, kind = read(stream)
+                name = member.removesuffix(".npy")
+                real = kind.kind in "fiub" or name == "groups"
+                if kind.hasobject or kind.itemsize > LABEL_BYTES or not real:
+                    raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
+                shapes[name] = shape
+        if missing := {"theta", "target"} - set(shapes):
+            there = ", ".join(sorted(shapes)[:8]) or "nothing"
+            raise InputError(f"{path}: holds no {min(missing)}, but {there}: it needs both")
+        if (values := sum(map(math.prod, shapes.values()))) > MOST_VALUES:
+            words = f"holds {values} numbers, more than {MOST_VALUES}"
+            raise InputError(f"{path}: {words}: take fewer samples or columns")
+        with np.load(path, allow_pickle=False) as arrays:
+            content = {name: np.asarray(arrays[name]) for name in arrays}
     except InputError:
         raise
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError) as error:
         words = str(error) or type(error).__name__
         raise InputError(f"{path}: not readable: {words[:200]}") from None
+    truth = content["truth"].astype(bool) if "truth" in content else None
+    return Data(content["theta"], content["target"], content.get("groups"), truth)
 
 
 def digest_of(path: Path) -> str:
@@ -93,96 +113,14 @@ def digest_of(path: Path) -> str:
 
 def check_file(path: Path) -> None:
     """Raise `InputError` unless there is a regular data file of a size to read."""
-    if path.suffix not in (".npz", ".parquet", ".csv"):
-        raise InputError(f"{path}: must be a file of kind .npz, .parquet, .csv")
+    if path.suffix != ".npz":
+        words = "np.savez(FILE, theta=theta, target=target) writes one"
+        raise InputError(f"{path}: must be a file of kind .npz: {words}")
     if not path.is_file():
         cause = "is no regular file" if path.exists() else "no such file"
         raise InputError(f"{path}: {cause}: it is sought beside the study file")
     if path.stat().st_size > MOST_BYTES:
         raise InputError(f"{path}: larger than {MOST_BYTES >> 20} MB: take fewer samples")
-
-
-def _read_npz(path: Path) -> Data:
-    """Arrays of plain numbers, whose shapes are read from their headers before they are."""
-    shapes = {}
-    with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            if member.filename.endswith(".npy"):
-                with archive.open(member) as stream:
-                    first = np.lib.format.read_magic(stream) == (1, 0)
-                    headers = np.lib.format
-                    read = headers.read_array_header_1_0 if first else headers.read_array_header_2_0
-                    shape, _, kind = read(stream)
-                name = member.filename.removesuffix(".npy")
-                if kind.hasobject or kind.itemsize > 256:  # bytes, of a label of a group
-                    raise ValueError(f"it holds {kind}, and only numbers are read")
-                if name in ("theta", TARGET) and kind.kind not in "fiub":
-                    raise InputError(f"{path}: {name} holds {kind}, not real numbers")
-                shapes[name] = shape
-    _check(path, list(shapes), sum(math.prod(shape) for shape in shapes.values()))
-    with np.load(path, allow_pickle=False) as arrays:
-        groups = np.asarray(arrays["groups"]) if "groups" in arrays else None
-        truth = np.asarray(arrays["truth"]).astype(bool) if "truth" in arrays else None
-        return Data(np.asarray(arrays["theta"]), np.asarray(arrays[TARGET]), groups, truth)
-
-
-def _read_table(path: Path) -> Data:
-    """Columns whose names begin with ``target`` are targets, all others are of theta."""
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet as pq
-
-    try:
-        if path.suffix == ".parquet":
-            file = pq.ParquetFile(path)
-            _check_columns(path, file.schema_arrow, file.metadata.num_rows)
-            table = file.read()
-        else:
-            with path.open("rb") as text:
-                if b"\n" not in text.read(LONGEST_LINE):
-                    raise InputError(f"{path}: a first line of more than {LONGEST_LINE >> 20} MB")
-            table = pyarrow.csv.read_csv(path)
-            _check_columns(path, table.schema, table.num_rows)
-    except pa.ArrowException as error:
-        raise ValueError(str(error)) from None
-    theta, target = (
-        np.column_stack([
-            table[name].to_numpy().astype(np.float64)
-            for name in table.column_names
-            if name.startswith(TARGET) == wanted
-        ])
-        for wanted in (False, True)
-    )  # fmt: skip
-    return Data(theta, target)
-
-
-def _check_columns(path: Path, schema: Any, rows: int) -> None:
-    """Refuse columns that are not numbers or have one name, and a table without a target."""
-    import pyarrow as pa
-
-    for field in schema:
-        if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
-            raise InputError(f'{path}: column "{field.name}" holds {field.type}, not numbers')
-    if len(set(schema.names)) < len(schema.names):
-        raise InputError(f"{path}: has two columns of one name: give each its own")
-    targets = [name for name in schema.names if name.startswith(TARGET)]
-    if not targets:
-        last = schema.names[-1] if schema.names else "y"
-        words = f'no column is a target: rename that column ("{last}") to {TARGET}'
-        raise InputError(f"{path}: {words}")
-    names = [TARGET, *(["theta"] if len(targets) < len(schema.names) else [])]
-    _check(path, names, rows * len(schema.names))
-
-
-def _check(path: Path, names: list[str], values: int) -> None:
-    """Refuse a file without theta or target, or with too many numbers."""
-    for name in ("theta", TARGET):
-        if name not in names:
-            there = ", ".join(sorted(names)[:8]) or "nothing"
-            raise InputError(f"{path}: holds no {name} (found: {there}): it needs theta and target")
-    if values > MOST_VALUES:
-        words = f"holds {values} numbers, more than {MOST_VALUES}"
-        raise InputError(f"{path}: {words}: take fewer samples or columns")
 
 
 def read_public(name: str) -> Data:
@@ -204,7 +142,7 @@ def read_public(name: str) -> Data:
         raise MissingExtra(f'data set "{name}" ships with scikit-learn: {remedy}') from None
     load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
     theta, target = (np.asarray(part, float) for part in load(return_X_y=True))
-    if name in ("digits", "iris", "wine", "breast-cancer"):
+    if name in CLASSIFIED:
         classes = np.unique(target)
         target = (target[:, None] == classes[len(classes) == 2 :]).astype(float)
     theta, target = theta - theta.mean(axis=0), target - target.mean(axis=0)

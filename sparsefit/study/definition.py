@@ -3,8 +3,8 @@
     definition = read_definition("studies/smoke.toml")
 
 A study of flights asks its question of every flight by every reading and back-end; one of problems
-(``kind = "problems"``, or ``"solvers"`` as it was first called) of every regression problem by
-every solver. All that is read here is refused by file, section and key.
+(``kind = "problems"``, or ``"solvers"`` for times to a certificate alone) of every regression
+problem by every solver. All that is read here is refused by file, section and key.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from sparsefit.codec import Place, integer, mapping, only, shown, text
-from sparsefit.errors import InputError, suggestion
+from sparsefit.codec import Place, integer, mapping, only, text
+from sparsefit.errors import InputError
+from sparsefit.study.contenders import PROBLEM_SECTIONS, ProblemDesign, read_problem_design
 from sparsefit.study.crossing import (
     SECTION_KEYS,
-    BackendChoice,
     Cell,
-    Factor,
     Protocol,
     cross,
     read_backends,
@@ -42,10 +41,8 @@ from sparsefit.study.schema import (
     items,
     key,
     names_of,
-    positive,
     read,
     read_section,
-    read_sections,
     record_of,
     required,
     taken,
@@ -53,18 +50,31 @@ from sparsefit.study.schema import (
 from sparsefit.study.toml_file import Section, canonical_json, read_toml
 
 MOST_CASES = 2_000_000
-FLIGHT_KEYS = (
-    *("name", "kind", "question", "seed", *SECTION_KEYS, "backends", "protocols", "sweep"),
-    *("split", "run", "select", "outputs"),
-)
+FLIGHT_SECTIONS = (*SECTION_KEYS, "backends", "protocols", "sweep", "split", "run", "select",
+                   "outputs")  # fmt: skip
 # What a case does not depend on: changing it never makes finished rows those of another study.
 PRESENTATION = ("kind", "question", "select", "outputs")
 WORLD = "world"  # as a factor: what a protocol changes of the flights
 AVERAGE, WORST = "average", "worst"
-LEGACY = "-absolute-percentage-error-"  # in a criterion of the form that came before measures
 COUNTED = Range(least=0, most=100_000)
 Entry: TypeAlias = str | Mapping[str, object]
 Three: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The keys at the top of a study file."""
+
+    name: str = key("Of the study and its folder of results: 1 to 64 of `a-z`, `0-9`, `_`, `-`.")
+    question: str = key("The one question that the study asks, as its page shows it.")
+    kind: Literal["flights", "problems", "solvers"] = key(
+        "Flights, regression problems, or times to a certificate alone.", "flights"
+    )
+    seed: int = key("Whole number that decides everything random.", 0)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.name):
+            raise InputError("name must be 1 to 64 of a-z, 0-9, _ and -: it is the results folder")
 
 
 @dataclass(frozen=True)
@@ -113,6 +123,15 @@ class Outputs:
         "A Python file beside the study, whose functions take the frame of cases and return "
         "tables and figures.", ""
     )  # fmt: skip
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        """The names of tables and figures."""
+        lists = {"tables": self.tables, "figures": self.figures}
+        return {
+            kind: [e if isinstance(e, str) else str(e.get("name", e.get("measure"))) for e in each]
+            for kind, each in lists.items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,6 +190,14 @@ class SelectionRule:
         if not self.latency_flights and self.timed:
             raise InputError(f"latency_flights = 0 measures nothing, and {self.timed} needs it")
 
+    @classmethod
+    def of(cls, section: Section, place: Place) -> SelectionRule:
+        """The rule of flat keys, of which some are limits."""
+        names = (*names_of(cls), *names_of(Limits))
+        only(section, [name for name in names if name != "limits"], place)
+        limits, rest = taken(Limits, section, place)
+        return record_of(cls, {**rest, "limits": limits}, place)
+
     @property
     def timed(self) -> str:
         """The setting that needs a measured latency or memory; empty where none does."""
@@ -182,26 +209,21 @@ class SelectionRule:
     @property
     def measure(self) -> tuple[str, str]:
         """The summary and the measure that the criterion names; an empty summary is the mean."""
-        summary, legacy, parameter = self.criterion.partition(LEGACY)
-        if legacy:
-            return summary, f"{parameter.replace('_', '-')}-error"
         summary, _, name = self.criterion.rpartition(" ")
         return summary, name
 
     def changed(self, **options: object) -> SelectionRule:
         """The rule with these options in place of its own; InputError names one that is wrong."""
         own = {name: value for name, value in vars(self).items() if name != "limits"}
-        return _rule({**own, **vars(self.limits), **options}, Place("select", "select"))
+        return self.of({**own, **vars(self.limits), **options}, Place("select", "select"))
 
 
 @dataclass(frozen=True)
 class Split:
     """The flights of a choice, and those that score it: [split]."""
 
-    validate: int | float = key("Flights, or share of them, that choose.", range=POSITIVE)
-    evaluate: int | float = key(
-        "Flights, or share of them, that score the choice once.", range=POSITIVE
-    )
+    validate: int = key("Flights that choose.", range=POSITIVE)
+    evaluate: int = key("Flights that score the choice once: all others.", range=POSITIVE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,15 +231,14 @@ class FlightDesign:
     """Flights and the cells that are made of every one of them.
 
     given: the keys of the sections flights, derivative, library and readout that the file sets,
-    dotted, with their values as canonical JSON; validate_count: the flights of the split
-    `validate`, None without [split].
+    dotted, with their values as canonical JSON; sweep: levels by dotted key; validate_count: the
+    flights of the split `validate`, None without [split].
     """
 
     count: int
     given: Mapping[str, str]
-    backends: tuple[BackendChoice, ...]
     protocols: tuple[Protocol, ...]
-    sweep: tuple[Factor, ...]
+    sweep: Mapping[str, tuple[object, ...]]
     cells: tuple[Cell, ...]
     validate_count: int | None = None
 
@@ -232,6 +253,13 @@ class FlightDesign:
         before = flight * self.validate_count // self.count
         after = (flight + 1) * self.validate_count // self.count
         return "validate" if after > before else "evaluate"
+
+    @property
+    def regime_factors(self) -> list[str]:
+        """The factors whose levels may be regimes: `world`, and keys of [flights] that vary."""
+        keys = dict.fromkeys(key for protocol in self.protocols for key in protocol.overrides)
+        varied = [key for key in {**keys, **self.sweep} if key.startswith("flights.")]
+        return ([WORLD] if any(key in keys for key in varied) else []) + varied
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,14 +279,13 @@ class Definition:
     run: RunRule
     outputs: Outputs
     selection: SelectionRule
-    design: object
+    design: FlightDesign | ProblemDesign
     on_board: bool = False
 
     @property
     def keeps_weights(self) -> bool:
         """Whether weights per length scale are stored beside the cases: a figure shows them."""
-        figures = self.outputs.figures
-        return "weights" in [e if isinstance(e, str) else e.get("name") for e in figures]
+        return "weights" in self.outputs.names["figures"]
 
     @property
     def flights(self) -> FlightDesign:
@@ -280,46 +307,41 @@ def read_definition(path: str | Path) -> Definition:
 
 def definition_of(document: Section, path: str) -> Definition:
     """The study of these tables; files that it names lie beside ``path``."""
-    place, kinds = Place(path), ("flights", "problems", "solvers")
-    kind = document.get("kind", "flights")
-    if kind not in kinds:
-        near = suggestion(kind, kinds) if isinstance(kind, str) else ""
-        raise place.at("kind").error(f"has unknown value {shown(kind)}{near}")
-    flown = kind == "flights"
-    name = text(required(document, "name", place), place.at("name"))
-    if not re.fullmatch(r"[a-z0-9_-]{1,64}", name):
-        allowed = "1 to 64 of a-z, 0-9, _ and -: it is the results folder"
-        raise place.at("name").error(f"must be {allowed}, not {shown(name)}")
+    place = Place(path)
+    flown = document.get("kind", "flights") not in ("problems", "solvers")
+    only(document, (*names_of(Heading), *(FLIGHT_SECTIONS if flown else PROBLEM_SECTIONS)), place)
+    heading, _ = taken(Heading, document, place)
     run, outputs = read(RunRule, document, "run", place), _read_outputs(document, place)
-    protocols: tuple[Protocol, ...] = ()
-    sweep: tuple[Factor, ...] = ()
+    for entry in (*outputs.tables, *outputs.figures, outputs.headline):
+        # All its cases would count as failures.
+        if flown and not run.prediction_flights and "prediction-error" in str(entry):
+            words = "missing: prediction-error needs other flights to predict along, 2 say"
+            raise place.within("run").at("prediction_flights").error(words)
+    selected = read_section(document.get("select", {}), place.at("select"))
+    selection = SelectionRule.of(selected, place.within("select"))
+    design: FlightDesign | ProblemDesign
     if flown:
-        only(document, FLIGHT_KEYS, place)
-        required(document, "question", place)
-        required(document, "seed", place)
-        for entry in (*outputs.tables, *outputs.figures, outputs.headline):
-            # All its cases would count as failures.
-            if not run.prediction_flights and "prediction-error" in str(entry):
-                words = "missing: prediction-error needs other flights to predict along, 2 say"
-                raise place.within("run").at("prediction_flights").error(words)
-        flights, content = _read_flights(document, place)
-        design: object = flights
-        protocols, sweep = flights.protocols, flights.sweep
+        design, content = _read_flights(document, place)
+        factors = design.regime_factors
     else:
-        from sparsefit.study.contenders import read_problem_design
-
-        design, content = read_problem_design(document, place)
-    question = text(document.get("question", "Which solver is fastest?"), place.at("question"))
+        holds_out = "holdout" in document or heading.kind == "problems"
+        design, content = read_problem_design(document, heading.seed, place, holds_out=holds_out)
+        factors = []
+    for name in selection.regimes:
+        if name not in factors:
+            others = f"; what does: {', '.join(factors)}" if factors else ", and nothing else does"
+            words = f'no "{name}" varies between the flights{others}'
+            raise place.within("select").at("regimes").error(words)
     return Definition(
         path=path,
-        name=name,
+        name=heading.name,
         kind="flights" if flown else "problems",
-        question=question,
-        seed=integer(document.get("seed", 0), place.at("seed"), least=0),
+        question=heading.question,
+        seed=heading.seed,
         hash=hashlib.sha256(canonical_json(content).encode()).hexdigest(),
         run=run,
         outputs=outputs,
-        selection=_read_selection(document, protocols, sweep, place),
+        selection=selection,
         design=design,
     )
 
@@ -337,27 +359,26 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
     required(document, "flights", place)
     flights, within = sections["flights"], place.within("flights")
     if FILES in flights:
-        logs = read_logs(flights, within)
-        count = len(logs.pieces)
-        content["logs"] = list(dict.fromkeys(piece.digest for piece in logs.pieces))
+        pieces = read_logs(flights, within).pieces
+        count = len(pieces)
+        content["logs"] = list(dict.fromkeys(piece.digest for piece in pieces))
     else:
         count = integer(required(flights, "count", within), within.at("count"), least=1)
         del flights["count"]
     read_setup(sections, place)
-    sweep = read_sweep(document, place)
-    backends = read_backends(document, place)
+    sweep = read_sweep(document.get("sweep", {}), place.within("sweep"))
+    fitted = read_backends(document, place)
     protocols = read_protocols(document, sweep, place)
-    if "protocols" in document:
-        entries = read_sections(document["protocols"], place.within("protocols"))
-        content["protocols"] = [
-            {key: value for key, value in entry.items() if key not in ("world", "reading")}
-            for entry in entries
-        ]
-    settings = sum(len(choice.points) for choice in backends)
-    planned = count * len(protocols) * math.prod(len(f.levels) for f in sweep) * settings
+    planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
     if planned > MOST_CASES:
         shorten = "shorten [sweep], the back-end settings or flights.count"
         raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}: {shorten}")
+    split = None
+    if "split" in document:
+        split = read(Split, document, "split", place)
+        if (total := split.validate + split.evaluate) != count:
+            words = f"counts sum to {total}, not to the {count} of flights.count"
+            raise place.within("split").error(words)
     design = FlightDesign(
         count=count,
         given={
@@ -365,80 +386,27 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
             for name, entries in sections.items()
             for key, value in entries.items()
         },
-        backends=backends,
         protocols=protocols,
         sweep=sweep,
-        cells=tuple(cross(sections, protocols, sweep, backends, place)),
-        validate_count=_read_split(document, count, place) if "split" in document else None,
+        cells=tuple(cross(sections, protocols, sweep, fitted, place)),
+        validate_count=split.validate if split else None,
     )
     return design, content
-
-
-def _read_split(document: Section, count: int, place: Place) -> int:
-    """The number of flights of the split `validate`."""
-    here, section = place.within("split"), read_section(document["split"], place.at("split"))
-    only(section, names_of(Split), here)
-    parts = [required(section, name, here) for name in names_of(Split)]
-    sizes = [positive(p, here.at(n)) for p, n in zip(parts, names_of(Split), strict=True)]
-    if all(isinstance(part, int) for part in parts):
-        if sum(sizes) != count:
-            raise here.error(f"counts sum to {sum(sizes):g}, not to the {count} of flights.count")
-        return int(sizes[0])
-    if not math.isclose(sum(sizes), 1.0, abs_tol=1e-9):
-        raise here.error(f"fractions sum to {sum(sizes):g}, not to 1 (for counts, write integers)")
-    validate = round(sizes[0] * count)
-    if not 0 < validate < count:
-        raise here.error(f"leaves one part of {count} flights empty: use more flights")
-    return validate
 
 
 def _read_outputs(document: Section, place: Place) -> Outputs:
     """Read [outputs]; which names and measures there are, the files that make them say."""
     section = dict(read_section(document.get("outputs", {}), place.at("outputs")))
-    here = place.within("outputs")
-    if "answers" in section:
-        words = 'went: name one measure, headline = "median timescale-error"'
-        raise here.at("answers").error(words)
-    lists: dict[str, object] = {}
+    here, lists = place.within("outputs"), dict[str, tuple[object, ...]]()
     for name in ("tables", "figures"):
         if name in section:
             entries = items(section.pop(name), here.at(name))
             for entry in entries:
                 mapping(entry, here) if isinstance(entry, dict) else text(entry, here.at(name))
-            distinct([str(entry) for entry in entries], here.at(name))
+            distinct(entries, here.at(name))
             lists[name] = tuple(entries)
     outputs = record_of(Outputs, section, here)
     if outputs.script and not (Path(place.file).parent / outputs.script).is_file():
         words = f'"{outputs.script}": no such file beside {Path(place.file).name}'
         raise here.at("script").error(words)
     return Outputs(**{**vars(outputs), **lists})
-
-
-def _read_selection(
-    document: Section, protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...], place: Place
-) -> SelectionRule:
-    """Read [select]; InputError names the first key or factor that does not fit."""
-    here = place.within("select")
-    rule = _rule(read_section(document.get("select", {}), place.at("select")), here)
-    varied = regime_factors(protocols, sweep)
-    for name in rule.regimes:
-        if name not in varied:
-            others = f"; what does: {', '.join(varied)}" if varied else ", and nothing else does"
-            raise here.at("regimes").error(f'no "{name}" varies between the flights{others}')
-    return rule
-
-
-def _rule(section: Section, place: Place) -> SelectionRule:
-    """The rule of flat keys, of which some are limits."""
-    names = (*names_of(SelectionRule), *names_of(Limits))
-    only(section, [name for name in names if name != "limits"], place)
-    limits, rest = taken(Limits, section, place)
-    return record_of(SelectionRule, {**rest, "limits": limits}, place)
-
-
-def regime_factors(protocols: tuple[Protocol, ...], sweep: tuple[Factor, ...]) -> list[str]:
-    """The factors whose levels may be regimes: `world`, and keys of [flights] that vary."""
-    keys = dict.fromkeys(key for protocol in protocols for key in protocol.overrides)
-    every = dict.fromkeys([*keys, *(factor.key for factor in sweep)])
-    varied = [key for key in every if key.startswith("flights.")]
-    return ([WORLD] if any(key in keys for key in varied) else []) + varied

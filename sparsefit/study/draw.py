@@ -1,4 +1,7 @@
-"""The [flights] of a study: a rule for every quantity, and the draw of one flight from them.
+"""The simulated flights of a study: a rule for every quantity, and the draw of one flight.
+
+    length_scale = 4.21                       every flight
+    length_scale = { uniform = [2.0, 10.0] }  each flight its own; or loguniform, linspace
 
     rules = read_flight_rules(section, place)
     draw = rules.draw(flight=7, count=60, seed=1)    # one number per quantity
@@ -17,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.codec import Place
+from sparsefit.codec import Place, number, only, shown
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, Flow, ShapedCells, SuperposedFlow
@@ -26,18 +29,14 @@ from sparsefit.flight.vehicle import PointMassVehicle, turning
 from sparsefit.flight.waves import Turbulence
 from sparsefit.study.quantities import (
     FLOW_KEYS,
-    LAW_KEYS,
     QUANTITIES,
-    RATIO_KEYS,
     STREAMS,
-    SUPERPOSED,
     TURBULENCE_FIELD,
-    DrawRule,
     FlightWords,
+    Quantity,
     nearest,
-    read_entry,
 )
-from sparsefit.study.schema import names_of, taken
+from sparsefit.study.schema import POSITIVE, items, names_of, taken
 from sparsefit.study.toml_file import Section
 
 SIMULATION = 0
@@ -45,7 +44,14 @@ FAULTY = 100  # the child of a flight's stream that its faults are drawn from
 OTHERS = 200  # the first child that other flights through the same flow start from
 TOGETHER = 1000  # the first child of the flights that are estimated with it
 NOISES = ("process_noise", "position_noise", "velocity_noise", "time_jitter", "thrust_noise")
+BELIEFS = tuple(name for name in QUANTITIES if name.startswith("believed_"))
 KEYS = (*names_of(FlightWords), *QUANTITIES)
+RULES = ("uniform", "loguniform", "linspace")
+EITHER = (  # keys that say one thing twice
+    ("wind", "wind_ratio"),
+    ("measurement_noise", "velocity_noise"),
+    ("measurement_noise", "position_noise"),
+)
 
 
 def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
@@ -59,33 +65,25 @@ def _child(seed: np.random.SeedSequence, number: int) -> np.random.SeedSequence:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """One flight to fly: a number per stream name, in SI units (m/s, m, s, m/s², Hz).
-
-    cells: whether there are cells beside the turbulence; thrust_logged: whether a thrust that
-    turns is measured, or only its constant part known.
-    """
+    """One flight to fly: a number per stream name, in SI units (m/s, m, s, m/s², Hz)."""
 
     values: Mapping[str, float]
-    cells: bool = True
-    spectrum: str = "dryden"
+    words: FlightWords = FlightWords()
     turbulence_seed: int = 0
-    thrust_logged: bool = True
 
     @cached_property
     def flow(self) -> Flow | None:
         """The cells that are sought, without turbulence and wind; None where there are none."""
         values = self.values
-        if not self.cells or "mean_velocity" not in values:
+        if self.words.flow != "cellular" or "mean_velocity" not in values:
             return None
         speed, scale = values["mean_velocity"], values["length_scale"]
         heading = values.get("heading", 0.0)
-        parts = [self._cells(speed, scale, heading)]
-        for place, (scale_ratio, velocity_ratio) in enumerate(SUPERPOSED):
-            if scale_ratio in values:
-                turned = values.get("second_heading", heading) if place == 0 else heading
-                sizes = (speed * values[velocity_ratio], scale * values[scale_ratio])
-                parts.append(self._cells(*sizes, turned))
-        return SuperposedFlow(tuple(parts)) if len(parts) > 1 else parts[0]
+        first = self._cells(speed, scale, heading)
+        if "second_scale_ratio" not in values:
+            return first
+        sizes = (speed * values["second_velocity_ratio"], scale * values["second_scale_ratio"])
+        return SuperposedFlow((first, self._cells(*sizes, values.get("second_heading", heading))))
 
     def _cells(self, speed: float, scale: float, heading: float) -> Cells:
         """Cells of side `scale` along x and `aspect` times it along y; all drift alike."""
@@ -115,8 +113,9 @@ class Draw:
         intensity = self.values.get("turbulence_ratio", 0.0) * self.values.get("mean_velocity", 0.0)
         gusts: tuple[Turbulence, ...] = ()
         if intensity:
-            length, memory = self.values["turbulence_length"], self.values.get("turbulence_memory")
-            gusts = (Turbulence(intensity, length, memory, self.spectrum, self.turbulence_seed),)
+            size = (self.values["turbulence_length"], self.values.get("turbulence_memory"))
+            spectrum = self.words.turbulence_spectrum
+            gusts = (Turbulence(intensity, *size, spectrum, self.turbulence_seed),)
         if not gusts and not any(self.wind):
             return self.flow
         return SuperposedFlow((*(self.flow.cells if self.flow else ()), *gusts), self.wind)
@@ -129,18 +128,23 @@ class Draw:
         return PointMassVehicle(response, thrust, self.values.get("drag", 0.0))
 
     @property
+    def _logged(self) -> bool:
+        """Whether a thrust that turns is measured, or only its constant part known."""
+        return self.words.thrust_log == "measured"
+
+    @property
     def believed(self) -> PointMassVehicle | None:
         """The vehicle that the estimator is given, where it is not the true one."""
         values, turns = self.values, "thrust_turn" in self.values
-        content = any(key in values for key in (*RATIO_KEYS, *LAW_KEYS))
-        if not content and (self.thrust_logged or not turns):
+        if not any(name in values for name in BELIEFS) and (self._logged or not turns):
             return None
-        by_response, push, by_drag = (values.get(key, 1.0) for key in RATIO_KEYS)
-        response = by_response * values.get("response_time", math.inf)
-        drag = by_drag * values.get("drag", 0.0)
-        if any(key in values for key in LAW_KEYS):
-            response, drag = (values.get(LAW_KEYS[0], math.inf), values.get(LAW_KEYS[1], 0.0))
-        if turns and self.thrust_logged:
+        push = values.get("believed_thrust_ratio", 1.0)
+        response = values.get("response_time", math.inf)
+        response *= values.get("believed_response_time_ratio", 1.0)
+        drag = values.get("drag", 0.0) * values.get("believed_drag_ratio", 1.0)
+        if "believed_response_time" in values:
+            response, drag = values["believed_response_time"], 0.0
+        if turns and self._logged:
             return PointMassVehicle(response, (0.0, 0.0), drag, thrust_scale=push)
         x, y = self._pair("thrust")
         return PointMassVehicle(response, (push * x, push * y), drag)
@@ -169,7 +173,7 @@ class Draw:
             thrust=thrust,
             **noises,
         )
-        if not self.thrust_logged:
+        if not self._logged:
             flight = replace(flight, thrust=None)
         given: dict[str, Any] = {
             row.fault: round(values[key]) if key in ("jumps", "gaps") else values[key]
@@ -191,8 +195,7 @@ class Draw:
     def others(self, seed: np.random.SeedSequence, count: int) -> tuple[Flight, ...]:
         """Other flights through the same flow: from other places, without noise or faults."""
         faults = (key for key, row in QUANTITIES.items() if row.fault)
-        content = (*RATIO_KEYS, *LAW_KEYS, *faults, *NOISES, "position_x", "position_y")
-        clean = self._without(*content)
+        clean = self._without(*BELIEFS, *faults, *NOISES, "position_x", "position_y")
         flights = (clean.fly(_child(seed, OTHERS + number)) for number in range(count))
         return tuple(replace(flight, vehicle=clean.vehicle) for flight in flights)
 
@@ -211,16 +214,63 @@ class Draw:
 
 
 @dataclass(frozen=True)
-class FlightRules:
-    """Rules that draw the flights of a condition: (stream name, entry) pairs, in stream order.
+class DrawRule:
+    """The rule by which a quantity is drawn, "constant" or one of `RULES`, and its numbers."""
 
-    cells: whether there are any; without them, shares of mean_velocity still refer to it.
+    rule: str
+    values: tuple[float, ...]
+
+    @classmethod
+    def of(cls, value: object, quantity: Quantity, place: Place) -> DrawRule:
+        """The rule of a TOML value, with every number in the range of the quantity."""
+        rule, listed = "constant", [value]
+        if isinstance(value, dict):
+            only(value, RULES, place)
+            if len(value) != 1:
+                raise place.error(f"must hold exactly one of {', '.join(RULES)}, not {value}")
+            ((rule, pair),) = value.items()
+            listed = items(pair, place)
+            if len(listed) != 2:
+                raise place.error(f"{rule} takes two numbers [a, b], not {len(listed)}")
+        elif isinstance(value, list | str):
+            words = f"must be a number or a table with one of {', '.join(RULES)}"
+            raise place.error(f"{words}, not {shown(value)}")
+        values = tuple(number(item, place) for item in listed)
+        for item in values:
+            quantity.range.check(item, place, quantity.unit)
+        low, high = values[0], values[-1]
+        if rule != "linspace" and low > high:
+            raise place.error(f"{rule} range [{low:g}, {high:g}] is empty: write the smaller first")
+        if rule == "loguniform":
+            POSITIVE.check(low, place, quantity.unit)
+        return cls(rule, values)
+
+    def at(self, flight: int, count: int, stream: np.random.SeedSequence) -> float:
+        """The value of flight number `flight` of `count`; `stream` decides a random one.
+
+        One uniform number u in [0, 1) is drawn whatever the rule, so levels of a sweep that
+        differ in their range only share it (common random numbers).
+        """
+        low, high = self.values[0], self.values[-1]
+        if self.rule == "constant":
+            return low
+        if self.rule == "linspace":
+            return low + (high - low) * flight / max(count - 1, 1)
+        share = float(np.random.default_rng(stream).random())
+        if self.rule == "loguniform":
+            return math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
+        return low + share * (high - low)
+
+
+@dataclass(frozen=True)
+class FlightRules:
+    """Rules that draw the flights of a condition: (stream name, rule) pairs, in stream order.
+
+    Where ``words`` name no cells, shares of mean_velocity still refer to it.
     """
 
     entries: tuple[tuple[str, DrawRule], ...]
-    cells: bool = True
-    spectrum: str = "dryden"
-    thrust_log: str = "measured"
+    words: FlightWords = FlightWords()
 
     def draw(self, flight: int, count: int, seed: int) -> Draw:
         """Flight `flight` of `count`: it depends on the seed, its number and these rules only."""
@@ -234,8 +284,7 @@ class FlightRules:
             elif "length_scale" not in values:
                 values["length_scale"] = values["mean_velocity"] * values["timescale"]
         field = stream(seed, flight, STREAMS.index(TURBULENCE_FIELD) + 1)
-        logged = self.thrust_log == "measured"
-        return Draw(values, self.cells, self.spectrum, int(field.generate_state(1)[0]), logged)
+        return Draw(values, self.words, int(field.generate_state(1)[0]))
 
 
 def read_flight_rules(section: Section, place: Place) -> FlightRules:
@@ -245,7 +294,7 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
             raise place.at(name).error(f"unknown{nearest(name, KEYS)}")
     words, given = taken(FlightWords, section, place)
     calm = words.flow == "none"
-    _check_keys(section, place, calm=calm)
+    _check_keys(given, words, place)
     entries: dict[str, DrawRule] = {}
     for name, value in given.items():
         quantity, here = QUANTITIES[name], place.at(name)
@@ -253,48 +302,38 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
         if not isinstance(pair, list) or len(pair) != len(quantity.streams):
             raise here.error("must be a pair [x, y]")
         for stream_name, item in zip(quantity.streams, pair, strict=True):
-            entries[stream_name] = read_entry(item, quantity, here)
+            entries[stream_name] = DrawRule.of(item, quantity, here)
     samples = max(entries["duration"].values) * max(entries["sample_rate"].values)
     if samples > MOST_SAMPLES:
         many = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
         raise place.at("duration").error(many)
     if not calm:  # at all extremes, before the first is flown
         first, second = (entries[name].values for name in FLOW_KEYS if name in entries)
-        for a in (min(first), max(first)):
-            for b in (min(second), max(second)):
-                if not all(1e-150 < third < 1e150 for third in (a * b, a / b)):
-                    raise place.error(f"{a:g} and {b:g} give no flow that can be flown")
+        thirds = [third for a in first for b in second for third in (a * b, a / b)]
+        if not all(1e-150 < third < 1e150 for third in thirds):
+            raise place.error(f"{first[0]:g} and {second[0]:g} give no flow that can be flown")
     # A protocol without a flow cannot remove the keys of the others: they are left out here.
     rows = QUANTITIES.values()
-    dropped = [name for row in rows if row.of_flow for name in row.streams] if calm else []
+    dropped = {name for row in rows if row.of_flow and calm for name in row.streams}
     named = [name for name in STREAMS if name in entries and name not in dropped]
-    return FlightRules(
-        tuple((name, entries[name]) for name in named),
-        cells=words.flow == "cellular",
-        spectrum=words.turbulence_spectrum,
-        thrust_log=words.thrust_log,
-    )
+    return FlightRules(tuple((name, entries[name]) for name in named), words)
 
 
-def _check_keys(section: Section, place: Place, *, calm: bool) -> None:
+def _check_keys(given: Section, words: FlightWords, place: Place) -> None:
     """Refuse keys that are missing, or exclude each other."""
-    given = [name for name in FLOW_KEYS if name in section]
-    if len(given) != 2 and not calm:
-        have = ", ".join(given) or "none"
+    flow = [name for name in FLOW_KEYS if name in given]
+    if len(flow) != 2 and words.flow != "none":
+        have = ", ".join(flow) or "none"
         raise place.error(f"needs exactly two of {', '.join(FLOW_KEYS)}, has {have}")
-    for name in ("duration", "sample_rate"):
-        if name not in section:
-            raise place.at(name).error("missing: every flight needs it")
-    if not {"response_time", "drag"} & set(section):
-        raise place.at("response_time").error("missing: every flight needs it, or drag")
-    if "measurement_noise" in section and {"velocity_noise", "position_noise"} & set(section):
-        words = "is [velocity_noise, position_noise]: drop those two"
-        raise place.at("measurement_noise").error(words)
-    if "wind" in section and "wind_ratio" in section:
-        raise place.at("wind_ratio").error("is the wind as a share of U0: drop wind, or this")
-    if section.get("flow") == "turbulence" and "turbulence_ratio" not in section:
-        raise place.at("turbulence_ratio").error('missing: flow = "turbulence" is made of it')
-    for name in section:
-        for needed in QUANTITIES[name].needs if name in QUANTITIES else ():
-            if needed not in section:
-                raise place.at(needed).error(f"missing: {name} needs it too")
+    needed = {"duration": "every flight", "sample_rate": "every flight"}
+    if "drag" not in given:
+        needed["response_time"] = "a flight without drag"
+    if words.flow == "turbulence":
+        needed["turbulence_ratio"] = 'flow = "turbulence"'
+    needed |= {other: name for name in given for other in QUANTITIES[name].needs}
+    for name, by in needed.items():
+        if name not in given:
+            raise place.at(name).error(f"missing: {by} needs it")
+    for name, other in EITHER:
+        if name in given and other in given:
+            raise place.at(name).error(f"and {other} say one thing: drop one of them")

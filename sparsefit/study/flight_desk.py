@@ -56,7 +56,7 @@ def draw_of(definition: Definition, unit: int, cell: Cell) -> Draw | Logged:
 def truth_of(draw: Draw | Logged) -> dict[str, Value]:
     """The columns of the true flow, the fastest of several; few of still air, none of a log."""
     if isinstance(draw, Logged):
-        return {"flow": "unknown", "log": draw.piece.label}
+        return {"flow": "unknown", "log": draw.label}
     if draw.flow is None:
         return {"flow": "none"}
     cells: Cells = strongest(draw.flow)

@@ -107,7 +107,7 @@ class FlightExperiment(Experiment):
 
     def factors(self) -> dict[str, str]:
         """The swept keys, and those that protocols set."""
-        swept = [factor.key for factor in self.design.sweep]
+        swept = list(self.design.sweep)
         content = [key for protocol in self.design.protocols for key in protocol.overrides]
         every = dict.fromkeys([*swept, *content])
         return {key: "condition" if _of_flight(key) else "candidate" for key in every}
@@ -259,7 +259,7 @@ def _told(setup: Setup, count: int) -> str:
     flights = setup.flights
     if isinstance(flights, Logs):  # what was logged, wherever the file lies
         pieces = [[piece.digest, piece.start, piece.end] for piece in flights.pieces]
-        content = [canonical_json([pieces, _content(flights.vehicle)])]
+        content = [canonical_json([pieces, _content(flights.pieces[0].vehicle)])]
     else:
         content = [_told_rules(flights, count)]
     content += [
@@ -273,8 +273,10 @@ def _told(setup: Setup, count: int) -> str:
 def _told_rules(flights: FlightRules, count: int) -> str:
     spaced = any(entry.rule == SPACED for _, entry in flights.entries)
     rules = (f"{name} {entry.rule} {entry.values!r}" for name, entry in flights.entries)
-    log = "" if flights.thrust_log == "measured" else f" {flights.thrust_log}"
-    return f"{count if spaced else 0} {flights.cells} {flights.spectrum}{log} {'; '.join(rules)}"
+    words, cells = flights.words, flights.words.flow == "cellular"
+    log = "" if words.thrust_log == "measured" else f" {words.thrust_log}"
+    told = f"{cells} {words.turbulence_spectrum}{log}"
+    return f"{count if spaced else 0} {told} {'; '.join(rules)}"
 
 
 def _content(value: object) -> object:
@@ -301,7 +303,7 @@ class _Words:
         self.worlds = _halves(design.protocols, flights=True)
         self.readings = _halves(design.protocols, flights=False)
         self._settings = _setting_words(design.cells)
-        self._swept = [factor.key for factor in design.sweep]
+        self._swept = list(design.sweep)
 
     def condition(self, cell: Cell) -> str:
         """The world, and the levels of swept conditions."""
@@ -346,9 +348,8 @@ def level_words(key: str, level: object) -> str:
 def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
     """Words for what each protocol changes of the flights, or of the estimator.
 
-    Protocols that agree in this half share them: what the first of them gives as `world` or
-    `reading`, the name of the only one, the parts between commas that the names of all of them have
-    in common, or else the keys and values.
+    Protocols that agree in this half share them: the name of the only one, the parts between commas
+    that the names of all of them have in common, or else the keys and values.
     """
     halves = {
         protocol.name: canonical_json(
@@ -356,12 +357,7 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
         )
         for protocol in protocols
     }
-    given = {
-        halves[p.name]: word
-        for p in reversed(protocols)
-        if (word := p.words.world if flights else p.words.reading)
-    }
-    if len(set(halves.values())) == 1 and not given:
+    if len(set(halves.values())) == 1:
         alone = len(protocols) == 1 and protocols[0].overrides and not flights
         return {name: name if alone else "" for name in halves}
     words = {}
@@ -373,7 +369,7 @@ def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
         if not word or counts[word] > 1:
             content = (level_words(key, value) for key, value in json.loads(half).items())
             words[half] = ", ".join(content) or "as the study says"
-    return {name: given.get(half) or words[half] for name, half in halves.items()}
+    return {name: words[half] for name, half in halves.items()}
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:

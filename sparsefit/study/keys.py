@@ -14,14 +14,14 @@ from sparsefit.study.quantities import QUANTITIES, FlightWords
 from sparsefit.study.schema import described, sentences
 
 RECORDS: dict[str, tuple[type[Any], ...]] = {
-    "study": (),
+    "study": (definition.Heading,),
     "flights": (FlightWords,),
     "logs": (logged.LogRules,),
     "derivative": (Derivative,),
     "library": (LengthScaleGrid, Library),
     "readout": (Readout,),
     "online": (Stream,),
-    "protocols": (crossing.ProtocolWords,),
+    "backends": (crossing.BackendKeys,),
     "split": (definition.Split,),
     "run": (definition.RunRule,),
     "select": (definition.SelectionRule, definition.Limits),
@@ -38,7 +38,7 @@ RECORDS: dict[str, tuple[type[Any], ...]] = {
 """Section -> the records that its keys are fields of; two in a problem study are "contenders"
 ([[backends]]) and "own-solvers" ([[solvers]]); "solvers" and "study" are the top of a file."""
 OTHERS = {
-    "study": definition.FLIGHT_KEYS,
+    "study": definition.FLIGHT_SECTIONS,
     "solvers": contenders.PROBLEM_SECTIONS,
     "flights": ("count",),
 }
@@ -51,10 +51,10 @@ def keys_of(section: str) -> dict[str, str]:
         InputError: with the nearest name, if there is no such section.
     """
     one_of("section", section, RECORDS)
-    words = dict.fromkeys(OTHERS.get(section, ()), "")
+    words: dict[str, str] = {}
     for kind in RECORDS[section]:
         words |= sentences(kind)
+    words = {name: words.get(name, "") for name in (*words, *OTHERS.get(section, ()))}
     if section == "flights":
-        for name, row in QUANTITIES.items():
-            words[name] = described(row.sentence, row.unit, row.range)
+        words |= {name: described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()}
     return {name: text for name, text in words.items() if name not in ("limits", "grid")}

@@ -54,27 +54,24 @@ class LogRules:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A piece of a log: its file, the file's digest, and from when to when [s] of its own time."""
+class Logged:
+    """A piece of a log, in the place of a draw to fly; its flow is not known.
+
+    digest: of the file; start, end: from when to when [s] of its own time; vehicle: in place of the
+    one in the file.
+    """
 
     file: str
     digest: str
     start: float
     end: float
+    vehicle: PointMassVehicle | None
+    flow: ClassVar[None] = None
 
     @property
     def label(self) -> str:
         """The file's name and the seconds, as a reader would look it up."""
         return f"{Path(self.file).name} {self.start:g}-{self.end:g} s"
-
-
-@dataclass(frozen=True)
-class Logged:
-    """A flight that was flown, in the place of a draw to fly; its flow is not known."""
-
-    piece: Piece
-    vehicle: PointMassVehicle | None
-    flow: ClassVar[None] = None
 
     def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight]:
         """The flight as it was logged, alone, its time from 0 on: nothing of it is random.
@@ -82,12 +79,11 @@ class Logged:
         Raises:
             InputError: if the file has changed since the study was read.
         """
-        whole, digest = _read(self.piece.file, self.vehicle)
-        if digest != self.piece.digest:
-            changed = f"{self.piece.file} has changed since the study was read"
-            raise InputError(f"{changed}: run it again")
-        inside = (whole.time >= self.piece.start) & (whole.time <= self.piece.end)
-        time, position = whole.time[inside] - self.piece.start, whole.position[inside]
+        whole, digest = _read(self.file, self.vehicle)
+        if digest != self.digest:
+            raise InputError(f"{self.file} has changed since the study was read: run it again")
+        inside = (whole.time >= self.start) & (whole.time <= self.end)
+        time, position = whole.time[inside] - self.start, whole.position[inside]
         thrust = None if whole.thrust is None else whole.thrust[inside]
         if not whole.velocity_measured:
             return (Flight.from_positions(time, position, whole.vehicle, thrust=thrust),)
@@ -96,14 +92,13 @@ class Logged:
 
 @dataclass(frozen=True)
 class Logs:
-    """The flights of a study that come from files; vehicle: in place of those in the files."""
+    """The flights of a study that come from files."""
 
-    pieces: tuple[Piece, ...]
-    vehicle: PointMassVehicle | None
+    pieces: tuple[Logged, ...]
 
     def draw(self, flight: int, count: int, seed: int) -> Logged:
         """Flight number `flight`, of the pieces in order."""
-        return Logged(self.pieces[flight], self.vehicle)
+        return self.pieces[flight]
 
 
 def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:
@@ -121,10 +116,16 @@ def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
 def read_logs(section: Section, place: Place) -> Logs:
     """The logs of [flights]; `InputError` names the key, the file or the line of a fault."""
     rules, here = record_of(LogRules, section, place), place.at(FILES)
-    files = [file for pattern in rules.files for file in _matching(pattern, here)]
+    folder, files = Path(place.file).parent, []
+    for pattern in rules.files:
+        named = [folder / pattern]
+        if set(pattern) & set("*?["):
+            named = [] if Path(pattern).is_absolute() else sorted(folder.glob(pattern))
+        if not named:
+            raise here.error(f'"{pattern}" matches no file beside {Path(place.file).name}')
+        files += list(map(str, named))
     if not 0 < len(files) <= MOST or len(set(files)) < len(files):
-        many = "are more than 1000" if len(files) > MOST else "name a file twice"
-        raise here.error(many if files else "must not be an empty list")
+        raise here.error(f"must name 1 to {MOST} files, each of them once")
     vehicle = None
     if rules.response_time or rules.drag:
         thrust = rules.thrust_acceleration or (0.0, 0.0)
@@ -134,24 +135,12 @@ def read_logs(section: Section, place: Place) -> Logs:
     pieces = tuple(piece for file in files for piece in _pieces(file, vehicle, rules.windows))
     if not pieces:
         raise place.at("windows").error("are longer than every log: no flight is left")
-    return Logs(pieces, vehicle)
-
-
-def _matching(pattern: str, place: Place) -> list[str]:
-    """The files that a pattern names, beside the study file, in order."""
-    folder = Path(place.file).parent
-    plain = not set(pattern) & set("*?[")
-    if Path(pattern).is_absolute() and not plain:
-        raise place.error(f'"{pattern}": a pattern is relative to the study file')
-    files = [folder / pattern] if plain else sorted(folder.glob(pattern))
-    if not files:
-        raise place.error(f'"{pattern}" matches no file beside {Path(place.file).name}')
-    return [str(file) for file in files]
+    return Logs(pieces)
 
 
 def _pieces(
     file: str, vehicle: PointMassVehicle | None, windows: tuple[float, ...]
-) -> Iterator[Piece]:
+) -> Iterator[Logged]:
     """The log whole, or cut into pieces of each length; the rest at its end is not flown."""
     flight, digest = _read(file, vehicle)
     first, last = float(flight.time[0]), float(flight.time[-1])
@@ -162,4 +151,4 @@ def _pieces(
             end = min(start + window - 0.5 * step, last) if windows else last
             inside = (flight.time >= start) & (flight.time <= end)
             if np.count_nonzero(inside) >= MINIMUM_SAMPLES:
-                yield Piece(file, digest, start, end)
+                yield Logged(file, digest, start, end, vehicle)

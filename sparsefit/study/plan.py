@@ -197,6 +197,18 @@ class Plan:
         content["study"] = [self.experiment.definition.name] * self.size
         return content
 
+    def counts(self) -> dict[str, Any]:
+        """The size of the study, JSON-ready: units, conditions, candidates, levels and cases."""
+        cells, definition = self.experiment.cells(), self.experiment.definition
+        return {
+            "units": self.shape[0],
+            "conditions": [name for name in dict.fromkeys(cells["condition"]) if name],
+            "candidates": list(dict.fromkeys(cells["title"])),
+            "levels": {key: len(set(map(str, cells[key]))) for key in self.experiment.factors()},
+            "cases": self.size,
+            **definition.outputs.names,
+        }
+
     def frame(self) -> pd.DataFrame:
         """The plan as a frame, one row a case."""
         import pandas as pd

@@ -1,29 +1,21 @@
-"""The keys of [flights]: the quantity that each is, its range, and its random stream.
+"""The quantities of a simulated flight: keys of [flights] in a study, and options of `simulate`.
 
-length_scale = 4.21                       every flight
-length_scale = { uniform = [2.0, 10.0] }  each flight its own; loguniform, linspace, choice
+One row says the unit, the range, the sentence and the random streams of a quantity. Every random
+quantity has its own stream, by its place here: a row at the end changes no other's draws, and a
+quantity that went leaves its streams behind.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from sparsefit.codec import Place, number, only, shown
 from sparsefit.errors import suggestion
-from sparsefit.study.schema import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range, items, key
+from sparsefit.study.schema import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range, key
 
 FLOW_KEYS = ("mean_velocity", "length_scale", "timescale")
-# Believed over true: the vehicle that the estimator is given; and the law of drag in its place.
-RATIO_KEYS = ("believed_response_time_ratio", "believed_thrust_ratio", "believed_drag_ratio")
-LAW_KEYS = ("believed_response_time", "believed_drag")
-SUPERPOSED = (
-    ("second_scale_ratio", "second_velocity_ratio"),
-    ("third_scale_ratio", "third_velocity_ratio"),
-)
 RATIO = Range(least=0.01, most=100.0)
 TURBULENCE_FIELD = "turbulence_field"  # the stream of the field of turbulence, which has no key
 # Words that people write for a key.
@@ -39,12 +31,11 @@ SYNONYMS = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A key of [flights]: its unit, range and sentence.
+    """A quantity: its name, unit, range and sentence.
 
-    streams: the random numbers that it fills, in order of all rows below; two: a pair [x, y];
-    needs: the keys without which it has no meaning; of_flow: whether still air leaves it out;
-    shapes: whether cells with it are other than squares along the axes that stand; fault: the field
-    of `LogFaults` that it is.
+    streams: the random numbers that it fills, two of a pair [x, y]; needs: the quantities without
+    which it has no meaning; of_flow: whether still air leaves it out; shapes: whether cells with it
+    are other than squares along the axes that stand; fault: the field of `LogFaults` that it is.
     """
 
     name: str
@@ -64,7 +55,10 @@ def _q(name: str, unit: str, range: Range, sentence: str, *needs: str, axes: str
     return Quantity(name, unit, range, sentence, streams, needs, of_flow or shapes, shapes, fault)
 
 
-# Every random quantity has its own stream: a row at the end changes no other's draws.
+def _without_key(*streams: str) -> Quantity:
+    return Quantity("", "", ANY, "", streams)
+
+
 _ROWS = (
     _q("mean_velocity", "m/s", POSITIVE, "U0. Give two of this, `length_scale` and `timescale`.",
        of_flow=True),
@@ -85,10 +79,7 @@ _ROWS = (
        "second_velocity_ratio", of_flow=True),
     _q("second_velocity_ratio", "", RATIO, "Its mean velocity over the first's.",
        "second_scale_ratio", of_flow=True),
-    _q("third_scale_ratio", "", RATIO, "Length scale of a third flow over the first's.",
-       "second_scale_ratio", "third_velocity_ratio", of_flow=True),
-    _q("third_velocity_ratio", "", RATIO, "Its mean velocity over the first's.",
-       "second_scale_ratio", "third_scale_ratio", of_flow=True),
+    _without_key("third_scale_ratio", "third_velocity_ratio"),
     _q("believed_response_time_ratio", "", POSITIVE, "tau that the estimator is told, over tau."),
     _q("believed_thrust_ratio", "", NOT_NEGATIVE, "Thrust that the estimator is told, over it."),
     _q("heading", "rad", ANY, "By which the cells are turned counter-clockwise.", shapes=True),
@@ -112,7 +103,7 @@ _ROWS = (
     _q("turbulence_length", "m", POSITIVE, "Longitudinal integral length.", of_flow=True),
     _q("turbulence_memory", "s", POSITIVE, "Life of an eddy; without it turbulence is frozen.",
        of_flow=True),
-    Quantity("", "", ANY, "", (TURBULENCE_FIELD,)),
+    _without_key(TURBULENCE_FIELD),
     _q("time_jitter", "", Range(least=0.0, most=0.49), "Error of a time stamp over the step."),
     _q("position_wander", "m", NOT_NEGATIVE, "Rms of an error of each coordinate that wanders.",
        fault="wander"),
@@ -134,7 +125,7 @@ _ROWS = (
        "thrust_turn"),
     _q("believed_drag_ratio", "", POSITIVE, "Quadratic drag that the estimator is told, over it."),
     _q("believed_response_time", "s", POSITIVE, "tau that it is told in place of the true law."),
-    _q("believed_drag", "1/m", POSITIVE, "c that it is told in place of the true law."),
+    _without_key("believed_drag"),
     _q("together", "", Range(least=1.0, most=64.0),
        "How many flights through the same flow are estimated as one, each from its own place."),
     _q("lost_samples", "", SHARE, "Share of the samples that the log lost, one by one.",
@@ -162,66 +153,7 @@ class FlightWords:
     )
 
 
-@dataclass(frozen=True)
-class DrawRule:
-    """The rule by which a quantity is drawn, "constant" or "uniform" say, and its numbers."""
-
-    rule: str
-    values: tuple[float, ...]
-
-    def at(self, flight: int, count: int, stream: np.random.SeedSequence) -> float:
-        """The value of flight number `flight` of `count`; `stream` decides a random one.
-
-        One uniform number u in [0, 1) is drawn whatever the rule, so levels of a sweep that
-        differ in their range only share it (common random numbers).
-        """
-        if self.rule == "constant":
-            return self.values[0]
-        if self.rule == "linspace":
-            first, last = self.values
-            return first + (last - first) * flight / max(count - 1, 1)
-        share = float(np.random.default_rng(stream).random())
-        if self.rule == "choice":
-            return self.values[int(share * len(self.values))]
-        low, high = self.values
-        if self.rule == "loguniform":
-            return math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
-        return low + share * (high - low)
-
-
-def read_entry(value: object, quantity: Quantity, place: Place) -> DrawRule:
-    """An entry from its TOML value; every number in it lies in the range of the quantity."""
-    entry = _rule(value, place)
-    for item in entry.values:
-        quantity.range.check(item, place, quantity.unit)
-    return entry
-
-
-def _rule(value: object, place: Place) -> DrawRule:
-    rules = ("linspace", "uniform", "loguniform", "choice")
-    if isinstance(value, list | str):
-        words = f"must be a number or a table with one of {', '.join(rules)}"
-        raise place.error(f"{words}, not {shown(value)}")
-    if not isinstance(value, dict):
-        return DrawRule("constant", (number(value, place),))
-    only(value, rules, place)
-    if len(value) != 1:
-        raise place.error(f"must hold exactly one of {', '.join(rules)}, not {shown(value)}")
-    ((rule, listed),) = value.items()
-    values = tuple(number(item, place) for item in items(listed, place))
-    if rule == "choice":
-        return DrawRule(rule, values)
-    if len(values) != 2:
-        raise place.error(f"{rule} takes two numbers [a, b], not {len(values)}")
-    low, high = values
-    if rule != "linspace" and low > high:
-        raise place.error(f"{rule} range [{low:g}, {high:g}] is empty: write the smaller first")
-    if rule == "loguniform" and low <= 0.0:
-        raise place.error(f"loguniform range must be above 0, not from {low:g}")
-    return DrawRule(rule, values)
-
-
-def nearest(name: str, names: tuple[str, ...]) -> str:
+def nearest(name: str, names: Iterable[str]) -> str:
     """The nearest key of [flights] for a message, and not all of the sixty."""
     if name in SYNONYMS:
         return f': did you mean "{SYNONYMS[name]}"?'

@@ -19,8 +19,10 @@ from sparsefit.likelihood.vehicle_estimate import model_of
 from sparsefit.model.grid import extent_of
 from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
+from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.draw import Draw
 
+WITHIN = 1.0  # percent: the error within which all length scales count as right
 LISTED_DIGITS = 7  # significant, of the numbers in a listed set of scales
 INTERVAL_BITS = 17  # binary digits, of the width of an interval
 EXACT = 1e-6  # noise of a known position and velocity, in L and U0
@@ -46,6 +48,11 @@ class ScaleSets:
     score: ScalesScore
     true: str
     estimated: str
+
+    @property
+    def within_1_percent(self) -> bool:
+        """Whether all length scales are found and right to a percent."""
+        return self.score.within(WITHIN)
 
 
 @dataclass(frozen=True)
@@ -79,27 +86,20 @@ class Reading:
             scales = (ScaleEstimate(*numbers, estimate.grid_length_scale),)
         return ScaleSets(score_scales(scales, flow), _listed(flow.cells), _listed(scales))
 
-    def bound(self, parameter: str) -> float | None:
-        """The Cramér-Rao bound of one of `PARAMETERS`, in its unit, where there is one."""
-        return self.yardstick.bounds.get(parameter)
-
     @property
     def prediction_error(self) -> float | None:
         """The relative error of the flow along other flights; None without a flow or a flight."""
         flow, others = self.estimate.flow, self.yardstick.others
         return prediction_error(flow, others) if flow is not None and others else None
 
-    def standard_error(self, parameter: str) -> float | None:
-        """The standard error of one of `PARAMETERS`, in its unit, where there is one."""
-        uncertainty = self.estimate.uncertainty
-        return None if uncertainty is None else float(getattr(uncertainty, parameter))
-
-    def interval(self, parameter: str) -> tuple[float, float] | tuple[None, None]:
-        """The 95 % interval of one of `PARAMETERS`, in its unit, where there is one."""
+    @cached_property
+    def intervals(self) -> Mapping[str, tuple[float, float]]:
+        """The 95 % intervals by parameter, in their units, where there are any."""
         uncertainty = self.estimate.uncertainty
         if uncertainty is None:
-            return None, None
-        return outward(*map(float, getattr(uncertainty, f"{parameter}_interval")))
+            return {}
+        ends = {name: getattr(uncertainty, f"{name}_interval") for name in PARAMETERS}
+        return {name: outward(*map(float, pair)) for name, pair in ends.items()}
 
 
 def outward(low: float, high: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, TypeVar, cast
 
-from sparsefit.codec import Place, build, number, shown
+from sparsefit.codec import Place, build, shown
 from sparsefit.study.toml_file import Section, canonical_json
 
 Record = TypeVar("Record")
@@ -47,14 +47,6 @@ ANY, POSITIVE, NOT_NEGATIVE = Range(), Range(above=0.0), Range(least=0.0)
 SHARE, INSIDE = Range(least=0.0, most=1.0), Range(above=0.0, below=1.0)
 
 
-@dataclass(frozen=True)
-class Named:
-    """The two names of an entry: of what it is made, and by which tables call it."""
-
-    name: str
-    label: str = ""
-
-
 def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "") -> Any:
     """A field of a record, what it holds in a sentence, and the range of its numbers."""
     metadata = {"sentence": sentence, "range": range, "unit": unit}
@@ -73,10 +65,12 @@ def described(sentence: str, unit: str, range: Range, default: Any = MISSING) ->
 
 def sentences(kind: type[Any]) -> dict[str, str]:
     """Key -> its words, of every field; empty where `key` did not declare it."""
-    return {
-        item.name: described(default=item.default, **item.metadata) if item.metadata else ""
-        for item in fields(kind)
-    }
+    content = {}
+    for item in fields(kind):
+        words = described(default=item.default, **item.metadata) if item.metadata else ""
+        needed = words and item.default is item.default_factory is MISSING
+        content[item.name] = f"{words} Needed." if needed else words
+    return content
 
 
 def names_of(kind: type[Any]) -> tuple[str, ...]:
@@ -104,24 +98,16 @@ def read(kind: type[Record], document: Section, name: str, place: Place) -> Reco
 
 def taken(kind: type[Record], values: Section, place: Place) -> tuple[Record, dict[str, object]]:
     """The record of those keys that are its fields, and the other keys."""
-    names = names_of(kind)
-    own = {name: value for name, value in values.items() if name in names}
-    rest = {name: value for name, value in values.items() if name not in names}
+    rest = dict(values)
+    own = {name: rest.pop(name) for name in names_of(kind) if name in rest}
     return record_of(kind, own, place), rest
 
 
 def required(section: Section, name: str, place: Place) -> object:
     """The value of a key that a study must give."""
     if name not in section:
-        raise place.at(name).error("missing: a study needs it")
+        raise place.at(name).error("missing: give it")
     return section[name]
-
-
-def positive(value: object, place: Place) -> float:
-    """A finite number above zero."""
-    real = number(value, place)
-    POSITIVE.check(real, place)
-    return real
 
 
 def items(value: object, place: Place) -> list[object]:

@@ -26,7 +26,6 @@ from sparsefit.codec import shown
 from sparsefit.errors import InputError
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
-from sparsefit.study.counts import counts_of
 from sparsefit.study.definition import Definition, Outputs, definition_of, read_definition
 from sparsefit.study.export import cases_table, read_cases, read_weights
 from sparsefit.study.flight_desk import CaseAgain, estimator_of
@@ -191,8 +190,12 @@ class Study:
         return {c.solver: c.missing for c in contenders if c.missing}
 
     def counts(self) -> dict[str, Any]:
-        """The size of the study, JSON-ready; "rows": (label, words) lines for people."""
-        return counts_of(self.experiment, self.planned.size)
+        """The size of the study, JSON-ready, and how long its solvers may take at most."""
+        counts, design = self.planned.counts(), self.definition.design
+        if isinstance(design, ProblemDesign):
+            minutes = f"{design.at_most / 60.0:.0f} min, all limits reached"
+            counts |= {"missing": self.missing, "at_most": minutes}
+        return counts
 
     def merge(self, parts: Sequence[str | Path], *, keep_first: bool = False) -> Merged:
         """Take the rows of other results folders of this study; see `merging.merge`."""

@@ -13,6 +13,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.study.columns import read_body
 from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, Flown
+from sparsefit.study.quantities import FlightWords
 from sparsefit.study.study import Study
 
 VALUES = {"mean_velocity": 8.0, "length_scale": 4.0, "duration": 2.0, "sample_rate": 50.0}
@@ -33,8 +34,8 @@ def believed(values, **told):
         ({"believed_drag_ratio": 2.0}, PointMassVehicle(math.inf, (5.0, 3.0), 0.6)),
         ({"believed_response_time": 0.5}, PointMassVehicle(0.5, (5.0, 3.0))),
         (
-            {"believed_response_time": 0.5, "believed_drag": 0.1, "believed_thrust_ratio": 2.0},
-            PointMassVehicle(0.5, (10.0, 6.0), 0.1),
+            {"believed_response_time": 0.5, "believed_thrust_ratio": 2.0},
+            PointMassVehicle(0.5, (10.0, 6.0)),
         ),
     ],
 )
@@ -53,7 +54,7 @@ def test_a_thrust_that_turns_is_measured_or_not():
     assert flight.vehicle == PointMassVehicle(0.5)
     scaled = believed(TURNING | {"believed_thrust_ratio": 1.2})[1].vehicle
     assert scaled == PointMassVehicle(0.5, thrust_scale=1.2)
-    _, blind = believed(TURNING, thrust_logged=False)
+    _, blind = believed(TURNING, words=FlightWords(thrust_log="none"))
     assert blind.thrust is None
     assert blind.vehicle == PointMassVehicle(0.5, (5.0, 3.0))
     np.testing.assert_array_equal(blind.velocity, flight.velocity)
@@ -168,7 +169,7 @@ def test_every_log_is_cut_into_whole_pieces_of_each_length(folder, flight):
     study = load_logs(folder)
     rules = study.definition.flights.cells[0].setup.flights
     draws = [rules.draw(number, 6, 0) for number in range(6)]
-    labels = [draw.piece.label for draw in draws]
+    labels = [draw.label for draw in draws]
     assert labels == [
         "a.csv 0-3.99 s", "a.csv 4-7.99 s", "a.csv 0-9.99 s",
         "b.csv 3-6.99 s", "b.csv 7-10.99 s", "b.csv 3-12.99 s",
@@ -202,7 +203,7 @@ def test_a_log_that_changes_is_another_study(folder, flight):
     ("old", "new", "message"),
     [
         ('"*.csv"', '"*.parquet"', r'"\*.parquet" matches no file beside study.toml'),
-        ('"*.csv"', '"a.csv", "*.csv"', "name a file twice"),
+        ('"*.csv"', '"a.csv", "*.csv"', "each of them once"),
         ('"*.csv"', '"c.csv"', "c.csv"),
         ("[4.0, 10.0]", "[40.0]", "longer than every log"),
         ("[4.0, 10.0]", "[0.0]", "must be above 0"),
@@ -219,14 +220,14 @@ def test_bad_logs_are_refused_by_key(folder, old, new, message):
 
 
 def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
-    peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "paper"\nreading = "by Eq. 22"\n'
+    peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "paper"\n'
     study = together(tmp_path, sweep=peak + '"readout.mean_velocity" = "paper"')
     assert study.plan()["title"].unique().tolist() == [
         "rms: best-scale",
-        "by Eq. 22: best-scale",
+        "paper: best-scale",
     ]
-    assert list(study.refusals) == ["by Eq. 22: best-scale"]
-    assert "U0 is the rms" in study.refusals["by Eq. 22: best-scale"]
+    assert list(study.refusals) == ["paper: best-scale"]
+    assert "U0 is the rms" in study.refusals["paper: best-scale"]
     flown = study.flown()
     assert flown.folder == study.folder / "on-board"
     assert flown.plan()["title"].tolist() == ["rms: best-scale"] * 2

@@ -190,6 +190,7 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\nfile = "no.npz"\n', "no such file"),
         ('[[problems]]\nfile = "x.bin"\n', "must be a file of kind"),
         ('[[problems]]\ndataset = "iris"\nalter = "ded columns"\n', 'did you mean "dead columns"?'),
+        ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "exactly one of flights, file, dataset, generator"),
         (SMALL + "[holdout]\nfolds = 1\n", "folds must be 0 or 2 to 100"),
         (SMALL + SMALL, "twice"),
@@ -255,9 +256,12 @@ def test_files_are_bounded_before_they_are_unpacked(tmp_path):
     assert (tmp_path / "big.npz").stat().st_size < 1_000_000
     with pytest.raises(InputError, match="holds 100020000 numbers"):
         read_data(tmp_path / "big.npz")
-    (tmp_path / "y.csv").write_text("a,y\n1,2\n3,4\n")
-    with pytest.raises(InputError, match=r'rename that column \("y"\) to target'):
-        read_data(tmp_path / "y.csv")
+    np.savez(tmp_path / "y.npz", theta=np.zeros((3, 2)), y=np.zeros(3))
+    with pytest.raises(InputError, match="holds no target, but theta, y"):
+        read_data(tmp_path / "y.npz")
+    np.savez(tmp_path / "z.npz", theta=np.array(["a"]), target=np.zeros(1))
+    with pytest.raises(InputError, match="theta holds <U1, and only numbers"):
+        read_data(tmp_path / "z.npz")
 
 
 def test_each_repeat_is_the_same_problem_in_other_bytes(tmp_path):
