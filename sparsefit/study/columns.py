@@ -10,10 +10,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
-
-if TYPE_CHECKING:
-    from sparsefit.study.reading import Reading
+from typing import Any, TypeAlias
 
 Value: TypeAlias = str | float | int | bool
 STATUSES = (
@@ -59,7 +56,7 @@ class Column:
     kind: Kind
     path: str = ""
 
-    def read(self, case: Reading) -> Value | None:
+    def read(self, case: object) -> Value | None:
         """The value of a case; None where there is no path, or nothing on the way."""
         value: Any = case if self.path else None
         for name in self.path.split("."):
@@ -215,7 +212,7 @@ def kinds_of(columns: Sequence[Column]) -> dict[str, Kind]:
     return {column.name: column.kind for column in columns}
 
 
-def values_of(case: Reading) -> dict[str, Value]:
+def values_of(case: object) -> dict[str, Value]:
     """The values that the columns read from a case of flights, by name; those there are."""
     values = {column.name: column.read(case) for column in FLIGHT_COLUMNS}
     return {name: value for name, value in values.items() if value is not None}
