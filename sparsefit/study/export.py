@@ -185,10 +185,10 @@ def cases_table(plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence
         else:
             values = [body.get(name, empty) for body in bodies]
         arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
-    for factor in getattr(plan.experiment.definition.design, "sweep", ()):
-        levels = [planned[factor.key][place] for place in places]
-        number = all(map(is_real, factor.levels))
-        arrays[factor.key] = pa.array(levels, type=pa.float64() if number else pa.string())
+    swept: Mapping[str, Any] = getattr(plan.experiment.definition.design, "sweep", {})
+    for key, levels in swept.items():
+        kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
+        arrays[key] = pa.array([planned[key][place] for place in places], type=kind_)
     return pa.table(arrays)
 
 

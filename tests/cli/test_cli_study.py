@@ -108,8 +108,7 @@ def test_plan_counts(capsys, fresh):
     _, out, _ = run(capsys, "study", "plan", fresh)
     assert "level library.target" in out
     record = json.loads(run(capsys, "study", "plan", fresh, "--json")[1])
-    assert record["settings"] == {"lasso": 2, "stlsq": 1}
-    assert [record[name] for name in ("simulations", "problems", "fits")] == [8, 32, 96]
+    assert (record["units"], len(record["conditions"]), len(record["candidates"])) == (4, 2, 12)
     assert (record["cases"], record["tables"]) == (PLANNED, ["errors", "times"])
 
 
