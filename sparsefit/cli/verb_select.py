@@ -65,8 +65,8 @@ def add(verbs: Verbs) -> None:
 def run(args: argparse.Namespace) -> int:
     """Choose, write, and show the evidence; 1 where no candidate keeps the constraints."""
     check_output(args.output, force=args.force)
-    from sparsefit.study.choice import select
-    from sparsefit.study.evidence import lines, provenance, write_selection
+    from sparsefit.study import evidence
+    from sparsefit.study.selection import select
     from sparsefit.whole_file import write_whole
 
     study = finished_study(args)
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             again=args.measure_again,
             progress=_announce,
         )
-    selection = select(flown, rule, latencies=latencies)
+    selection = select(flown, rule, latencies=latencies, refusals=refused)
     checked = _check(flown, selection, args)
     usage = f"use it: sparsefit estimate FLIGHT --estimator {args.output}"
     if selection.chosen is None:
@@ -98,15 +98,15 @@ def run(args: argparse.Namespace) -> int:
         usage = f"use it: sf.fit(problem, study.backend({selection.chosen.candidate!r}))"
     else:
         estimator = json.loads(study.estimator(selection.chosen.candidate).to_json())
-        estimator["provenance"] = provenance(study, selection)
+        estimator["provenance"] = evidence.provenance(study, selection)
         text = json.dumps(estimator, indent=2, allow_nan=False) + "\n"
         write_whole(args.output, text.encode())
-    path = write_selection(study, selection, check=checked)[-1]
-    record = selection.record(checked) | {"evidence": str(path), "refused": refused}
+    path = evidence.write_selection(study, selection, check=checked)[-1]
+    record = evidence.record(selection, checked) | {"evidence": str(path)}
     if selection.chosen is not None and study.kind == "flights":
         record |= {"output": args.output}
-    said = [selection.headline, *(f"- {line}" for line in lines(selection, checked))]
-    said += [f"- left out, as it cannot fly: {title}: {why}" for title, why in refused.items()]
+    lines = (f"- {line}" for line in evidence.lines(selection, checked))
+    said = [evidence.headline(selection), *lines]
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
     emit(record, [*said, closing, usage], as_json=args.json)
     return 0 if selection.chosen is not None else 1
@@ -123,7 +123,7 @@ def _flown(study: Study, args: argparse.Namespace) -> Study:
 
 def _check(study: Study, selection: Selection, args: argparse.Namespace) -> Check | None:
     """The contenders on flights of fresh seeds; cases that are there are not run again."""
-    from sparsefit.study.choice import check
+    from sparsefit.study.selection import check
 
     if selection.chosen is None or not selection.rule.check or study.kind != "flights":
         return None

@@ -138,8 +138,8 @@ def read_study(args: argparse.Namespace) -> Study:
 
 def _checked(args: argparse.Namespace) -> Study:
     """The study of a file whose outputs and rule of selection are known, before any work."""
-    from sparsefit.study.choice import check_rule
     from sparsefit.study.page import check_outputs
+    from sparsefit.study.selection import check_rule
 
     study = read_study(args)
     with told_with(args.study):

@@ -82,8 +82,13 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(
         LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0), numticks=TICKS)
     )
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value)))
     axis.set_minor_locator(NullLocator())
+
+
+def number_text(value: float) -> str:
+    """Return a number as an axis shows it, `1e-6`."""
+    return re.sub(r"e([-+])0*", lambda sign: f"e{sign[1].strip('+')}", f"{value:g}")
 
 
 def level_axis(axes: Axes, levels: Array) -> None:
@@ -111,13 +116,15 @@ def legend(figure: Figure, every: Iterable[Axes]) -> None:
         for axes in every
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    shown = list(handles.values())
-    if not shown:
+    if not handles:
         return
-    longest = max(len(str(handle.get_label())) for handle in shown)
-    columns = max(1, min(len(shown), LEGEND // (longest + 7)))
-    figure.legend(handles=shown, loc="outside upper center", ncols=columns)
-    figure.set_figheight(figure.get_figheight() + 0.14 * -(-len(shown) // columns))
+    names = [name.split("\n") for name in handles]
+    longest = max(len(line) for lines in names for line in lines)
+    columns = max(1, min(len(names), LEGEND // (longest + 7)))
+    figure.legend(handles=list(handles.values()), loc="outside upper center", ncols=columns)
+    rows = -(-len(names) // columns)
+    lines = max(sum(map(len, names[at : at + rows])) for at in range(0, len(names), rows))
+    figure.set_figheight(figure.get_figheight() + 0.14 * lines)
 
 
 def with_unit(words: str, unit: str) -> str:
@@ -126,25 +133,29 @@ def with_unit(words: str, unit: str) -> str:
 
 
 def labels(names: Sequence[str], length: int) -> dict[str, str]:
-    """Return names of at most `length` letters that keep the words in which they differ.
+    """Return names on lines of at most `length` letters that keep the words in which they differ.
 
-    Words that all names share are left out first, then letters in the middle of a name.
+    Where one is longer, the words that all share are left out; what is then longer than a line has
+    up to three, and of what is longer still its middle is left out.
     """
     words = [re.split(r"(?<=[\s,:;])(?=\S)", name) for name in names]
     shared = set(words[0]).intersection(*map(set, words[1:])) if len(words) > 1 else set()
+    if not any(len(name) > length for name in names):
+        shared.clear()
     short: dict[str, str] = {}
     for name, parts in zip(names, words, strict=True):
-        text = name
-        if len(name) > length:
-            text = "".join(part for part in parts if part not in shared).strip(" ,:;") or name
-        half = (length - 1) // 2
-        short[name] = text if len(text) <= length else f"{text[: length - 1 - half]}…{text[-half:]}"
+        text = "".join(part for part in parts if part not in shared).strip(" ,:;") or name
+        if len(text) > 3 * length - 4:
+            text = f"{text[: 2 * length - 4]} … {text[4 - length :]}"
+        short[name] = wrapped(text, length)
     return short if len(set(short.values())) == len(set(names)) else {name: name for name in names}
 
 
 def wrapped(text: str, width: int) -> str:
     """Return text on lines of at most `width` letters."""
-    return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
+    return "\n".join(
+        textwrap.fill(line, width, break_on_hyphens=False) for line in text.split("\n")
+    )
 
 
 def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:

@@ -8,7 +8,7 @@ from typing import Any
 from sparsefit.errors import InputError
 from sparsefit.plot import draw_estimate, encoded
 from sparsefit.study.figures import Picture
-from sparsefit.study.page import Section, drawing, to_html
+from sparsefit.study.page import drawing, to_html
 from sparsefit.study.table import Column, Row, Table, plain
 from sparsefit.whole_file import write_whole
 
@@ -52,9 +52,9 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
         write_whole(file, encoded(figure, file.suffix.lower()))
         return made
     answer = f"{estimate.status}: {estimate.reason}".removesuffix(": ")
-    sections = [Section("Picture", [drawing("case", Picture(figure, CAPTION))]),
-                Section("Numbers", [made])]  # fmt: skip
-    write_whole(file, to_html(study.name, name, [answer], sections))
+    picture = drawing("case", Picture(figure, CAPTION))
+    page = to_html(study.name, name, [answer], {"Picture": [picture], "Numbers": [made]})
+    write_whole(file, page)
     return made
 
 

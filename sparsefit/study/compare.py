@@ -8,7 +8,6 @@ paired by unit.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from sparsefit.study import page
 from sparsefit.study.entries import grouped, level_text
 from sparsefit.study.measures import PARAMETERS, factors, measure, numbers
 from sparsefit.study.resampling import by_unit, difference, pooled
-from sparsefit.study.table import Column, Row, Table, significant
+from sparsefit.study.table import Table, significant
 from sparsefit.whole_file import write_files
 
 SHOWN = 30  # rows of a table of a page
@@ -33,31 +32,17 @@ class Comparison:
     """The cases that both runs have, row by row, and how many only one has.
 
     change: (rows,) the largest relative change of U0, L_w and tau_w, infinite where one run has no
-    number; of problems that of the time on the wall. tolerance: what counts as a change.
+    number; of problems that of the time on the wall. restated: whether the status is another;
+    changed: whether anything is that should not be; lost: whether an answer is no more.
     """
 
     names: tuple[str, str]
-    first: pd.DataFrame
-    second: pd.DataFrame
-    only: tuple[int, int]
     change: Array
-    tolerance: float
-
-    @property
-    def of_problems(self) -> bool:
-        """Whether the runs are of regression problems."""
-        return "objective" in self.first
-
-    @property
-    def restated(self) -> BoolArray:
-        """Whether the status of each case is another, (rows,)."""
-        return np.asarray(self.first["status"].to_numpy() != self.second["status"].to_numpy())
-
-    @property
-    def changed(self) -> BoolArray:
-        """Whether each case changed, (rows,); no time of a solver is like another."""
-        moved = np.zeros_like(self.restated) if self.of_problems else self.change > self.tolerance
-        return np.asarray(self.restated | moved)
+    restated: BoolArray
+    changed: BoolArray
+    only: tuple[int, int]
+    lost: bool
+    tables: dict[str, Table]
 
     @property
     def differs(self) -> bool:
@@ -65,91 +50,26 @@ class Comparison:
         return bool(self.changed.any()) or any(self.only)
 
     @property
-    def sentence(self) -> str:
-        """The numbers of changed cases and the largest change, in a sentence."""
-        said = f"{int(self.changed.sum())} of {len(self.first)} cases changed, "
-        said += f"{int(self.restated.sum())} of them in status"
-        if not self.of_problems:
-            said += f"; the largest change of a number is {significant(_largest(self.change))} %"
-        pairs = zip(self.only, self.names, strict=True)
-        only = [f"{count} only in {name}" for count, name in pairs if count]
-        return f"{'; '.join([said, *only])}."
-
-    @property
-    def tables(self) -> dict[str, Table]:
-        """The table of settings, or solvers, and that of the cases that changed."""
-        return {"effects": self._effects(), "changes": self._changes()}
-
-    @property
     def worse(self) -> bool:
         """Whether a case lost its answer, or a setting or solver is worse beyond its interval."""
-        lost = (self.first["status"] == "ok") & (self.second["status"] != "ok")
-        has = [np.isfinite(numbers(side, "est_timescale")) for side in (self.first, self.second)]
-        rows = self._effects().rows
-        return bool(lost.any() or (has[0] & ~has[1]).any()) or any(
-            row[2] == "worse" for row in rows
-        )
+        return self.lost or "worse" in set(self.tables["effects"].frame["verdict"])
 
-    def _effects(self) -> Table:
-        """Return what changed in every setting, or solver, and whether its measure did."""
-        if self.of_problems:
-            each, names = measure("mean wall"), ["objective", "solver"]
-            sides = [np.log(numbers(side, "wall")) for side in (self.second, self.first)]
-            words, unit, least = "time, second / first", "", 0.0
-        else:
-            each = measure("mean timescale-error")
-            names = ["protocol", "label", *factors(self.first), "backend", "settings"]
-            sides = [each.values(side) for side in (self.second, self.first)]
-            words, unit, least = "mean |error| of τ_w, second − first", each.unit, each.least
-        rows: list[Row] = []
-        for key, places in grouped(self.first, names):
-            flights = self.first["flight"].iloc[places]
-            order = pd.Index(flights.unique())
-            grids = [by_unit(values[places], flights, order) for values in sides]
-            apart = difference(pooled(each.reduce), *grids)
-            verdict = "worse" if apart.low > least else "better" if apart.high < -least else "tie"
-            head = [", ".join(map(level_text, key[:-2])), level_text(key[-1])]
-            if self.of_problems:
-                head = list(map(level_text, key))
-            rows.append((
-                *head, verdict, len(places), int(self.changed[places].sum()),
-                int(self.restated[places].sum()), _largest(self.change[places]),
-                *(math.exp(value) if self.of_problems else value
-                  for value in (apart.effect, apart.low, apart.high)),
-            ))  # fmt: skip
-        rows.sort(key=lambda row: not row[4])
-        columns = (
-            *map(Column, names if self.of_problems else ("setting", "settings")),
-            Column("verdict"),
-            *(Column(name, format="d") for name in ("n", "changed", "in status")),
-            Column("largest change", "%", least=least),
-            *(Column(name, unit, group=words, least=least) for name in ("effect", "from", "to")),
-        )  # fmt: skip
-        note = f"First: {self.names[0]}; second: {self.names[1]}. 95 %: bootstrap over units."
-        return Table(
-            f"What changed, {columns[1].name} by {columns[1].name}", columns, rows, (note,)
-        )
-
-    def _changes(self) -> Table:
-        """Return every case that changed, the largest change first."""
-        places = np.flatnonzero(self.changed)
-        places = places[np.argsort(-np.nan_to_num(self.change[places]), kind="stable")]
-        label = "solver" if self.of_problems else "label"
-        kept = [self.first["case_id"], self.first[label], self.first["status"],
-                self.second["status"]]  # fmt: skip
-        rows: list[Row] = [
-            (*(str(column.iloc[at]) for column in kept), 100.0 * float(self.change[at]))
-            for at in places
-        ]
-        columns = (*map(Column, ("case", label)), Column("first", group="status"),
-                   Column("second", group="status"), Column("change", "%"))  # fmt: skip
-        return Table("Cases that changed", columns, rows)
+    @property
+    def sentence(self) -> str:
+        """The numbers of changed cases and the largest change, in a sentence."""
+        pairs = zip(self.only, self.names, strict=True)
+        said = f"{self.changed.sum()} of {len(self.change)} cases changed, "
+        said += f"{self.restated.sum()} of them in status; the largest change is "
+        said += f"{significant(_largest(self.change))} %"
+        only = [f"{count} only in {name}" for count, name in pairs if count]
+        return f"{'; '.join([said, *only])}."
 
     def record(self) -> dict[str, Any]:
         """Return the comparison as JSON has it."""
         return {
-            "summary": self.sentence, "cases": len(self.first), "changed": int(self.changed.sum()),
-            "restated": int(self.restated.sum()), "only": list(self.only), "worse": self.worse,
+            "summary": self.sentence, "cases": len(self.change),
+            "changed": int(self.changed.sum()), "restated": int(self.restated.sum()),
+            "only": list(self.only), "worse": self.worse,
             "tables": {name: each.record() for name, each in self.tables.items()},
         }  # fmt: skip
 
@@ -162,14 +82,14 @@ def _largest(change: Array) -> float:
 def compare(
     first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str], tolerance: float = 1e-9
 ) -> Comparison:
-    """Pair the cases of two runs.
+    """Pair the cases of two runs; a number that moves by more than `tolerance` changed.
 
     Raises:
         InputError: if they are of two kinds, of other paths, or have no case in common.
     """
     runs, both = (first, second), f"{names[0]} and {names[1]}"
-    of_problems = ["objective" in cases for cases in runs]
-    if of_problems[0] != of_problems[1]:
+    of_problems = "objective" in first
+    if of_problems != ("objective" in second):
         raise InputError(f"{both}: one holds flights, one problems: compare two runs of one study")
     for key in (["case_id"], ["flight", "identity"]):
         if not all(set(key) <= set(cases) for cases in runs):
@@ -180,36 +100,85 @@ def compare(
             break
     else:
         raise InputError(f"{both} have no case in common: compare two runs of one study")
-    before, after = (
-        cases.iloc[each.get_indexer(shared)].reset_index(drop=True)
-        for cases, each in zip(runs, index, strict=True)
-    )
-    for name in ("points", "settings", "tolerance") if of_problems[0] else ():
-        if name in before and name in after and not before[name].equals(after[name]):
+    sides = [cases.iloc[each.get_indexer(shared)].reset_index(drop=True)
+             for cases, each in zip(runs, index, strict=True)]  # fmt: skip
+    for name in ("points", "settings", "tolerance") if of_problems else ():
+        if all(name in side for side in sides) and not sides[0][name].equals(sides[1][name]):
             raise InputError(f"{both} differ in {name}: their times are not of the same work; "
                              "compare two runs of one study")  # fmt: skip
-    measured = ["wall"] if of_problems[0] else [f"est_{name}" for name in PARAMETERS]
-    pair = np.array([[numbers(cases, name) for name in measured] for cases in (before, after)])
-    size = pair[0] if of_problems[0] else np.maximum(np.abs(pair).max(axis=0), 1e-300)
+    measured = ["wall"] if of_problems else [f"est_{name}" for name in PARAMETERS]
+    pair = np.array([[numbers(side, name) for name in measured] for side in sides])
+    size = pair[0] if of_problems else np.maximum(np.abs(pair).max(axis=0), 1e-300)
     moved, gone = np.abs(pair[0] - pair[1]) / size, np.isnan(pair)
     moved[gone.any(axis=0)] = np.inf
     moved[gone.all(axis=0)] = 0.0
-    only = len(first) - len(shared), len(second) - len(shared)
-    return Comparison(names, before, after, only, moved.max(axis=0), tolerance)
+    change = moved.max(axis=0)
+    before, after = (side["status"].to_numpy() for side in sides)
+    restated = np.asarray(before != after)
+    changed = restated if of_problems else restated | (change > tolerance)
+    worse = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
+    label = "solver" if of_problems else "label"
+    changes = pd.DataFrame({
+        "case": sides[0]["case_id"], label: sides[0][label], f"status in {names[0]}": before,
+        f"status in {names[1]}": after, "change [%]": 100.0 * change,
+    })[changed].sort_values("change [%]", ascending=False, kind="stable")  # fmt: skip
+    changes.attrs["title"] = "Cases that changed"
+    marks = pd.DataFrame({"changed": changed, "in status": restated, "change": change})
+    effects = _effects(sides, marks)
+    effects.attrs["title"] = "What changed, and whether for the worse"
+    note = f"First: {names[0]}; second: {names[1]}. From, to: 95 %, by bootstrap over units."
+    effects.attrs["notes"] = (note,)
+    return Comparison(
+        names, change, restated, changed, (len(first) - len(shared), len(second) - len(shared)),
+        bool(worse.any()), {"effects": Table.of(effects), "changes": Table.of(changes)},
+    )  # fmt: skip
+
+
+def _effects(sides: list[pd.DataFrame], marks: pd.DataFrame) -> pd.DataFrame:
+    """Return what changed in every setting, or solver, and whether its measure did.
+
+    Args:
+        marks: `changed`, `in status` and the relative `change` of every case.
+    """
+    of_problems, first = "objective" in sides[0], sides[0]
+    each = measure("mean wall" if of_problems else "mean timescale-error")
+    columns = ["objective", "solver"] if of_problems else [
+        "protocol", "label", *factors(first), "backend", "settings"]  # fmt: skip
+    values = [np.log(numbers(side, "wall")) if of_problems else each.values(side)
+              for side in reversed(sides)]  # fmt: skip
+    words = "time, second / first" if of_problems else "mean |error| of τ_w, second − first [%]"
+    rows: list[dict[str, object]] = []
+    for key, places in grouped(first, columns):
+        flights, here = first["flight"].iloc[places], marks.iloc[places]
+        order = pd.Index(flights.unique())
+        apart = difference(
+            pooled(each.reduce), *(by_unit(value[places], flights, order) for value in values)
+        )
+        names = list(map(level_text, key))
+        if not of_problems:
+            names = [", ".join(names[:-2]), names[-1]]
+        ends = np.array([apart.effect, apart.low, apart.high])
+        ends[np.abs(ends) < each.least] = 0.0
+        shown = np.exp(ends) if of_problems else ends
+        rows.append({
+            **dict(zip(columns if of_problems else ("setting", "settings"), names, strict=True)),
+            "verdict": "worse" if ends[1] > 0 else "better" if ends[2] < 0 else "tie",
+            "n": len(places), **here[["changed", "in status"]].sum(),
+            "largest change [%]": _largest(here["change"].to_numpy()),
+            **dict(zip((f"{words}: effect", "from", "to"), shown.tolist(), strict=True)),
+        })  # fmt: skip
+    frame = pd.DataFrame(rows)
+    return frame.sort_values("changed", ascending=False, kind="stable", key=lambda n: n > 0)
 
 
 def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     """Write the tables as CSV, comparison.html and comparison.md, the last."""
-    made = comparison.tables
+    made, title = comparison.tables, " and ".join(comparison.names)
     files = {f"{name}.csv": each.to_csv().encode() for name, each in made.items()}
-    title = f"{comparison.names[0]} and {comparison.names[1]}"
-    sections = [page.Section("Tables", list(made.values()))]
+    sections = {"Tables": list(made.values())}
     files["comparison.html"] = page.to_html(title, title, [comparison.sentence], sections).encode()
-    parts = [
-        f"# {title}",
-        comparison.sentence,
-        *(each.to_markdown(SHOWN) for each in made.values()),
-    ]
-    files["comparison.md"] = page.joined(parts)
+    files["comparison.md"] = page.joined(
+        [f"# {title}", comparison.sentence, *(each.to_markdown(SHOWN) for each in made.values())]
+    )
     folder.mkdir(parents=True, exist_ok=True)
     return write_files(folder, files)

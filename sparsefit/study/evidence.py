@@ -1,4 +1,4 @@
-"""The evidence of a selection: what a review asks of it, its picture, its page and its files."""
+"""The evidence of a selection: what a review asks of it, its tables and picture, and its files."""
 
 from __future__ import annotations
 
@@ -6,57 +6,79 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sparsefit.plot.style import (
-    COLOURS,
-    GREY,
-    MARKERS,
-    labels,
-    legend,
-    logarithmic,
-    panels,
-    styled,
-    wrapped,
-)
+from sparsefit.codec import finite_or_none
+from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
 from sparsefit.study.figures import Picture
-from sparsefit.study.page import Code, Section, drawing, joined, picture_files, table_files, to_html
-from sparsefit.study.selection import LIMITS, Check, Scored, Selection, limit_text, listed
-from sparsefit.study.table import significant
+from sparsefit.study.measures import factors
+from sparsefit.study.page import Code, drawing, joined, picture_files, table_files, to_html
+from sparsefit.study.panels import Curve, Panel, drawn
+from sparsefit.study.selection import LIMITS, Check, Scored, Selection, limit_text
+from sparsefit.study.table import Column, Row, Table, sentence, significant
 from sparsefit.whole_file import write_files
 
 DISTURBED = 0.1  # share of timed flights with other programs on the core, from which it is told
 CAPTION = (
-    "The criterion with its 95 % interval against the latency of one estimate, from the median to "
-    "the 99th percentile. Ringed: the chosen; hollow: breaks a constraint; line: the front, beaten "
-    "by none in both."
+    "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
+    "percentile. Ringed: the chosen; dashed: the front of those that keep every constraint."
 )
 
 
+def listed(names: Sequence[str], word: str = "or") -> str:
+    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
+    names = list(dict.fromkeys(names))
+    if len(names) > 5:
+        names = [*names[:4], f"{len(names) - 4} more"]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
+def headline(selection: Selection) -> str:
+    """Return the answer in a sentence that can be read aloud."""
+    if selection.chosen is None:
+        return f"No candidate of {len(selection.ranked)} keeps every constraint."
+    parts = selection.parts
+    reading, backend = parts[selection.chosen.candidate]
+    alike = [parts[each.candidate][1] for each in selection.passing
+             if each.within and parts[each.candidate][0] == reading]  # fmt: skip
+    if reading and len(alike) > 1:
+        every = {part for own, part in parts.values() if own == reading}
+        which = f"any of {len(alike)} back-ends" if set(alike) == every else listed(alike)
+        simple = "fastest" if selection.rule.simplest == "fastest" else "simplest"
+        return f"Use {reading}; {which} will do, {backend} is the {simple}."
+    return f"Use {f'{reading} with {backend}' if reading else selection.chosen.title}."
+
+
 def lines(selection: Selection, check: Check | None = None) -> list[str]:
-    """Return what a review asks: the rule, ties, regret, the worst regime, the clock."""
-    criterion, chosen, kind = selection.criterion, selection.chosen, selection.kind
+    """Return what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
+    criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
+    kind, splits, regimes = selection.kind, list(selection.units), criterion.regimes
     limits = [
         f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
-        for name in (field.name for field in fields(selection.rule.limits))
-        if (limit := getattr(selection.rule.limits, name)) is not None
-    ]
-    keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
-    split, regimes = next(iter(selection.units)), len(criterion.regimes)
+        for name, limit in asdict(rule.limits).items() if limit is not None
+    ]  # fmt: skip
     said = [
-        f"{len(selection.ranked)} candidates{f' in {regimes} regimes' if regimes > 1 else ''}, "
-        f"chosen on {selection.units[split]} {kind}{keeping}; the simplest within "
-        f"{100 * selection.rule.margin:g} % of the best."
+        f"{len(selection.ranked)} candidates{f' in {len(regimes)} regimes' * (len(regimes) > 1)}, "
+        f"chosen on {selection.units[splits[0]]} {kind}"
+        + (f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else "")
+        + f"; the simplest within {100 * rule.margin:g} % of the best."
     ]
+    if selection.refused:
+        said.append(f"{len(selection.refused)} more cannot be on board: see the table.")
     if chosen is None:
         return [*said, *_binding(selection)]
-    said.insert(0, selection.score_line)
+
+    def scored(value: float, between: tuple[float, float]) -> str:
+        return f"{criterion.say(value)} ({significant(between[0])} to {significant(between[1])})"
+
+    fresh = "that had no part in the choice" if len(splits) > 1 else "it was chosen on"
+    score = f"{criterion.words}: {scored(chosen.evaluate, chosen.between)}"
+    said.insert(0, sentence(f"{score} on {selection.units[splits[-1]]} {kind} {fresh}"))
     if selection.tied:
         needed = [each.apart.more_units for each in selection.tied if each.apart is not None]
         finite = [count for count in needed if math.isfinite(count)]
@@ -66,13 +88,12 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
     if hindsight is chosen:
         said.append("With hindsight no candidate that keeps everything is better.")
     elif hindsight is not None and regret is not None:
-        said.append(f"With hindsight {hindsight.title} is best: regret "
-                    f"{criterion.say(regret.effect)} ({significant(regret.low)} to "
-                    f"{significant(regret.high)}).")  # fmt: skip
-    if regimes > 1 and np.isfinite(chosen.by_regime).any():
+        value = scored(regret.effect, (regret.low, regret.high))
+        said.append(f"With hindsight {hindsight.title} is best: regret {value}.")
+    if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
         worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
         value = criterion.say(float(chosen.by_regime[worst]))
-        said.append(f"Its worst regime is {criterion.regimes[worst]}: {value}.")
+        said.append(f"Its worst regime is {regimes[worst]}: {value}.")
     said += [f"On the evaluate {kind} it breaks: {breach.words}." for breach in chosen.broken]
     if seen := selection.latencies.get(chosen.candidate):
         loud = f" ({100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
@@ -83,12 +104,11 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
             f"{loud if seen['busy'] > DISTURBED else ''}."
         )
     if check is not None:
-        low, high = map(significant, check.between)
         best = "none of those not ruled out is better there"
         if not check.regret.identical:
             best = f"{check.hindsight} is best there, regret {criterion.say(check.regret.effect)}"
-        said.append(f"On {check.units} fresh {kind}: {criterion.say(check.score)} ({low} to "
-                    f"{high}); {best}.")  # fmt: skip
+        value = scored(check.score, check.between)
+        said.append(f"On {check.units} fresh {kind}: {value}; {best}.")
         said += [f"There it breaks: {breach.words}." for breach in check.broken]
     return said
 
@@ -106,90 +126,173 @@ def _binding(selection: Selection) -> Iterator[str]:
                f"{nearest.title}: {breach.words}.")  # fmt: skip
 
 
+def verdict(selection: Selection, each: Scored) -> str:
+    """Return why a candidate was chosen, or lost."""
+    apart = each.apart
+    if each is selection.chosen:
+        return "chosen"
+    if each.breaches:
+        return "; ".join(breach.words for breach in each.breaches)
+    if apart is None or math.isnan(each.validate):
+        return "nothing to judge it by"
+    if apart.identical:
+        return "the same on every flight, less simple"
+    by = f"{'worse' if apart.effect > 0 else 'better'} by {significant(abs(apart.effect))}"
+    if each.within:
+        return f"{'tied' if apart.tie else f'{by}, within the margin'}, less simple"
+    return f"tied, but {by}: beyond the margin" if apart.tie else by
+
+
+def tables(selection: Selection) -> dict[str, Table]:
+    """Return the tables of candidates, of regimes, and where it was measured of latency."""
+    criterion, chosen, study = selection.criterion, selection.chosen, selection.study
+    unit, least = criterion.measure.unit, criterion.measure.least
+    candidates, regimes, times = list[Row](), list[Row](), list[Row]()
+    for each in sorted(selection.ranked, key=lambda each: each is not chosen):
+        apart, said = each.apart, verdict(selection, each)
+        candidates.append((
+            str(len(candidates) + 1), each.title, said, each.evaluate, *each.between, each.validate,
+            *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
+            None if each.breaches else 100.0 * each.best,
+            apart.more_units if apart is not None and apart.tie else None,
+        ))  # fmt: skip
+        regimes.append((each.title, said, *each.by_regime.tolist(), each.evaluate))
+        if seen := selection.latencies.get(each.candidate):
+            times.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
+                          100.0 * seen["busy"]))  # fmt: skip
+    candidates += [("–", title, f"not on board: {why}", *(None,) * 9)
+                   for title, why in selection.refused.items()]  # fmt: skip
+    score = [Column(name, unit, group="evaluate", least=least)
+             for name in ("criterion", "from", "to")]  # fmt: skip
+    against = [Column(name, unit, group="validate") for name in ("worse by", "from", "to")]
+    timed = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
+             ("disturbed", "%", ".0f"))  # fmt: skip
+    notes = (
+        f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the chosen. "
+        "Intervals (95 %) and the probability to be the best are by bootstrap over the same "
+        "flights for all; more flights: how many would end a tie.",
+        "One flight at a time in a process of its own with BLAS on one thread, after a warm-up. "
+        "Disturbed: flights during which other programs had the core.",
+    )
+    made = {
+        "selection": Table(
+            f"Candidates of the selection ({study})",
+            (*map(Column, ("rank", "candidate", "verdict")), *score,
+             Column("criterion", unit, group="validate", least=least), *against,
+             *(Column(name, some, ".0f", "validate")
+               for name, some in (("best", "%"), ("more flights", "")))),
+            candidates, notes[:1],
+        ),
+        "regimes": Table(
+            f"Regimes ({study})",
+            (*map(Column, ("candidate", "verdict")),
+             *(Column(name, unit, least=least) for name in (*criterion.regimes, "all"))),
+            regimes,
+        ),
+        "latency": Table(
+            f"Latency and memory ({study})",
+            (Column("candidate"), *(Column(*each, varies=True) for each in timed)), times, notes[1:]
+        ),
+    }  # fmt: skip
+    return {name: each for name, each in made.items() if each.rows}
+
+
+def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
+    """Return the selection as JSON has it."""
+    made, chosen, cases = tables(selection), selection.chosen, selection.cases
+    of: dict[str, Any] = {
+        "study": selection.study, "rule": asdict(selection.rule),
+        "criterion": selection.criterion.words, "unit": selection.criterion.measure.unit,
+        "units": dict(selection.units), "summary": headline(selection),
+        "candidates": len(selection.ranked), "eligible": len(selection.passing),
+        "tied": [each.title for each in selection.tied], "refused": dict(selection.refused),
+        "table": made["selection"].record(), "regimes": made["regimes"].record(),
+    }  # fmt: skip
+    if chosen is not None:
+        row = cases[cases["candidate"] == chosen.candidate].iloc[0]
+        own = [name for name in factors(cases) if not name.startswith("flights.")]
+        regimes = zip(selection.criterion.regimes, chosen.by_regime.tolist(), strict=True)
+        of |= {
+            "candidate": chosen.candidate, "title": chosen.title,
+            "protocol": row.get("reading", row.get("protocol", "")), "backend": row["backend"],
+            "settings": json.loads(row["settings"]),
+            "factors": {name: str(row[name]) for name in own},
+            "validate": chosen.validate, "evaluate": chosen.evaluate,
+            "interval": chosen.between, "by_regime": dict(regimes),
+            "probability_best": chosen.best,
+            "regret": selection.regret.effect if selection.regret else None,
+            "latency": selection.latencies.get(chosen.candidate),
+            "check": asdict(check) if check else None,
+        }  # fmt: skip
+    cleaned: dict[str, Any] = finite_or_none(of)
+    return cleaned
+
+
 def provenance(study: Any, selection: Selection) -> dict[str, Any]:
     """Return what an estimator comes from: the study, the rule, and the evidence."""
     if selection.chosen is None:
         return {}
-    record = selection.record()
-    kept = ("study", "rule", "units", "criterion", "unit", "title", "validate", "evaluate",
-            "interval", "by_regime", "probability_best", "regret", "tied", "latency")  # fmt: skip
-    own = {name: record[name] for name in kept}
-    return {"study_hash": study.hash, "seed": study.seed, **own}
+    of = record(selection)
+    names = ("study", "rule", "units", "criterion", "unit", "title", "validate", "evaluate",
+             "interval", "by_regime", "probability_best", "regret", "tied", "latency")  # fmt: skip
+    return {"study_hash": study.hash, "seed": study.seed, **{name: of[name] for name in names}}
 
 
 def pareto(selection: Selection) -> Picture:
     """Return accuracy against latency of all candidates that were timed, with their front."""
+    criterion = selection.criterion
     timed = [
         (each, 1e3 * seen["median"], 1e3 * seen["p99"]) for each in selection.ranked
         if (seen := selection.latencies.get(each.candidate)) and math.isfinite(seen["median"])
     ]  # fmt: skip
-    if not timed:
-        return Picture(None, "No candidate was timed.")
 
-    def draw() -> Figure:
-        figure, ((axes,),) = panels(1, 1, height=4.2)
-        _draw_candidates(axes, selection, timed)
-        sign, front = selection.criterion.sign, list[tuple[float, float]]()
-        for x, loss in sorted((x, sign * e.evaluate) for e, x, _ in timed if not e.breaches):
+    def draw() -> Figure | None:
+        y_label = wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50)
+        curves = [Curve(each.title, np.array([x]), np.array([each.evaluate]))
+                  for each, x, _ in timed]  # fmt: skip
+        panel = Panel(curves, "latency of one estimate [ms]", y_label, "", {"ls": "", "ms": 5.0},
+                      log="x")  # fmt: skip
+        ranks = {each.title: criterion.sign * each.evaluate for each, *_ in timed}
+        figure = drawn([[panel]], 3.6, ranks)
+        front = list[tuple[float, float]]()
+        for x, loss in sorted((x, ranks[e.title]) for e, x, _ in timed if not e.breaches):
             if not front or loss < front[-1][1]:
                 front.append((x, loss))
-        axes.step([x for x, _ in front], [sign * loss for _, loss in front], where="post",
-                  color=GREY, lw=0.9, ls="--", zorder=1)  # fmt: skip
-        values = [each.evaluate for each, *_ in timed]
-        spans = (("x", [x for _, x, _ in timed], 2.0), ("y", values, 8.0))
-        for name, numbers, least in spans:
-            if max(numbers) > least * min(numbers) > 0:
-                axes.set(**{f"{name}scale": "log"})
-                axis = axes.xaxis if name == "x" else axes.yaxis
-                logarithmic(axis, *axis.get_view_interval())
-        axes.set_xlabel("latency of one estimate [ms]")
-        unit = selection.criterion.measure.unit
-        axes.set_ylabel(wrapped(f"{selection.criterion.words} [{unit}]", 50))
-        legend(figure, [axes])
+        for axes in figure.axes if figure else ():
+            axes.autoscale()
+            for each, x, slowest in timed:
+                axes.hlines(each.evaluate, x, slowest, color=GREY, lw=0.6, zorder=1)
+                axes.vlines(x, *each.between, color=GREY, lw=0.6, zorder=1)
+                if each is selection.chosen:
+                    axes.plot([x], [each.evaluate], "o", ms=13, mfc="none", mec="black", mew=1.0)
+            axes.step([x for x, _ in front], [criterion.sign * loss for _, loss in front],
+                      where="post", color=GREY, lw=0.9, ls="--", zorder=1)  # fmt: skip
+            logarithmic(axes.xaxis, *axes.xaxis.get_view_interval())
         return figure
 
-    return Picture(styled(draw), CAPTION)
-
-
-def _draw_candidates(axes: Axes, selection: Selection,
-                     timed: Sequence[tuple[Scored, float, float]]) -> None:  # fmt: skip
-    """Draw each candidate with its intervals: colours are back-ends, markers readings."""
-    parts = [selection.parts[each.candidate] for each, *_ in timed]
-    readings, backends = (list(dict.fromkeys(names)) for names in zip(*parts, strict=True))
-    short = labels([each.title for each, *_ in timed], 50)
-    for (each, x, slowest), (reading, backend) in zip(timed, parts, strict=True):
-        ink, y = COLOURS[backends.index(backend) % len(COLOURS)], each.evaluate
-        if each is selection.chosen:
-            axes.plot([x], [y], "o", ms=13, mfc="none", mec="black", mew=1.0, zorder=2)
-        axes.plot([x, slowest], [y, y], color=ink, lw=0.7, alpha=0.6)
-        axes.plot([x, x], each.between, color=ink, lw=0.7, alpha=0.6)
-        axes.plot([x], [y], MARKERS[readings.index(reading) % len(MARKERS)], ms=5, color=ink,
-                  mfc="white" if each.breaches else ink, label=short[each.title],
-                  zorder=4)  # fmt: skip
+    return Picture(styled(draw), CAPTION if timed else "No candidate was timed.")
 
 
 def write_selection(
     study: Any, selection: Selection, folder: Path | None = None, check: Check | None = None
 ) -> list[Path]:
     """Write the tables and pictures of a selection, evidence.html and evidence.md, the last."""
-    said, tables, picture = lines(selection, check), selection.tables, pareto(selection)
-    rule = json.dumps(selection.record()["rule"], indent=1)
-    latency = [each for name, each in tables.items() if name == "latency"]
-    sections = [
-        Section("Why", [said]),
-        Section("Candidates", [tables["selection"]]),
-        Section("Accuracy and latency", [drawing("pareto", picture), *latency]),
-        Section("Regimes", [tables["regimes"], Code("The rule", rule)]),
-    ]
-    title = f"{study.name}: the selection"
-    page = to_html(title, study.question, [selection.headline], sections)
+    said, made, picture = lines(selection, check), tables(selection), pareto(selection)
+    answer, title = headline(selection), f"{study.name}: the selection"
+    files = {**table_files(study.name, made), **picture_files({"pareto": picture})}
+    sections: dict[str, Sequence[Any]] = {
+        "Why": [said],
+        "Candidates": [made["selection"]],
+        "Accuracy and latency": [drawing("pareto", picture, files.get("pareto.svg", b"")),
+                                 *(made[name] for name in made if name == "latency")],
+        "Regimes": [made["regimes"],
+                    Code("The rule", json.dumps(asdict(selection.rule), indent=1))],
+    }  # fmt: skip
     image = "![accuracy and latency](pareto.svg)" if picture.figure is not None else ""
-    text = [f"# {title}", f"**{study.question}**", f"**{selection.headline}**",
-            "\n".join(f"- {line}" for line in said), image, tables["selection"].to_markdown(12),
+    text = [f"# {title}", f"**{study.question}**", f"**{answer}**",
+            "\n".join(f"- {line}" for line in said), image, made["selection"].to_markdown(12),
             "Tables: [selection.csv](selection.csv), [regimes.csv](regimes.csv). Written by "
             "`sparsefit select`; do not edit."]  # fmt: skip
-    files = {
-        **table_files(study.name, tables), **picture_files({"pareto": picture}),
-        "evidence.html": page.encode(), "evidence.md": joined(text),
-    }  # fmt: skip
+    page = to_html(title, study.question, [answer], sections).encode()
+    files |= {"evidence.html": page, "evidence.md": joined(text)}
     return write_files(folder or study.folder, files)

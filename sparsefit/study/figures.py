@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
-from sparsefit.plot.style import GREY, labels, styled, with_unit, wrapped
+from sparsefit.plot.style import GREY, styled, with_unit, wrapped
 from sparsefit.study import solver_times
 from sparsefit.study.entries import (
     Entry,
@@ -49,8 +49,8 @@ from sparsefit.study.measures import (
     three,
 )
 from sparsefit.study.panels import LOG_RANGE, NAMED_CURVES, Curve, Panel, Ranks, drawn
-from sparsefit.study.resampling import QUANTILES, wilson
-from sparsefit.study.table import Value
+from sparsefit.study.resampling import wilson
+from sparsefit.study.table import sentence
 
 PANELS = 6  # rows of panels, with more nobody reads a picture
 UNIT_OF = {
@@ -62,8 +62,7 @@ UNIT_OF = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
+class Picture(NamedTuple):
     """A figure with its caption; without a figure the caption says why there is none."""
 
     figure: Figure | None
@@ -73,8 +72,6 @@ class Picture:
 def _rows(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Return the words and the cases of each row of panels: the levels of `rows`."""
     check_columns(cases, [entry.lines, *entry.rows, *filter(None, [entry.columns])], "the figure")
-    if not entry.rows:
-        return [("", cases)]
     before = [f"{factor_words(name)} " if "." in name else "" for name in entry.rows]
     groups = list(grouped(cases, entry.rows))[:PANELS]
     return [(", ".join(map("".join, zip(before, map(level_text, key), strict=True))),
@@ -90,6 +87,12 @@ def _columns(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]
     return [(f"{before}{level}", cases[levels == level]) for level in levels.cat.categories]
 
 
+def _lines(entry: Entry, cases: pd.DataFrame) -> Iterator[tuple[str, IntArray]]:
+    """Give the name of each line, and the places of its cases."""
+    for (name,), places in grouped(cases, [entry.lines]):
+        yield str(name), places
+
+
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
     """Return the swept factors whose every level is a number."""
     return [name for name in factors(cases) if pd.api.types.is_numeric_dtype(cases[name])]
@@ -101,60 +104,59 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     Without `along` every swept number is an axis; `columns`: a factor with a column of panels per
     level; `rows`: one with a row per level. What is neither is pooled.
     """
-    cases, grid = cases.reset_index(drop=True), list[list[Panel]]()
+    has_number = [~np.isnan(each.values(cases)) for each in entry.measures]
     axes_of = [entry.along] if entry.along else numeric_factors(cases)
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
     check_columns(cases, axes_of, "the figure")
     if entry.along == "condition" and cases["condition"].nunique() < 2:
         entry = replace(entry, lines="condition")
+    whole, seen, grid = cases, np.any(has_number, axis=0), list[list[Panel]]()
+    cases = whole[seen].reset_index(drop=True)
     for along in axes_of:
-        at, is_number = levels_of(cases, along), pd.api.types.is_numeric_dtype(cases[along])
-        levels = list(at.cat.categories)
-        shown = np.array(levels, dtype=float) if is_number else levels
-        x = np.array(shown if is_number else range(len(levels)), dtype=float)
+        level_of = levels_of(whole, along)[
+            np.any(has_number, axis=0)
+        ].cat.remove_unused_categories()
+        codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
+        is_number = pd.api.types.is_numeric_dtype(cases[along])
+        shown = np.array(levels, dtype=float) if is_number else list(levels)
+        x = np.asarray(shown if is_number else range(len(levels)), dtype=float)
         x_label = with_unit(factor_words(along), UNIT_OF.get(along.rpartition(".")[2], ""))
         for each in entry.measures:
-            is_share, values = each.summary == "share", each.values(cases)
+            values = each.values(cases)
             summary = "" if each.summary in ("share", "number") else f"{each.summary} "
             words = with_unit(f"{summary}{each.heading or each.words}", each.unit)
             marks = [*entry.limits, *([1.0] if each.name.endswith("efficiency") else [])]
             for level, part in _rows(entry, cases):
                 grid.append([
                     Panel(
-                        [_along(str(name), each, values, at, places, x) for (name,), places in
-                         _lines(here, entry.lines)],
+                        [_along(name, each, values[at], codes[at], x)
+                         for name, places in _lines(entry, here)
+                         for at in (here.index.to_numpy()[places],)],
                         x_label, "\n".join(wrapped(text, 24) for text in (words, level) if text),
                         title, {} if "." in along else {"ls": ""}, levels=shown,
-                        marks=[("y", mark) for mark in marks], is_share=is_share,
+                        marks=[("y", mark) for mark in marks], is_share=each.summary == "share",
                     )
                     for title, here in _columns(entry, part)
                 ])  # fmt: skip
     grid = grid[:PANELS]
-    means = {curve.name: float(np.nanmean(curve.y)) for curve in grid[0][0].curves
+    means = {curve.name: float(np.nanmean(curve.y)) for row in grid[:1] for curve in row[0].curves
              if np.isfinite(curve.y).any()}  # fmt: skip
-    return drawn(grid, 0.8 + 2.1 * len(grid), ranks or means)
+    slanted = 0.0 if all(isinstance(row[0].levels, np.ndarray) for row in grid) else 0.7
+    return drawn(grid, 0.8 + slanted + 2.1 * len(grid), ranks or means)
 
 
-def _lines(cases: pd.DataFrame, name: str) -> Iterator[tuple[tuple[Value, ...], IntArray]]:
-    """Give the value of each line, and the labels of its cases in the index."""
-    index = cases.index.to_numpy()
-    return ((key, index[places]) for key, places in grouped(cases, [name]))
-
-
-def _along(
-    name: str, each: Measure, values: Array, at: pd.Series, places: IntArray, x: Array
-) -> Curve:
+def _along(name: str, each: Measure, values: Array, codes: IntArray, x: Array) -> Curve:
     """Return the summaries of a line's values at every level, shares with Wilson's interval."""
-    codes, summaries = at.cat.codes.to_numpy()[places], np.full((3, len(x)), np.nan)
+    summaries = np.full((3, len(x)), np.nan)
     for level in range(len(x)):
-        here = values[places[codes == level]]
-        here = here[~np.isnan(here)]
+        here = values[(codes == level) & ~np.isnan(values)]
         if here.size:
-            summaries[0, level] = float(each.reduce(here))
+            summaries[0, level] = each.summary_of(here)
         if here.size and each.summary == "share":
             summaries[1:, level] = wilson(float(here.sum()), len(here))
     summaries[~np.isfinite(summaries)] = np.nan
+    summaries[np.abs(summaries) < each.least] = each.least
     return Curve(name, x, summaries[0], summaries[1:] if each.summary == "share" else None)
 
 
@@ -173,25 +175,23 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
 def _steps(entry: Entry, each: Measure, level: str, title: str, cases: pd.DataFrame) -> Panel:
     """Return the sorted sizes of every line with the share of planned cases up to each."""
     values, planned, curves = np.abs(each.read(cases)), ~in_still_air(cases), list[Curve]()
-    finite = values[np.isfinite(values)]
-    low, high = np.quantile(finite, (0.01, 0.98)).tolist() if finite.size else (1.0, 1.0)
-    low = max(low, each.least or 1e-300)
+    least, finite = each.least or 1e-300, values[np.isfinite(values)]
+    low, high = np.quantile(finite, (0.01, 0.9)).tolist() if finite.size else (1.0, 1.0)
+    low = max(low, least)
     ends = low / 1.5, max(1.5 * high, 10.0 * low)
     if each.name == "ratio":  # from the fastest on
         ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
-    groups = list(grouped(cases, [entry.lines]))
-    steps = int(np.clip(6000 // max(len(groups), 1), 40, 300))  # an eye sees no more
-    for (name,), places in groups:
+    for name, places in _lines(entry, cases):
         here = values[places[planned[places]]]
         sizes = np.sort(here[np.isfinite(here)])
         share = 100.0 * np.arange(1, sizes.size + 1) / max(len(here), 1)
-        if sizes.size > steps:
-            at = np.linspace(0, sizes.size - 1, steps).astype(int)
+        if sizes.size > 200:  # an eye sees no more
+            at = np.linspace(0, sizes.size - 1, 200).astype(int)
             sizes, share = sizes[at], share[at]
         if sizes.size:
             start, end = min(ends[0], float(sizes[0])), max(ends[1], float(sizes[-1]))
-            x = np.maximum([start, *sizes, end], each.least or 1e-300)
-            curves.append(Curve(str(name), x, np.array([0.0, *share, share[-1]])))
+            x = np.maximum([start, *sizes, end], least)
+            curves.append(Curve(name, x, np.array([0.0, *share, share[-1]])))
     kind = "problems" if "ratio" in cases else "cases"
     beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
     words = with_unit(wrapped(each.words, 34), each.unit)
@@ -201,15 +201,15 @@ def _steps(entry: Entry, each: Measure, level: str, title: str, cases: pd.DataFr
 
 def best_titles(cases: pd.DataFrame) -> list[str]:
     """Return the title of least median of the largest error in each reading, four at most."""
-    each, best = measure("largest-error"), []
+    each, best = measure("largest-error"), dict[str, None]()
     values = each.values(cases)
     for _, places in grouped(cases, ["reading" if "reading" in cases else "protocol"]):
         scores = {
             str(title): each.summary_of(values[places[here]])
             for (title,), here in grouped(cases.iloc[places], ["title"])
         }
-        best.append(min(scores, key=lambda name: (math.isnan(scores[name]), scores[name])))
-    return list(dict.fromkeys(best))[:4]
+        best[min(scores, key=lambda name: (math.isnan(scores[name]), scores[name]))] = None
+    return list(best)[:4]
 
 
 def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
@@ -220,12 +220,11 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     flown = cases[in_flow(cases)]
     if flown["condition"].nunique() > NAMED_CURVES:
         flown = flown.assign(condition="all conditions")
-    grid = []
-    for title in best_titles(flown) if answered(flown).any() else ():
-        part = flown[flown["title"] == title]
-        beside = f"{wrapped(labels([title], 60)[title], 30)}\n\n"
-        grid.append([_points(part, name, "" if at else beside) for at, name in
-                     enumerate(PARAMETERS)])  # fmt: skip
+    grid = [
+        [_points(flown[flown["title"] == title], name, "" if at else f"{wrapped(title, 30)}\n\n")
+         for at, name in enumerate(PARAMETERS)]
+        for title in (best_titles(flown) if answered(flown).any() else ())
+    ]  # fmt: skip
     figure = drawn(grid, 0.9 + 2.15 * len(grid)) if grid else None
     for axes in figure.axes if figure else ():
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.8, zorder=1, transform=axes.transAxes)
@@ -244,13 +243,12 @@ def _points(cases: pd.DataFrame, name: str, beside: str) -> Panel:
     if not is_log and low >= 0:
         ends = max(ends[0], 0.0), ends[1]
     usable = answered(cases)
-    above, below = usable & (estimate > ends[1]), usable & (estimate < ends[0])
-    said = (("{} above", above), ("{} below", below), ("{} without an answer", ~usable))
-    words = ", ".join(text.format(mask.sum()) for text, mask in said if mask.any())
-    curves = [
-        Curve(str(key), true[places], np.where(usable, np.clip(estimate, *ends), np.nan)[places])
-        for (key,), places in grouped(cases, ["condition"])
-    ]
+    counts = {"above": usable & (estimate > ends[1]), "below": usable & (estimate < ends[0]),
+              "without an answer": ~usable}  # fmt: skip
+    words = ", ".join(f"{mask.sum()} {text}" for text, mask in counts.items() if mask.any())
+    estimate = np.where(usable, np.clip(estimate, *ends), np.nan)
+    curves = [Curve(str(key), true[places], estimate[places])
+              for (key,), places in grouped(cases, ["condition"])]  # fmt: skip
     unit = f"{SYMBOLS[name]} [{UNITS[name]}]"
     style = {"ls": "", "marker": "o", "alpha": 0.85, "clip_on": False}
     return Panel(curves, f"true {unit}", f"{beside}estimated {unit}", words, style, ends, ends,
@@ -307,19 +305,14 @@ NAMED: Mapping[str, Options] = {
     "coverage": {"compare": "lines", "along": "condition", "limits": (93.0, 97.0),
                  "measure": three("coverage")},
     "profiles": {"compare": "profiles", "measure": ("ratio",), "rows": ("objective",),
-                 "columns": "accuracy", "lines": "solver"},
-    "accuracy": {"compare": "accuracy"},
+                 "columns": "accuracy", "lines": "solver", "title": "Share of problems solved in "
+                 "at most so many times the time of the fastest solver of each"},
+    "accuracy": {"compare": "accuracy", "title": "Time against the certified excess of the worst "
+                 "point of each case; dashed: the accuracies at which success is counted"},
     "shapes": {"compare": "shapes", "measure": ("seconds",), "rows": ("objective",),
-               "along": "problem", "lines": "solver"},
+               "along": "problem", "lines": "solver", "title": "Time to the strictest accuracy; "
+               "no point: not solved"},
 }  # fmt: skip
-CAPTIONS = {
-    "scatter": "Estimated against true, {}. Points beyond the frame stand on its edge.",
-    "profiles": "Share of problems solved in at most so many times the time of the fastest solver "
-    "of each. Left: how often a solver is the fastest; right: how often it solves at all.",
-    "accuracy": "Every case that answered: its time against the certified excess of its worst "
-    "point. Dotted: the accuracies at which success is counted.",
-    "shapes": "Time to the strictest accuracy, problem by problem; no point: not solved.",
-}
 
 
 def figure(study: Any, entry: str | Options) -> Figure:
@@ -342,7 +335,7 @@ def figures(
     for entry in asked_for(names, own) or own or fitting(cases):
         if isinstance(entry, str) and entry in script.functions:
             made: Figure = styled(partial(script.call, entry, cases, Figure))
-            every[entry] = Picture(made, entry.replace("_", " ").capitalize())
+            every[entry] = Picture(made, sentence(entry.replace("_", " ")))
             continue
         read = read_entry(entry, NAMED, MEASURED, "figure", script)
         shown = styled(partial(LAYOUTS[read.compare or "settings"], read, cases))
@@ -353,21 +346,23 @@ def figures(
 
 
 def _caption(entry: Entry, cases: pd.DataFrame) -> str:
+    """Return the title of an entry, or what its picture shows."""
+    said = [entry.title]
     if entry.compare == "scatter":
         count, titles = cases["title"].nunique(), "; ".join(best_titles(cases[in_flow(cases)]))
-        titles = titles if count == 1 else f"the best of {count} by reading: {titles}"
-        return CAPTIONS["scatter"].format(titles)
-    if entry.compare in CAPTIONS:
-        return CAPTIONS[entry.compare]
-    if entry.compare == "ecdf":
+        best = f"the best of {count} by reading: {titles}" if count > 1 else titles
+        said = [entry.title or f"Estimated against true, {best}",
+                "points beyond the frame stand on its edge"]  # fmt: skip
+    elif not entry.title and entry.compare == "ecdf":
         words = "; ".join(dict.fromkeys(each.words for each in entry.measures))
-        return f"Share of planned cases with at most so much: {words}. Failures never get there."
-    words = "; ".join(dict.fromkeys(each.phrase for each in entry.measures))
-    ranks = any(each.miss is not None and each.summary in QUANTILES for each in entry.measures)
-    shares = any(each.summary == "share" for each in entry.measures)
-    more = " A failure ranks behind every number; where it decides, a line breaks." if ranks else ""
-    bars = " Bars: 95 % Wilson intervals." if shares else ""
-    return f"{words[:1].upper()}{words[1:]}.{more}{bars}"
+        said = [f"Share of planned cases with at most so much: {words}", "failures never get there"]
+    elif not entry.title:
+        said = list(dict.fromkeys(each.phrase for each in entry.measures))
+        if any(each.summary == "share" for each in entry.measures):
+            said.append("bars: 95 % Wilson intervals")
+        if any(each.miss is not None for each in entry.measures):
+            said.append("a failure ranks behind every number: where it decides, a line breaks")
+    return " ".join(sentence(text) for text in (*said, *entry.notes))
 
 
 def fitting(cases: pd.DataFrame) -> list[str]:
@@ -379,7 +374,7 @@ def fitting(cases: pd.DataFrame) -> list[str]:
         "sweep": several and bool(numeric_factors(cases)),
         "errors": several,
         "scatter": several,
-        "efficiency": bool(bounded(cases).any()) and "flights.process_noise" in factors(cases),
+        "efficiency": "flights.process_noise" in factors(cases[bounded(cases)]),
         "coverage": several and np.isfinite(measure("length-scale-coverage").values(cases)).any(),
     }
     return [name for name, holds in says.items() if holds]

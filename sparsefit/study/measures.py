@@ -263,12 +263,6 @@ def _drift_errors(cases: pd.DataFrame) -> Array:
     return only(answered(cases), 100.0 * missed)
 
 
-def _called_so(cases: pd.DataFrame) -> Array:
-    """Return whether still air was called unidentifiable for want of any cellular flow, (rows,)."""
-    named = texts(cases, "doubt").isin(["still-air", "no-flow"]).to_numpy()
-    return only(in_still_air(cases), ended(cases, "unidentifiable") & named)
-
-
 def _timed(name: str) -> Read:
     """Return what reads a column of problems that the clock timed."""
     return lambda cases: only(numbers(cases, "repeats") > 0, numbers(cases, name))
@@ -344,13 +338,6 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
            lambda cases: ended(cases, "misfit")),
     _share("called-unidentifiable", "cases that ended as unidentifiable", "unidentifiable",
            lambda cases: ended(cases, "unidentifiable")),
-    _share("deserved", "flights called unidentifiable whose numbers are off", "deserved",
-           lambda cases: only(in_flow(cases) & ended(cases, "unidentifiable"), off(cases)),
-           more=True),
-    _share("called-so", "flights without a flow that are called so", "called so", _called_so,
-           more=True),
-    _share("false-alarms", "flights without a flow that have an estimate", "false alarms",
-           lambda cases: only(in_still_air(cases), ended(cases, "ok", "inaccurate"))),
     Measure("r-squared", "R² of the fit", "", _column("r_squared"), heading="R²", format=".4f",
             more=True),
     Measure("heading-error", "|error| of the heading", "°", _heading_errors, heading="heading",

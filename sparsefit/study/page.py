@@ -9,14 +9,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
@@ -27,15 +26,14 @@ from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.entries import Script, grouped, read_entry
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import STATUSES, measure, numbers
-from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, significant
+from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.whole_file import write_files
 
 LARGEST_VECTOR = 1_000_000  # bytes of an SVG that is written beside its PNG
 WORDS = 700  # of a README: what is longer stands in its files and on the page
 
 
-@dataclass(frozen=True, eq=False)
-class Drawing:
+class Drawing(NamedTuple):
     """A picture of a page: its SVG, with linear axes too where some are logarithmic.
 
     lines: the id of each line in the SVG and what a legend calls it.
@@ -44,40 +42,30 @@ class Drawing:
     title: str
     caption: str
     svg: str
-    linear: str = ""
-    lines: Mapping[str, str] = field(default_factory=dict)
+    linear: str
+    lines: Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class Code:
+class Code(NamedTuple):
     """A text in letters of one width, shown when asked for."""
 
     title: str
     code: str
 
 
-@dataclass(frozen=True, eq=False)
-class Section:
-    """A heading and its parts: texts, lists of texts, tables, drawings and code."""
+def to_html(name: str, question: str, answers: Sequence[str],
+            sections: Mapping[str, Sequence[Any]], progress: str = "") -> str:  # fmt: skip
+    """Return one HTML file that opens offline: tables sort and filter, lines hide and show.
 
-    title: str
-    parts: Sequence[Any]
-
-
-@cache
-def _template() -> tuple[jinja2.Template, str]:
+    Args:
+        sections: by heading their parts: texts, lists of texts, tables, drawings and code.
+    """
     here = resources.files(__package__)
     environment = jinja2.Environment(autoescape=True, trim_blocks=True)
     template = environment.from_string((here / "page.html").read_text(encoding="utf-8"))
-    return template, (here / "page.js").read_text(encoding="utf-8")
-
-
-def to_html(name: str, question: str, answers: Sequence[str], sections: Sequence[Section],
-            progress: str = "") -> str:  # fmt: skip
-    """Return one HTML file that opens offline: tables sort and filter, lines hide and show."""
-    template, script = _template()
+    script = (here / "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    shown = [section for section in sections if section.parts]
+    shown = {title: parts for title, parts in sections.items() if parts}
     return template.render(name=name, question=question, answers=answers, sections=shown,
                            progress=progress, script=script, digest=digest, most=500)  # fmt: skip
 
@@ -117,9 +105,8 @@ def check_outputs(study: Any) -> None:
         InputError: with the nearest name that is.
     """
     outputs, script = study.definition.outputs, Script(study)
-    rooms = (("table", tables, outputs.tables), ("figure", figures, outputs.figures))
-    for kind, room, entries in rooms:
-        for entry in entries:
+    for kind, room in (("table", tables), ("figure", figures)):
+        for entry in getattr(outputs, f"{kind}s"):
             if not (isinstance(entry, str) and entry in script.functions):
                 read = read_entry(entry, room.NAMED, room.MEASURED, kind, script)
                 for pair in read.contrasts:
@@ -130,39 +117,37 @@ def check_outputs(study: Any) -> None:
 
 def headline(study: Any, cases: pd.DataFrame) -> str:
     """Return the one sentence of a study: the best and the worst candidate by its measure."""
-    outputs = study.definition.outputs
-    if "objective" in cases and not outputs.headline:
+    outputs, default = study.definition.outputs, "called-ok"
+    if np.isfinite(numbers(cases, "true_timescale")).any():
+        default = "timescale-error"
+    elif "objective" in cases:
+        default = "holdout-error" if np.isfinite(numbers(cases, "holdout_error")).any() else ""
+    if not (outputs.headline or default):
         return " ".join(solver_times.headline(cases))
-    truth = np.isfinite(numbers(cases, "true_timescale")).any()
-    each = measure(outputs.headline or ("timescale-error" if truth else "called-ok"))
-    values = each.values(cases)
+    each = measure(outputs.headline or default)
+    values, column = each.values(cases), tables.column_of(each)
     groups = grouped(cases, ["title"])
-    scores = pd.Series({str(title): each.summary_of(values[at]) for (title,), at in groups})
-    scores = scores.dropna()
-    if scores.empty:
+    every = {str(title): each.summary_of(values[at]) for (title,), at in groups}
+    scores = {title: value for title, value in every.items() if not math.isnan(value)}
+    if not scores:
         return f"No case has a number for the {each.phrase}."
-    size = -scores if each.more else scores.abs()
-    words, count = f"{each.phrase[:1].upper()}{each.phrase[1:]}", cases["flight"].nunique()
-    kind = "problem" if "objective" in cases else "flight"
-    several = cases["condition"].nunique()
-    where = f"over {count} {kind}{'s' * (count > 1)}"
+
+    def text(value: float) -> str:
+        return f"{cell_text(value, column)} {each.unit}".rstrip()
+
+    size, said = {t: -v if each.more else abs(v) for t, v in scores.items()}, list[str]()
+    for name in dict.fromkeys((min(size, key=size.__getitem__), max(size, key=size.__getitem__))):
+        others = [significant(value) for value in scores.values()].count(significant(scores[name]))
+        sharers = f"{name}{f' and {others - 1} more' if others > 1 else ''}"
+        said.append(f"{text(scores[name])} ({sharers})")
+    count, several = cases["flight"].nunique(), cases["condition"].nunique()
+    where = f"over {count} {'problem' if 'objective' in cases else 'flight'}{'s' * (count > 1)}"
     where += f" in {several} conditions" if several > 1 else ""
-    said = dict.fromkeys(_value(each, scores, at) for at in (size.idxmin(), size.idxmax()))
     failing = f"; {each.convention}" if each.miss is not None else ""
-    reference = outputs.reference
-    printed = None if reference is None else tables.printed_value(reference, each)
+    printed = tables.printed_value(outputs.reference, each)
     if printed is not None:
-        text = cell_text(printed, tables.column_of(each))
-        failing += f"; {reference.name}: {f'{text} {each.unit}'.rstrip()}"
-    return f"{words}, {where}: {' to '.join(said)}{failing}."
-
-
-def _value(each: Any, scores: pd.Series, name: Any) -> str:
-    """Return a score with its unit, its candidate, and how many others have the same."""
-    text = cell_text(scores[name], tables.column_of(each))
-    others = (scores.map(significant) == significant(scores[name])).sum() - 1
-    sharers = f"{name}{f' and {others} more' if others else ''}"
-    return f"{f'{text} {each.unit}'.rstrip()} ({sharers})"
+        failing += f"; {outputs.reference.name}: {text(printed)}"
+    return sentence(f"{each.phrase}, {where}: {' to '.join(said)}{failing}")
 
 
 def progress(study: Any, cases: pd.DataFrame) -> str:
@@ -214,16 +199,14 @@ def write(study: Any) -> list[Path]:
     files = {**table_files(study.name, made), **picture_files(pictures)}
     drawings = [drawing(name, each, files.get(f"{name}.svg", b"")) for name, each in
                 pictures.items()]  # fmt: skip
-    answer, state = headline(study, cases), progress(study, cases)
-    sections = [
-        Section("Tables", [each for each in made.values() if not each.varies]),
-        Section("Pictures", drawings),
-        Section("Times", [each for each in made.values() if each.varies]),
-        Section("This run", list(_run(study))),
-    ]
-    if "objective" in cases:
-        more, _, times, _ = sections
-        sections[0], sections[2] = Section("Solvers", times.parts), Section("More", more.parts)
+    answer, state, every = headline(study, cases), progress(study, cases), list(made.values())
+    steady = every if "objective" in cases else [each for each in every if not each.varies]
+    sections: dict[str, Sequence[Any]] = {
+        "Tables": steady,
+        "Pictures": drawings,
+        "Times": [each for each in every if each not in steady],
+        "This run": list(_run(study)),
+    }
     page = to_html(study.name, study.question, [answer], sections, state)
     readme = _readme(study, [answer, state], made, pictures, files)
     return write_files(study.folder, files | {"report.html": page.encode(), "README.md": readme})

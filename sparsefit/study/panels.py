@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,9 +30,8 @@ NAMED_CURVES = 10  # curves that a legend names; the rest are grey
 LOG_RANGE = 8.0  # largest over smallest, from which an axis is logarithmic
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Points (p,) of one line, and where they are known the ends (p,) of their intervals."""
+class Curve(NamedTuple):
+    """Points (p,) of one line, and where they are known the ends (2, p) of their intervals."""
 
     name: str
     x: Array
@@ -70,63 +69,56 @@ class Panel:
     is_share: bool = False
 
     @property
+    def names(self) -> list[str]:
+        """The names of x = 0, 1, ...; empty where x has numbers."""
+        return [] if isinstance(self.levels, np.ndarray) else list(self.levels)
+
+    @property
+    def bars(self) -> list[Curve]:
+        """The curves whose intervals are drawn: all by name, few along a number."""
+        crowded = not self.names and len(self.curves) > 4
+        return [] if crowded else [curve for curve in self.curves if curve.bars is not None]
+
+    @property
     def heights(self) -> Array:
-        """All finite heights of the curves, and of the intervals and marks of shares."""
-        more = [curve.bars.ravel() for curve in self.curves if curve.bars is not None]
-        more += [np.array([value for _, value in self.marks])] if self.is_share else []
-        every = np.concatenate([np.zeros(0), *more, *(curve.y for curve in self.curves)])
+        """All finite heights of the curves, of the intervals drawn, and of the marks of shares."""
+        parts = [curve.y for curve in self.curves]
+        parts += [curve.bars.ravel() for curve in self.bars if curve.bars is not None]
+        parts += [np.array([value for _, value in self.marks if self.is_share])]
+        every = np.concatenate(parts)
         return np.asarray(every[np.isfinite(every)])
 
 
-class Looks:
-    """A colour, a style and a marker by name; the same names look the same in every panel.
+def _named(panels_: Sequence[Panel], ranks: Ranks) -> dict[str, str]:
+    """Return what a legend calls each curve, the least rank first; empty for those in grey.
 
     Curves without a point are taken out of the panels, and so are those that coincide with another
-    in all of them; where more are left than a legend takes, it names those of the least rank.
+    in all of them; where more are there than a legend takes, it names those of the least rank.
     """
-
-    def __init__(self, panels_: Sequence[Panel], ranks: Ranks) -> None:
-        by_name: dict[str, dict[int, Curve]] = {}
-        for place, panel in enumerate(panels_):
-            for curve in panel.curves:
-                by_name.setdefault(curve.name, {})[place] = curve
-        twins, self.names = Counter[str](), list[str]()
-        for name, mine in by_name.items():
-            if not any(np.isfinite(curve.y).any() for curve in mine.values()):
-                continue
-            alike = (
-                other for other in self.names
-                if by_name[other].keys() == mine.keys()
-                and all(by_name[other][at].coincides(mine[at]) for at in mine)
-            )  # fmt: skip
-            twin = next(alike, name)
-            twins[twin] += 1
-            self.names += [name] if twin == name else []
-        if len(self.names) > NAMED_CURVES or ranks:
-            self.names.sort(key=lambda name: ranks.get(name, np.inf))
-        short = labels(self.names, 36) if self.names else {}
-        self.words = {
-            name: f"{short[name]} and {twins[name] - 1} alike" if twins[name] > 1 else short[name]
-            for name in self.names[:NAMED_CURVES]
-        }
-        for panel in panels_:
-            curves = {curve.name: curve for curve in panel.curves}
-            panel.curves = [curves[name] for name in self.names if name in curves]
-
-    def grey(self, more: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the look of the curves that a legend does not name, and their number."""
-        look = {"color": GREY, "ls": "-", "lw": 0.6, "alpha": 0.6, "ms": 3.0, "mew": 0, **more}
-        look["marker"] = "." if look["ls"] == "" else ""
-        words = f"{len(self.names) - NAMED_CURVES} others"
-        return {**look, "gid": "line-others", "label": words, "zorder": 2}
-
-    def of(self, name: str, more: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the look, the name in an SVG and the label of a line as arguments of `plot`."""
-        place = self.names.index(name)
-        colour, turn = place % len(COLOURS), place // len(COLOURS)
-        look = {"color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
-                "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)]}  # fmt: skip
-        return {**look, **more, "gid": f"line-{place}", "label": self.words[name], "zorder": 3}
+    by_name: dict[str, dict[int, Curve]] = {}
+    for place, panel in enumerate(panels_):
+        for curve in panel.curves:
+            by_name.setdefault(curve.name, {})[place] = curve
+    twins, names = Counter[str](), list[str]()
+    for name, mine in by_name.items():
+        if not any(np.isfinite(curve.y).any() for curve in mine.values()):
+            continue
+        alike = (
+            other for other in names
+            if by_name[other].keys() == mine.keys()
+            and all(by_name[other][at].coincides(mine[at]) for at in mine)
+        )  # fmt: skip
+        twin = next(alike, name)
+        twins[twin] += 1
+        names += [name] if twin == name else []
+    if len(names) > NAMED_CURVES or ranks:
+        names.sort(key=lambda name: ranks.get(name, np.inf))
+    for panel in panels_:
+        curves = {curve.name: curve for curve in panel.curves}
+        panel.curves = [curves[name] for name in names if name in curves]
+    more = {name: f" and {twins[name] - 1} alike" if twins[name] > 1 else "" for name in names}
+    short = labels(names[:NAMED_CURVES], 52)
+    return {name: f"{short[name]}{more[name]}" if name in short else "" for name in names}
 
 
 def drawn(grid: Sequence[Sequence[Panel]], height: float,
@@ -135,15 +127,16 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
 
     Words that a neighbour has too stand once; a row of panels has one range of y.
     """
-    looks = Looks([panel for row in grid for panel in row], ranks or {})
-    if not looks.names:
+    words = _named([panel for row in grid for panel in row], ranks or {})
+    if not words:
         return None
     figure, axes_grid = panels(len(grid), len(grid[0]), height=height)
     for place, (row, axes_row) in enumerate(zip(grid, axes_grid, strict=True)):
         heights = np.concatenate([panel.heights for panel in row])
         below = grid[place + 1] if place + 1 < len(grid) else None
         for at, (panel, axes) in enumerate(zip(row, axes_row, strict=True)):
-            _draw(axes, panel, looks, heights)
+            _draw(axes, panel, words)
+            _scale(axes, panel, heights)
             is_last = below is None or below[at].x_label != panel.x_label
             is_first = not at or row[at - 1].y_label != panel.y_label
             axes.set_xlabel(panel.x_label if is_last else "")
@@ -156,33 +149,43 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
     return figure
 
 
-def _draw(axes: Axes, panel: Panel, looks: Looks, heights: Array) -> None:
-    """Draw a panel; `heights` are those of its whole row."""
-    names = [] if isinstance(panel.levels, np.ndarray) else list(panel.levels)
-    count = len(panel.curves)
-    others = [curve for curve in panel.curves if curve.name not in looks.words]
+def _draw(axes: Axes, panel: Panel, words: Mapping[str, str]) -> None:
+    """Draw the curves of a panel: those that a legend names by colour, style and marker."""
+    names, count, with_bars = list(words), len(panel.curves), panel.bars
+    others = [curve for curve in panel.curves if not words[curve.name]]
     for order, curve in enumerate(panel.curves[: count - len(others)]):
-        look, x = looks.of(curve.name, panel.style), curve.x
+        place, x = names.index(curve.name), curve.x
+        colour, turn = place % len(COLOURS), place // len(COLOURS)
+        look: dict[str, Any] = {
+            "color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
+            "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)], **panel.style,
+            "gid": f"line-{place}", "zorder": 3,
+        }  # fmt: skip
         if look["ls"] == "":
             look["marker"] = look["marker"] or "."
-            x = x + 0.5 * ((order + 0.5) / count - 0.5) if names else x  # side by side
-        if curve.bars is not None and (names or count <= 4):
+            x = x + 0.5 * ((order + 0.5) / count - 0.5) if panel.names else x  # side by side
+        if curve.bars is not None and any(curve is each for each in with_bars):
             axes.vlines(x, *curve.bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
-        axes.plot(x, curve.y, **look)
+        axes.plot(x, curve.y, **look, label=words[curve.name])
     if others:  # one line of all, in pieces
-        gap = np.array([np.nan])
-        axes.plot(
-            np.concatenate([part for curve in others for part in (curve.x, gap)]),
-            np.concatenate([part for curve in others for part in (curve.y, gap)]),
-            **looks.grey(panel.style),
-        )
+        gap, look = np.array([np.nan]), {"ls": "-", **panel.style}
+        x, y = (np.concatenate([part for curve in others for part in (curve[at], gap)])
+                for at in (1, 2))  # fmt: skip
+        look |= {"color": GREY, "lw": 0.6, "alpha": 0.6, "ms": 3.0, "mew": 0, "zorder": 2}
+        look["marker"] = "." if look["ls"] == "" else ""
+        hidden = sum(not text for text in words.values())
+        axes.plot(x, y, **look, gid="line-others", label=f"{hidden} others")
     if not panel.heights.size:
         axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
     for axis, value in panel.marks:
         line = axes.axvline if axis == "x" else axes.axhline
         line(value, color=GREY, lw=0.8, ls="--", zorder=1)
-    if names:
-        short = list(labels(names, 28).values())
+
+
+def _scale(axes: Axes, panel: Panel, heights: Array) -> None:
+    """Set ends, scales and numbers of the axes; `heights` are those of the whole row."""
+    if panel.names:
+        short = list(labels(panel.names, 28).values())
         many = len(short) > 4 or any(len(text) > 14 for text in short)
         slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
         axes.set_xticks(range(len(short)), short, **(slant if many else {}))
@@ -197,7 +200,9 @@ def _draw(axes: Axes, panel: Panel, looks: Looks, heights: Array) -> None:
         if panel.is_share:
             ends = max(low - room, -3.0), min(high + room, 103.0)
         elif low >= 0 and high > LOG_RANGE * low:
-            ends, log = (max(low, TINY) / 1.4, 1.4 * high), f"{log}y"
+            low, log = max(low, TINY), f"{log}y"
+            room = max(1.4, (high / low) ** 0.06)
+            ends = low / room, high * room
     for axis, limits in (("x", panel.x_range), ("y", ends)):
         if axis in log:
             axes.set(**{f"{axis}scale": "log"})

@@ -312,7 +312,7 @@ class Study:
 
     def select(self, **rule: Any) -> Any:
         """The candidate to deploy, and why; options take the place of those in [select]."""
-        return import_module("sparsefit.study.choice").select(self, **rule)
+        return import_module("sparsefit.study.selection").select(self, **rule)
 
     @property
     def weights(self) -> pd.DataFrame:

@@ -6,7 +6,6 @@ import itertools
 import math
 import re
 import textwrap
-import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -54,6 +53,11 @@ class Column:
     def full(self) -> str:
         """The heading behind its group, for what has one line of headings."""
         return f"{self.group} {self.heading}".strip()
+
+
+def sentence(words: str) -> str:
+    """Return words as a sentence; nothing of nothing."""
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -209,30 +213,21 @@ class Table:
 
         Numbers are never cut: columns that do not fit follow in a further block behind the names.
         """
-        every, words = [self.heads, *self.texts(most)], self.is_text
-        widths = [max(map(_width, texts)) for texts in zip(*every, strict=True)]
-        names = list(range(max(1, sum(1 for _ in itertools.takewhile(bool, words)))))
-        while sum(widths[at] + 2 for at in names) > 0.6 * width:
-            widest = max(names, key=lambda at: widths[at])
-            if widths[widest] <= 12:  # a shorter name says nothing
-                break
-            widths[widest] -= 1
-        room, blocks = width - sum(widths[at] + 2 for at in names), [list[int]()]
-        for place in range(len(names), len(widths)):
-            widths[place] = min(widths[place], max(room, 12))
-            if blocks[-1] and sum(widths[at] + 2 for at in [*blocks[-1], place]) > room + 2:
-                blocks.append([])
-            blocks[-1].append(place)
-        every.insert(1, ["-" * size for size in widths])
-        parts = [
-            "\n".join(
-                "  ".join(_padded(row[at], widths[at], left=words[at]) for at in [*names, *block])
-                .rstrip() for row in every
-            )
-            for block in blocks
-        ]  # fmt: skip
+        words = sum(1 for _ in itertools.takewhile(bool, self.is_text))
+        names = min(words, len(self.columns) - 1)
+        room = max(12, int(0.6 * width / max(names, 1)))
+        every = [self.heads, *self.texts(most)]
+        every = [[_middle_out(text, room if at < names else width // 2) for at, text in
+                  enumerate(row)] for row in every]  # fmt: skip
+        sizes = [max(map(len, texts)) for texts in zip(*every, strict=True)]
+        behind = ["  ".join(map(str.ljust, row[:names], sizes)) for row in every]
+        frame = pd.DataFrame([row[names:] for row in every[1:]], behind[1:], every[0][names:])
+        frame.columns.name = behind[0]
+        with pd.option_context("display.unicode.east_asian_width", True):
+            text = frame.to_string(line_width=width, max_colwidth=None).replace(" \\\n", "\n")
+        body = "\n".join(line.rstrip() for line in text.splitlines())
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
-        return "\n\n".join([self.title, *parts, *notes]) + "\n"
+        return "\n\n".join([self.title, body, *notes]) + "\n"
 
     def _repr_html_(self) -> str:
         shown = pd.DataFrame(self.texts(60), columns=self.heads)
@@ -247,18 +242,7 @@ def _tex(text: str) -> str:
     return f"{{}}{text}" if text[:1] in ("[", "*") else text
 
 
-def _width(text: str) -> int:
-    """Return the columns of a monospaced screen that text takes."""
-    return sum(
-        0 if unicodedata.combining(sign) else 1 + (unicodedata.east_asian_width(sign) in "WF")
-        for sign in text
-    )
-
-
-def _padded(text: str, width: int, *, left: bool) -> str:
-    """Return text of this width; the middle of a longer one is left out, names differ at ends."""
-    if _width(text) > width:
-        half = (width - 1) // 2
-        text = f"{text[: width - 1 - half]}…{text[len(text) - half :]}"
-    blanks = " " * max(0, width - _width(text))
-    return text + blanks if left else blanks + text
+def _middle_out(text: str, most: int) -> str:
+    """Return text of at most so many letters, the middle of a longer one left out."""
+    half = (most - 1) // 2
+    return text if len(text) <= most else f"{text[: most - 1 - half]}…{text[-half:]}"

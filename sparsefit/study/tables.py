@@ -63,7 +63,7 @@ from sparsefit.study.resampling import (
     pooled,
     wilson,
 )
-from sparsefit.study.table import Column, Row, Table, Value
+from sparsefit.study.table import Column, Row, Table, Value, sentence
 
 ROWS = ("condition", "title")
 SUMMARY = (
@@ -71,7 +71,7 @@ SUMMARY = (
     "95th percentile largest-error", "silent-misses", "length-scale-coverage", "median seconds",
     "largest certificate",
 )  # fmt: skip
-PREDICTION = ("holdout-error", "support", "precision", "recall", "f1", "stability", "median wall")
+PREDICTION = ("holdout-error", "support", "precision", "recall", "f1", "stability")
 INTERVALS = (
     f"From, to: 95 %, by {RESAMPLES} draws of whole flights; a share of single cases: Wilson's."
 )
@@ -162,10 +162,6 @@ def _noted(made: Table, *notes: str) -> Table:
     return replace(made, notes=(*made.notes, *notes))
 
 
-def _sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:]}."
-
-
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group: planned, answered, and each measure, with its interval if asked."""
     parts = [
@@ -175,7 +171,7 @@ def settings(entry: Entry, cases: pd.DataFrame) -> Table:
     title = entry.name.replace("-", " ").capitalize() or "Measures"
     made = summarised(entry, cases, title, [*_counts(cases), *parts])
     conventions = dict.fromkeys(
-        _sentence(f"{each.phrase}: {each.convention}")
+        sentence(f"{each.phrase}: {each.convention}")
         for each in entry.measures if each.miss is not None
     )  # fmt: skip
     return _noted(made, *conventions, *([INTERVALS] if entry.interval else []))
@@ -196,9 +192,9 @@ def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
              only((levels == level).to_numpy(), values))
         for level in levels.cat.categories
     ]  # fmt: skip
-    title = f"{_sentence(each.phrase)[:-1]} along {words}"
+    title = f"{sentence(each.phrase)[:-1]} along {words}"
     made = summarised(entry, cases, title, [*_counts(cases), *parts], name_columns(cases, rows))
-    return _noted(made, _sentence(each.convention))
+    return _noted(made, sentence(each.convention))
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -397,7 +393,7 @@ def fitting(cases: pd.DataFrame) -> list[str]:
     """Return the names of the tables that have something to say about these cases."""
     if "objective" in cases:
         predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
-        return ["solvers", "winners", *predicted, "failed", "clock"]
+        return [*predicted, "solvers", "winners", "failed", "clock"]
     several = cases["flight"].nunique() > 1
     says = {
         "parameters": not several,
@@ -439,7 +435,7 @@ def tables(
         read = read_entry(entry, NAMED, MEASURED, "table", script)
         made = LAYOUTS[read.compare or "settings"](read, cases)
         reference = outputs.reference
-        if reference is not None and not read.compare and not read.interval:
+        if not read.compare and not read.interval:
             printed = [printed_value(reference, each) for each in read.measures]
             if any(value is not None for value in printed):
                 blank = [None] * (len(made.columns) - len(printed) - 4)
@@ -450,9 +446,9 @@ def tables(
 
 
 def printed_value(reference: Any, each: Measure) -> float | None:
-    """Return what a reference prints of a measure, None where it prints nothing."""
-    kinds = {"deviation": reference.deviation, "signed-error": reference.signed_error}
-    for kind, values in kinds.items():
+    """Return what a reference prints of a measure; None where it, or no reference, is printed."""
+    for kind in ("deviation", "signed-error"):
+        values = getattr(reference, kind.replace("-", "_"), ())
         if values and each.name in three(kind):
             return float(values[three(kind).index(each.name)])
     return None

@@ -129,7 +129,7 @@ class TestComparison:
         made = compare(timed(1.0), timed(1.5), ("a", "b"))
         effect = made.tables["effects"].frame.iloc[0]
         assert effect["verdict"] == "worse"
-        assert effect["time, second / first effect"] == pytest.approx(1.5)
+        assert effect["time, second / first: effect"] == pytest.approx(1.5)
         assert made.worse
         assert not made.differs  # no time is like another
         with pytest.raises(InputError, match="differ in points"):
