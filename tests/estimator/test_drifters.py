@@ -24,7 +24,7 @@ def track():
     return flight.position
 
 
-@pytest.mark.parametrize("days", [5, 10, pytest.param(25, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("days", [10, *(pytest.param(d, marks=pytest.mark.slow) for d in (5, 25))])
 def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days):
     estimator = sf.Estimator(library=sf.Library(GRID))
     for first in range(0, 25 * DAY - days * DAY + 1, 15 * DAY):

@@ -119,7 +119,7 @@ def test_a_run_leaves_every_case_in_plan_order(whole):
     assert again.finished
 
 
-@pytest.mark.parametrize("victim", ["parent", "worker"])
+@pytest.mark.parametrize("victim", ["parent", pytest.param("worker", marks=pytest.mark.slow)])
 def test_killed_and_resumed_is_as_if_never_killed(whole, tmp_path, victim):
     body = LASSO + SQUARES + '[[backends]]\nname = "hostile"\nseconds = 0.2\n' + SWEEP
     study = load(tmp_path, body)
@@ -445,6 +445,7 @@ def test_latency_and_variants_of_candidates(whole, tmp_path):
         study.again("0000-1")
 
 
+@pytest.mark.slow
 def test_rows_from_dask_are_those_of_processes(whole, tmp_path):
     pytest.importorskip("distributed")
     study = load(tmp_path, SQUARES + SWEEP, count=1)

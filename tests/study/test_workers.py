@@ -53,7 +53,9 @@ def command_of(path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a subreaper is of Linux")
-@pytest.mark.parametrize(("end", "seconds"), [("limit", "599.25"), ("kill", "599.5")])
+@pytest.mark.parametrize(
+    ("end", "seconds"), [("limit", "599.25"), pytest.param("kill", "599.5", marks=pytest.mark.slow)]
+)
 def test_what_leaves_its_session_ends_with_the_run(monkeypatch, end, seconds):
     """The deed `leave` starts `sleep` in a session of its own, twice removed."""
     monkeypatch.setenv("ASLEEP", seconds)
