@@ -36,7 +36,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, MissingExtra, one_of
 from sparsefit.study.schema import POSITIVE, Range, key
 
-MOST_VALUES = 64_000_000  # numbers in a problem: half a gigabyte
+MOST_VALUES = 128_000_000  # numbers in a problem: a gigabyte
 MOST_BYTES = 1 << 30  # of a file
 LABEL_BYTES = 256  # of a label of a group
 CLASSIFIED = ("digits", "iris", "wine", "breast-cancer")
