@@ -263,7 +263,11 @@ def measure_flow(
         if own.residual <= CHOICE.worse * least and within:
             likely.append(own)
     trials: list[tuple[Posterior, Posterior | None, Proposal]] = []
-    for proposal in lobes(likely, near)[: CHOICE.most]:
+    chosen = lobes(likely, near)[: CHOICE.most]
+    chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
+    for proposal in chosen:
+        if len(proposal.wavevectors) % 2 and not all(_loose(there) for there, _, _ in trials):
+            break
         pairs = zip(prepared.flights, proposal.vehicles, strict=True)
         pattern = _pattern(proposal)
         models = [model_of(pattern, *pair, proposal.background).free(*constants) for pair in pairs]
@@ -273,14 +277,16 @@ def measure_flow(
                 there = fitted(logs, with_process(there.models, process_of(name, there)), there)
         if there is not None and alike(there, proposal, near):
             trials.append((there, None, proposal))
-    trials.sort(key=_bic)
+    if not trials:
+        return None
+    trials.sort(key=lambda trial: (_loose(trial[0]), _bic(trial)))
     for place, (there, _, proposal) in enumerate(trials[: CHOICE.gusty]):
+        if _loose(there) > _loose(trials[0][0]):  # cells come first, the rest is turbulence
+            break
         if disturbed(there) and "turbulence" not in names:
             gusty = fitted(logs, with_process(there.models, process_of("turbulence", there)), there)
             if gusty is not None and alike(gusty, proposal, near):
                 trials[place] = there, gusty, proposal
-    if not trials:
-        return None
     trials.sort(key=lambda trial: (_loose(trial[0]), _bic(trial)))
     best, gusty, proposal = trials[0]
     likelier = gusty if gusty is not None and gusty.bic < best.bic else best

@@ -28,36 +28,18 @@ from sparsefit.likelihood.causes import ALIKE, FREEDOMS, SHAPES, Cause, Suspect
 from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior, measure
+from sparsefit.likelihood.posterior import Posterior, Rung, measure
 
-CHANCE = 2.0  # of log-likelihood, that process noise may gain where there is none
+FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all groups
+FITTED = 3  # groups of the largest gains that are fitted for good
+ROUNDS = 4  # departures that are freed one after another, at most
+CLEAR = 8.0  # times a first gain, to second order: what gained more already is what there is
+CALMER = 0.5  # of what wanders, and of its gain: a cause beside it explains as much at least
+TUNED = 3.0  # the factor between the rates that are tried of what wanders
+SEEN = 1e-9  # the least eigenvalue of the scaled information of a direction that is seen
+CHANCE = 2.0  # of log-likelihood, that a level may gain where it is none
 COLOURED = 1e-3  # the p-value of innovations that are not white
-
-
-@dataclass(frozen=True)
-class Suspicion:
-    """Settings of a diagnosis.
-
-    Args:
-        chance: of a gain as large in a flight without a cause, over all groups.
-        fitted: the groups of the largest gains that are fitted for good.
-        rounds: the departures that are freed one after another, at most.
-        clear: times the largest score: turbulence that gains more is what there is.
-        calmer: the share of the variance of what wanders, and of its gain, that a cause beside it
-            takes away at least: the spectrum of a disturbance is no more than a stand-in.
-        tuned: the factor between the rates that are tried of what wanders.
-        seen: the least eigenvalue of the scaled information of a direction that is seen.
-        noise: the degrees of freedom above which the level of process noise is real.
-    """
-
-    chance: float = 1e-4
-    fitted: int = 3
-    rounds: int = 4
-    clear: float = 8.0
-    calmer: float = 0.5
-    tuned: float = 3.0
-    seen: float = 1e-9
-    noise: float = 1.0
+SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +80,14 @@ class Trial:
         """True where the diagnosis is a misfit."""
         return self.cause is not None and not self.cause.answered
 
+    def size(self, before: Posterior, after: Posterior) -> tuple[float, ...]:
+        """The change of the elements of the cause, or the level of what wanders."""
+        assert self.cause is not None
+        if self.cause.wanders:
+            return (after.model.disturbance.levels[self.free],)
+        here, there = (own.models[max(self.flight, 1) - 1].values for own in (before, after))
+        return tuple(there[name] - here[name] for name in self.cause.elements if name in here)
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
@@ -126,7 +116,6 @@ def diagnose(
     shapes: bool = True,
     ready: Posterior | None = None,
     inside: Callable[[Posterior], bool] = lambda posterior: True,
-    settings: Suspicion = Suspicion(),
 ) -> Diagnosis:
     """Find causes, disturbances and a freer shape, one after another, from a flow's optimum.
 
@@ -137,87 +126,93 @@ def diagnose(
         shapes: whether a freer shape is an answer, and not a misfit.
         ready: the posterior with turbulence, where it is there already.
         inside: whether an optimum is still that of the flow that was proposed.
-        settings: of the diagnosis.
     """
     believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
     first, start, tests, gains = posterior, None, 1, dict[tuple[str, int], Gain]()
-    for _ in range(0 if posterior.exact else settings.rounds):
+
+    def score(trial: Trial) -> tuple[float, Trial, Posterior | None]:
+        """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
+        there = ready if trial.free == "turbulence" and ready else fitted(logs, trial.models, start)
+        if there is None or not usable(there) or not inside(there):
+            return -math.inf, trial, None
+        return there.log_likelihood - 2.0 * trial.freedom, trial, there
+
+    for _ in range(0 if posterior.exact else ROUNDS):
         shut = closed | {name for group in ALIKE if group & closed for name in group}
         groups = {
             name: cause.elements
             for name, cause in FREEDOMS.items()
             if name not in shut and cause.words and not cause.wanders
         }
-        gains = gains_of(posterior, groups | shape_groups(posterior.model), settings.seen)
-        tests = len(gains)
+        gains = gains_of(posterior, groups | shape_groups(posterior.model))
+        tests, start = len(gains), posterior
         likely = [
             (name, flight, gain)
             for (name, flight), gain in sorted(gains.items(), key=lambda item: -item[1].gain)
-            if tests * chance_of(gain.gain, len(gain.step)) < settings.chance
+            if tests * chance_of(gain.gain, len(gain.step)) < FALSE_ALARM
         ]
-        start = posterior
-        trials = [
-            Trial(with_process(start.models, process_of(name, start)), 2, cause, name)
-            for name, cause in FREEDOMS.items()
-            if cause.wanders and name not in closed and disturbed(start, settings.noise)
-        ]
-        scored = [_score(logs, trial, start, inside, ready) for trial in trials]
-        ready, most = None, max((merit for merit, *_ in scored), default=-math.inf)
-        if likely and not 2 * (most - start.log_likelihood) > settings.clear * likely[0][2].gain:
+        scored = []
+        most, needed = -math.inf, 2.0 * CHANCE  # the largest merit, and a first gain to compete
+        for name, cause in FREEDOMS.items() if disturbed(start) else ():
+            if cause.wanders and name not in closed:
+                process = process_of(name, start)
+                if (ready and name == "turbulence") or _scanned(start, process) > needed:
+                    scored.append(score(Trial(with_process(start.models, process), 2, cause, name)))
+                    most = max(most, scored[-1][0])
+                    needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
+        ready = None
+        if likely and likely[0][2].gain > needed:
             trials = [
                 _freed(start.models, FREEDOMS[name], name, flight, gain)
-                for name, flight, gain in [own for own in likely if own[0] in FREEDOMS]
-            ][: settings.fitted]
+                for name, flight, gain in likely
+                if name in FREEDOMS and gain.gain > max(needed, CALMER * wandering)
+            ][:FITTED]
             for name in dict.fromkeys(name for name, _, _ in likely if name in SHAPES):
                 trials += freer(start.models, name, answers=shapes)
             for trial in trials:
-                merit, _, there = _score(logs, trial, start, inside)
+                merit, _, there = score(trial)
                 if trial.suspicious and wandering and there is not None:
                     gained = 2.0 * (there.log_likelihood - start.log_likelihood)
-                    clear = there.converged and gained > settings.calmer * wandering
-                    calmer = clear and _calmer(there, start, settings.calmer)
-                    merit = merit if calmer else -math.inf
+                    clear = there.converged and gained > CALMER * wandering
+                    merit = merit if clear and _calmer(there, start) else -math.inf
                 scored.append((merit, trial, there))
         merit, best, there = max(scored, key=lambda item: item[0], default=(-math.inf, None, None))
         if best is None or there is None or not math.isfinite(merit):
             break
         gain_of_it = 2.0 * (there.log_likelihood - posterior.log_likelihood)
         chance = min(1.0, tests * chance_of(gain_of_it, best.freedom))
-        if not chance < settings.chance:
+        if not chance < FALSE_ALARM:
             break
         if best.cause is not None and best.cause.wanders:
-            there = _tuned(logs, there, best.free, settings.tuned, inside)
+            there = _tuned(logs, there, best.free, inside)
             wandering += gain_of_it
         if best.suspicious:
             assert best.cause is not None
-            size = _size(best, posterior, there)
+            size = best.size(posterior, there)
             suspects.append(
                 Suspect(best.cause.name, size, chance, gain_of_it, best.free, best.flight)
             )
         closed.add(best.free)
         posterior = there
         believed = believed if suspects else there
-    posterior, suspects = _significant(logs, first, posterior, suspects, tests, settings)
+    posterior, suspects = _significant(logs, first, posterior, suspects, tests)
     if posterior is not first:
         posterior = _simplest(logs, posterior, inside)
     believed = believed if suspects else posterior
     if posterior is not start:
-        gains = gains_of(posterior, {"growth": ("growth",)}, settings.seen)
+        gains = gains_of(posterior, {"growth": ("growth",)})
     return Diagnosis(posterior, believed, tuple(suspects), gains.get(("growth", 0)), wandering)
 
 
-def _score(
-    logs: Sequence[FlightLog],
-    trial: Trial,
-    start: Posterior,
-    inside: Callable[[Posterior], bool],
-    ready: Posterior | None = None,
-) -> tuple[float, Trial, Posterior | None]:
-    """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
-    there = ready if trial.free == "turbulence" and ready else fitted(logs, trial.models, start)
-    if there is None or not usable(there) or not inside(there):
-        return -math.inf, trial, None
-    return there.log_likelihood - 2.0 * trial.freedom, trial, there
+def _scanned(start: Posterior, process: Process) -> float:
+    """The gain of a process at the best of some levels, all but the parameters as it is."""
+    values = []
+    for share in SCANNED:
+        models = with_process(start.models, replace(process, level=share * process.level))
+        pairs = zip(start.legs, models, strict=True)
+        legs = tuple(leg.with_model(model) for leg, model in pairs)
+        values.append(Rung.of(legs, 0.0, process.name).value)
+    return 2.0 * (float(np.nanmax(values)) - start.log_likelihood)
 
 
 def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: Gain) -> Trial:
@@ -231,20 +226,9 @@ def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: 
     return Trial(tuple(moved), len(cause.elements), cause, name, flight)
 
 
-def _size(trial: Trial, before: Posterior, after: Posterior) -> tuple[float, ...]:
-    """The change of the elements of a cause, or the level of what wanders."""
-    assert trial.cause is not None
-    if trial.cause.wanders:
-        return (after.model.disturbance.levels[trial.free],)
-    own = max(trial.flight, 1) - 1
-    here, there = (each.models[own].values for each in (before, after))
-    return tuple(there[name] - here[name] for name in trial.cause.elements if
-                 name in here)  # fmt: skip
-
-
 def _significant(
     logs: Sequence[FlightLog], first: Posterior, posterior: Posterior, suspects: list[Suspect],
-    tests: int, settings: Suspicion,
+    tests: int,
 ) -> tuple[Posterior, list[Suspect]]:  # fmt: skip
     """The posterior without causes that others have made needless, the largest first."""
     significant = {}
@@ -265,14 +249,14 @@ def _significant(
         along = np.linalg.lstsq(known[np.ix_(others, others)], cross, rcond=1e-12)[0]
         wald = float(away @ (known[np.ix_(places, places)] - cross.T @ along) @ away)
         significant[suspect.free] = wald
-        if tests * chance_of(wald, len(places)) < settings.chance:
+        if tests * chance_of(wald, len(places)) < FALSE_ALARM:
             continue
         values = {name: first.value(name) for name in elements}
         models = [model.known(*elements).at(values) for model in posterior.models]
         there = fitted(logs, models, posterior)
         if there is not None and usable(there):
             remaining = [own for own in suspects if own is not suspect]
-            return _significant(logs, first, there, remaining, tests, settings)
+            return _significant(logs, first, there, remaining, tests)
     suspects.sort(key=lambda own: -significant.get(own.free, own.share))
     return posterior, suspects
 
@@ -298,24 +282,34 @@ def _simplest(
 
 
 def _tuned(
-    logs: Sequence[FlightLog], posterior: Posterior, name: str, factor: float,
-    inside: Callable[[Posterior], bool],
-) -> Posterior:  # fmt: skip
+    logs: Sequence[FlightLog], posterior: Posterior, name: str, inside: Callable[[Posterior], bool]
+) -> Posterior:
     """The posterior with the rate of a process, by steps of a factor, that is most likely."""
-    for step in (factor, 1.0 / factor):
-        for _ in range(3):
-            models = [
-                replace(model, disturbance=replace(model.disturbance, processes=tuple(
-                    replace(own, rate=own.rate * step) if own.name == name else own
-                    for own in model.disturbance.processes)))
-                for model in posterior.models
-            ]  # fmt: skip
-            there = fitted(logs, models, posterior)
-            if there is None or not usable(there) or not inside(there):
-                break
-            if there.log_likelihood < posterior.log_likelihood + 0.5:
-                break
-            posterior = there
+
+    def at(factor: float) -> list[Model]:
+        """The models at another rate, as strong at frequencies above."""
+        share = 1.0 / math.sqrt(factor)
+        return [
+            replace(model, disturbance=replace(model.disturbance, processes=tuple(
+                replace(own, rate=own.rate * factor, level=own.level * share)
+                if own.name == name else own for own in model.disturbance.processes)))
+            for model in posterior.models
+        ]  # fmt: skip
+
+    def scanned(factor: float) -> float:
+        """The log-likelihood at another rate, by one pass."""
+        pairs = zip(posterior.legs, at(factor), strict=True)
+        value = Rung.of(tuple(leg.with_model(model) for leg, model in pairs), 0.0, name).value
+        return value if math.isfinite(value) else -math.inf
+
+    factor = max((TUNED, 1.0 / TUNED), key=scanned)
+    for _ in range(3):
+        there = fitted(logs, at(factor), posterior)
+        if there is None or not usable(there) or not inside(there):
+            break
+        if there.log_likelihood < posterior.log_likelihood + 0.5:
+            break
+        posterior = there
     return posterior
 
 
@@ -371,14 +365,13 @@ def with_process(models: Sequence[Model], process: Process) -> tuple[Model, ...]
 
 
 def gains_of(
-    posterior: Posterior, groups: dict[str, tuple[str, ...]], seen: float = Suspicion.seen
+    posterior: Posterior, groups: dict[str, tuple[str, ...]]
 ) -> dict[tuple[str, int], Gain]:
     """Score tests of groups of elements from one forward pass at an optimum.
 
     Args:
         posterior: the optimum.
         groups: names of elements that are not free.
-        seen: the least eigenvalue of the scaled information of a direction that is seen.
 
     Returns:
         Gains by the name of a group and the number of the flight, from 1, whose own elements they
@@ -401,7 +394,7 @@ def gains_of(
             added = [names.index(f"{own}{suffix}") for own in elements]
             rest = free[np.ix_(added, added)]
             roots, axes = np.linalg.eigh(0.5 * (rest + rest.T))
-            roots, axes = roots[roots > seen], axes[:, roots > seen]
+            roots, axes = roots[roots > SEEN], axes[:, roots > SEEN]
             along_axes = axes.T @ efficient[added]
             step = axes @ (along_axes / roots) / size[added]
             error = np.sqrt(np.sum(axes**2 / roots, axis=1)) / size[added]
@@ -417,19 +410,19 @@ def chance_of(gain: float, freedom: int) -> float:
     return float(chdtrc(freedom, max(gain, 0.0)))
 
 
-def disturbed(posterior: Posterior, least: float = Suspicion.noise) -> bool:
+def disturbed(posterior: Posterior) -> bool:
     """Whether there is process noise, or colour: a level is seen, and is more than chance."""
     information = posterior.level_information
-    if posterior.exact or not information.size or not float(information[0, 0]) > least:
+    if posterior.exact or not information.size or not float(information[0, 0]) > 1.0:
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
 
 
-def _calmer(there: Posterior, here: Posterior, share: float) -> bool:
+def _calmer(there: Posterior, here: Posterior) -> bool:
     """Whether one posterior has less of every disturbance that wanders than another."""
     before, after = (own.model.disturbance.processes for own in (here, there))
     pairs = zip(before, after, strict=False)
-    return all(new.level**2 <= (1.0 - share) * old.level**2 for old, new in pairs)
+    return all(new.level**2 <= (1.0 - CALMER) * old.level**2 for old, new in pairs)
 
 
 def shape_groups(model: Model) -> dict[str, tuple[str, ...]]:

@@ -19,6 +19,7 @@ from sparsefit.likelihood.causes import Suspect
 from sparsefit.likelihood.diagnosis import Diagnosis
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.posterior import Posterior
+from sparsefit.likelihood.trellis import Leg
 
 NORMAL_95 = 1.959963984540054
 
@@ -95,7 +96,7 @@ class Goodness:
         whiteness: the probability that white innovations show as much structure in time: below
             0.01 there is more than noise.
         likelihood_ratio: 2 ln(likelihood ratio) of turbulence against none.
-        turbulence: the turbulence along the path, rms of a component [m/s]; 0 where there is none.
+        turbulence: along the path, rms of a component about its mean [m/s]; 0 where there is none.
         turbulence_share: the same over the mean velocity U0 of the fastest flow.
         suspect: what explains the flight beside its flow, where something does.
         flight: of several flights the number of the one that says so, from 1; else 0.
@@ -115,7 +116,7 @@ class Goodness:
     def of(cls, posterior: Posterior, diagnosis: Diagnosis) -> Goodness:
         """From a posterior, and the diagnosis behind it."""
         speed = posterior.model.pattern.mean_velocity
-        gusts, kicks = np.array([_disturbances(model) for model in posterior.models]).T
+        gusts, kicks = np.array([_disturbances(leg) for leg in posterior.legs]).T
         every = posterior.whiteness
         each = [
             cls(explained(speed**2 / 4, gust + kick, 0.0), white)
@@ -133,13 +134,22 @@ class Goodness:
         )
 
 
-def _disturbances(model: Model) -> tuple[float, float]:
-    """The mean squares [m^2/s^2] of turbulence, and of what process noise is worth in the band."""
-    pattern = model.pattern
+def _disturbances(leg: Leg) -> tuple[float, float]:
+    """The mean squares [m^2/s^2] of turbulence and of process noise, within the flight's band.
+
+    With a = beta T, a process of rate beta varies within a time T by 1 - 2/a + 2 (1 - exp(-a))/a^2
+    of its variance; the rest is a wind.
+    """
+    model, pattern = leg.model, leg.model.pattern
     timescale = pattern.length_scale / pattern.mean_velocity
     tau = min(model.values["response_time"], timescale)
     kicks = (model.disturbance.acceleration * tau) ** 2 / (2 * timescale)
-    return model.disturbance.levels.get("turbulence", 0.0) ** 2, kicks
+    gusts = 0.0
+    for process in model.disturbance.processes:
+        if process.name == "turbulence":
+            times = process.rate * float(leg.nodes.time[-1] - leg.nodes.time[0])
+            gusts = process.level**2 * (1.0 - 2.0 / times + 2.0 * -math.expm1(-times) / times**2)
+    return gusts, kicks
 
 
 @dataclass(frozen=True)

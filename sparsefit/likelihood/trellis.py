@@ -86,6 +86,13 @@ class Leg:
         disturbance = self.model.disturbance.at(levels)
         return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
 
+    def with_model(self, model: Model) -> Leg:
+        """The leg under another model of the same flow, what is new of its state about 0."""
+        width = 4 + len(StateSpace.of(model).walkers)
+        track = np.zeros((len(self.track), width))
+        track[:, : self.track.shape[1]] = self.track[:, :width]
+        return replace(self, model=model, track=track, last=None)
+
     def louder(self, height: float, name: str = "acceleration") -> Leg:
         """The leg with a level times exp(height)."""
         return self.at({name: self.model.disturbance.levels[name] * math.exp(height)})
