@@ -12,7 +12,6 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.errors import InputError
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
@@ -63,8 +62,7 @@ class STLSQ(Checked):
 
     mode: ``scaled`` works in columns of unit rms, with ridge relative to Z'Z/m and the threshold
     relative to the rms of the target, so neither depends on units or the number of samples.
-    ``pysindy`` is PySINDy's STLSQ: threshold and ridge (its alpha) act on the plain sum of
-    squares; ``normalize_columns`` divides columns by their 2-norm first, as its option does.
+    ``pysindy`` is PySINDy's STLSQ: threshold and ridge (its alpha) act on the plain sum of squares.
     threshold: None is 0.03 in mode ``scaled`` and PySINDy's 0.1 in mode ``pysindy``. Columns
     that resemble each other share a ridge's weight: the largest scaled weight is well below 1.
     Raises InputError on settings that are out of range.
@@ -77,17 +75,12 @@ class STLSQ(Checked):
     ridge: float = setting(0.05, low=0.0)
     unbias: bool = True
     max_iterations: int = setting(20, least=1)
-    normalize_columns: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.threshold is None:
             default = {"scaled": 0.03, "pysindy": 0.1}[self.mode]
             object.__setattr__(self, "threshold", default)
-        if self.normalize_columns and self.mode == "scaled":
-            raise InputError(
-                "stlsq: normalize_columns belongs to mode 'pysindy'; mode 'scaled' always scales"
-            )
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights on the support that thresholding leaves."""
@@ -146,11 +139,10 @@ class _System:
         if settings.mode == "scaled":
             limit = least * np.sqrt(s.target_square)
             return cls(problem, s.gram, s.cross, s.rms, settings.ridge, limit, s.samples)
-        scale = s.rms * np.sqrt(s.samples) if settings.normalize_columns else np.ones_like(s.rms)
-        lift = s.rms / scale
-        gram = s.gram * (lift[:, None] * lift * s.samples)
-        cross, limit = s.cross * (lift[:, None] * s.samples), np.full(len(s.target_square), least)
-        return cls(problem, gram, cross, scale, settings.ridge, limit, 1)
+        gram, cross = s.gram * (s.rms[:, None] * s.rms * s.samples), s.cross * s.rms[:, None]
+        limit = np.full(len(s.target_square), least)
+        ones = np.ones_like(s.rms)
+        return cls(problem, gram, cross * s.samples, ones, settings.ridge, limit, 1)
 
     def thresholded(self, support: BoolArray) -> tuple[Array, BoolArray]:
         """The ridge fits (k, n) on a support (k, n) where they reach the threshold, and where."""

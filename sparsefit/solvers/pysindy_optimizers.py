@@ -1,15 +1,14 @@
-"""PySINDy's optimizers beside ours: STLSQ, SR3, SSR and FROLS, as PySINDy runs them (extra peers).
+"""PySINDy's optimizers beside ours: STLSQ and SR3, as PySINDy runs them (extra peers).
 
-None minimises what our convex back-ends do, so each is held to its own rule, worked out here again:
-STLSQ, SSR and FROLS fit a support by least squares, which one more thresholding keeps, or which the
-greedy rule finds for as many terms; the weights U of SR3 are those that one more of its steps
+Neither minimises what our convex back-ends do, so each is held to its own rule, worked out here
+again: STLSQ fits a support by least squares, which one more thresholding keeps; the weights U of
+SR3 are those that one more of its steps
 
     U <- U' where |U'| > threshold, else 0,   U' = (X'X + I/nu)^-1 (X'Y + U/nu)
 
 gives again. Settings act on the columns as they are, in PySINDy's conventions.
 
-Sources: Brunton, Proctor and Kutz (PNAS 2016), STLSQ; Zheng et al. (IEEE Access 2019), SR3;
-Boninsegna, Nueske and Clementi (J. Chem. Phys. 2018), SSR; Billings (2013), FROLS.
+Sources: Brunton, Proctor and Kutz (PNAS 2016), STLSQ; Zheng et al. (IEEE Access 2019), SR3.
 """
 
 import warnings
@@ -20,7 +19,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array
 from sparsefit.errors import MissingExtra, described, one_line
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
@@ -31,14 +30,13 @@ from sparsefit.regression.problem import RegressionProblem
 class PySindy(Checked):
     """An optimizer of PySINDy.
 
-    threshold: of the weights, STLSQ and SR3; ridge: PySINDy's alpha, all but SR3; relaxation: nu
-    of SR3. max_iterations: for SSR the most columns that leave, for FROLS the most that enter.
-    Raises InputError on settings that are out of range, and MissingExtra without PySINDy.
+    threshold: of the weights; ridge: PySINDy's alpha, of STLSQ; relaxation: nu of SR3. Raises
+    InputError on settings that are out of range, and MissingExtra without PySINDy.
     """
 
     name: ClassVar[str] = "pysindy"
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
-    optimizer: Literal["STLSQ", "SR3", "SSR", "FROLS"] = "STLSQ"
+    optimizer: Literal["STLSQ", "SR3"] = "STLSQ"
     threshold: float = setting(0.1, low=0.0)
     ridge: float = setting(0.05, low=0.0)
     max_iterations: int = setting(20, least=1)
@@ -52,10 +50,8 @@ class PySindy(Checked):
     def solve(self, problem: RegressionProblem) -> Solution:
         """The optimizer's weights; what it warns of is its status."""
         package: Any = import_module("pysindy")  # seconds: not before it is needed
-        settings: dict[str, Any] = {"alpha": self.ridge}
-        if self.optimizer == "STLSQ":
-            settings["threshold"] = self.threshold
-        elif self.optimizer == "SR3":
+        settings: dict[str, Any] = {"alpha": self.ridge, "threshold": self.threshold}
+        if self.optimizer == "SR3":
             weight = self.threshold**2 / (2.0 * self.relaxation)
             # Its tolerance of 1e-5 is looser than what a certificate is asked for.
             settings = {"reg_weight_lam": weight, "relax_coeff_nu": self.relaxation, "tol": 1e-12}
@@ -84,42 +80,8 @@ class PySindy(Checked):
             return np.where(np.abs(step) > self.threshold, step, 0.0)
         for target, values in enumerate(problem.target.T):
             on = np.flatnonzero(weights[:, target])
-            if self.optimizer == "STLSQ":
-                fitted = _ridge_fit(theta[:, on], values, self.ridge)
-                on = on[np.abs(fitted) >= self.threshold]
-            elif self.optimizer == "SSR":
-                on = _eliminated(theta, values, len(on), self.ridge)
-            else:
-                on = _selected(theta, values, len(on))
+            normal = theta[:, on].T @ theta[:, on] + self.ridge * np.eye(len(on))
+            fitted = np.linalg.solve(normal, theta[:, on].T @ values)
+            on = on[np.abs(fitted) >= self.threshold]
             following[on, target] = np.linalg.lstsq(theta[:, on], values)[0]
         return following
-
-
-def _ridge_fit(theta: Array, values: Array, ridge: float) -> Any:
-    normal = theta.T @ theta + ridge * np.eye(theta.shape[1])
-    return np.linalg.solve(normal, theta.T @ values)
-
-
-def _eliminated(theta: Array, values: Array, count: int, ridge: float) -> IntArray:
-    """Backward: the smallest weight of a ridge fit leaves, until ``count`` columns remain."""
-    on = np.arange(theta.shape[1])
-    while len(on) > count:
-        fitted = _ridge_fit(theta[:, on], values, ridge)
-        on = np.delete(on, np.argmin(np.abs(fitted)))
-    return on
-
-
-def _selected(theta: Array, values: Array, count: int) -> IntArray:
-    """Forward: the column that takes most of the residual, orthogonal to those before it."""
-    rest, residual, on = theta.copy(), values.copy(), np.zeros(0, dtype=np.intp)
-    for _ in range(count):
-        squares = np.einsum("ij,ij->j", rest, rest)
-        usable = squares > 0.0
-        usable[on] = False
-        taken = np.where(usable, (rest.T @ residual) ** 2 / np.where(usable, squares, 1.0), -1.0)
-        best = int(np.argmax(taken))
-        on = np.sort(np.append(on, best))
-        direction = rest[:, best] / np.sqrt(squares[best])
-        residual = residual - direction * (direction @ residual)
-        rest = rest - np.outer(direction, direction @ rest)
-    return on

@@ -171,20 +171,18 @@ libraries = st.builds(
 solvers = st.one_of(
     st.builds(backends.load("least-squares"), st.none() | st.floats(0.0, 1.0)),
     st.builds(
-        lambda threshold, ridge, unbias, count, normalize: backends.get(
+        lambda threshold, ridge, unbias, count: backends.get(
             "stlsq",
             mode="pysindy",
             threshold=threshold,
             ridge=ridge,
             unbias=unbias,
             max_iterations=count,
-            normalize_columns=normalize,
         ),
         st.floats(0.0, 1e9),
         st.floats(0.0, 1e9),
         st.booleans(),
         st.integers(1, 99),
-        st.booleans(),
     ),
     st.builds(backends.load("lasso"), fractions, st.sampled_from(["homotopy", "clarabel", "osqp"])),
     st.builds(

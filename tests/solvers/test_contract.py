@@ -42,7 +42,7 @@ SETTINGS = [
     ("stlsq", {"unbias": False}),
     ("stlsq", {"ridge": 0.0, "threshold": 0.3}),
     ("stlsq", {"mode": "pysindy", "threshold": 0.1}),
-    ("stlsq", {"mode": "pysindy", "threshold": 0.5, "normalize_columns": True, "unbias": False}),
+    ("stlsq", {"mode": "pysindy", "threshold": 0.5, "unbias": False}),
     ("lasso", {"alpha_fraction": 0.5}),
     ("lasso", {"alpha_fraction": 1e-4}),
     ("group-lasso", {"alpha_fraction": 0.5}),

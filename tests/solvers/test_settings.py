@@ -37,8 +37,6 @@ REFUSED = [
     *(("stlsq", "ridge", value, "ridge") for value in (-1.0, "0.1")),
     *(("stlsq", "max_iterations", value, "max_iterations") for value in (0, 2.5, True)),
     ("stlsq", "unbias", 1, "unbias"),
-    ("stlsq", "normalize_columns", "yes", "normalize_columns"),
-    ("stlsq", "normalize_columns", True, "belongs to mode 'pysindy'"),
 ]
 CONVEX = [
     ("lasso", {}, range(6)),

@@ -58,12 +58,11 @@ def random_problem(seed):
     return RegressionProblem.from_arrays(theta, theta @ weights + 0.2 * rng.normal(size=(m, n)))
 
 
-@pytest.mark.parametrize("normalize", [False, True])
 @pytest.mark.parametrize("unbias", [False, True])
 @pytest.mark.parametrize("max_iterations", [1, 2, 3, 20])
 @pytest.mark.parametrize("ridge", [0.0, 0.05, 5.0])
 @pytest.mark.parametrize("threshold", [0.0, 0.05, 0.5, 1.5])
-def test_pysindy_agrees(threshold, ridge, max_iterations, unbias, normalize):
+def test_pysindy_agrees(threshold, ridge, max_iterations, unbias):
     for seed in range(2):
         problem = random_problem(seed)
         expected, warned = theirs(
@@ -72,7 +71,6 @@ def test_pysindy_agrees(threshold, ridge, max_iterations, unbias, normalize):
             ridge=ridge,
             max_iterations=max_iterations,
             unbias=unbias,
-            normalize_columns=normalize,
         )
         found = ours(
             problem,
@@ -80,7 +78,6 @@ def test_pysindy_agrees(threshold, ridge, max_iterations, unbias, normalize):
             ridge=ridge,
             max_iterations=max_iterations,
             unbias=unbias,
-            normalize_columns=normalize,
         )
         if found.weights is None:
             assert not expected.any()
