@@ -6,7 +6,7 @@ cannot be loaded is listed with its error and raises it when asked for, it does 
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
 from types import MappingProxyType
@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from sparsefit.errors import InputError, SparsefitError, described, is_integer, unknown
+from sparsefit.errors import InputError, is_integer, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
-from sparsefit.regression.backend import Backend, Solution, quiet, settings_of
+from sparsefit.regression.backend import Backend, Solution, imported, made, settings_of
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import path as certified_path
 from sparsefit.regression.penalty_choice import FRACTIONS
@@ -101,11 +101,7 @@ def load(name: str) -> type[Backend]:
     if name not in _plugins():
         raise unknown("back-end", name, (*known(), *PUBLIC))
     where = f"back-end {name!r} (plug-in {_plugins()[name].value})"
-    try:
-        with quiet():
-            loaded = _plugins()[name].load()
-    except (Exception, SystemExit) as error:  # a plug-in may raise anything on import
-        raise InputError(f"{where} cannot be loaded: {described(error)}") from error
+    loaded = imported(where, _plugins()[name].load)
     if not (is_dataclass(loaded) and callable(getattr(loaded, "solve", None))):
         raise InputError(f"{where} is not a frozen dataclass with a `solve` method")
     for needed in ("name", "certificate_kind"):
@@ -119,23 +115,8 @@ def get(name: str, **settings: Any) -> Backend:
 
     Raises InputError on an unknown name, an unknown setting or a value out of range.
     """
-    backend = load(name)
-    own = {item.name: item.type for item in fields(cast(Any, backend))}
-    for key in settings:
-        if key not in own:
-            raise unknown(f"setting of {name}", key, own)
-    if name in BACKENDS or name in PUBLIC:
-        return backend(**settings)
-    for key, value in settings.items():  # a plug-in may check none of them, or refuse in any words
-        if own[key] in (int, float, "int", "float") and isinstance(value, str):
-            raise InputError(f"{name}: {key} must be a number, not {value!r}")
-    try:
-        with quiet():
-            return backend(**settings)
-    except SparsefitError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise InputError(f"back-end {name!r} refuses these settings: {error}") from None
+    backend: Backend = made(name, load(name), settings)
+    return backend
 
 
 def named(backend: Backend | str) -> Backend:

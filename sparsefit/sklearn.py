@@ -21,15 +21,7 @@ from scipy.sparse import issparse
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends import BACKENDS, get, load, named
-from sparsefit.errors import (
-    InputError,
-    MissingExtra,
-    SparsefitError,
-    flag_setting,
-    number_setting,
-    unknown,
-)
-from sparsefit.regression.answer import Fit
+from sparsefit.errors import InputError, MissingExtra, SparsefitError, unknown
 from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import fit as certified
@@ -110,9 +102,6 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         are ValueError.
         """
         backend = self._backend()
-        owner, tolerance = type(self).__name__, self.certificate_tolerance
-        flag_setting(owner, "fit_intercept", self.fit_intercept)
-        number_setting(owner, "certificate_tolerance", tolerance, low=0.0)
         design, target = validate_data(
             self,
             X,
@@ -123,19 +112,33 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
             y_numeric=True,
             ensure_min_samples=2 if self.fit_intercept else 1,
         )
-        weight = _checked_weight(sample_weight, design.shape[0])
-        values = target.astype(np.float64).reshape(design.shape[0], -1)
-        groups = _checked_groups(self.groups, design.shape[1])
-        names = np.array(
-            getattr(self, "feature_names_in_", [f"x{i}" for i in range(design.shape[1])])
-        )
+        samples, columns = design.shape
+        weight = np.ones(samples)
+        if sample_weight is not None:
+            weight = check_array(
+                sample_weight, ensure_2d=False, dtype=np.float64, input_name="sample_weight"
+            )
+            if weight.shape != (samples,) or np.any(weight < 0) or not weight.any():
+                words = f"sample_weight must have {samples} numbers, none negative and not all zero"
+                raise InputError(f"{words}, not the shape {weight.shape}")
+        groups = np.arange(columns) if self.groups is None else np.asarray(self.groups)
+        if groups.shape != (columns,):
+            words = f"groups must have one label per column: X has {columns} columns"
+            raise InputError(f"{words}, groups the shape {groups.shape}")
+        named_as = getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)])
+        values = target.astype(np.float64).reshape(samples, -1)
         posed = _sparse if issparse(design) else _dense
         problem, varies, mean, level = posed(
-            design, values, groups, names, weight, centred=self.fit_intercept
+            design, values, groups, np.array(named_as), weight, centred=self.fit_intercept
         )
-        fitted = certified(problem, backend, tolerance=tolerance)
-        _tell(fitted)
-        coefficients = np.zeros((values.shape[1], design.shape[1]))
+        fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
+        words = f"{fitted.status}: {fitted.reason}"
+        if not np.isfinite(fitted.weights).all():
+            raise FitFailed(f"{backend.name} has no answer, {words}")
+        if fitted.status != "ok":
+            words = f"{backend.name} is not certified, {words}"
+            warnings.warn(words, ConvergenceWarning, stacklevel=2)
+        coefficients = np.zeros((values.shape[1], columns))
         coefficients[:, varies] = fitted.weights.T
         intercept = level - coefficients @ mean
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
@@ -248,13 +251,14 @@ def __getattr__(name: str) -> Any:
     if name not in NAMED:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     backend = load(NAMED[name])
-    settings = [(one.name, Any, field(default=one.default)) for one in fields(cast(Any, backend))]
+    own = f"{(backend.__doc__ or '').strip()}\n\n    `SparseRegressor` tells of the rest."
+    settings = [(f.name, Any, field(default=f.default)) for f in fields(cast(Any, backend))]
     shared = [(key, Any, field(default=value)) for key, value in SHARED.items()]
     made = make_dataclass(
         name,
         [*settings, *shared],
         bases=(_Named,),
-        namespace={"__doc__": _described(backend), "__module__": __name__, "_name": NAMED[name]},
+        namespace={"__doc__": own, "__module__": __name__, "_name": NAMED[name]},
         eq=False,
         repr=False,
         kw_only=True,
@@ -265,42 +269,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-def _described(backend: type[Backend]) -> str:
-    own = (backend.__doc__ or "").strip()
-    return f"{own}\n\n    `SparseRegressor` tells of the other parameters and the attributes."
-
-
-def _checked_weight(given: ArrayLike | None, samples: int) -> Array:
-    """The sample weights (m,). Raises InputError unless they are >= 0 and one of them is not 0."""
-    if given is None:
-        return np.ones(samples)
-    weight: Array = check_array(
-        given, ensure_2d=False, dtype=np.float64, input_name="sample_weight"
-    )
-    if weight.shape != (samples,):
-        raise InputError(f"sample_weight must have shape ({samples},), not {weight.shape}")
-    if np.any(weight < 0) or not weight.any():
-        raise InputError("sample_weight must not be negative, nor zero for every sample")
-    return weight
-
-
-def _checked_groups(given: ArrayLike | None, columns: int) -> np.ndarray[Any, Any]:
-    """A label for each column. Raises InputError where there are not as many."""
-    labels = np.arange(columns) if given is None else np.asarray(given)
-    if labels.shape != (columns,):
-        raise InputError(
-            f"groups must have one label per column: X has {columns} columns, groups the shape "
-            f"{labels.shape}"
-        )
-    return labels
-
-
-def _tell(fitted: Fit) -> None:
-    """Raise FitFailed on a fit without weights, and warn of one that is not proven."""
-    name, words = fitted.backend.name, f"{fitted.status}: {fitted.reason}"
-    if not np.isfinite(fitted.weights).all():
-        raise FitFailed(f"{name} has no answer, {words}")
-    if fitted.status != "ok":
-        warnings.warn(f"{name} is not certified, {words}", ConvergenceWarning, stacklevel=3)

@@ -121,7 +121,7 @@ def test_what_is_not_proven_is_warned_of_and_what_failed_raises():
         regressors.STLSQ(threshold=5.0).fit(design, target)
     with pytest.raises(ValueError, match="alpha_fraction must be"):
         regressors.Lasso(alpha_fraction=2.0).fit(design, target)
-    with pytest.raises(InputError, match="Lasso: certificate_tolerance must be a number"):
+    with pytest.raises(InputError, match="tolerance must be a number"):
         regressors.Lasso(certificate_tolerance="small").fit(design, target)
     with pytest.raises(InputError, match="groups must have labels of one kind"):
         regressors.Lasso(groups=[None, 1, 2, 3, 4, 5, 6, 7]).fit(design, target)

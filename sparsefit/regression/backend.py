@@ -1,14 +1,23 @@
 """What a back-end is: frozen settings and a pure ``solve``."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Literal, Protocol, get_args, get_origin, runtime_checkable
 
 from sparsefit.arrays import Array
 from sparsefit.codec import plain
-from sparsefit.errors import InputError, flag_setting, integer_setting, number_setting, one_of
+from sparsefit.errors import (
+    InputError,
+    SparsefitError,
+    described,
+    flag_setting,
+    integer_setting,
+    number_setting,
+    one_of,
+    unknown,
+)
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -140,6 +149,33 @@ class Checked:
 def settings_of(backend: Any) -> dict[str, Any]:
     """The settings of a back-end, JSON-ready, in the order of its fields."""
     return plain(backend)
+
+
+def imported(where: str, load: Callable[[], Any]) -> Any:
+    """The answer of code of others on import. Raises InputError whatever that raises."""
+    try:
+        with quiet():
+            return load()
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{where} cannot be loaded: {described(error)}") from error
+
+
+def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any:
+    """``cls(**settings, **preset)``, a dataclass; what: `back-end 'lasso'`, say.
+
+    Raises InputError on an unknown setting, and on values that code of others refuses.
+    """
+    valid = [item.name for item in fields(cls) if item.init and item.name not in preset]
+    for key in settings:
+        if key not in valid:
+            raise unknown(f"setting of {what}", key, valid)
+    try:
+        with quiet():
+            return cls(**settings, **preset)
+    except SparsefitError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} refuses these settings: {error}") from None
 
 
 @contextmanager

@@ -21,7 +21,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter, process_time
@@ -32,7 +32,7 @@ from scipy import sparse
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, described, one_line, unknown
-from sparsefit.regression.backend import Solution, quiet
+from sparsefit.regression.backend import Solution, imported, made
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -115,7 +115,7 @@ class Recipe:
             return SHIPPED.get(self.name, Cvxpy)
         if self.name not in _plugins():
             raise unknown("solver", self.name, (*solver_names(), *BEHIND_CVXPY))
-        owner = _imported(f"solver {self.name!r} (plug-in)", _plugins()[self.name].load)
+        owner = imported(f"solver {self.name!r} (plug-in)", _plugins()[self.name].load)
         return _checked(self.name, owner)
 
     def make(self) -> Solver:
@@ -125,20 +125,10 @@ class Recipe:
             return Command(self.name, self.command, folder, dict(self.settings))
         owner = self.owner
         preset = {"solver": self.name} if owner is Cvxpy else {}
-        valid = [item.name for item in fields(owner) if item.init and item.name not in preset]
-        for key in self.settings:
-            if key not in valid:
-                raise unknown(f"setting of solver {self.name}", key, valid)
         if self.package and importlib.util.find_spec(self.package) is None:
             extra = getattr(owner, "extra", self.package)
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
-        try:
-            with quiet():
-                return cast(Solver, owner(**self.settings, **preset))
-        except SparsefitError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(f"solver {self.name!r} refuses these settings: {error}") from None
+        return cast(Solver, made(f"solver {self.name}", owner, self.settings, **preset))
 
     @property
     def missing(self) -> str:
@@ -233,7 +223,7 @@ def _classes_of(file: str) -> Mapping[str, type[Solver]]:
         raise InputError(f"{path}: no such Python file of solvers")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module  # dataclasses look their module up by its name
-    _imported(str(path), partial(spec.loader.exec_module, module))
+    imported(str(path), partial(spec.loader.exec_module, module))
     classes = [
         cls
         for cls in vars(module).values()
@@ -243,14 +233,6 @@ def _classes_of(file: str) -> Mapping[str, type[Solver]]:
     if not classes:
         raise InputError(f"{path} has no frozen dataclass with a `name` and a `path` method")
     return {cls.name: _checked(cls.name, cls) for cls in classes}
-
-
-def _imported(where: str, load: Any) -> Any:
-    try:
-        with quiet():
-            return load()
-    except (Exception, SystemExit) as error:  # code of others may raise anything on import
-        raise InputError(f"{where} cannot be loaded: {described(error)}") from error
 
 
 def _checked(name: str, cls: Any) -> type[Solver]:
