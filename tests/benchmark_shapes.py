@@ -114,6 +114,7 @@ ACCURACY = 1e-8
 PEERS = {
     "lasso": (
         "scikit-learn-lars",
+        "spams",
         "scikit-learn-cd",
         "celer",
         "skglm",

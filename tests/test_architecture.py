@@ -38,7 +38,7 @@ ROOMS = (
 )
 BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
-PEERS = {"sklearn", "celer", "skglm", "pysindy", "glum", "sortedl1"}
+PEERS = {"sklearn", "celer", "skglm", "pysindy", "glum", "sortedl1", "spams"}
 BRIDGES = {"sklearn": {"sklearn"}, "pysindy": {"pysindy"}}  # rooms that are for users of a peer
 READERS = {"pyulog", "aerofiles", "pyproj"}  # of logs
 NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given

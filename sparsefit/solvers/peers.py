@@ -270,6 +270,42 @@ class ScikitLars(Peer):
         return _interpolated(knots, values, task.fractions).T
 
 
+@dataclass(frozen=True)
+class Spams(Peer):
+    """Breakpoints of the LARS of SPAMS, on X'X/m where samples are many, else on X.
+
+    iterations: events per row or column.
+    """
+
+    name: ClassVar[str] = "spams"
+    package: ClassVar[str] = "spams"
+    extra: ClassVar[str] = "spams-bin"
+    kinds: ClassVar[tuple[Kind, ...]] = ("LASSO",)
+    form: ClassVar[str] = f"LARS {ON_GRAM}"
+    stops: ClassVar[bool] = False
+    reads_sparse: ClassVar[bool] = False
+    iterations: int = 10
+
+    def solved(self, task: Task, targets: slice, stop: float) -> Array:
+        """The path between its knots."""
+        spams: Any = import_module("spams")
+        root, columns = math.sqrt(task.samples), len(task.groups)
+        cross = np.asfortranarray(task.cross(targets)[:, None])
+        data = {"D": np.asfortranarray(task.design / root)} if not task.tall else {}
+        if task.tall:
+            data = {"Q": np.array(task.gram, order="F"), "q": cross}
+        _, steps = spams.lasso(
+            np.asfortranarray(task.target[:, targets] / root), **data, return_reg_path=True,
+            lambda1=float(task.fractions[-1]), mode=spams.PENALTY, numThreads=1,
+            max_length_path=self.iterations * min(task.samples, columns),
+        )  # fmt: skip
+        values = np.hstack([np.zeros((columns, 1)), np.asarray(steps)])
+        # It returns the breakpoints without their penalties: the largest correlation there is one.
+        fitted = task.gram @ values if task.tall else data["D"].T @ (data["D"] @ values)
+        knots = np.minimum.accumulate(np.abs(cross - fitted).max(axis=0))
+        return _interpolated(knots, values, task.fractions).T
+
+
 def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
     """A piecewise linear path at alphas (p,): knots (b,) descending, coefficients (k, b) -> (k, p).
 
@@ -439,4 +475,4 @@ class Skglm(Peer):
         return np.stack(values[1:])
 
 
-PEERS: tuple[type[Peer], ...] = (ScikitLars, ScikitDescent, Celer, Skglm, Glum, SortedL1)
+PEERS: tuple[type[Peer], ...] = (ScikitLars, Spams, ScikitDescent, Celer, Skglm, Glum, SortedL1)

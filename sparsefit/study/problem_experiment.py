@@ -32,7 +32,7 @@ from sparsefit.study.toml_file import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
 PEERS = (
-    *("scikit-learn", "celer", "skglm", "group-lasso", "scs", "highspy", "piqp"),
+    *("scikit-learn", "celer", "skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp"),
     *("daqp", "pysindy", "numba"),
 )
 
