@@ -1,8 +1,8 @@
 """What a refusal says: the exceptions, the nearest known name, and the checks of scalars.
 
-Two wordings: a quantity (``tau must be ... [s]; got -1``) is checked by `finite`, `positive`,
-`non_negative`, `pair` and `integer`; a setting (``lasso: tolerance must be ..., not 2``), named
-with its owner, by `number_setting`, `integer_setting`, `flag_setting` and `one_of`.
+A quantity (``tau must be ... [s]; got -1``) is checked by `finite`, `positive`, `non_negative`,
+`pair` and `integer`; a setting within limits (``lasso: tolerance must be ..., not 2``) by
+`number_setting` and `one_of`.
 """
 
 from __future__ import annotations
@@ -178,20 +178,6 @@ def number_setting(
         f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {_shown(value)}"
         + (f"; {meaning}" if meaning else "")
     )
-
-
-def integer_setting(owner: str, name: str, value: object, *, least: int) -> None:
-    """Raise `InputError` unless ``value`` is an integer of at least ``least``."""
-    if not is_integer(value, least):
-        raise InputError(
-            f"{owner}: {name} must be an integer, at least {least}, not {_shown(value)}"
-        )
-
-
-def flag_setting(owner: str, name: str, value: object) -> None:
-    """Raise `InputError` unless ``value`` is True or False."""
-    if not isinstance(value, bool):
-        raise InputError(f"{owner}: {name} must be true or false, not {_shown(value)}")
 
 
 def _quantity(name: str, value: object, good: bool, which: str, unit: str) -> float:

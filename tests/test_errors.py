@@ -9,9 +9,7 @@ from sparsefit.errors import (
     MissingExtra,
     SparsefitError,
     finite,
-    flag_setting,
     integer,
-    integer_setting,
     non_negative,
     number_setting,
     one_of,
@@ -113,9 +111,8 @@ def test_what_is_no_odd_integer_above_is_refused(value):
 
 def test_a_setting_is_refused_with_its_owner():
     refusals = [
-        (lambda: integer_setting("grid", "count", 0, least=1), "an integer, at least 1, not 0"),
-        (lambda: integer_setting("grid", "count", 2.0, least=1), "an integer, at least 1, not 2.0"),
-        (lambda: flag_setting("grid", "count", 1), "true or false, not 1"),
+        (lambda: integer("grid: count", 0, 1), "an integer, 1 or above; got 0"),
+        (lambda: integer("grid: count", 2.0, 1), "an integer, 1 or above; got 2.0"),
         (lambda: number_setting("grid", "count", 10**400, low=0.0), "a number in [0, inf), not 1"),
         (lambda: number_setting("grid", "count", 2, low=0, high=1), "a number in [0, 1], not 2"),
     ]

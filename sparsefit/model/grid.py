@@ -15,7 +15,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray, box
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, integer_setting, is_number, one_of, positive
+from sparsefit.errors import InputError, integer, is_number, one_of, positive
 from sparsefit.flight import Flight
 
 Spacing = Literal["length-scale", "wavenumber", "flight"]
@@ -73,7 +73,7 @@ class LengthScaleGrid:
         if self.step is not None:
             positive("grid: step", self.step, "m")
         if self.count is not None:
-            integer_setting("grid", "count", self.count, least=1)
+            integer("grid: count", self.count, 1)
         if not is_number(self.fraction, 0.0, 1.0, open_low=True):
             raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {self.fraction!r}")
         if self.spacing == "flight":
@@ -166,7 +166,7 @@ class WaveGrid:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "step", positive("waves: step, a share of pi/extent,", self.step))
-        integer_setting("waves", "most", self.most, least=FEWEST)
+        integer("waves: most", self.most, FEWEST)
         if self.most > MAX_WAVES:
             raise InputError(
                 f"waves: most must be {MAX_WAVES} or less, what memory holds; got {self.most}"

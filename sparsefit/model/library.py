@@ -17,7 +17,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError, integer_setting, one_of, told_of
+from sparsefit.errors import InputError, integer, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, wave_theta
 from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
@@ -124,7 +124,7 @@ class Library:
                 f"library: {setting!r} is a setting of family 'waves', not of {self.family!r}; "
                 "leave it out"
             )
-        integer_setting("library", "every", self.every, least=1)
+        integer("library: every", self.every, 1)
         object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
 
     @property

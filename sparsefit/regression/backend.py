@@ -12,8 +12,7 @@ from sparsefit.errors import (
     InputError,
     SparsefitError,
     described,
-    flag_setting,
-    integer_setting,
+    integer,
     number_setting,
     one_of,
     unknown,
@@ -136,12 +135,12 @@ class Checked:
                 continue
             if item.name == "alpha_fraction":
                 checked_alpha_fraction(self.name, value, auto=chosen)
-            elif kind is bool:
-                flag_setting(self.name, item.name, value)
+            elif kind is bool and not isinstance(value, bool):
+                raise InputError(f"{self.name}: {item.name} must be true or false, not {value!r}")
             elif get_origin(kind) is Literal:
                 one_of(f"{item.name} of {self.name}", value, get_args(kind))
             elif "least" in limits:
-                integer_setting(self.name, item.name, value, least=limits["least"])
+                integer(f"{self.name}: {item.name}", value, limits["least"])
             elif limits:
                 number_setting(self.name, item.name, value, **limits)
 

@@ -83,10 +83,10 @@ class Clarabel:
         in_play = np.full(penalty.columns, whole)
         for point, alpha in enumerate(alphas.tolist()):
             values, status = weights[point], "Solved"
-            if in_play.any():
-                status = _solve_on(in_play, design, target, penalty, alpha, tolerance, values)
-            for _ in range(0 if in_play.all() else self.rounds):
-                if not np.isfinite(values).all():
+            for _ in range(self.rounds):
+                if in_play.any():
+                    status = _solve_on(in_play, design, target, penalty, alpha, tolerance, values)
+                if in_play.all() or not np.isfinite(values).all():
                     break
                 pull = design.correlate(
                     penalty.loss.pull(target - design.predict(values), level, design.samples)
@@ -99,7 +99,6 @@ class Clarabel:
                 in_play[joining] = True
                 if isinstance(penalty, GroupNorms | NestedNorms):  # whole blocks join
                     in_play |= np.isin(penalty.blocks, penalty.blocks[joining])
-                status = _solve_on(in_play, design, target, penalty, alpha, tolerance, values)
             if status != "Solved":
                 warnings.warn(f"clarabel: {status}", RuntimeWarning, stacklevel=2)
         return weights

@@ -24,7 +24,7 @@ from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, integer_setting
+from sparsefit.errors import InputError, integer
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES
@@ -213,7 +213,7 @@ class Peer(ABC):
     iterations: int = 1000
 
     def __post_init__(self) -> None:
-        integer_setting(self.name, "iterations", self.iterations, least=1)
+        integer(f"{self.name}: iterations", self.iterations, 1)
 
     def takes(self, penalty: Penalty) -> str:
         """The reason why it does not solve this penalty; empty where it does."""

@@ -317,7 +317,7 @@ def test_groups_are_waves_rings_or_both(samples, problem, groups):
         ({"groups": "ring"}, "'groups' is a setting of family 'waves', not of 'cells'"),
         ({"waves": WaveGrid(0.5)}, "'waves' is a setting of family 'waves'"),
         ({"family": "waves", "target": "acceleration"}, "needs family 'cells'"),
-        ({"every": 0}, "every must be an integer, at least 1"),
+        ({"every": 0}, "every must be an integer, 1 or above"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, words):
@@ -329,7 +329,7 @@ def test_settings_that_cannot_be_are_refused(settings, words):
     ("settings", "words"),
     [
         ({"step": 0.0}, "waves: step, a share of pi/extent, must be a finite number above 0"),
-        ({"most": 1}, "waves: most must be an integer, at least 2"),
+        ({"most": 1}, "waves: most must be an integer, 2 or above"),
         ({"most": 5000}, "most must be 4096 or less"),
     ],
 )
