@@ -23,7 +23,6 @@ from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
-    HomotopyKernel,
     Kernel,
     Points,
     Units,
@@ -45,23 +44,17 @@ HELD = 2**25  # entries of the columns in play that are held as rows beside thei
 class InPlay:
     """Columns in play: their indices (j,), Z_J (m, j) where it is held, Z_J'Z_J/m where it is.
 
-    Where the columns are more than the rows, their products are not formed, if a kernel can do
-    without (``in_rows``).
+    Where the columns are more than the rows, their products are formed for a kernel that needs
+    them.
     """
 
     design: Design
+    target: Array
     index: IntArray
     rows: Array | None
     gram: Array | None
-    in_rows: bool
 
-    @classmethod
-    def of(cls, design: Design, index: IntArray, in_rows: bool) -> InPlay:
-        """These columns."""
-        empty = cls(design, index[:0], None, np.zeros((0, 0)), in_rows)
-        return empty.joined(index)
-
-    def joined(self, new: IntArray) -> InPlay:
+    def joined(self, new: IntArray, by_gram: bool) -> InPlay:
         """With further columns behind those that there are."""
         index = np.concatenate([self.index, new])
         (m, _), held, gram = self.design.shape, len(self.index), None
@@ -71,7 +64,7 @@ class InPlay:
             if held:
                 rows[:, :held] = self.rows
             rows[:, held:] = self.design.columns(new)
-        if not (self.in_rows and rows is not None and len(index) > m):
+        if by_gram or rows is None or len(index) <= m:
             gram = np.empty((len(index), len(index)))
             old = self.gram if self.gram is not None else self._products(rows, slice(0, held))
             gram[:held, :held] = old
@@ -90,7 +83,7 @@ class InPlay:
     @property
     def normal(self) -> Normal:
         """The sums that Newton's method needs of them."""
-        return Normal(self.gram, self.rows, self.design.samples)
+        return Normal(self.gram, self.rows, self.design.samples, self.target)
 
     def fitted(self, values: Array) -> Array:
         """Z_J V (m, q) of V (j, q)."""
@@ -182,7 +175,8 @@ def _with_working_set(
     """The path on the columns in play, ``start`` of them or more at first."""
     (k, q), count = cross.shape, len(alphas)
     kind = kernel_for(penalty, q)
-    play = InPlay.of(design, _first(penalty, cross, start), kind is not HomotopyKernel)
+    play = InPlay(design, target, np.zeros(0, np.intp), None, np.zeros((0, 0)))
+    play = play.joined(_first(penalty, cross, start), kind.by_gram)
     part = penalty.restricted(play.index)
     assert part is not None
     kernel: Kernel = kind(play.normal, cross[play.index], part, units)
@@ -191,7 +185,7 @@ def _with_working_set(
     while done < count:
         here = alphas[done : done + ahead]
         stretch = kernel.advance(here)
-        accepted, new = _objections(play, target, penalty, here, stretch.values, done)
+        accepted, new = _objections(play, penalty, here, stretch.values)
         until = done + accepted
         weights[done:until, play.index] = stretch.values[:accepted]
         complete[done:until] = stretch.complete[:accepted]
@@ -199,7 +193,7 @@ def _with_working_set(
         done = until
         ahead = min(AHEAD, 2 * ahead) if accepted == len(here) else max(accepted, 1)
         if len(new):
-            play = play.joined(new)
+            play = play.joined(new, kernel.by_gram)
             part = penalty.restricted(play.index)
             assert part is not None
             kernel = kernel.enlarged(play.normal, cross[play.index], part, accepted)
@@ -219,7 +213,7 @@ def _first(penalty: Penalty, cross: Array, least: int) -> IntArray:
 
 
 def _objections(
-    play: InPlay, target: Array, penalty: Penalty, alphas: Array, values: Array, done: int
+    play: InPlay, penalty: Penalty, alphas: Array, values: Array
 ) -> tuple[int, IntArray]:
     """The penalties before the first at which a column outside objects, and those to join.
 
@@ -227,7 +221,7 @@ def _objections(
     """
     count, held, q = values.shape
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(held, count * q)
-    residual = np.tile(target, (1, count)) - play.fitted(flat)
+    residual = np.tile(play.target, (1, count)) - play.fitted(flat)
     pulls = play.design.correlate(residual)
     pulls = pulls.reshape(len(pulls), count, q).transpose(1, 0, 2)
     full = np.zeros((len(penalty.blocks), q))

@@ -8,8 +8,9 @@ where they are not built, the generic Newton's method runs in their place, slowe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import pairwise
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -18,8 +19,11 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.faces import on_a_face
-from sparsefit.solvers.newton import Normal, settled
+from sparsefit.solvers.newton import Normal, relative_gap, settled
 
+EXTRAPOLATED = 5  # sweeps that are extrapolated from
+MANY = 300  # rows, from which on descent is faster where more columns are in use
+MOST = 1200  # sweeps at one penalty, before Newton's method takes over
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 
 
@@ -49,6 +53,7 @@ class Kernel(Protocol):
     """A path on the columns in play, from its largest penalty on."""
 
     name: ClassVar[str]
+    by_gram: ClassVar[bool]  # whether it needs G where columns are more than rows
 
     def advance(self, alphas: Array) -> Stretch:
         """The path at further penalties (p,), descending."""
@@ -74,6 +79,7 @@ class HomotopyKernel:
     """The LASSO or elastic net of one target, from event to event; z_j/omega_j has omega_j v_j."""
 
     name: ClassVar[str] = "homotopy"
+    by_gram: ClassVar[bool] = True
     stop: float = STOP
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
@@ -121,6 +127,7 @@ class NewtonKernel:
     """Any penalty, on its faces or by proximal points, each started from the penalty before."""
 
     name: ClassVar[str] = "newton"
+    by_gram: ClassVar[bool] = False
     stop: float = STOP
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
@@ -155,6 +162,7 @@ class VariationalKernel:
     """Group norms over all targets at hand, by Newton's method on the groups' variances."""
 
     name: ClassVar[str] = "variational"
+    by_gram: ClassVar[bool] = True
     stop: float = STOP
 
     def __init__(self, normal: Normal, cross: Array, penalty: Penalty, units: Units) -> None:
@@ -165,31 +173,24 @@ class VariationalKernel:
         place = np.argsort(np.argsort(first))[label]
         self.order = np.argsort(place, kind="stable")
         self.scale = penalty.weights[penalty.groups[self.order]]
-        gram, rows, pull = normal.gram, normal.rows, cross / units.level
+        gram, pull = normal.gram, cross / units.level
+        assert gram is not None
         if np.any(self.order[1:] < self.order[:-1]):
-            pull = pull[self.order]
-            gram = None if gram is None else gram[np.ix_(self.order, self.order)]
-            rows = None if rows is None else rows[:, self.order]
+            pull, gram = pull[self.order], gram[np.ix_(self.order, self.order)]
         if np.any(self.scale != 1.0):
             pull = pull / self.scale[:, None]
-            gram = None if gram is None else gram / np.multiply.outer(self.scale, self.scale)
-            rows = None if rows is None else rows / self.scale
-        label = place[self.order]
-        starts, none = np.searchsorted(label, np.arange(len(first) + 1)), np.zeros((0, 0))
-        self.problem = (
-            none if gram is None else np.ascontiguousarray(gram),
-            none if rows is None else np.ascontiguousarray(rows.T),
-            *(float(normal.samples), np.ascontiguousarray(pull.T), starts.astype(np.intp)),
-        )
+            gram = gram / np.multiply.outer(self.scale, self.scale)
+        starts = np.searchsorted(place[self.order], np.arange(len(first) + 1)).astype(np.intp)
+        self.problem = np.ascontiguousarray(gram), np.ascontiguousarray(pull.T), starts
         self.eta = [np.zeros(len(first))]
 
     def advance(self, alphas: Array) -> Stretch:
         """The path at further penalties."""
         kernels = compiled("variances")
         search = kernels.Search(kernels.Groups(*self.problem), self.eta[-1], self.stop)
-        values = np.zeros((len(alphas), len(self.order), len(self.problem[3])))
+        values = np.zeros((len(alphas), len(self.order), len(self.problem[1])))
         gaps, steps = np.zeros(len(alphas)), np.zeros(len(alphas), np.intp)
-        self.eta = self.eta[-1:]
+        self.eta, self.attempts = self.eta[-1:], dict(zip(alphas.tolist(), values, strict=True))
         with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
             for i, alpha in enumerate((alphas / self.level).tolist()):
                 solved, gaps[i], steps[i] = search.minimised(alpha)
@@ -199,12 +200,116 @@ class VariationalKernel:
 
     def enlarged(
         self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
-    ) -> VariationalKernel:
-        """The variances with zeros for the new groups."""
+    ) -> VariationalKernel | DescentKernel:
+        """The variances with zeros for the new groups; descent where many are in use."""
+        in_use = np.any([values.any(axis=1) for values in self.attempts.values()], axis=0).sum()
+        if normal.rows is not None and in_use > len(normal.rows) >= MANY:
+            return DescentKernel(normal, cross, penalty, self.units, self.attempts, {})
         kernel = VariationalKernel(normal, cross, penalty, self.units)
         start = self.eta[min(accepted + 1, len(self.eta) - 1)]
         kernel.eta = [np.pad(start, (0, len(kernel.eta[0]) - len(start)))]
         return kernel
+
+
+class DescentKernel:
+    """Group norms by block descent with extrapolation, where the groups in use outnumber the rows.
+
+    Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
+    """
+
+    name: ClassVar[str] = "block descent"
+    by_gram: ClassVar[bool] = False
+    stop: float = 1e-9
+
+    def __init__(
+        self,
+        normal: Normal,
+        cross: Array,
+        penalty: Penalty,
+        units: Units,
+        attempts: dict[float, Array],
+        bends: dict[int, float],
+    ) -> None:
+        assert isinstance(penalty, GroupNorms)
+        assert normal.rows is not None
+        assert normal.target is not None
+        self.units, self.samples = units, normal.samples
+        self.order = np.argsort(penalty.groups, kind="stable")
+        self.penalty = replace(penalty, groups=penalty.groups[self.order])
+        self.starts = np.searchsorted(self.penalty.groups, np.arange(len(penalty.weights) + 1))
+        self.cross, self.target = cross[self.order] / units.level, normal.target.T / units.level
+        self.rows = np.asfortranarray(normal.rows[:, self.order])
+        # By the first column of a group, which keeps its place where others join.
+        self.bends, first = dict(bends), self.order[self.starts[:-1]].tolist()
+        for g, place in enumerate(first):
+            if place not in bends:
+                block = self.rows[:, self.starts[g] : self.starts[g + 1]]
+                self.bends[place] = float(np.linalg.eigvalsh(block.T @ block)[-1]) / self.samples
+        self.bend = np.array([self.bends[place] for place in first])
+        self.attempts = {
+            alpha: np.pad(values, ((0, len(cross) - len(values)), (0, 0)))
+            for alpha, values in attempts.items()
+        }
+
+    def advance(self, alphas: Array) -> Stretch:
+        """The path at further penalties, each from the attempt at the nearest one."""
+        solved, gaps = np.empty((len(alphas), *self.cross.shape)), np.zeros(len(alphas))
+        steps, level = np.zeros(len(alphas), np.intp), self.units.level
+        for i, alpha in enumerate(alphas.tolist()):
+            nearest = min(self.attempts, key=lambda each: abs(each - alpha))
+            start = np.ascontiguousarray(self.attempts[nearest][self.order].T / level)
+            values, gaps[i], steps[i] = self._descended(start, alpha / level)
+            if gaps[i] > self.stop:
+                place = self.cross, self.penalty, alpha / level, values.T
+                plain = Normal(None, self.rows, self.samples)
+                point, gaps[i], taken = settled(plain, *place, self.stop)
+                values, steps[i] = point.T, steps[i] + taken
+            solved[i, self.order] = values.T * level
+            self.attempts[alpha] = solved[i]
+        return Stretch(solved, gaps <= self.stop, steps)
+
+    def _descended(self, values: Array, alpha: float) -> tuple[Array, float, int]:
+        """The optimum (q, j) in units of the target, its gap, and sweeps."""
+        penalty, residual = self.penalty, self.target - values @ self.rows.T
+        limits, everything = alpha * penalty.weights, np.arange(len(self.bend))
+
+        def swept(groups: IntArray) -> tuple[Array, Array]:
+            compiled("sweeps").descend_groups(
+                *(self.rows, self.starts, groups, limits, self.bend, float(self.samples)),
+                *(residual, values),
+            )
+            return values.copy(), residual.copy()
+
+        def height(values: Array, residual: Array) -> float:
+            square = float(np.vdot(residual, residual)) / self.samples
+            return 0.5 * square + alpha * float(penalty.value(values.T))
+
+        steps = 0
+        while True:
+            correlation = (residual @ self.rows).T / self.samples
+            gap = relative_gap(values.T, correlation, self.cross, penalty, alpha)
+            if gap <= self.stop or steps >= MOST:
+                return values, gap, steps
+            steps += 1 + EXTRAPOLATED
+            trail = [swept(everything)]
+            used = np.flatnonzero(penalty.block_norms(values.T).any(axis=1))
+            trail += [swept(used) for _ in range(EXTRAPOLATED)]
+            moves = np.stack([(after[0] - before[0]).ravel() for before, after in pairwise(trail)])
+            square = moves @ moves.T
+            square.flat[:: EXTRAPOLATED + 1] += 1e-12 * np.trace(square) + 1e-300
+            share = np.linalg.solve(square, np.ones(EXTRAPOLATED))
+            share /= share.sum()
+            point, rest = (
+                np.tensordot(share, list(part)[1:], 1) for part in zip(*trail, strict=True)
+            )
+            if height(point, rest) < height(values, residual):
+                values, residual = point, rest
+
+    def enlarged(
+        self, normal: Normal, cross: Array, penalty: Penalty, accepted: int
+    ) -> DescentKernel:
+        """The attempts with zeros for the new columns."""
+        return DescentKernel(normal, cross, penalty, self.units, self.attempts, self.bends)
 
 
 def kernel_for(

@@ -35,11 +35,15 @@ PATIENCE = 6  # proximal points without a smaller gap
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """G of the columns in play: as a matrix (j, j), or by the rows Z_J (m, j) where it is None."""
+    """G of the columns in play: as a matrix (j, j), or by the rows Z_J (m, j) where it is None.
+
+    target Y (m, q): for what works on the residual.
+    """
 
     gram: Array | None
     rows: Array | None
     samples: int
+    target: Array | None = None
 
     def times(self, values: Array) -> Array:
         """G V (j, q) of V (j, q); rows of zeros are not multiplied."""

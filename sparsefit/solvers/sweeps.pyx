@@ -1,4 +1,4 @@
-"""Cyclic coordinate descent over columns of a sparse matrix, with the residual kept, compiled.
+"""Cyclic descent over sparse columns, or over groups of dense ones, with the residual kept, compiled.
 
     v_j <- soft(v_j + z_j'R/m, w_j) / (1 + mu),   R <- R - z_j (change of v_j)
 
@@ -9,7 +9,10 @@ stay sparse: R = S - c e, of which S and the number c change.
 Source: Friedman, Hastie and Tibshirani, J. Stat. Softw. 33 (2010) 1-22.
 """
 
-from libc.math cimport fabs
+import numpy as np
+
+from libc.math cimport fabs, sqrt
+from scipy.linalg.cython_blas cimport dgemv
 
 
 def descend(
@@ -58,3 +61,47 @@ def descend(
         if largest <= stop:
             break
     return count, shift
+
+
+def descend_groups(
+    const double[::1, :] z,
+    const Py_ssize_t[::1] starts,
+    const Py_ssize_t[::1] groups,
+    const double[::1] limits,
+    const double[::1] bend,
+    double samples,
+    double[:, ::1] residual,
+    double[:, ::1] values,
+):
+    """Sweep once over some groups: group g has the columns starts[g] to starts[g + 1] of z (m, j).
+
+    limits alpha w (g,) and bend (g,), the largest eigenvalue of Z_g'Z_g/m, with which a group's
+    step cannot overshoot. residual (q, m) and values (q, j) are worked on in place.
+    """
+    cdef double[:, ::1] pull = np.empty((residual.shape[0], np.diff(starts).max()))
+    cdef int m = z.shape[0], size, one = 1
+    cdef Py_ssize_t j, g
+    cdef double square, share, move, per = 1.0 / samples, unit = 1.0, zero = 0.0
+    cdef double *block
+    for place in range(groups.shape[0]):
+        g = groups[place]
+        j, size = starts[g], starts[g + 1] - starts[g]
+        square, block = 0.0, <double *>&z[0, j]
+        for t in range(residual.shape[0]):
+            dgemv(
+                "T", &m, &size, &per, block, &m, &residual[t, 0], &one, &zero, &pull[t, 0], &one
+            )
+            for i in range(size):
+                pull[t, i] += bend[g] * values[t, j + i]
+                square += pull[t, i] * pull[t, i]
+        share = max(1.0 - limits[g] / sqrt(square), 0.0) / bend[g] if square > 0.0 else 0.0
+        for t in range(residual.shape[0]):
+            move = 0.0
+            for i in range(size):
+                pull[t, i] = values[t, j + i] - share * pull[t, i]
+                values[t, j + i] -= pull[t, i]
+                move += fabs(pull[t, i])
+            if move != 0.0:
+                dgemv(
+                    "N", &m, &size, &unit, block, &m, &pull[t, 0], &one, &unit, &residual[t, 0], &one
+                )

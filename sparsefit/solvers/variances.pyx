@@ -11,11 +11,9 @@ becomes, after W is eliminated, smooth and convex in one variable per group, eta
     Hessian_gh = sum_t C_gt'K_gh C_ht,   K = G (I + D G)^-1
 
 Of the c columns with eta > 0, A = I + D^1/2 G D^1/2 = LL' is well conditioned where G is singular,
-and K = G - G D^1/2 A^-1 D^1/2 G. Where the m rows are fewer than c, M = I + P P' = LL' takes its
-place, P = Z D^1/2/sqrt(m), with A^-1 = I - P'M^-1 P and K = Z'M^-1 Z/m. The optimality equation
-|C_g| = alpha is linearised as 1/|C_g| = 1/alpha, nearly affine in eta: the device of the
-trust-region secular equation. Groups are contiguous, penalty weights one and |Y|^2/m = 1; matrices
-(k, n) of columns and targets are stored as (n, k).
+and K = G - G D^1/2 A^-1 D^1/2 G. The optimality equation |C_g| = alpha is linearised as 1/|C_g| =
+1/alpha, nearly affine in eta: the device of the trust-region secular equation. Groups are
+contiguous, penalty weights one and |Y|^2/m = 1; matrices (k, n) are stored as (n, k).
 
 Sources: Micchelli, Morales and Pontil, "Regularizers for structured sparsity" (2013), for the
 quadratic form; More and Sorensen, "Computing a trust region step" (1983), for the secular one;
@@ -26,7 +24,7 @@ import numpy as np
 
 from libc.math cimport INFINITY, fabs, sqrt
 from libc.string cimport memcpy, memset
-from scipy.linalg.cython_blas cimport daxpy, ddot, dgemm, dgemv, dsyrk, dtrsm
+from scipy.linalg.cython_blas cimport daxpy, ddot, dgemm, dgemv, dtrsm
 from scipy.linalg.cython_lapack cimport dposv, dpotrf, dpotrs
 
 cdef enum:
@@ -150,58 +148,45 @@ cdef void face_minimum(Bounded b, Py_ssize_t n) noexcept:
 
 
 cdef class Groups:
-    """The problem: G (k, k), or columns Z' (k, m) and the number of samples, or both; B (n, k).
+    """The problem: G (k, k), B (n, k) and starts (g + 1,), the first column of each group, then k.
 
-    Either may be empty. starts (g + 1,): the first column of each group, then k; power: tr G_gg.
+    power (g,): tr G_gg.
     """
 
-    cdef Py_ssize_t n, k, g, m
-    cdef double samples
-    cdef const double[:, ::1] gram, columns, cross
+    cdef Py_ssize_t n, k, g
+    cdef const double[:, ::1] gram, cross
     cdef const Py_ssize_t[::1] starts
     cdef double[::1] power, scratch
 
-    def __init__(self, gram, columns, double samples, cross, starts):
-        self.gram, self.columns, self.samples = gram, columns, samples
-        self.cross, self.starts = cross, starts
+    def __init__(self, gram, cross, starts):
+        self.gram, self.cross, self.starts = gram, cross, starts
         self.n, self.k, self.g = len(cross), cross.shape[1], len(starts) - 1
-        self.m = self.columns.shape[1] if len(self.columns) else 0
-        ascending = self.g > 0 and starts[0] == 0 and max(starts) == self.k
-        sizes = {len(self.gram), len(self.columns)} - {0}
-        if not (ascending and np.all(np.diff(starts) > 0) and self.n > 0 and sizes == {self.k}):
+        ascending = self.g > 0 and starts[0] == 0 and starts[self.g] == self.k
+        if not (ascending and np.all(np.diff(starts) > 0) and self.n > 0 and len(gram) == self.k):
             raise ValueError("the arrays of a group path do not fit each other")
-        self.power, self.scratch = np.zeros(self.g), np.zeros(self.k + self.m)
-        for i in range(self.g):
-            for j in range(self.starts[i], self.starts[i + 1]):
-                if len(self.gram):
-                    self.power[i] += self.gram[j, j]
-                else:
-                    self.power[i] += (
-                        inner_product(self.m, &self.columns[j, 0], &self.columns[j, 0]) / samples
-                    )
+        self.power = np.add.reduceat(np.diag(gram), starts[: self.g])
+        self.scratch = np.zeros(self.k)
 
 
 cdef class Point:
     """What follows from one eta (g,), of which `evaluated` is told.
 
     Of the s groups with eta > 0 and their c columns: group (s,), begin (s + 1,) in the columns
-    column (c,), label (c,) and root (c,) of D^1/2; inner C (n, c), weights W (n, c). factor (r, r):
-    L of A, r = c, or of M, r = m, where part P' is (c, m); image (s, n, r): L^-1 of what groups
-    show in the Hessian (s, s), which `curve` makes, of groups about to enter, too. Of all columns:
-    correlation C (n, k). value: f without its last term. Arrays have room for more.
+    column (c,), label (c,) and root (c,) of D^1/2; inner C (n, c), weights W (n, c). factor (c, c):
+    L of A; image (s, n, c): L^-1 of what groups show in the Hessian (s, s), which `curve` makes, of
+    groups about to enter, too. Of all columns: correlation C (n, k). value: f without its last
+    term. Arrays have room for more.
     """
 
     cdef Groups z
-    cdef Py_ssize_t s, c, r, shown
-    cdef bint by_rows
+    cdef Py_ssize_t s, c, shown
     cdef double value
     cdef double[::1] eta, root
-    cdef double[:, ::1] part, factor, inner, weights, correlation, hessian
+    cdef double[:, ::1] factor, inner, weights, correlation, hessian
     cdef double[:, :, ::1] image
     cdef Py_ssize_t[::1] group, begin, column, label
 
     def __init__(self, Groups z):
-        order = min(z.k, z.m) if z.m else z.k
         cdef double[:, ::1] rows = np.zeros((2 + 3 * z.n, z.k))
         cdef Py_ssize_t[:, ::1] integers = np.zeros((4, z.k + 1), np.intp)
         self.z, self.eta, self.root = z, rows[0], rows[1]
@@ -209,15 +194,14 @@ cdef class Point:
         self.correlation = rows[2 + 2 * z.n :]
         self.group, self.begin = integers[0], integers[1]
         self.column, self.label = integers[2], integers[3]
-        self.factor, self.hessian = np.empty((order, order)), np.empty((z.g, z.g))
-        self.image, self.part = np.empty((z.g, z.n, order)), np.empty((z.k if z.m else 0, z.m))
+        self.factor, self.hessian = np.empty((z.k, z.k)), np.empty((z.g, z.g))
+        self.image = np.empty((z.g, z.n, z.k))
 
 
 cdef bint evaluated(Point x) noexcept:
     """What follows from x.eta; false where a factor fails."""
     cdef Groups z = x.z
-    cdef double unit = 1.0, zero = 0.0
-    cdef int order, count, stride = x.factor.shape[1], m = z.m, failed = 0
+    cdef int order, stride = z.k, failed = 0
     cdef Py_ssize_t c = 0, s = 0
     for i in range(z.g):
         if x.eta[i] > 0.0:
@@ -228,23 +212,11 @@ cdef bint evaluated(Point x) noexcept:
             s += 1
     x.begin[s] = c
     x.s, x.c, x.shown, x.value = s, c, 0, 0.0
-    x.by_rows = not len(z.gram) or (z.m > 0 and c > z.m)
-    x.r = z.m if x.by_rows else c
-    if x.by_rows and c:
-        for i in range(c):
-            memset(&x.part[i, 0], 0, z.m * sizeof(double))
-            add(z.m, x.root[i] / sqrt(z.samples), &z.columns[x.column[i], 0], &x.part[i, 0])
-        order, count = m, c
-        dsyrk(
-            "U", "N", &order, &count, &unit, &x.part[0, 0], &m, &zero, &x.factor[0, 0], &stride
-        )
-    else:
-        for i in range(c):
-            for j in range(i + 1):
-                x.factor[i, j] = z.gram[x.column[i], x.column[j]] * (x.root[i] * x.root[j])
-    for i in range(x.r if c else 0):
+    order = c
+    for i in range(c):
+        for j in range(i + 1):
+            x.factor[i, j] = z.gram[x.column[i], x.column[j]] * (x.root[i] * x.root[j])
         x.factor[i, i] += 1.0
-    order = x.r
     if c:
         dpotrf("U", &order, &x.factor[0, 0], &stride, &failed)
     if failed:
@@ -264,69 +236,39 @@ cdef bint evaluated(Point x) noexcept:
 
 cdef void solve(Point x, double[:, ::1] right) noexcept:
     """A^-1 times the rows (n, c), in their place."""
-    cdef int order = x.r, count = x.z.n, c = x.c, one = 1, failed = 0
-    cdef int stride = x.factor.shape[1], apart = right.shape[1]
-    cdef double unit = 1.0, zero = 0.0, minus = -1.0
-    cdef double *image = &x.z.scratch[0]
-    if not c:
-        return
-    if not x.by_rows:
-        dpotrs("U", &order, &count, &x.factor[0, 0], &stride, &right[0, 0], &apart, &failed)
-        return
-    for t in range(x.z.n):
-        dgemv(
-            "N", &order, &c, &unit, &x.part[0, 0], &order, &right[t, 0], &one, &zero, image, &one
-        )
-        dpotrs("U", &order, &one, &x.factor[0, 0], &stride, image, &order, &failed)
-        dgemv(
-            "T", &order, &c, &minus, &x.part[0, 0], &order, image, &one, &unit, &right[t, 0], &one
-        )
-
-
-cdef void combine(
-    Point x, const double[:, ::1] matrix, const double[::1] weights, double a, double[::1] out
-) noexcept:
-    """out += a times the sum of the rows x.column of a matrix, weighted (c,)."""
-    cdef int width = matrix.shape[1], count, one = 1
-    cdef double unit = 1.0
-    cdef Py_ssize_t first = 0, end  # of a run of adjacent rows
-    while first < x.c:
-        end = first + 1
-        while end < x.c and x.column[end] == x.column[end - 1] + 1:
-            end += 1
-        count = end - first
-        dgemv(
-            "N", &width, &count, &a, <double *>&matrix[x.column[first], 0], &width,
-            <double *>&weights[first], &one, &unit, &out[0], &one,
-        )
-        first = end
+    cdef int order = x.c, count = x.z.n, stride = x.z.k, failed = 0
+    if order:
+        dpotrs("U", &order, &count, &x.factor[0, 0], &stride, &right[0, 0], &stride, &failed)
 
 
 cdef void correlate(Point x, const double[:, ::1] weights, double[:, ::1] out) noexcept:
     """B - G W (n, k) of weights (n, c)."""
     cdef Groups z = x.z
-    cdef int m = z.m, k = z.k, one = 1
-    cdef double share = -1.0 / z.samples, unit = 1.0
+    cdef int k = z.k, count, one = 1
+    cdef double minus = -1.0, unit = 1.0
+    cdef Py_ssize_t first, end  # of a run of adjacent rows of G
     for t in range(z.n):
         memcpy(&out[t, 0], &z.cross[t, 0], z.k * sizeof(double))
-        if not x.by_rows:
-            combine(x, z.gram, weights[t], -1.0, out[t])
-            continue
-        memset(&z.scratch[0], 0, z.m * sizeof(double))
-        combine(x, z.columns, weights[t], 1.0, z.scratch)
-        dgemv(
-            "T", &m, &k, &share, <double *>&z.columns[0, 0], &m, &z.scratch[0], &one, &unit,
-            &out[t, 0], &one,
-        )
+        first = 0
+        while first < x.c:
+            end = first + 1
+            while end < x.c and x.column[end] == x.column[end - 1] + 1:
+                end += 1
+            count = end - first
+            dgemv(
+                "N", &k, &count, &minus, <double *>&z.gram[x.column[first], 0], &k,
+                <double *>&weights[t, first], &one, &unit, &out[t, 0], &one,
+            )
+            first = end
 
 
 cdef void curve(Point x, Py_ssize_t total) noexcept:
-    """The Hessian of the first `total` of x.group: K = Z'M^-1 Z/m, or G - V'V, V = L^-1 D^1/2 G."""
+    """The Hessian of the first `total` of x.group: K = G - V'V, V = L^-1 D^1/2 G."""
     cdef Groups z = x.z
     cdef Py_ssize_t first = x.shown, h
-    cdef int order = x.r, room = x.factor.shape[1], count = (total - first) * z.n
-    cdef int apart = z.n * room, new = total - first, all = total, stride = x.hessian.shape[1]
-    cdef double unit = 1.0, sign = 1.0 if x.by_rows else -1.0
+    cdef int order = x.c, room = z.k, count = (total - first) * z.n
+    cdef int apart = z.n * room, new = total - first, all = total, stride = z.g
+    cdef double unit = 1.0, minus = -1.0
     cdef double *row = &z.scratch[0]
     if new <= 0:
         return
@@ -334,15 +276,12 @@ cdef void curve(Point x, Py_ssize_t total) noexcept:
         for b in range(a + 1):
             x.hessian[a, b] = 0.0
         for t in range(z.n):
-            memset(row, 0, (z.k + z.m) * sizeof(double))
+            memset(row, 0, z.k * sizeof(double))
             for j in range(z.starts[x.group[a]], z.starts[x.group[a] + 1]):
-                if x.by_rows:
-                    add(z.m, x.correlation[t, j] / sqrt(z.samples), &z.columns[j, 0], row)
-                else:
-                    add(z.k, x.correlation[t, j], &z.gram[j, 0], row)
-            for i in range(x.r):
-                x.image[a, t, i] = row[i] if x.by_rows else x.root[i] * row[x.column[i]]
-            for b in range(0 if x.by_rows else a + 1):
+                add(z.k, x.correlation[t, j], &z.gram[j, 0], row)
+            for i in range(x.c):
+                x.image[a, t, i] = x.root[i] * row[x.column[i]]
+            for b in range(a + 1):
                 h = x.group[b]
                 for j in range(z.starts[h], z.starts[h + 1]):
                     x.hessian[a, b] += x.correlation[t, j] * row[j]
@@ -351,9 +290,9 @@ cdef void curve(Point x, Py_ssize_t total) noexcept:
             "L", "U", "T", "N", &order, &count, &unit, &x.factor[0, 0], &room,
             &x.image[first, 0, 0], &room,
         )
-    for t in range(z.n if x.r else 0):
+    for t in range(z.n if x.c else 0):
         dgemm(
-            "T", "N", &all, &new, &order, &sign, &x.image[0, t, 0], &apart, &x.image[first, t, 0],
+            "T", "N", &all, &new, &order, &minus, &x.image[0, t, 0], &apart, &x.image[first, t, 0],
             &apart, &unit, &x.hessian[first, 0], &stride,
         )
     for a in range(first, total):

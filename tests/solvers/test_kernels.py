@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import AbsoluteValues
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers import exact
+from sparsefit.solvers import exact, kernels
 from sparsefit.solvers.kernels import Units, kernel_for, path_on_gram
 from sparsefit.solvers.newton import Normal, settled
 
@@ -33,10 +34,9 @@ def problem(seed, samples=40, targets=1, correlated=True):
     return np.asfortranarray(z), y / np.sqrt(np.sum(y**2) / samples)
 
 
-def path_of(z, y, penalty, alphas, stretches, by_rows=False):
+def path_of(z, y, penalty, alphas, stretches):
     """The path of a kernel that is asked for stretches of it, in turn."""
-    gram = None if by_rows else z.T @ z / len(z)
-    normal, cross = Normal(gram, z, len(z)), z.T @ y / len(z)
+    normal, cross = Normal(z.T @ z / len(z), z, len(z)), z.T @ y / len(z)
     units = Units.of(penalty, cross, 1.0)
     kernel = kernel_for(penalty, y.shape[1])(normal, cross, penalty, units)
     parts = [kernel.advance(part) for part in np.array_split(alphas, stretches)]
@@ -86,13 +86,28 @@ def test_columns_that_join_on_the_way_change_no_point(kind, monkeypatch):
 
 
 @pytest.mark.parametrize("targets", [1, 2])
-def test_variances_in_rows_are_those_in_columns(targets):
-    z, y = problem(3, samples=10, targets=targets, correlated=False)
-    penalty = PENALTIES["groups"]
-    alphas = float(penalty.dual_norm(z.T @ y / 10).max()) * np.geomspace(1.0, 1e-2, 7)
-    columns = path_on_gram(z.T @ z / 10, z.T @ y / 10, penalty, alphas, 1.0).values
-    rows = path_of(z, y, penalty, alphas, 2, by_rows=True)
-    np.testing.assert_allclose(rows, columns, atol=1e-5)
+@pytest.mark.parametrize("most", [1, 1200])
+def test_groups_that_outnumber_the_rows_are_descended_to_the_same_optimum(
+    targets, most, monkeypatch
+):
+    """Or, where descent takes too many sweeps, Newton's method ends it."""
+    rng = np.random.default_rng(3)
+    theta, groups = rng.normal(size=(40, 700)), np.arange(700) % 100
+    target = theta[:, groups < 4] @ rng.normal(size=(28, targets)) + rng.normal(size=(40, targets))
+    design = RegressionProblem.from_arrays(theta, target, groups).design
+    penalty = GroupNorms(groups, np.linspace(0.5, 1.0, 100))
+    largest = float(penalty.dual_norm(design.correlate(target)).max())
+    alphas = largest * np.geomspace(1.0, 3e-2, 12)
+    whole = exact.exact_path(design, target, penalty, alphas)
+    monkeypatch.setattr(kernels, "MANY", 10)
+    monkeypatch.setattr(kernels, "MOST", most)
+    descended = exact.exact_path(design, target, penalty, alphas)
+    assert "block descent" in descended.words
+    assert "variational" in whole.words
+    assert descended.complete.all()
+    gaps = duality_gaps(design, target, descended.weights / design.rms[:, None], alphas, penalty)
+    assert max(gap.bound for gap in gaps) < 1e-8
+    np.testing.assert_allclose(descended.weights, whole.weights, atol=1e-3)
 
 
 def test_a_walk_from_anywhere_ends_at_the_optimum():
@@ -117,4 +132,4 @@ def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="a homotopy fills"):
         walk.advance(np.ones(1), np.zeros((2, 2)), np.zeros(1, bool))
     with pytest.raises(ValueError, match="do not fit"):
-        variances.Groups(np.eye(3), np.zeros((0, 0)), 3.0, np.ones((1, 3)), np.array([0, 2]))
+        variances.Groups(np.eye(3), np.ones((1, 3)), np.array([0, 2]))
