@@ -8,7 +8,7 @@ from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import AbsoluteValues
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import exact, kernels
-from sparsefit.solvers.kernels import Units, kernel_for, path_on_gram
+from sparsefit.solvers.kernels import Units, kernel_for
 from sparsefit.solvers.newton import Normal, settled
 
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
