@@ -18,8 +18,22 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.onboard.square_cells import M, parameters, rebased, speed_of, unevenness, waves
-from sparsefit.onboard.sweep import EVEN, PEAKS, BoardDoubt, BoardSettings, Peak, Sweep
+from sparsefit.onboard.sweep import (
+    EVEN,
+    HEADING,
+    LENGTH,
+    PEAKS,
+    SPEED,
+    UNEVEN,
+    BoardDoubt,
+    BoardSettings,
+    M,
+    Peak,
+    Sweep,
+    features,
+    rebased,
+    waves,
+)
 
 try:
     CompiledFlow: Any = import_module("sparsefit.onboard.compiled").CompiledFlow
@@ -33,8 +47,6 @@ GATE, FADE, HORIZON, SETTLED, ANNEAL = 25.0, 0.998, 100.0, 64.0, 8.0
 WALK = np.array([0.002] * 4 + [0.0005] * 2)  # of amplitudes and wavevectors, over theirs, in 1 s
 LARGEST, GAP = 1e7, 20.0
 N, FLOW = 12, slice(6, 12)
-
-
 OK, GAP_TAKEN, BAD_SAMPLE, BAD_TIME = 0, 3, 4, 5  # of `update`, as `sf_status` of the C
 MISFITS = (BoardDoubt.INNOVATIONS, BoardDoubt.SHAPE, BoardDoubt.TURNED)
 
@@ -168,7 +180,7 @@ class Board:
             self.state[:, :2], self.state[:, 2:4], self.state[:, 4:6] = away, z[2:], 0.0
             self.covariance[:, :6, :] = self.covariance[:, :, :6] = 0.0
             for level, state in enumerate(self.state):
-                gust = (LEVELS[level] * speed_of(state[FLOW])) ** 2
+                gust = (LEVELS[level] * features(state[FLOW])[0][SPEED]) ** 2
                 diagonal = [*np.repeat(self.noise, 2), gust, gust]
                 self.covariance[level, range(6), range(6)] = diagonal
             self._rebase(away)
@@ -252,7 +264,7 @@ class Board:
     def _follow(self, z: Array, h: float, push: Array) -> None:
         """Follow the flow with one sample z (4,), h seconds after the last."""
         settings = self.settings
-        speed = speed_of(self.state[int(np.argmax(self.log_likelihood)), FLOW])
+        speed = features(self.state[int(np.argmax(self.log_likelihood)), FLOW])[0][SPEED]
         rate = 1.0 / settings.response_time + 2.0 * settings.drag_coefficient * speed
         parts = 1 + math.floor(min(2 * h * rate, 15.0))
         for _ in range(parts):
@@ -292,17 +304,20 @@ class Board:
         variance = peak.residual / (2 * self.sweep.count - M)
         ridge = np.diag(1e-4 * np.diag(peak.information) + 1e-12)
         inverse = variance * np.asarray(np.linalg.inv(peak.information + ridge), np.float64)
-        uneven, gradient = unevenness(peak.flow)
-        if uneven**2 > 40 * gradient @ inverse @ gradient:
+        value, by_flow = features(peak.flow)
+        error = np.einsum("gi,ij,gj->g", by_flow, inverse, by_flow)
+        if value[UNEVEN] ** 2 > 40 * error[UNEVEN]:
             return BoardDoubt.SHAPE
-        value, error = parameters(peak.flow, inverse)
-        if not (error[0] < (0.03 * value[0]) ** 2 and error[1] < (0.01 * value[1]) ** 2):
+        if not (
+            error[SPEED] < (0.03 * value[SPEED]) ** 2
+            and error[LENGTH] < (0.01 * value[LENGTH]) ** 2
+        ):
             return BoardDoubt.IMPRECISE
         away = z[:2] - self.sweep.middle
         self.state = np.tile(np.concatenate([away, z[2:], [0.0, 0.0], peak.flow]), (len(LEVELS), 1))
         self.covariance = np.zeros((len(LEVELS), N, N))
         self.covariance[:, range(4), range(4)] = np.repeat(self.noise, 2)
-        self.covariance[:, range(4, 6), range(4, 6)] = ((LEVELS * value[0]) ** 2)[:, None]
+        self.covariance[:, range(4, 6), range(4, 6)] = ((LEVELS * value[SPEED]) ** 2)[:, None]
         self.covariance[:, FLOW, FLOW] = 4 * inverse
         self._rebase(away)
         levels = len(LEVELS)
@@ -327,14 +342,16 @@ class Board:
         apart = self.state[:, FLOW] - flow
         spreads = self.covariance[:, FLOW, FLOW] + apart[:, :, None] * apart[:, None]
         covariance = np.einsum("l,lij->ij", weight, spreads)
-        uneven, gradient = unevenness(flow)  # both waves are as strong: a condition
+        value, by_flow = features(flow)  # both waves are as strong: a condition
+        uneven, gradient = value[UNEVEN], by_flow[UNEVEN]
         spread = float(gradient @ covariance @ gradient)
         gain = covariance @ gradient / spread
         flow = flow - gain * uneven
         innovation = float(weight @ self.square)
         covariance = (covariance - spread * np.outer(gain, gain)) * max(innovation, 1.0)
-        value, variance = parameters(flow, covariance)
-        error = np.sqrt(np.maximum(variance, 0.0))
+        value, by_flow = features(flow)
+        variance = np.einsum("gi,ij,gj->g", by_flow, covariance, by_flow)
+        value, error = value[:UNEVEN], np.sqrt(np.maximum(variance[:UNEVEN], 0.0))
         remaining = self.remaining
         unexplained = float(remaining[0] / remaining[1]) if remaining[1] > 0 else 1.0
         correlation = float(weight @ self.product)
@@ -343,13 +360,13 @@ class Board:
             doubt = BoardDoubt.SETTLING
         elif not innovation < 1.6 or correlation > 0.5 or unexplained > 0.3:
             doubt = BoardDoubt.INNOVATIONS
-        elif not settings.any_heading and abs(value[3]) > 0.02 + 3 * error[3]:
+        elif not settings.any_heading and abs(value[HEADING]) > 0.02 + 3 * error[HEADING]:
             doubt = BoardDoubt.TURNED
         elif uneven**2 > 16 * spread and abs(uneven) > EVEN:
             doubt = BoardDoubt.SHAPE
         elif not (error[:3] < settings.precision / 1.96 * value[:3]).all():
             doubt = BoardDoubt.IMPRECISE
-        elif not settings.lower <= value[1] <= settings.upper:
+        elif not settings.lower <= value[LENGTH] <= settings.upper:
             doubt = BoardDoubt.EDGE
         return BoardAnswer(
             doubt,
@@ -360,8 +377,7 @@ class Board:
             correlation,
             float(weight @ LEVELS),
             unexplained,
-            0.0,
-            np.concatenate([flow, self.anchor + self.origin]),
+            flow=np.concatenate([flow, self.anchor + self.origin]),
         )
 
 
@@ -376,18 +392,7 @@ def answer_of(board: Any) -> BoardAnswer:
     """Return the answer of a board of either kind."""
     if isinstance(board, Board):
         return board.estimate()
-    doubt, samples, values, errors, tests, rival, flow = board.estimate()
-    value, error = np.array(values), np.array(errors)
-    innovation, correlation, disturbance, unexplained = tests
-    return BoardAnswer(
-        BoardDoubt(doubt),
-        samples,
-        value,
-        error,
-        innovation,
-        correlation,
-        disturbance,
-        unexplained,
-        rival,
-        np.array(flow),
-    )
+    doubt, samples, values, errors, tests, flow = board.estimate()
+    figures: tuple[float, float, float, float, float] = tests
+    arrays = (np.array(values), np.array(errors))
+    return BoardAnswer(BoardDoubt(doubt), samples, *arrays, *figures, np.array(flow))

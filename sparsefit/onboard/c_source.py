@@ -10,7 +10,6 @@ import math
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +26,6 @@ from sparsefit.logs.flight_table import FlightTable
 from sparsefit.onboard.board import LEVELS, answer_of, board_of
 from sparsefit.onboard.online import board_settings, refusal, samples_of
 from sparsefit.onboard.sweep import PEAKS, ROWS
-from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]
 TOLERANCES: dict[Real, float] = {"double": 1e-6, "float": 1e-3}
@@ -38,20 +36,6 @@ FILES = ("sf_flow.h", "sf_flow.c", "CMakeLists.txt", "README.md", "test/replay.c
 _NAMES = ("response_time", "drag_coefficient", "thrust_x", "thrust_y", "thrust_scale")
 
 
-@dataclass(frozen=True)
-class Work:
-    """Operations of one sample, at most: sums and products, quotients and roots, sines and logs."""
-
-    sums: int
-    quotients: int
-    functions: int
-
-    def microseconds(self, real: Real) -> float:
-        """Time [us] at `CLOCK` with the assumed cycles."""
-        counts = (self.sums, self.quotients, self.functions)
-        return sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK * 1e6
-
-
 def ram(real: Real) -> int:
     """Return the bytes of the state: `sizeof(sf_flow)` rounded up to 64."""
     filters = len(LEVELS) * (12 + 144 + 3 + 4)
@@ -59,28 +43,31 @@ def ram(real: Real) -> int:
     return math.ceil((reals * (8 if real == "double" else 4) + 96) / 64) * 64
 
 
-def following() -> Work:
-    """Return the work of a sample that is followed by all filters, in one step of the motion."""
-    waves, product, corrections = 5 * 2 * 45, 2 * (4 * 144 + 21 * 12), 4 * (12 + 2 * 78)
-    return Work(len(LEVELS) * (waves + product + corrections + 200), len(LEVELS) * 40, 4 * 30)
+def work(candidates: int) -> dict[str, tuple[int, int, int]]:
+    """Return the sums and products, quotients and roots, sines and logs of a sample, at most.
+
+    Of one that all filters follow, in a step of the motion; and of one of the search, which looks
+    at so many candidates.
+    """
+    motion, covariance, corrections = 4 * 2 * 60, 2 * (6 + 6) * 144, 4 * (12 + 2 * 78)
+    filters = len(LEVELS)
+    return {
+        "following": (
+            filters * (motion + covariance + corrections + 300), filters * 60, filters * 30,
+        ),
+        "searching": (
+            candidates * ROWS * 2 * 18 + 4 * ROWS, candidates * 12, candidates * ROWS * 4,
+        ),
+    }  # fmt: skip
 
 
-def searching(candidates: int) -> Work:
-    """Return the work of a sample of the search that looks at so many candidates."""
-    return Work(candidates * ROWS * 2 * 18 + 4 * ROWS, candidates * 12, candidates * ROWS * 4)
+def microseconds(counts: tuple[int, int, int], real: Real) -> float:
+    """Return the time [us] of so many operations at `CLOCK` with the assumed cycles."""
+    return sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK * 1e6
 
 
-@dataclass(frozen=True)
-class Footprint:
-    """The flash [bytes] of code and constants, and the stack [bytes] of all frames together."""
-
-    compiler: str
-    flash: int
-    stack: int
-
-
-def footprint(content: dict[str, bytes], compiler: str | None) -> Footprint | None:
-    """Compile the C for size; None where no compiler is named and there is none.
+def footprint(content: dict[str, bytes], compiler: str | None) -> list[str]:
+    """Return flash and stack of the C compiled for size, in lines; none where there is no compiler.
 
     Raises:
         InputError: where a named one is missing or refuses the source.
@@ -89,7 +76,7 @@ def footprint(content: dict[str, bytes], compiler: str | None) -> Footprint | No
     if not shutil.which(command[0]):
         if compiler:
             raise InputError(f"--compiler {compiler}: there is no such program; check its name")
-        return None
+        return []
     flags = ("-std=c99", "-Os", "-fstack-usage", "-c", "sf_flow.c", "-o", "sf_flow.o")
     with TemporaryDirectory() as folder:
 
@@ -99,7 +86,7 @@ def footprint(content: dict[str, bytes], compiler: str | None) -> Footprint | No
             )
 
         for name in ("sf_flow.h", "sf_flow.c"):
-            write_whole(Path(folder) / name, content[name])
+            (Path(folder) / name).write_bytes(content[name])
         result = run(*command, *flags)
         if result.returncode and compiler:
             first = one_line(result.stderr.strip().partition("\n")[0])
@@ -107,33 +94,29 @@ def footprint(content: dict[str, bytes], compiler: str | None) -> Footprint | No
         size = re.sub(r"(gcc|clang|cc)$", "size", command[0])
         size = size if size != command[0] and shutil.which(size) else "size"
         if result.returncode or not shutil.which(size):
-            return None
-        flash = int(run(size, "sf_flow.o").stdout.splitlines()[1].split()[0])
-        frames = [
-            line for file in Path(folder).glob("*.su") for line in file.read_text().split("\n")
-        ]
+            return []
+        flash = run(size, "sf_flow.o").stdout.splitlines()[1].split()[0]
+        frames = "\n".join(file.read_text() for file in Path(folder).glob("*.su")).split("\n")
         stack = sum(int(line.split("\t")[1]) for line in frames if line)
-        version = one_line(run(*command, "--version").stdout.partition("\n")[0])
-    return Footprint(version or command[0], flash, stack)
+        version = one_line(run(*command, "--version").stdout.partition("\n")[0]) or command[0]
+    return [
+        f"flash  {flash} bytes by {version}, -Os, without math.h",
+        f"stack  at most {stack} bytes: all frames together",
+    ]
 
 
-def costs(real: Real, candidates: int, measured: Footprint | None) -> list[str]:
+def costs(real: Real, candidates: int, measured: list[str]) -> list[str]:
     """Return RAM, flash, stack, work and time in lines for people."""
     lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`"]
-    if measured:
-        lines.append(f"flash  {measured.flash} bytes by {measured.compiler}, -Os, without math.h")
-        lines.append(f"stack  at most {measured.stack} bytes: all frames together")
-    else:
-        lines.append("flash  not measured: no compiler was here")
-    for name, work in (("following", following()), ("searching", searching(candidates))):
-        lines.append(
-            f"work   {name}: {work.sums} sums and products, {work.quotients} quotients and roots, "
-            f"{work.functions} sines,"
-        )
-        lines.append(
-            f"       cosines, logs a sample, at most: {work.microseconds(real):.0f} us at "
-            f"{CLOCK / 1e6:.0f} MHz (cycles assumed, not measured)"
-        )
+    lines += measured or ["flash  not measured: no compiler was here"]
+    for name, counts in work(candidates).items():
+        sums, quotients, functions = counts
+        lines += [
+            f"work   {name}: {sums} sums and products, {quotients} quotients and roots, "
+            f"{functions} sines,",
+            f"       cosines, logs a sample, at most: {microseconds(counts, real):.0f} us at "
+            f"{CLOCK / 1e6:.0f} MHz (cycles assumed, not measured)",
+        ]
     return lines
 
 
@@ -206,7 +189,7 @@ def package(
     origin = f"Made by sparsefit {__version__} from {one_line(source, 50).replace('*/', '')}."
     folder = files("sparsefit.onboard") / "templates"
 
-    def filled(measured: Footprint | None) -> dict[str, bytes]:
+    def filled(measured: list[str]) -> dict[str, bytes]:
         lines = costs(real, settings.candidates, measured)
         marks = {
             "#define SF_REAL double": f"#define SF_REAL {real}",
@@ -225,7 +208,7 @@ def package(
             content[path] = text.encode()
         return content
 
-    content = filled(footprint(filled(None), compiler))
+    content = filled(footprint(filled([]), compiler))
     content["test/flight.csv"] = csv_file.encode(FlightTable.from_flight(flown))
     content["test/reference.csv"] = ("\n".join(reference(estimator, flown)) + "\n").encode()
     return content

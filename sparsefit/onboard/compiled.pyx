@@ -55,13 +55,13 @@ cdef class CompiledFlow:
         return sf_update(&self.flow, time_ns, position, velocity, push)
 
     def estimate(self):
-        """Doubt, samples, values (4), errors (4), four tests, rival and flow (8)."""
+        """Doubt, samples, values (4), errors (4), four tests and the rival, flow (8)."""
         cdef sf_answer a
         sf_estimate(&self.flow, &a)
         values = (a.mean_velocity, a.length_scale, a.timescale, a.heading)
         errors = (a.mean_velocity_error, a.length_scale_error, a.timescale_error, a.heading_error)
-        tests = (a.innovation, a.correlation, a.disturbance, a.unexplained)
-        return a.doubt, a.samples, values, errors, tests, a.rival, [a.flow[i] for i in range(8)]
+        tests = (a.innovation, a.correlation, a.disturbance, a.unexplained, a.rival)
+        return a.doubt, a.samples, values, errors, tests, [a.flow[i] for i in range(8)]
 
     @property
     def restarts(self):

@@ -1,19 +1,20 @@
 """An estimator that follows a stream of samples, each in bounded time, and answers at any moment.
 
 The answer is that of the forward pass (`sparsefit.onboard.board`): first a search over square cells
-of every size and heading, then Kalman filters over the flow that was found.
+of every size and heading, then Kalman filters over the flow that was found. A recorded flight is
+scored as the stream that it was by `as_flown`.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.errors import InputError, finite, pair, positive
 from sparsefit.estimator import Doubt, Estimate, Estimator
 from sparsefit.flight import Flight
@@ -21,15 +22,16 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.likelihood.goodness import Uncertainty
 from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, BoardAnswer, answer_of, board_of
-from sparsefit.onboard.square_cells import rebased
-from sparsefit.onboard.sweep import BoardDoubt, BoardSettings
+from sparsefit.onboard.sweep import BoardDoubt, BoardSettings, rebased
+from sparsefit.regression import Fit
 from sparsefit.regression.backend import settings_of
+
+if TYPE_CHECKING:
+    from sparsefit.estimator.prepare import Prepared
 
 WIDEST = 16.0  # the largest length scale over the least: beyond it the path held is too short
 CANDIDATES = 8  # looked at with each sample of the search
-HELD = 2048  # samples for `OnlineEstimator.flight`
 NOON = 10**18  # ns that the first sample's clock is given: others may come before it
-_NUMBERS = {float, int, np.float64}
 _WORDS = {
     BoardDoubt.FEW_SAMPLES: (Doubt.FEW_SAMPLES, "too few samples for a search; fly on"),
     BoardDoubt.NO_FLOW: (Doubt.NO_FLOW, "no cells of one size and heading explain the flight"),
@@ -50,19 +52,19 @@ def refusal(estimator: Estimator) -> str:
     their place. The vehicle is known, the flow one of square cells, and U0 its rms.
     """
     library, readout, grid = estimator.library, estimator.readout, estimator.library.grid
-    causes = []
-    if library.unknown:
-        causes.append(f"unknown {', '.join(library.unknown)}: the vehicle is known (leave it out)")
-    if getattr(estimator, "free", ()):
-        causes.append("free: the vehicle and the sensors are known (leave it out)")
-    if readout.scales != "one":
-        causes.append("several scales are a search over all rows (use scales 'one')")
-    if readout.mean_velocity != "rms":
-        causes.append(f"readout {readout.mean_velocity!r}: U0 is the rms (use 'rms')")
-    if grid.upper > WIDEST * grid.lower:
-        span = f"{grid.lower:g} to {grid.upper:g} m"
-        causes.append(f"a grid of {span} is wider than {WIDEST:g} times (use narrower bounds)")
-    return f"this estimator cannot run on board: {'; '.join(causes)}" if causes else ""
+    span = f"a grid of {grid.lower:g} to {grid.upper:g} m is wider than {WIDEST:g} times"
+    free = estimator.free
+    freed = (*library.unknown, *((free,) if isinstance(free, str) else free))
+    causes = {
+        f"unknown {', '.join(freed)}: the vehicle is known (leave it out)": freed,
+        "several scales are a search over all rows (use scales 'one')": readout.scales != "one",
+        f"readout {readout.mean_velocity!r}: U0 is the rms (use 'rms')": (
+            readout.mean_velocity != "rms"
+        ),
+        f"{span} (use narrower bounds)": grid.upper > WIDEST * grid.lower,
+    }
+    words = "; ".join(cause for cause, stands in causes.items() if stands)
+    return f"this estimator cannot run on board: {words}" if words else ""
 
 
 def board_settings(
@@ -73,16 +75,19 @@ def board_settings(
     memory: the time in which the weight of a sample falls by e [s]; 0: all count alike.
     """
     grid, readout = estimator.library.grid, estimator.readout
-    turned = readout.refine == "ladder" or estimator.library.family == "waves"
     return BoardSettings(
         *vehicle.parameters,
         float(grid.lower),
         float(grid.upper),
         float(readout.precision),
         memory,
-        int(turned),
+        int(_any_heading(estimator)),
         CANDIDATES,
     )
+
+
+def _any_heading(estimator: Estimator) -> bool:
+    return estimator.readout.refine == "ladder" or estimator.library.family == "waves"
 
 
 class OnlineEstimator:
@@ -115,24 +120,18 @@ class OnlineEstimator:
             raise InputError(f"online: estimator must be an Estimator, not {estimator!r}")
         if not isinstance(vehicle, PointMassVehicle):
             raise InputError(f"online: vehicle must be a PointMassVehicle; got {vehicle!r}")
-        if window is not None and memory is not None:
-            raise InputError("online: give window or memory [s], not both")
         if reason := refusal(estimator):
             raise InputError(f"online: {reason}")
-        self.estimator, self.vehicle = estimator, vehicle
-        fading = 0.0
-        if window is not None:
-            fading = positive("window", window, "s") / 2.0
-        elif memory is not None:
-            fading = positive("memory", memory, "s")
+        stream = Stream(window, memory)
+        self.estimator = estimator
+        fading = stream.memory or 0.0 if stream.window is None else stream.window / 2.0
         self.settings = board_settings(estimator, vehicle, fading)
-        self._window = math.inf if window is None else float(window)
         self._lock = threading.RLock()
         self.restart()
 
     def __getstate__(self) -> dict[str, Any]:
         with self._lock:
-            return {**self.__dict__, "_lock": None, "_ring": self._ring.copy()}
+            return {**self.__dict__, "_lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _lock=threading.RLock())
@@ -141,14 +140,11 @@ class OnlineEstimator:
         """Forget all samples; the next may have any time."""
         with self._lock:
             self._board: Any = board_of(self.settings)
-            self._first: float | None = None
+            self._first = 0.0
             self._pushed = False
-            self._ring = np.zeros((HELD, 7))
             self._count = 0
 
-    def update(
-        self, time: float, position: object, velocity: object, thrust: object = None
-    ) -> None:
+    def update(self, time: float, position: Any, velocity: Any, thrust: Any = None) -> None:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
 
         A step of more than 20 mean steps, or one back in time, is out of line: the sample is left
@@ -166,52 +162,29 @@ class OnlineEstimator:
             InputError: where a value is not finite or no flight has it, or the time is out of
                 line. The sample is left out, and nothing changes.
         """
-        place, speed = _plain(position), _plain(velocity)
-        if place is None or speed is None or type(time) not in _NUMBERS:
-            time = finite("time", time, "s")
-            place = pair("position", position, "m")
-            speed = pair("velocity", velocity, "m/s")
-        x, y = place
-        vx, vy = speed
-        push = None if thrust is None else pair("thrust", thrust, "m/s^2")
         with self._lock:
-            if self._first is None:
-                self._first, self._pushed = finite("time", time, "s"), push is not None
-            if self._pushed is not (push is not None):
+            if self._count and self._pushed is not (thrust is not None):
                 raise InputError("give a thrust with every sample or with none; restart() between")
-            since = (time - self._first) * 1e9
-            clock = round(since) + NOON if abs(since) < NOON else -1
-            status = self._board.update(clock, x, y, vx, vy, push) if clock >= 0 else BAD_SAMPLE
+            first = self._first if self._count else time
+            try:
+                clock = round((time - first) * 1e9) + NOON
+                (x, y), (vx, vy) = position, velocity
+                status = self._board.update(clock, x, y, vx, vy, thrust)
+            except (TypeError, ValueError, OverflowError):  # no numbers, or none of a clock
+                status = BAD_SAMPLE
             if status not in (BAD_SAMPLE, BAD_TIME):
-                row = self._ring[self._count % HELD]
-                row[:5] = time, x, y, vx, vy
-                row[5:] = push or 0.0
+                self._first, self._pushed = first, thrust is not None
                 self._count += 1
                 return
-            if not self._count:
-                self._first = None
         finite("time", time, "s")
-        pair("position", place, "m")
-        pair("velocity", speed, "m/s")
+        pair("position", position, "m")
+        pair("velocity", velocity, "m/s")
         if status == BAD_SAMPLE:
             raise InputError("a sample beyond 1e7 in SI units: no flight; change the unit")
         raise InputError(
             f"time {time} s is out of line with the samples before; it is left out, and taken as a "
             "new clock if the next sample goes on from it"
         )
-
-    def rehearse(self) -> None:
-        """Follow a made-up flight once and forget it, and all samples so far.
-
-        Before take-off: else the first samples pay for imports.
-        """
-        self.restart()
-        for number in range(256):
-            turn = 0.1 * number
-            speed = (self.settings.lower * math.cos(turn), self.settings.lower * math.sin(turn))
-            self.update(0.02 * number, speed, speed, (0.0, 0.0) if self._pushed else None)
-        self.estimate()
-        self.restart()
 
     @property
     def samples(self) -> int:
@@ -225,24 +198,8 @@ class OnlineEstimator:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory that the board and the samples held take."""
-        return int(self._board.nbytes) + self._ring.nbytes
-
-    @property
-    def flight(self) -> Flight:
-        """The last samples (of the window, 2048 at most) as a flight, for any other estimator.
-
-        Raises InputError while there are fewer than three.
-        """
-        with self._lock:
-            order = np.arange(max(0, self._count - HELD), self._count) % HELD
-            rows, pushed = self._ring[order].copy(), self._pushed
-        back = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
-        rows = rows[int(back[-1]) + 1 :] if len(back) else rows
-        if len(rows):
-            rows = rows[rows[:, 0] >= rows[-1, 0] - self._window * (1 + 1e-9)]
-        thrust: Array | None = rows[:, 5:] if pushed else None
-        return Flight(rows[:, 0], rows[:, 1:3], rows[:, 3:5], self.vehicle, thrust=thrust)
+        """Bytes of memory that the board takes."""
+        return int(self._board.nbytes)
 
     def estimate(self) -> Estimate:
         """Return the flow's parameters from all samples so far, with their 95 % intervals."""
@@ -258,29 +215,24 @@ def samples_of(flight: Flight) -> Iterator[tuple[Any, ...]]:
     yield from zip(*(column.tolist() for column in series), strict=True)
 
 
-def _plain(vector: Any) -> tuple[float, float] | None:
-    """Two plain numbers, which need no other check than that of the board; None of all else."""
-    if type(vector) in (tuple, list, np.ndarray) and len(vector) == 2:
-        x, y = vector
-        if type(x) in _NUMBERS and type(y) in _NUMBERS:
-            return x, y
-    return None
-
-
-def estimate_of(estimator: Estimator, answer: BoardAnswer, **fields: Any) -> Estimate:
-    """Return the answer of a board as an estimate; ``fields`` are its others."""
-    backend = estimator.backend
-    assert not isinstance(backend, str)
+def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estimate:
+    """Return the answer of a board as an estimate; ``more`` are its other fields."""
+    backend: Any = estimator.backend
     doubt, reason = _WORDS.get(answer.doubt, (None, ""))
     speed, length, time, heading = answer.value.tolist()
-    followed = math.isfinite(length)
-    uncertainty, flow = None, None
-    if followed:
-        uncertainty = Uncertainty.of_flow((speed, length, time), answer.error[:3].tolist())
+    any_heading = _any_heading(estimator)
+    if math.isfinite(length):
         about_zero, _ = rebased(answer.flow[:6], -answer.flow[6:])
         kx, ky = about_zero[4:]
-        flow = WaveFlow(np.array([[kx, ky], [-ky, kx]]), about_zero[[0, 2]], about_zero[[1, 3]])
-    turned = bool(board_settings(estimator, PointMassVehicle(1.0)).any_heading)
+        more |= {
+            "uncertainty": Uncertainty.of_flow((speed, length, time), answer.error[:3].tolist()),
+            "flow": WaveFlow(
+                np.array([[kx, ky], [-ky, kx]]), about_zero[[0, 2]], about_zero[[1, 3]]
+            ),
+            "heading": heading if any_heading else 0.0,
+            "shape": "square" if any_heading else "axis",
+            "length_scales": (length, length),
+        }
     return Estimate(
         speed,
         length,
@@ -291,11 +243,114 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **fields: Any) -> Est
         settings=settings_of(backend),
         samples=answer.samples,
         rival_length_scale=answer.rival or math.nan,
-        uncertainty=uncertainty,
         doubt=doubt,
-        heading=heading if turned or not followed else 0.0,
-        flow=flow,
-        shape=("square" if turned else "axis") if followed else "",
-        length_scales=(length, length) if followed else None,
-        **fields,
+        **({"heading": heading} | more),
     )
+
+
+class FlownRows:
+    """The rows of a flight for a back-end, with the answer of the board after its last sample."""
+
+    def __init__(self, prepared: Prepared, answer: BoardAnswer) -> None:
+        self._prepared, self._answer = prepared, answer
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name in ("_prepared", "_answer"):
+            raise AttributeError(name)
+        return getattr(self._prepared, name)
+
+    def read(self, estimator: Estimator, fit: Fit) -> Estimate:
+        """Return the board's answer, with the certificate of the back-end's fit."""
+        return estimate_of(
+            estimator,
+            self._answer,
+            certificate=fit.certificate,
+            columns=fit.problem.columns,
+            seconds=self._prepared.seconds + fit.seconds,
+        )
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Whether an estimator follows its flights sample by sample, and how fast it forgets.
+
+    Args:
+        window: seconds that count, as of `OnlineEstimator`.
+        memory: or the time in which the weight of a sample falls by e [s].
+
+    Raises:
+        InputError: if both are given, or one of them is not above 0.
+    """
+
+    window: float | None = None
+    memory: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check both."""
+        if self.window is not None and self.memory is not None:
+            raise InputError("online: give window or memory [s], not both")
+        for name in ("window", "memory"):
+            if getattr(self, name) is not None:
+                positive(f"online: {name}", getattr(self, name), "s")
+
+    @property
+    def asked(self) -> bool:
+        """Whether flights are followed at all."""
+        return self.window is not None or self.memory is not None
+
+    def refuse_unfit(self, estimator: Estimator) -> None:
+        """Raise InputError where flights are to be followed by an estimator that cannot."""
+        if self.asked and (reason := refusal(estimator)):
+            raise InputError(f"online: {reason}")
+
+    def prepare(self, estimator: Estimator, fleet: Sequence[Flight]) -> Prepared:
+        """Return the rows of a flight, which `Estimator.read` reads as they were flown if asked."""
+        return self.flown(estimator).prepare(fleet) if self.asked else estimator.prepare(fleet)
+
+    def flown(self, estimator: Estimator) -> FlownEstimator:
+        """Return the estimator as it flies."""
+        own = {item.name: getattr(estimator, item.name) for item in fields(Estimator)}
+        return FlownEstimator(**own, stream=self)
+
+    def followed(self, estimator: Estimator, flight: Flight) -> OnlineEstimator:
+        """Return an online estimator that was given all samples of a flight, one by one."""
+        online = OnlineEstimator(
+            estimator, vehicle=flight.vehicle, window=self.window, memory=self.memory
+        )
+        for sample in samples_of(flight):
+            online.update(*sample)
+        return online
+
+
+@dataclass(frozen=True)
+class FlownEstimator(Estimator):
+    """An estimator as it flies: its estimate is that of the board after a flight's last sample."""
+
+    stream: Stream = field(default=Stream(), kw_only=True)
+
+    def prepare(self, flights: Flight | Sequence[Flight]) -> Prepared:
+        """Return the rows of a flight for the back-end, with the board's answer beside them."""
+        fleet = [flights] if isinstance(flights, Flight) else list(flights)
+        if len(fleet) != 1:
+            raise InputError(f"on board one flight is followed, not {len(fleet)} together")
+        batch = Estimator(**{item.name: getattr(self, item.name) for item in fields(Estimator)})
+        answer = answer_of(self.stream.followed(batch, fleet[0])._board)
+        return cast("Prepared", FlownRows(batch.prepare(fleet[0]), answer))
+
+    def estimate(self, flights: Flight | Sequence[Flight]) -> Estimate:
+        """Estimate from a flight, sample by sample."""
+        prepared = self.prepare(flights)
+        return self.read(prepared, self.fit(prepared))
+
+
+def as_flown(
+    estimator: Estimator, *, window: float | None = None, memory: float | None = None
+) -> FlownEstimator:
+    """Return an estimator as it flies, to be scored like any other.
+
+    Raises:
+        InputError: where it cannot (`refusal` says why).
+    """
+    if reason := refusal(estimator):
+        raise InputError(reason)
+    return Stream(window, memory).flown(estimator)

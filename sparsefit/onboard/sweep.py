@@ -2,7 +2,11 @@
 
 A row is the mean over a quarter of the least length scale that is sought: the velocity, and Phi
 from the slope of the velocity. A sweep looks at cells of every |k| and heading, at steps of two
-over the extent of the rows, a few with each sample.
+over the extent of the rows, a few with each sample. Square cells of any heading are six parameters,
+a, b, a, b, kx, ky:
+
+    psi = sum over k = (kx, ky), (-ky, kx) of a cos(k.x) + b sin(k.x),   w = (psi_y, -psi_x),
+    U0 = |k| sqrt(sum of a^2 + b^2),   L = sqrt(2) pi/|k|
 """
 
 from __future__ import annotations
@@ -14,10 +18,11 @@ from enum import IntEnum
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.onboard.square_cells import M, heading, heading_of, length_of, unevenness, waves
 
+M = 6  # parameters of the flow
 ROWS, FEWEST_ROWS, BLOCK_MOST, PEAKS, REFINEMENTS = 192, 24, 64, 5, 14
 EVEN, EXPLAINED, EVIDENCE = 0.03, 0.6, 15.0
+SPEED, LENGTH, TIME, HEADING, UNEVEN = range(5)  # of `features`
 
 
 class BoardDoubt(IntEnum):
@@ -66,6 +71,63 @@ class BoardSettings:
     candidates: int = 8
 
 
+def waves(flow: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return w (2, ...), its gradient by the place (2, 2, ...) and by the flow (2, 6, ...).
+
+    flow: a, b, a, b [m^2/s], kx, ky [rad/m], (6, ...); x, y: from where phases count [m], (...).
+    """
+    w, place = np.zeros((2, *np.shape(x))), np.zeros((2, 2, *np.shape(x)))
+    gradient = np.zeros((2, M, *np.shape(x)))
+    for j, (k, l) in enumerate(((flow[4], flow[5]), (-flow[5], flow[4]))):  # noqa: E741
+        a, b, phase = flow[2 * j], flow[2 * j + 1], k * x + l * y
+        c, s = np.cos(phase), np.sin(phase)
+        slope, height, normal = b * c - a * s, a * c + b * s, np.stack([l + 0 * x, -k + 0 * x])
+        w += slope * normal
+        place -= height * normal[:, None] * np.stack([k + 0 * x, l + 0 * x])
+        gradient[:, 2 * j], gradient[:, 2 * j + 1] = -s * normal, c * normal
+        by_k = np.stack([-height * l * x, height * k * x - slope])
+        by_l = np.stack([slope - height * l * y, height * k * y])
+        gradient[:, 4] += by_l if j else by_k
+        gradient[:, 5] += -by_k if j else by_l
+    return w, place, gradient
+
+
+def turned(angle: float) -> float:
+    """An angle [rad] less the nearest multiple of a right one."""
+    return angle - math.pi / 2 * math.floor(angle / (math.pi / 2) + 0.5)
+
+
+def features(flow: Array) -> tuple[Array, Array]:
+    """U0, L, L/U0, the heading [rad] and the unevenness of a flow (6,), and gradients (5, 6).
+
+    The unevenness is half the logarithm of the ratio of the two waves' squared amplitudes.
+    """
+    first, second = flow[0] ** 2 + flow[1] ** 2, flow[2] ** 2 + flow[3] ** 2
+    k = flow[4] ** 2 + flow[5] ** 2
+    speed, length = math.sqrt(k * (first + second)), math.sqrt(2.0 / k) * math.pi
+    heading = turned(math.atan2(flow[5], flow[4]) - math.pi / 4)
+    gradients = np.zeros((5, M))
+    gradients[SPEED] = np.concatenate([k * flow[:4], speed**2 / k * flow[4:]]) / speed
+    gradients[LENGTH, 4:] = -length * flow[4:] / k
+    gradients[TIME] = length / speed * (gradients[LENGTH] / length - gradients[SPEED] / speed)
+    gradients[HEADING, 4:] = -flow[5] / k, flow[4] / k
+    gradients[UNEVEN, :4] = *(-flow[:2] / first), *(flow[2:4] / second)
+    values = [speed, length, length / speed, heading, math.log(second / first) / 2]
+    return np.array(values), gradients
+
+
+def rebased(flow: Array, place: Array) -> tuple[Array, Array]:
+    """A flow (6,) whose phases count from a place (2,) [m], and the Jacobian (6, 6) of that."""
+    moved, jacobian = flow.copy(), np.eye(M)
+    for j, by in enumerate((place, np.array([place[1], -place[0]]))):
+        turn = float(flow[4:] @ by)
+        c, s, two = math.cos(turn), math.sin(turn), slice(2 * j, 2 * j + 2)
+        jacobian[two, two] = [[c, s], [-s, c]]
+        moved[two] = jacobian[two, two] @ flow[two]
+        jacobian[two, 4:] = np.outer([moved[2 * j + 1], -moved[2 * j]], by)
+    return moved, jacobian
+
+
 class Peak:
     """A candidate of a sweep: its share of the rows, |k|, direction of k, and its least squares."""
 
@@ -90,11 +152,6 @@ class Sweep:
         self.radius = self.turn = self.refining = self.iteration = 0
         self.peaks: list[Peak] = []
         self.middle = np.zeros(2)
-
-    @property
-    def rows(self) -> Array:
-        """The rows (m, 4): place [m] and flow velocity [m/s]."""
-        return self.memory[: self.count]
 
     def take(self, z: Array, h: float, push: Array) -> Array | None:
         """Add a sample, h seconds after the last, to the block; the row that it becomes, if any."""
@@ -128,9 +185,8 @@ class Sweep:
             turns = math.ceil(math.pi / 2 * size / step)
             angle = math.pi / 2 * self.turn / turns
         self.hold(self.explained(rows, size, angle), size, angle)
-        self.turn += 1
-        if self.turn >= turns:
-            self.turn, self.radius = 0, self.radius + 1
+        self.turn = (self.turn + 1) % turns
+        self.radius += self.turn == 0
         return True
 
     def explained(self, rows: Array, size: float, angle: float) -> float:
@@ -154,37 +210,34 @@ class Sweep:
 
     def hold(self, score: float, size: float, angle: float) -> None:
         """Hold a candidate that is the best of its lobe, and among the best of all."""
-        place = len(self.peaks)
-        for i, peak in enumerate(self.peaks):
-            turn = heading_of(angle - peak.angle)
-            if (size - peak.size) ** 2 + (turn * size) ** 2 < (2.6 * self.spacing) ** 2:
-                place = i
-                break
+        lobe = (2.6 * self.spacing) ** 2
+        near = (
+            place
+            for place, peak in enumerate(self.peaks)
+            if (size - peak.size) ** 2 + (turned(angle - peak.angle) * size) ** 2 < lobe
+        )
+        place = next(near, len(self.peaks))
         if place == PEAKS:
             place = min(range(PEAKS), key=lambda i: self.peaks[i].score)
-        if place == len(self.peaks):
-            self.peaks.append(Peak(score, size, angle))
-        elif score > self.peaks[place].score:
-            self.peaks[place] = Peak(score, size, angle)
+        if place == len(self.peaks) or score > self.peaks[place].score:
+            self.peaks[place : place + 1] = [Peak(score, size, angle)]
 
     def refine(self, rows: Array, peak: Peak, *, first: bool) -> bool:
         """A step of Levenberg and Marquardt for a peak, on all rows; False where there is none."""
         w, _, by_flow = waves(peak.trial[:, None], *(rows[:, :2] - self.middle).T)
         error, columns = (rows[:, 2:].T - w).ravel(), np.moveaxis(by_flow, 1, 2).reshape(-1, M)
         normal, right = columns.T @ columns, columns.T @ error
-        residual = cost = float(error @ error)
-        weight = self.total / (20 * len(rows)) / EVEN**2
-        ties = (
-            () if first else (unevenness,) if self.settings.any_heading else (unevenness, heading)
-        )
-        for tie in ties:
-            value, gradient = tie(peak.trial)
-            cost += weight * value**2
-            right = right - weight * value * gradient
-            normal = normal + weight * np.outer(gradient, gradient)
+        residual, cost = float(error @ error), math.inf
+        if not first:  # the waves are as strong as each other, and lie along the axes
+            values, gradients = features(peak.trial)
+            ties = [UNEVEN] if self.settings.any_heading else [UNEVEN, HEADING]
+            weight = self.total / (20 * len(rows)) / EVEN**2
+            cost = residual + weight * float(np.sum(values[ties] ** 2))
+            right = right - weight * gradients[ties].T @ values[ties]
+            normal = normal + weight * gradients[ties].T @ gradients[ties]
         if first or cost < peak.cost:
             peak.flow, peak.information, peak.right = peak.trial, normal, right
-            peak.residual, peak.cost = residual, math.inf if first else cost
+            peak.residual, peak.cost = residual, cost
             peak.damping = 0.01 if first else peak.damping / 4
         else:
             peak.damping *= 6
@@ -201,47 +254,39 @@ class Sweep:
         if self.count < FEWEST_ROWS:
             self.doubt = BoardDoubt.FEW_SAMPLES
             return self.doubt
-        rows = self.rows
+        rows = self.memory[: self.count]
         if not self.sweeping:
             extent = max(self.settings.lower, *np.ptp(rows[:, :2], axis=0).tolist())
             self.spacing, self.sweeping, self.peaks = 2.0 / extent, True, []
             self.radius = self.turn = self.refining = self.iteration = 0
         self.total = float(np.sum(rows[:, 2:] ** 2))
         if not self.refining:
-            for _ in range(self.settings.candidates):
-                if not self.look(rows):
-                    self.refining, self.iteration = 1, 0
-                    break
+            looks = (self.look(rows) for _ in range(self.settings.candidates))
+            self.refining = int(not all(looks))
+            self.middle = rows[:, :2].mean(axis=0)
             return self.doubt
         peak = self.peaks[self.refining - 1]
         if not self.iteration:
             direction = np.array([math.cos(peak.angle), math.sin(peak.angle)])
             peak.trial = np.concatenate([np.zeros(4), peak.size * direction])
-            if self.refining == 1:
-                self.middle = rows[:, :2].mean(axis=0)
         if not self.refine(rows, peak, first=not self.iteration):
             peak.residual, self.iteration = math.inf, REFINEMENTS
         self.iteration += 1
         if self.iteration >= REFINEMENTS:
             self.iteration, self.refining = 0, self.refining + 1
-            if self.refining > len(self.peaks):
-                self.sweeping = False
-                return self.decide()
-        return self.doubt
-
-    def decide(self) -> BoardDoubt | Peak:
-        """The best peak, where it explains the rows and has no rival; else the doubt."""
+        if self.refining <= len(self.peaks):
+            return self.doubt
+        self.sweeping = False
         best = min(self.peaks, key=lambda peak: peak.residual)
-        rival = math.inf
+        rival, size = math.inf, math.hypot(*best.flow[4:])
         for peak in self.peaks:
-            length = length_of(peak.flow)
-            ratio = length / length_of(best.flow)
-            if not 0.97 <= ratio <= 1.03 and peak.residual < rival:
-                rival, self.rival = peak.residual, length
+            own = math.hypot(*peak.flow[4:])
+            if not 0.97 <= size / own <= 1.03 and peak.residual < rival:
+                rival, self.rival = peak.residual, math.sqrt(2.0) * math.pi / own
         if not best.residual < (1 - EXPLAINED) * self.total:
             self.doubt = BoardDoubt.NO_FLOW
-            return self.doubt
-        if self.count * math.log(rival / best.residual) < EVIDENCE:
+        elif self.count * math.log(rival / best.residual) < EVIDENCE:
             self.doubt = BoardDoubt.RIVAL
-            return self.doubt
-        return best
+        else:
+            return best
+        return self.doubt

@@ -10,8 +10,7 @@ import sparsefit as sf
 from sparsefit.flight.vehicle import turning
 from sparsefit.onboard import board as module
 from sparsefit.onboard.board import Board, answer_of, board_of
-from sparsefit.onboard.square_cells import heading, parameters, rebased, unevenness, waves
-from sparsefit.onboard.sweep import BoardDoubt, BoardSettings
+from sparsefit.onboard.sweep import BoardDoubt, BoardSettings, features, rebased, waves
 
 SETTINGS = BoardSettings(0.3, 0.0, 2.0, -1.0, 1.0, 2.0, 8.0, 0.03)
 FLOW = np.array([1.5, -1.0, 0.7, 1.8, 0.6, 0.7])
@@ -54,17 +53,13 @@ def test_waves_are_cells_and_their_gradients_are_right():
     at = np.array([1.3, -0.7])
     np.testing.assert_allclose(place, slopes(lambda x: waves(flow, *x)[0], at), atol=1e-7)
     np.testing.assert_allclose(gradient, slopes(lambda p: waves(p, *at)[0], flow), atol=1e-7)
-    value, _ = parameters(flow, np.eye(6))
-    np.testing.assert_allclose(value, [9.0, 3.5, 3.5 / 9.0, 0.3], atol=1e-12)
+    value, _ = features(flow)
+    np.testing.assert_allclose(value, [9.0, 3.5, 3.5 / 9.0, 0.3, 0.0], atol=1e-12)
 
 
-def test_parameters_and_ties_have_their_gradients():
-    for function in (unevenness, heading):
-        expected = slopes(lambda p, f=function: f(p)[0], FLOW)
-        np.testing.assert_allclose(function(FLOW)[1], expected, atol=1e-8)
-    gradients = slopes(lambda p: parameters(p, np.eye(6))[0], FLOW)
-    _, variances = parameters(FLOW, np.diag(np.arange(1.0, 7.0)))
-    np.testing.assert_allclose(variances, gradients**2 @ np.arange(1.0, 7.0), rtol=1e-6)
+def test_features_have_their_gradients():
+    expected = slopes(lambda p: features(p)[0], FLOW)
+    np.testing.assert_allclose(features(FLOW)[1], expected, atol=1e-8)
 
 
 def test_another_anchor_is_the_same_flow():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.onboard.c_source import following, footprint, package, ram, searching
+from sparsefit.onboard.c_source import footprint, microseconds, package, ram, work
 
 GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 ESTIMATOR = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
@@ -124,6 +124,6 @@ def test_refusals_and_costs():
         package(ESTIMATOR, compiler="no-such-cc")
     with pytest.raises(sf.InputError, match="unknown C type"):
         package(ESTIMATOR, "half")
-    assert footprint({"sf_flow.h": b"", "sf_flow.c": b"int x ="}, None) is None
-    assert following().microseconds("float") < 500
-    assert searching(8).sums > following().sums
+    assert footprint({"sf_flow.h": b"", "sf_flow.c": b"int x ="}, None) == []
+    assert microseconds(work(8)["following"], "float") < 500
+    assert work(8)["searching"][0] > work(8)["following"][0]

@@ -155,17 +155,6 @@ def test_bad_samples_are_refused_and_change_nothing():
     assert (online.restarts, online.estimate().status) == (0, "ok")
     online.restart()
     assert online.samples == 0
-    online.rehearse()
-    assert online.samples == 0
-
-
-def test_the_last_samples_are_a_flight():
-    flight = flown()
-    online = fed(online_of(window=5.0), flight)
-    window = online.flight
-    rows = flight.time >= flight.time[-1] - 5.0 - 1e-9
-    np.testing.assert_array_equal(window.time, flight.time[rows])
-    np.testing.assert_array_equal(window.velocity, flight.velocity[rows])
 
 
 @pytest.mark.parametrize(
