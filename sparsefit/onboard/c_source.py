@@ -26,6 +26,7 @@ from sparsefit.logs.flight_table import FlightTable
 from sparsefit.onboard.board import LEVELS, answer_of, board_of
 from sparsefit.onboard.online import board_settings, refusal, samples_of
 from sparsefit.onboard.sweep import PEAKS, ROWS
+from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]
 TOLERANCES: dict[Real, float] = {"double": 1e-6, "float": 1e-3}
@@ -86,7 +87,7 @@ def footprint(content: dict[str, bytes], compiler: str | None) -> list[str]:
             )
 
         for name in ("sf_flow.h", "sf_flow.c"):
-            (Path(folder) / name).write_bytes(content[name])
+            write_whole(Path(folder) / name, content[name])
         result = run(*command, *flags)
         if result.returncode and compiler:
             first = one_line(result.stderr.strip().partition("\n")[0])
