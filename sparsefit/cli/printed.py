@@ -1,15 +1,15 @@
-"""Lines of `sparsefit estimate`: the answer, its standard errors and how it came about."""
+"""Lines of `sparsefit estimate`: logs, parameters with their standard errors, the status."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparsefit.cli.terminal import coloured, duration, proof, typed
 from sparsefit.errors import one_line
-from sparsefit.estimator.estimate import FINEST, decimals
+from sparsefit.estimator.estimate import FINEST, PARAMETERS, decimals
 from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:
@@ -17,15 +17,18 @@ if TYPE_CHECKING:
     from sparsefit.flight import Flight
     from sparsefit.logs.checks import LogQuality
 
-QUANTITIES = (  # label, attribute, unit, the attribute with its standard error and interval
-    ("mean velocity  U0", "mean_velocity", "m/s", "uncertainty"),
-    ("length scale   L_w", "length_scale", "m", "uncertainty"),
-    ("timescale      tau_w", "timescale", "s", "uncertainty"),
-    ("response time  tau", "response_time", "s", "vehicle_uncertainty"),
-    ("drag", "drag", "1/m", "vehicle_uncertainty"),
-    ("thrust scale", "thrust_scale", "", "vehicle_uncertainty"),
-    ("thrust         a", "thrust_acceleration", "m/s^2", "vehicle_uncertainty"),
-    ("wind", "wind", "m/s", "vehicle_uncertainty"),
+Rows: TypeAlias = Iterator[tuple[str, str]]
+OF_FLOW = (  # label, attribute, unit
+    ("mean velocity  U0", "mean_velocity", "m/s"),
+    ("length scale   L_w", "length_scale", "m"),
+    ("timescale      tau_w", "timescale", "s"),
+)
+OF_VEHICLE = (
+    ("response time  tau", "response_time", "s"),
+    ("drag", "drag", "1/m"),
+    ("thrust scale", "thrust_scale", ""),
+    ("thrust         a", "thrust_acceleration", "m/s^2"),
+    ("wind", "wind", "m/s"),
 )
 MEANINGS = {
     "duality_gap": "at most this far from the optimum, relative",
@@ -57,9 +60,7 @@ class ReadLog:
         values: dict[str, Any] = finite_or_none(asdict(self.quality))
         return values | {"read_as": list(self.notes)}
 
-    def rows(
-        self, own: Estimate | FlightEstimate, unknown: Sequence[str]
-    ) -> Iterator[tuple[str, str]]:
+    def rows(self, own: Estimate | FlightEstimate, unknown: Sequence[str]) -> Rows:
         """Rows of what was flown, logged and mended; own: what is estimated of this flight."""
         flight, frame = self.flight, self.quality.frame
         words = f"{flight.samples} samples over {flight.duration:g} s"
@@ -71,18 +72,18 @@ class ReadLog:
         if own.repairs.words:
             yield "repaired", own.repairs.words
         craft, (ax, ay) = flight.vehicle, flight.vehicle.thrust_acceleration
-        scaled = craft.thrust_scale != 1.0 and "thrust_scale" not in unknown
-        parts = (
-            ("response_time", f"response time {craft.response_time:g} s",
-             math.isfinite(craft.response_time)),
-            ("drag", f"quadratic drag {craft.drag:g} 1/m", craft.drag),
-            ("", f"{craft.thrust_scale:g} times " * scaled + "the measured thrust",
-             flight.thrust is not None),
-            ("thrust_acceleration", f"thrust ({ax:g}, {ay:g}) m/s^2",
-             flight.thrust is None or ax or ay),
-        )  # fmt: skip
-        given = [text for name, text, there in parts if there and name not in unknown]
-        yield "vehicle", ", ".join(given) or "unknown"
+        given = {}
+        if math.isfinite(craft.response_time):
+            given["response_time"] = f"response time {craft.response_time:g} s"
+        if craft.drag:
+            given["drag"] = f"quadratic drag {craft.drag:g} 1/m"
+        if flight.thrust is not None:
+            scaled = craft.thrust_scale != 1.0 and "thrust_scale" not in unknown
+            given["thrust"] = f"{craft.thrust_scale:g} times " * scaled + "the measured thrust"
+        if flight.thrust is None or ax or ay:
+            given["thrust_acceleration"] = f"thrust ({ax:g}, {ay:g}) m/s^2"
+        said = [words for name, words in given.items() if name not in unknown]
+        yield "vehicle", ", ".join(said) or "unknown"
 
 
 def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -> list[str]:
@@ -90,13 +91,11 @@ def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -
 
     Of a vehicle only what was not ``unknown`` is told as given.
     """
-    rows = [*_head(logs, estimate, unknown), ("", ""), *_answer(estimate)]
+    rows = [*_logs(logs, estimate, unknown), ("", ""), *_answer(estimate)]
     return [f"{label:<20}  {value}".rstrip() for label, value in rows]
 
 
-def _head(
-    logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]
-) -> Iterator[tuple[str, str]]:
+def _logs(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -> Rows:
     """Rows of the flight, or of several by number with what is estimated of each."""
     if not estimate.flights:
         yield from logs[0].rows(estimate, unknown)
@@ -107,14 +106,25 @@ def _head(
         yield from ((f"flight {number}", first), *others)
         counts = f"so that a sample counts for {own.noise**-2:.2g}"
         yield "noise", f"{own.noise:.3g} of the mean, {counts}"
-        yield from _quantities(own, vehicle=True)
+        yield from _vehicle(own)
 
 
-def _answer(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def _vehicle(owner: Estimate | FlightEstimate) -> Rows:
+    for label, name, unit in OF_VEHICLE:
+        value, known = getattr(owner, name), owner.vehicle_uncertainty
+        if value is not None and value == value:
+            ends = getattr(known, f"{name}_interval", None)
+            yield label, measured(value, unit, getattr(known, name, None), ends)
+
+
+def _answer(estimate: Estimate) -> Rows:
     """Rows of the parameters, of the shape, of how well they fit, and of the status."""
-    yield from _quantities(estimate, vehicle=False)
+    for label, name, unit in OF_FLOW:
+        ends = getattr(estimate.uncertainty, f"{name}_interval", None)
+        spread = getattr(estimate.uncertainty, name, None)
+        yield label, measured(getattr(estimate, name), unit, spread, ends)
     yield from _shape(estimate)
-    yield from _quantities(estimate, vehicle=True)
+    yield from _vehicle(estimate)
     if estimate.freed:
         yield "freed", ", ".join(estimate.freed)
     change, fit, certificate = estimate.constancy, estimate.goodness, estimate.certificate
@@ -130,7 +140,16 @@ def _answer(estimate: Estimate) -> Iterator[tuple[str, str]]:
             share = 100 * fit.turbulence_share
             yield "turbulence", f"{fit.turbulence:.3g} m/s rms, {share:.3g} % of U0"
     yield "", ""
-    yield from _scales(estimate)
+    for number, scale in enumerate(estimate.scales, start=1):
+        parts = [
+            f"{symbol} {measured(value, unit, getattr(scale.uncertainty, name, None))}"
+            for symbol, name, unit in PARAMETERS
+            if (value := getattr(scale, name)) == value
+        ]
+        turned = round(math.degrees(scale.heading), 3) + 0.0  # no "-0.000"
+        parts += [f"heading {turned:.3f} degrees"] if turned == turned else []
+        yield f"flow {number} of {len(estimate.scales)}", " ".join(", ".join(parts).split())
+    yield from [("", "")] if estimate.scales else []
     reason = f": {estimate.reason}" if estimate.reason else ""
     yield "status", coloured(estimate.status) + reason
     yield "back-end", f"{estimate.backend}  {typed(estimate.settings)}".rstrip()
@@ -140,20 +159,7 @@ def _answer(estimate: Estimate) -> Iterator[tuple[str, str]]:
     yield "time", duration(estimate.seconds)
 
 
-def _quantities(owner: Estimate | FlightEstimate, *, vehicle: bool) -> Iterator[tuple[str, str]]:
-    """Rows of what was estimated, of the flow or of a vehicle, with its standard error."""
-    for label, name, unit, source in QUANTITIES:
-        if (source == "vehicle_uncertainty") is vehicle:
-            value, known = getattr(owner, name), getattr(owner, source)
-            spread = getattr(known, name, None)
-            if isinstance(value, tuple):
-                yield label, _pair(value, unit, spread)
-            elif not vehicle or (value is not None and value == value):
-                ends = getattr(known, f"{name}_interval", (0.0, 0.0))
-                yield label, _quantity(value, unit, spread, ends)
-
-
-def _shape(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def _shape(estimate: Estimate) -> Rows:
     """Rows of what the cells are where they are not simply squares along the axes that stand."""
     shape, known, drift = estimate.shape, estimate.shape_uncertainty, estimate.drift
     moves = drift is not None and any(drift)
@@ -167,57 +173,35 @@ def _shape(estimate: Estimate) -> Iterator[tuple[str, str]]:
         degrees, spread = math.degrees(estimate.heading), math.degrees(known.heading)
         yield "heading", f"{degrees:.{decimals(spread)}f} degrees  ± {spread:.2g}"
     if shape in ("rectangle", "pair"):
-        yield "length scales  x, y", _pair(estimate.length_scales, "m", known.length_scales)
+        yield "length scales  x, y", measured(estimate.length_scales, "m", known.length_scales)
     if moves and drift is not None:
-        yield "drift", _pair(drift, "m/s", known.drift)
+        yield "drift", measured(drift, "m/s", known.drift)
 
 
-def _pair(values: tuple[float, float], unit: str, spreads: tuple[float, float] | None) -> str:
-    """Two values to two digits of the smaller standard error, and these."""
-    known = spreads is not None and all(map(math.isfinite, spreads))
-    places = decimals(min(spreads)) if spreads is not None and known else 4
-    words = f"({values[0]:.{places}f}, {values[1]:.{places}f}) {unit}"
-    if spreads is None:
-        return words
-    kind = f".{places}f" if known and min(spreads) >= FINEST else ".1e"
-    return f"{words}  ± " + (f"({spreads[0]:{kind}}, {spreads[1]:{kind}})" if known else "unknown")
-
-
-def _scales(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Rows of U0, L_w and tau_w of each cellular flow where several were asked for."""
-    if not estimate.scales:
-        return
-    head = f"{'U0 [m/s]':>9} {'L_w [m]':>9} {'tau_w [s]':>9}"
-    if all(scale.uncertainty is not None for scale in estimate.scales):
-        head = f"{'U0 [m/s]':>9} {'±':<8} {'L_w [m]':>9} {'±':<8} {'tau_w [s]':>9} ±"
-    if any(math.isfinite(scale.heading) for scale in estimate.scales):
-        head = f"{head:<56} {'heading':>9}"
-    yield f"cellular flows  {len(estimate.scales)}", head
-    for number, scale in enumerate(estimate.scales, start=1):
-        cells = []
-        for name in ("mean_velocity", "length_scale", "timescale"):
-            cells.append(f"{getattr(scale, name):>9.4f}")
-            spread = getattr(scale.uncertainty, name, None)
-            if spread is not None:
-                short = f"{spread:.4f}" if spread >= 1e-4 else f"{spread:.1e}"
-                cells.append(f"{short if math.isfinite(spread) else 'unknown':<8}")
-        if math.isfinite(scale.heading):
-            cells.append(f"{round(math.degrees(scale.heading), 3) + 0.0:>9.3f}")  # no "-0.000"
-        yield f"  {number}", " ".join(cells).rstrip()
-    yield "", ""
-
-
-def _quantity(value: float, unit: str, spread: float | None, ends: tuple[float, float]) -> str:
-    """A value to two digits of its standard error, and its 95 % interval."""
+def measured(
+    value: float | tuple[float, float],
+    unit: str,
+    spread: float | tuple[float, float] | None,
+    ends: tuple[float, float] | None = None,
+) -> str:
+    """A value, or a pair, to two digits of its standard error, and its 95 % interval."""
     if value != value:
         return f"{'–':>9} {unit}"
+    spreads = spread if isinstance(spread, tuple) else (spread,)
+    known = [each for each in spreads if each is not None and math.isfinite(each)]
+    finest = min(known) if len(known) == len(spreads) else math.nan
+    places = decimals(finest) if finest == finest else 4
+    if isinstance(value, tuple):
+        words = f"({value[0]:.{places}f}, {value[1]:.{places}f}) {unit}"
+    else:
+        words = f"{value:>9.{places}f} {unit:<3}"
     if spread is None:
-        return f"{value:>9.4f} {unit}"
-    if not math.isfinite(spread):
-        return f"{value:>9.4f} {unit:<3}  ± unknown"
-    places = decimals(spread)
-    words = f"{value:>9.{places}f} {unit:<3}  ± "
-    if spread < FINEST:
-        return f"{words}{spread:.1e}"
-    low, high = (f"{end:.{places}f}" for end in ends)
-    return f"{words}{spread:.{places}f}  (95 %: {low} … {high})"
+        return words.rstrip()
+    if finest != finest:
+        return f"{words}  ± unknown"
+    kind = f".{places}f" if finest >= FINEST else ".1e"
+    told = ", ".join(f"{each:{kind}}" for each in known)
+    if isinstance(value, tuple):
+        return f"{words}  ± ({told})"
+    interval = f"  (95 %: {ends[0]:.{places}f} … {ends[1]:.{places}f})" if ends else ""
+    return f"{words}  ± {told}" + interval * (finest >= FINEST)

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import sparsefit.flight
 from sparsefit.cli import main
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight.flow import ShapedCells, SuperposedFlow
 from sparsefit.flight.waves import Turbulence
 from sparsefit.logs import read_flight, write_flight
 from sparsefit.model import LengthScaleGrid, Library
+from sparsefit.study import draw
 from tests.cli.verbs import refused, run
 
 SIMULATE = ("simulate", "--mean-velocity", "15.43", "--length-scale", "4.21", "--seed", "7")
@@ -51,7 +51,8 @@ def read_lines(name):
 
 @pytest.mark.parametrize("name", ["flight.csv", "flight.parquet"])
 def test_simulate_writes_the_flight_it_was_asked_for(capsys, name):
-    options = ("--response-time", "0.25", "--thrust", "-1e-3", "3", "--initial-position", "1", "2")
+    options = ("--response-time", "0.25", "--thrust-acceleration", "-1e-3", "3")
+    options += ("--initial-position", "1", "2")
     code, out, _ = run(capsys, *SIMULATE, *options, "--duration", "2", "-o", name)
     assert code == 0
     assert out.startswith(f"{name}: 201 samples over 2 s")
@@ -81,29 +82,31 @@ def test_simulate_overwrites_only_with_force(capsys, flight):
 
 def test_simulate_flies_through_what_it_is_told(capsys, monkeypatch):
     flown = []
-    keep = sparsefit.flight.simulate_flight
+    keep = draw.simulate_flight
 
     def kept(flow, *rest, **options):
         flown.append(flow)
         return keep(flow, *rest, **options)
 
-    monkeypatch.setattr(sparsefit.flight, "simulate_flight", kept)
-    options = ("--heading", "0.3", "--stretch", "1.2", "--angle", "1.4", "--offset", "1", "2")
-    moving = ("--drift", "1", "-0.5", "--swell", "0.2", "9", "--wind", "0", "2")
-    gusts = ("--turbulence", "1.5", "8", "--turbulence-memory", "3", "--spectrum", "von-karman")
-    short = ("--duration", "0.5", "-o", "flight.csv")
+    monkeypatch.setattr(draw, "simulate_flight", kept)
+    options = ("--heading", "0.3", "--aspect", "1.2", "--angle", "1.4", "--offset", "1", "2")
+    moving = ("--drift-ratio", "0.1", "--drift-direction", "0", "--wind", "0", "2")
+    moving += ("--swell", "0.2", "--swell-period", "9")
+    gusts = ("--turbulence-ratio", "0.1", "--turbulence-length", "8", "--turbulence-memory", "3")
+    short = ("--turbulence-spectrum", "von-karman", "--duration", "0.5", "-o", "flight.csv")
     assert run(capsys, *SIMULATE, *options, *moving, *gusts, *short)[0] == 0
     cells = ShapedCells(
-        15.43, (4.21, 1.2 * 4.21), 0.3, 1.4, (1.0, 2.0), (1.0, -0.5), 0.2, 9.0
+        15.43, (4.21, 1.2 * 4.21), 0.3, 1.4, (1.0, 2.0), (0.1 * 15.43, 0.0), 0.2, 9.0
     )  # fmt: skip
-    gusty = Turbulence(1.5, 8.0, 3.0, "von-karman", 7)
+    gusty = Turbulence(0.1 * 15.43, 8.0, 3.0, "von-karman", 7)
     assert flown == [SuperposedFlow((cells, gusty), (0.0, 2.0))]
     assert read_flight("flight.csv").samples == 51
 
 
 def test_simulate_spoils_the_log(capsys):
     run(capsys, *SIMULATE, "--duration", "2", "-o", "clean.csv")
-    faults = ("--outliers", "0.1", "5", "--jumps", "1", "3", "--gaps", "2", "0.3")
+    faults = ("--outliers", "0.1", "--outlier-size", "5", "--jumps", "1", "--jump-size", "3")
+    faults += ("--gaps", "2", "--gap-duration", "0.3")
     code, out, _ = run(capsys, *SIMULATE, "--duration", "2", *faults, "-o", "log.csv")
     assert code == 0
     clean, log = read_flight("clean.csv"), read_flight("log.csv")
@@ -112,7 +115,7 @@ def test_simulate_spoils_the_log(capsys):
     kept = np.isin(clean.time, log.time)
     off = np.hypot(*(log.velocity - clean.velocity[kept]).T)
     assert off[off > 1e-9] == pytest.approx(5.0)
-    wandering = ("--wander", "0.2", "5", "--time-jitter", "0.3")
+    wandering = ("--position-wander", "0.2", "--time-jitter", "0.3")
     assert run(capsys, *SIMULATE, "--duration", "2", *wandering, "-o", "late.csv")[0] == 0
     assert np.ptp(np.diff(read_flight("late.csv").time)) > 0.005
 
@@ -120,28 +123,25 @@ def test_simulate_spoils_the_log(capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--turbulence-memory", "3"), "--turbulence-memory needs --turbulence too"),
-        (("--spectrum", "dreyden", "--turbulence", "1", "8"), "dreyden"),
-        (("--turbulence", "0", "8"), "intensity must be a finite number above 0"),
-        (("--stretch", "0"), "--stretch must be"),
-        (("--swell", "1", "9"), "swell is a share of mean_velocity"),
-        (("--gaps", "1.5", "1"), "gaps must be an integer"),
-        (("--time-jitter", "0.5"), "time_jitter is a share"),
+        (("--turbulence-ratio", "1"), "--turbulence-length missing: turbulence_ratio needs it"),
+        (("--turbulence-spectrum", "dreyden"), "'dreyden': did you mean \"dryden\"?"),
+        (("--timescale", "1"), "needs exactly two of mean_velocity, length_scale, timescale"),
+        (("--aspect", "0"), "--aspect must be at least 0.01 and at most 100, not 0"),
+        (("--time-jitter", "0.5"), "--time-jitter must be"),
         (("--duration", "5min"), '"5min" is not a number; give it in s, without the unit'),
         (("--duration", "1_0"), "is not a number"),
-        (("--duration", "nan"), "duration must be a finite number above 0 [s]"),
+        (("--duration", "nan"), "--duration must be a finite number"),
+        (("--duration", "1e9"), "--duration at this sample_rate is 1e+11 samples"),
         (("--duration", "0.001"), "fly longer or sample faster"),
-        (("--response-time", "0"), "response_time must be"),
-        (("--position-noise", "-1"), "position_noise must be"),
-        (("--thrust", "5"), "expected 2 arguments"),
+        (("--response-time", "0"), "--response-time must be above 0 [s], not 0"),
+        (("--thrust-acceleration", "5"), "expected 2 arguments"),
         (("--seed", "1.5"), "not a whole number"),
         (("--seed", "-1"), "seed must be"),
         (("--sed", "1"), '--sed 1: did you mean "--seed"?; see sparsefit simulate --help'),
         (("-o", "flight.txt"), 'unknown file type ".txt"'),
         (("-o", "nowhere/flight.csv"), "there is no folder nowhere; make it first"),
         (("-o", ""), "the name of the file to write is empty"),
-        (("--jumps", "1e9", "1"), "jumps: 1000000000 in 1001 samples"),
-        (("--gaps", "1e9", "1"), "gaps: 1000000000 in 1001 samples"),
+        (("--jumps", "1e9"), "jumps: 1000000000 in 1001 samples"),
     ],
 )
 def test_simulate_refuses(capsys, options, words):

@@ -1,6 +1,7 @@
 """Answers of `sparsefit estimate` beside one flow: superposed flows, an unknown vehicle, a wind."""
 
 import json
+import re
 
 import pytest
 
@@ -92,15 +93,13 @@ def test_noise_is_told_with_the_response_time(capsys):
 
 def test_every_flow_has_its_line(capsys):
     lines = printed(capsys, "two.csv", "--scales", "several").splitlines()
-    (head,) = [i for i, line in enumerate(lines) if line.startswith("cellular flows  2")]
-    titles = "U0 [m/s] ± L_w [m] ± tau_w [s] ± heading"
-    assert " ".join(lines[head].split()[3:]) == titles
-    rows = [lines[head + i].split() for i in (1, 2)]
-    assert [row.pop() for row in rows] == ["0.000", "0.000"]  # degrees: along the axes
-    assert all(0 < float(spread) < 0.05 for row in rows for spread in row[2::2])
-    values = [[float(word) for word in row[1::2]] for row in rows]
-    assert values[0] == pytest.approx([10.0, 3.1, 0.31], rel=0.01)
-    assert values[1] == pytest.approx([5.0, 4.4, 0.88], rel=0.01)
+    rows = [re.split(" +", line, maxsplit=4)[4] for line in lines if line.startswith("flow ")]
+    for row, expected in zip(rows, ([10.0, 3.1, 0.31], [5.0, 4.4, 0.88]), strict=True):
+        *parts, heading = row.split(", ")
+        assert heading == "heading 0.000 degrees"
+        assert [part.split()[0] for part in parts] == ["U0", "L_w", "tau_w"]
+        assert [float(part.split()[1]) for part in parts] == pytest.approx(expected, rel=0.01)
+        assert all(0 < float(part.split(" ± ")[1]) < 0.05 for part in parts)
 
 
 @pytest.mark.parametrize(

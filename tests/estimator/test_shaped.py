@@ -83,7 +83,9 @@ def test_two_flows_are_read_each_by_itself():
         assert read.uncertainty.mean_velocity < 0.02 * true.mean_velocity
         assert read.heading == pytest.approx(true.heading, abs=0.01)
     log = ReadLog("f", flight, quality_of(flight), ())
-    assert any(line.split()[-1:] == ["heading"] for line in lines([log], found, ()))
+    told = [line for line in lines([log], found, ()) if line.startswith("flow ")]
+    assert len(told) == 2
+    assert all(" heading " in line and line.endswith(" degrees") for line in told)
 
 
 def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():
