@@ -116,9 +116,7 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     tables: list[FlightTable] = []
     for path in args.flight:
         zeros = (tables[0].origin, tables[0].epoch) if tables else ()
-        table = read_table(path, Layout.of(args.columns, only, *zeros))
-        with told_with(path):
-            tables.append(table.between(args.begin, args.end))
+        tables.append(read_table(path, Layout.of(args.columns, only, *zeros)))
     placed = [table.origin is not None for table in tables]
     if any(placed) and not all(placed):
         where, nowhere = args.flight[placed.index(True)], args.flight[placed.index(False)]
@@ -158,7 +156,10 @@ def _flight(
         raise InputError(f"{path}: no vehicle: {cause}")
     vehicle = vehicle_of(settings)
     with told_with(path):
-        return table.flight(vehicle)
+        flight = table.flight(vehicle)
+        begin, end = (getattr(args, name) for name in ("begin", "end"))
+        late = flight.time >= (flight.time[0] if begin is None else begin)
+        return flight.rows(late & (flight.time <= (flight.time[-1] if end is None else end)))
 
 
 def _draw(

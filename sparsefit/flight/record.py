@@ -103,6 +103,8 @@ class Flight(Brief):
         Raises:
             InputError: if they are fewer than three.
         """
+        if chosen.all():
+            return self
         thrust = None if self.thrust is None else self.thrust[chosen]
         own = (self.time[chosen], self.position[chosen])
         if not self.velocity_measured:

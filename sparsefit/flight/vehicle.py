@@ -113,13 +113,6 @@ class PointMassVehicle:
             relative = self.response_time * force
         return relative + np.asarray(velocity, np.float64)
 
-    def slope(self, relative: Array) -> Array:
-        """dF/dr [1/s], (2, 2, m), symmetric, at r = relative (m, 2) [m/s]: 1/tau of linear drag."""
-        speed = _length(relative)[:, 0]
-        unit = (relative / np.where(speed > 0, speed, 1.0)[:, None]).T
-        along: Array = self.drag * speed * unit[:, None] * unit
-        return (self.rate + self.drag * speed) * np.eye(2)[:, :, None] + along
-
 
 def _length(vectors: Array) -> Array:
     """|r| (..., 1) of vectors (..., 2)."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, positive
@@ -154,8 +153,8 @@ def check_log(
 
     Raises:
         InputError: naming the first of these: a long gap, a vehicle that stands still, samples
-            too far apart for what is sought, rows of two vehicles or flights, velocities in another
-            unit, frame or sign than positions.
+            too far apart for what is sought, rows of several vehicles, velocities in another unit,
+            frame or sign than positions.
     """
     steps = np.diff(flight.time)
     row, allowed = int(np.argmax(steps)), max(60.0, 20.0 * float(np.median(steps)))
@@ -180,54 +179,18 @@ def check_log(
             f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
             f": no flow of that size shows; raise the grid's bounds (--grid-lower, --grid-upper)"
         )
-    _check_tracks(flight, apart)
+    for count in (2, 3, 4):  # vehicles whose rows take turns move little, and are far apart
+        if count < flight.samples - 1 and _median_step(flight.position, count) < 0.1 * apart:
+            raise InputError(
+                f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "
+                "one vehicle; give the rows of one"
+            )
     if flight.velocity_measured:
         _check_units(flight)
 
 
 def _median_step(position: Array, lag: int) -> float:
     return float(np.median(np.hypot(*(position[lag:] - position[:-lag]).T)))
-
-
-def _check_tracks(flight: Flight, apart: float) -> None:
-    """Rows of one vehicle in one flight: none that take turns, no sudden place and velocity."""
-    position = flight.position
-    for count in (2, 3, 4):  # vehicles whose rows take turns move little, and are far apart
-        if count < len(position) - 1 and _median_step(position, count) < 0.1 * apart:
-            raise InputError(
-                f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "
-                "one vehicle; give the rows of one"
-            )
-    moved = np.hypot(*np.diff(position, axis=0).T)
-    speeds = moved / np.diff(flight.time)
-    row = int(np.argmax(speeds))
-    if flight.velocity_measured:
-        fastest = float(np.hypot(*flight.velocity.T).max())
-        turns = any(_turns(flight.velocity, row, width) for width in (1, 5))
-        elsewhere = speeds[row] > 5.0 * fastest and turns
-    else:
-        elsewhere = len(speeds) > 2 and speeds[row] > 20.0 * np.delete(speeds, row).max()
-    if elsewhere:
-        raise InputError(
-            f"between rows {row} and {row + 1} (t={flight.time[row]:.10g} s) the vehicle jumps by "
-            f"{moved[row]:.3g} m to another motion: two flights in one log? give one of them"
-        )
-
-
-def _turns(velocity: Array, row: int, width: int) -> bool:
-    """Whether the velocity changes behind a row as nowhere else, by medians of a few samples.
-
-    A velocity that is far off by itself changes twice, and is no second flight.
-    """
-    if len(velocity) < 2 * width:
-        return False
-    medians = np.median(sliding_window_view(velocity, width, axis=0), axis=-1)
-    changes = np.hypot(*(medians[width:] - medians[:-width]).T)  # behind row width - 1, ...
-    place = row - width + 1
-    if not 0 <= place < len(changes):
-        return False
-    far = np.abs(np.arange(len(changes)) - place) >= width
-    return bool(changes[place] > 2.0 * changes[far].max(initial=0.0))
 
 
 def _check_units(flight: Flight) -> None:

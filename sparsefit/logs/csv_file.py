@@ -9,9 +9,10 @@ from __future__ import annotations
 import csv
 import io
 import re
+from array import array
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator
+from contextlib import closing
 from typing import BinaryIO
 
 import numpy as np
@@ -23,7 +24,6 @@ from sparsefit.logs.sheet import Cells, Sheet, check_size
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 _LONGEST = 1 << 16  # characters of a line
-_BLANKS = r"\s+"
 _NO_TEXT = "not a text file; expected CSV with the header time,x,y,vx,vy"
 
 
@@ -43,105 +43,86 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
-    marked, lines = file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE), 0
+    marked, ends = file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE), 0
     while block := file.read(_LONGEST):
-        lines += max(block.count(b"\n"), block.count(b"\r"))
-        check_size(lines - 1)
+        ends += max(block.count(b"\n"), block.count(b"\r"))
+        check_size(ends - 1)
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
+        settings: list[tuple[str, str, str]] = []
         try:
-            text = _Text(file, encoding)
+            with closing(_lines(file, encoding, settings)) as lines:
+                return _sheet(lines, settings, strict=not layout.foreign).flight_table(layout)
         except UnicodeError:
             continue
-        head = said(text.settings, strict=not layout.foreign)
-        return Sheet(text.names, text.read, text.row, head).flight_table(layout)
+        except csv.Error as error:
+            raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
     raise InputError(_NO_TEXT)
 
 
-class _Text:
-    """The text of a file, decoded anew by every reader: a long one is never held as text."""
+def _sheet(
+    lines: Iterator[tuple[int, str]], settings: list[tuple[str, str, str]], *, strict: bool
+) -> Sheet:
+    """The table of a file: its header is read, and its rows when they are asked for."""
+    _, header = next(lines, (0, ""))
+    best = max(",;\t", key=header.count)
+    delimiter = best if best in header or " " not in header.strip() else " "
+    names = [name.strip() for name in _cells(header, delimiter)] if header else []
+    numbers = array("q")
 
-    def __init__(self, file: BinaryIO, encoding: str) -> None:
-        """Look through a file line by line, so that a bomb costs nothing.
+    def read(wanted: list[str]) -> dict[str, Cells]:
+        texts: dict[str, list[str]] = {name: [] for name in wanted}
+        pairs = [(column.append, names.index(name)) for name, column in texts.items()]
+        for number, line in lines:
+            cells = _cells(line, delimiter)
+            if len(cells) != len(names):
+                words = f"line {number} has {len(cells)} cells, the header has {len(names)}"
+                raise InputError(f"{words}; repair that line")
+            numbers.append(number)
+            for append, place in pairs:
+                append(cells[place])
+        for name, column in texts.items():  # a comma that parts no cells is a decimal mark
+            if delimiter != "," and not any("." in cell for cell in column):
+                texts[name] = [cell.replace(",", ".") for cell in column]
+        return {name: np.array(column, dtype=object) for name, column in texts.items()}
 
-        Raises:
-            InputError: where it is no text, has a line that is too long, or a row of more or fewer
-                cells than the header.
-            UnicodeError: where it is of another encoding.
-        """
-        self.file, self.encoding, self.delimiter, self.rows = file, encoding, ",", 0
-        self.names: list[str] = []
-        self.settings: list[tuple[str, str, str]] = []
-        self.skipped: list[int] = []  # lines, from 0, that are no row
-        with self.lines() as text:
-            for place, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), "")):
-                if len(line) > _LONGEST:
-                    raise InputError(
-                        f"line {place + 1} is longer than {_LONGEST} characters: not a CSV file; "
-                        "check quotes and line ends"
-                    )
-                if "\0" in line:
-                    raise InputError(_NO_TEXT)
-                if "#" in line and line.lstrip().startswith("#"):  # others than settings are text
-                    if match := _SETTING.fullmatch(line.strip()):
-                        self.settings.append((f"line {place + 1}", match[1], match[2]))
-                    self.skipped.append(place)
-                elif not line.strip(",;\t\n "):
-                    self.skipped.append(place)
-                elif not self.names:
-                    best = max(",;\t", key=line.count)
-                    self.delimiter = best if best in line or " " not in line.strip() else _BLANKS
-                    self.names = self.cells(line)
-                    self.skipped.append(place)
-                else:
-                    self.rows += 1
-                    plain = '"' not in line and self.delimiter != _BLANKS
-                    count = line.count(self.delimiter) + 1 if plain else len(self.cells(line))
-                    if count != len(self.names):
-                        words = f"line {place + 1} has {count} cells, the header has"
-                        raise InputError(f"{words} {len(self.names)}; repair that line")
+    return Sheet(
+        names, read, lambda row: f"line {numbers[row]}", lambda: said(settings, strict=strict)
+    )
 
-    @contextmanager
-    def lines(self) -> Iterator[io.TextIOWrapper]:
-        """The file from its begin, line ends of any kind."""
-        self.file.seek(0)
-        text = io.TextIOWrapper(self.file, self.encoding)
-        try:
-            yield text
-        finally:
-            text.detach()
 
-    def cells(self, line: str) -> list[str]:
-        """The cells of a line."""
-        if self.delimiter == _BLANKS:
-            return line.split()
-        cells = next(
-            csv.reader([line.rstrip("\n")], delimiter=self.delimiter, skipinitialspace=True)
-        )
-        return [cell.strip() for cell in cells]
+def _lines(
+    file: BinaryIO, encoding: str, settings: list[tuple[str, str, str]]
+) -> Generator[tuple[int, str]]:
+    """Yield numbers and lines of header and rows; settings are filled on the way.
 
-    def row(self, place: int) -> str:
-        """The words for a row, counted from 0."""
-        for line in self.skipped:
-            place += line <= place
-        return f"line {place + 1}"
+    A file is read line by line, so that a bomb costs nothing.
 
-    def read(self, wanted: list[str]) -> dict[str, Cells]:
-        """The texts of columns, a comma in a number as a point where it does not part cells."""
-        import pandas as pd
+    Raises:
+        InputError: where it is no text, or has a line that is too long.
+    """
+    file.seek(0)
+    text = io.TextIOWrapper(file, encoding)
+    try:
+        for number, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), ""), 1):
+            if len(line) > _LONGEST:
+                raise InputError(
+                    f"line {number} is longer than {_LONGEST} characters: not a CSV file; check "
+                    "quotes and line ends"
+                )
+            if "\0" in line:
+                raise InputError(_NO_TEXT)
+            if "#" in line and line.lstrip().startswith("#"):  # others than settings are text
+                if match := _SETTING.fullmatch(line.strip()):
+                    settings.append((f"line {number}", match[1], match[2]))
+            elif line.strip(",;\t\n "):
+                yield number, line
+    finally:
+        text.detach()
 
-        places = [self.names.index(name) for name in wanted]
-        columns: dict[str, Cells] = {name: np.empty(0, object) for name in wanted}
-        if not self.rows:
-            return columns
-        with self.lines() as text:
-            frame = pd.read_csv(
-                text, sep=self.delimiter, header=None, names=range(len(self.names)),
-                usecols=places, skiprows=self.skipped, dtype=str, keep_default_na=False,
-                skip_blank_lines=False, skipinitialspace=True, index_col=False,
-            )  # fmt: skip
-        for name, place in zip(wanted, places, strict=True):
-            cells = frame.pop(place)  # type: ignore[arg-type]
-            if self.delimiter != "," and not cells.str.contains(".", regex=False).any():
-                cells = cells.str.replace(",", ".", regex=False)
-            columns[name] = cells.to_numpy(object)
-        return columns
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        return next(csv.reader([line.strip("\n")], delimiter=delimiter, skipinitialspace=True))
+    return line.split(delimiter)

@@ -104,20 +104,6 @@ class FlightTable:
             self, columns=self.columns | {"time": late + self.columns["time"]}, epoch=epoch
         )
 
-    def between(self, start: float | None, end: float | None) -> FlightTable:
-        """Return the rows from one time of the log to another [s]; None is its own end.
-
-        Raises:
-            InputError: where no row is between them.
-        """
-        time = self.columns["time"]
-        low, high = -math.inf if start is None else start, math.inf if end is None else end
-        inside = (time >= low) & (time <= high)
-        if len(time) and not inside.any():
-            ends = f"{time.min():g} … {time.max():g} s"
-            raise InputError(f"no sample from {low:g} s to {high:g} s; the log has {ends}")
-        return replace(self, columns={name: row[inside] for name, row in self.columns.items()})
-
     def texts(self) -> dict[str, str]:
         """Return the settings as `said` reads them exactly; a flow of a user's own has none."""
         texts = {name: repr(value) for name, value in self.settings.items()}

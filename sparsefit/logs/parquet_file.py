@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any, BinaryIO
@@ -60,12 +61,13 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     try:
         source = parquet.ParquetFile(file)
         check_size(source.metadata.num_rows)
-        entries = (
+        schema = source.schema_arrow
+        entries = [
             ("metadata", key.decode(errors="replace"), text.decode(errors="replace"))
-            for key, text in (source.schema_arrow.metadata or {}).items()
-        )
-        head = said(entries, strict=False)
-        return Sheet(source.schema_arrow.names, read, "row {}".format, head).flight_table(layout)
+            for key, text in (schema.metadata or {}).items()
+        ]
+        head = partial(said, entries, strict=False)
+        return Sheet(schema.names, read, "row {}".format, head).flight_table(layout)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
 

@@ -37,13 +37,13 @@ class Sheet:
         names: of the columns.
         read: the function that reads the cells of columns, by name.
         row: the words for a row, counted from 0, in the file: ``line 7``.
-        head: settings, flow and frame of a `FlightTable`.
+        head: the function that says settings, flow and frame of a `FlightTable`, when all is read.
     """
 
     names: list[str]
     read: Callable[[list[str]], Mapping[str, Cells]]
     row: Callable[[int], str]
-    head: Mapping[str, Any]
+    head: Callable[[], Mapping[str, Any]]
 
     def flight_table(self, layout: Layout) -> FlightTable:
         """Return the columns that are a flight, read by a layout, in metres and seconds.
@@ -84,7 +84,7 @@ class Sheet:
                 values[name] = factor_of(name, unit) * _numbers(series, at)
         read = ", ".join(f"{name} = {source}" for name, source in sources.items())
         plain = not layout.foreign and all(name == str(own) for name, own in sources.items())
-        notes, origin, head = () if plain else (read,), None, dict(self.head)
+        notes, origin, head = () if plain else (read,), None, dict(self.head())
         if sources["x"].degrees:
             head["frame"] = "ENU"
             if len(rows):

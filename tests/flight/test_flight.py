@@ -38,6 +38,17 @@ def test_arrays_are_read_only_copies():
         flight.time = TIME
 
 
+def test_some_rows_are_a_flight():
+    flight = flight_with(thrust=PLANE, frame="NED")
+    part = flight.rows(TIME > 0.05)
+    np.testing.assert_array_equal(part.time, TIME[1:])
+    np.testing.assert_array_equal(part.thrust, PLANE[1:])
+    assert (part.frame, part.velocity_measured) == ("NED", True)
+    assert not Flight.from_positions(TIME, PLANE, VEHICLE).rows(TIME > 0.05).velocity_measured
+    with pytest.raises(InputError, match="at least 3 samples; got 2"):
+        flight.rows(TIME > 0.15)
+
+
 def test_lists_and_integers_are_taken():
     assert flight_with(time=[0, 1, 2, 3]).time.dtype == np.float64
 

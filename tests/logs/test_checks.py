@@ -31,15 +31,6 @@ def refused(flight, **options):
     return str(caught.value)
 
 
-def joined(first, second, apart):
-    return replace(
-        first,
-        time=np.concatenate([first.time, second.time + first.time[-1] + 0.01]),
-        position=np.concatenate([first.position, second.position + apart]),
-        velocity=np.concatenate([first.velocity, second.velocity]),
-    )
-
-
 @pytest.mark.parametrize("rate", [100.0, 10.0, 6.0])
 def test_flights_are_not_refused(rate):
     flows = [(sf.CellularFlow(15.43, 4.21),)] * 4
@@ -109,15 +100,6 @@ def test_mixed_units_are_named(flight, name, factor, words):
 )
 def test_other_frames_of_the_velocity_are_named(flight, turn, words):
     assert words in refused(replace(flight, velocity=flight.velocity @ np.array(turn, float)))
-
-
-@pytest.mark.parametrize("measured", [True, False])
-def test_two_flights_given_as_one(flight, measured):
-    both = joined(flight, flown(8, **NOISE), [300.0, 0.0])
-    if not measured:
-        clean = joined(flown(7), flown(8), [300.0, 0.0])
-        both = sf.Flight.from_positions(clean.time, clean.position, VEHICLE)
-    assert "between rows 1000 and 1001 (t=10 s)" in refused(both)
 
 
 def test_a_jump_of_the_receiver_is_left_to_the_repairs(flight):

@@ -277,13 +277,6 @@ def test_whole_numbers_name_vehicles_in_parquet_too(tmp_path):
     assert table.columns["time"].tolist() == [2.0, 3.0]
 
 
-def test_rows_between_two_times(file):
-    table = read_table(file(csv_text(("time", "x", "y"), [(t, t, t) for t in range(9)])))
-    assert table.between(2.0, 4.5).columns["x"].tolist() == [2.0, 3.0, 4.0]
-    with pytest.raises(InputError, match=r"no sample from 20 s to inf s; the log has 0 … 8 s"):
-        table.between(20.0, None)
-
-
 def test_dates_of_other_kinds_are_named(file):
     path = file(csv_text(("time", "x", "y"), [("22/07/2012 14:15", 0, 0)]))
     with pytest.raises(
