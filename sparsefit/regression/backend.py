@@ -127,14 +127,12 @@ class Checked:
     name: ClassVar[str]
 
     def __post_init__(self) -> None:
-        settings = fields(self)  # type: ignore[arg-type]
-        chosen = any(item.name == "selection" for item in settings)
-        for item in settings:
+        for item in fields(self):  # type: ignore[arg-type]
             value, kind, limits = getattr(self, item.name), item.type, item.metadata
             if value is None and type(None) in get_args(kind):
                 continue
             if item.name == "alpha_fraction":
-                checked_alpha_fraction(self.name, value, auto=chosen)
+                checked_alpha_fraction(self.name, value, auto=kind is not float)
             elif kind is bool and not isinstance(value, bool):
                 raise InputError(f"{self.name}: {item.name} must be true or false, not {value!r}")
             elif get_origin(kind) is Literal:

@@ -1,10 +1,10 @@
 """Group MCP (Breheny and Huang 2015): the group-LASSO without its bias on what is clearly there.
 
-    1/(2m) |Y - Z V|^2 + sum_g p(|V_g|),   p'(t) = (alpha omega_g - t/gamma)_+,   p(0) = 0
+    1/(2m) |Y - Z V|^2 + sum_g p(|V_g|),   p'(t) = (alpha - t/gamma)_+,   p(0) = 0
 
 p is not convex, and the answer is a fixed point of the local linear approximation (Zou and Li
 2008): from the group-LASSO on, the group-LASSO with the weights p'(|V_g|) of the weights before.
-Groups of |V_g| >= gamma alpha omega_g are free of penalty: they are projected out of Z'Z/m, and the
+Groups of |V_g| >= gamma alpha are free of penalty: they are projected out of Z'Z/m, and the
 exact path of the group-LASSO solves for the others.
 
 Sources: Zhang, Ann. Statist. 38 (2010) 894-942, for p; Breheny and Huang, Stat. Comput. 25 (2015)
@@ -13,7 +13,7 @@ Sources: Zhang, Ann. Statist. 38 (2010) 894-942, for p; Breheny and Huang, Stat.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,36 +30,29 @@ from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.kernels import path_on_gram
-from sparsefit.solvers.lassos import GroupLasso, GroupWeights
 
 ROUNDS = 100
-SETTLED = 1e-10  # change of the weights p', relative to alpha omega_g, that ends the iteration
+SETTLED = 1e-10  # change of the weights p', relative to alpha, that ends the iteration
 RANK = 1e-10  # eigenvalues of Z'Z/m of free groups below it, relative, count as zero
 
 
 @dataclass(frozen=True)
 class GroupMCP(Checked):
-    """Group MCP at alpha = alpha_fraction * alpha_max, that of the group-LASSO.
+    """Group MCP at alpha = alpha_fraction * alpha_max, that of the group-LASSO; omega_g = 1.
 
-    gamma > 1: how soon the penalty lets go, at |V_g| = gamma alpha omega_g; large, it is the
-    group-LASSO. A group spans all targets, or each target has groups of its own (``separate``).
-    group_weights: omega_g = 1 (``unit``) or the root of the number of columns (``sqrt-size``).
-    alpha_fraction ``auto``: chosen by `fit` from the data, by cross-validation: an information
-    criterion counts degrees of freedom of convex penalties.
+    gamma > 1: how soon the penalty lets go, at |V_g| = gamma alpha; large, it is the group-LASSO. A
+    group spans all targets. alpha_fraction ``auto``: chosen by `fit` by cross-validation, as an
+    information criterion counts degrees of freedom of convex penalties.
     """
 
     name: ClassVar[str] = "group-mcp"
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
     alpha_fraction: AlphaFraction = 0.1
     gamma: float = setting(3.0, low=1.0, open_low=True)
-    separate: bool = False
-    group_weights: GroupWeights = "unit"
-    selection: Literal["cross-validation"] = "cross-validation"
 
     def penalty(self, problem: RegressionProblem) -> GroupNorms:
         """The group-LASSO's penalty, whose alpha_max is the unit of alpha_fraction."""
-        convex = GroupLasso(separate=self.separate, group_weights=self.group_weights)
-        return convex.norms(problem)
+        return GroupNorms(problem.groups, np.ones(int(problem.groups.max()) + 1))
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """The fixed point at ``alpha_fraction``. Raises InputError where that is "auto"."""
@@ -71,17 +64,19 @@ class GroupMCP(Checked):
         """Fixed points at alpha_fractions, which descend, each from the group-LASSO's there."""
         penalty, solutions = self.penalty(problem), []
         unit = alpha_max(problem.statistics.cross, penalty)
-        for fraction in alpha_fractions:
-            solved = [
-                self._fixed_point(problem, penalty, targets, fraction * unit)
-                for targets in self._parts(problem)
-            ]
-            weights = np.concatenate([values for values, _ in solved], axis=1)
-            scaled, rounds = weights / problem.design.rms[:, None], max(n for _, n in solved)
-            solution = Solution(scaled, solver_status="fixed point", iterations=rounds)
-            if rounds == ROUNDS:
+        for alpha in (unit * np.array(alpha_fractions)).tolist():
+            slopes, count, settled = penalty.weights, 0, False
+            values = _weighted(problem, slopes, alpha)
+            while values.any() and not settled and count < ROUNDS - 1:
+                count, before = count + 1, slopes
+                slopes = self._slopes(penalty, values, alpha)
+                settled = bool(np.all(np.abs(slopes - before) <= SETTLED))
+                values = values if settled else _weighted(problem, slopes, alpha)
+            weights = values / problem.design.rms[:, None]
+            solution = Solution(weights, solver_status="fixed point", iterations=count)
+            if values.any() and not settled:
                 reason = f"the weights still move after {ROUNDS} approximations"
-                solution = Solution(scaled, "inaccurate", reason, "still moving", rounds)
+                solution = Solution(weights, "inaccurate", reason, "still moving", ROUNDS)
             solutions.append(solution)
         return tuple(solutions)
 
@@ -94,51 +89,28 @@ class GroupMCP(Checked):
         penalty, rms = self.penalty(problem), problem.design.rms[:, None]
         fraction = numeric_fraction(self.name, self.alpha_fraction)
         alpha = fraction * alpha_max(problem.statistics.cross, penalty)
-        following = np.zeros(weights.shape)
-        for targets in self._parts(problem) if alpha else []:
-            slopes = self._slopes(penalty, weights[:, targets] * rms, alpha)
-            following[:, targets] = _weighted(problem, penalty, targets, slopes, alpha)
-        return following / rms
-
-    def _parts(self, problem: RegressionProblem) -> list[slice]:
-        """The targets that are one problem."""
-        return [slice(t, t + 1) for t in range(problem.targets)] if self.separate else [slice(None)]
+        if not alpha:
+            return np.zeros(weights.shape)
+        return _weighted(problem, self._slopes(penalty, weights * rms, alpha), alpha) / rms
 
     def _slopes(self, penalty: GroupNorms, values: Array, alpha: float) -> Array:
         """p'(|V_g|) / alpha (g,): the weights of the next group-LASSO."""
-        norms = GroupNorms(penalty.groups, penalty.weights).block_norms(values)[:, 0]
-        slopes: Array = np.maximum(penalty.weights - norms / (self.gamma * alpha), 0.0)
+        norms = penalty.block_norms(values)[:, 0]
+        slopes: Array = np.maximum(1.0 - norms / (self.gamma * alpha), 0.0)
         return slopes
 
-    def _fixed_point(
-        self, problem: RegressionProblem, penalty: GroupNorms, targets: slice, alpha: float
-    ) -> tuple[Array, int]:
-        """Weights (k, n) whose slopes give them again, and the approximations it took."""
-        slopes = penalty.weights
-        values = _weighted(problem, penalty, targets, slopes, alpha)
-        if not values.any():
-            return values, 0
-        for count in range(1, ROUNDS):
-            following = self._slopes(penalty, values, alpha)
-            if np.all(np.abs(following - slopes) <= SETTLED * penalty.weights):
-                return values, count
-            slopes, values = following, _weighted(problem, penalty, targets, following, alpha)
-        return values, ROUNDS
 
-
-def _weighted(
-    problem: RegressionProblem, penalty: GroupNorms, targets: slice, slopes: Array, alpha: float
-) -> Array:
-    """The group-LASSO (k, n) of these targets with weights (g,) that may be zero."""
-    statistics, groups = problem.statistics, penalty.groups
-    gram, cross = statistics.gram, statistics.cross[:, targets]
+def _weighted(problem: RegressionProblem, slopes: Array, alpha: float) -> Array:
+    """The group-LASSO (k, n) with weights (g,) that may be zero."""
+    statistics, groups = problem.statistics, problem.groups
+    gram, cross = statistics.gram, statistics.cross
     free = slopes[groups] == 0.0
     loose, bound = np.flatnonzero(free), np.flatnonzero(~free)
     roots, vectors = np.linalg.eigh(gram[np.ix_(loose, loose)])
     on = roots > RANK * roots.max(initial=0.0)
     half = vectors[:, on] / np.sqrt(roots[on])  # H'GH = I on the range of the free groups' G
     shared, load = half.T @ gram[np.ix_(loose, bound)], half.T @ cross[loose]
-    square = float(statistics.target_square[targets].sum() - np.sum(load**2))
+    square = float(statistics.target_square.sum() - np.sum(load**2))
     values = np.zeros(cross.shape)
     if len(bound) and square > 0.0 and alpha > 0.0:
         path = path_on_gram(

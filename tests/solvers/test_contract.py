@@ -52,7 +52,7 @@ SETTINGS = [
     ("sparse-group-lasso", {"alpha_fraction": 1e-3, "group_weights": "sqrt-size"}),
     ("sparse-group-lasso", {"separate": True, "l1_ratio": 0.2}),
     ("adaptive-group-lasso", {"separate": True, "power": 2.0}),
-    ("group-mcp", {"separate": True, "alpha_fraction": 0.3}),
+    ("group-mcp", {"alpha_fraction": 0.3}),
     ("elastic-net", {"alpha_fraction": 1e-3, "l1_ratio": 0.05}),
     ("ridge", {"alpha_fraction": 1.0}),
     ("square-root-lasso", {"alpha_fraction": 0.01}),

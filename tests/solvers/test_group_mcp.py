@@ -14,29 +14,27 @@ from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthono
 FRACTIONS = [0.7, 0.2, 0.02]
 
 
-@pytest.mark.parametrize("separate", [True, False])
-def test_a_large_gamma_gives_the_group_lasso(separate):
+def test_a_large_gamma_gives_the_group_lasso():
     problem = regular(1)
-    large = sf.path(problem, backends.get("group-mcp", gamma=1e9, separate=separate), FRACTIONS)
-    plain = sf.path(problem, backends.get("group-lasso", separate=separate), FRACTIONS)
+    large = sf.path(problem, backends.get("group-mcp", gamma=1e9), FRACTIONS)
+    plain = sf.path(problem, backends.get("group-lasso"), FRACTIONS)
     assert large.weights == pytest.approx(plain.weights, abs=1e-5)
 
 
 def test_orthonormal_columns_are_kept_shrunk_or_dropped():
     """Firm thresholding of |C_g| (Breheny and Huang 2015): 0, gamma/(gamma - 1) soft, identity."""
     problem, gamma = orthonormal(3), 1.5
-    backend = backends.get("group-mcp", gamma=gamma, separate=True, alpha_fraction=0.6)
+    backend = backends.get("group-mcp", gamma=gamma, alpha_fraction=0.6)
     s, found = problem.statistics, sf.fit(problem, backend)
     alpha, kinds = 0.6 * alpha_max(s.cross, backend.penalty(problem)), set()
     for g in range(2):
-        for t in range(2):
-            pull = s.cross[problem.groups == g, t]
-            norm = np.linalg.norm(pull)
-            shrunk = pull * max(1 - alpha / norm, 0.0) * gamma / (gamma - 1)
-            expected = pull if norm > gamma * alpha else shrunk
-            kinds.add((norm > gamma * alpha, bool(shrunk.any())))
-            ours = (found.weights * s.rms[:, None])[problem.groups == g, t]
-            assert ours == pytest.approx(expected, abs=1e-6)
+        pull = s.cross[problem.groups == g]
+        norm = np.linalg.norm(pull)
+        shrunk = pull * max(1 - alpha / norm, 0.0) * gamma / (gamma - 1)
+        expected = pull if norm > gamma * alpha else shrunk
+        kinds.add((norm > gamma * alpha, bool(shrunk.any())))
+        ours = (found.weights * s.rms[:, None])[problem.groups == g]
+        assert ours == pytest.approx(expected, abs=1e-6)
     assert len(kinds) > 1
     assert found.certificate.kind == "fixed_point"
     assert found.certificate.value < 1e-9
