@@ -26,7 +26,6 @@ REFUSED = [
     ("group-mcp", "gamma", 1.0, "gamma"),
     *((name, "power", -1.0, "power") for name in ("adaptive-lasso", "adaptive-group-lasso")),
     *((name, "pilot_ridge", 0, "pilot_ridge") for name in ("adaptive-lasso",)),
-    ("best-scale", "rcond", -1.0, "rcond"),
     ("group-omp", "scales", 0, "scales"),
     ("group-omp", "stop", "aic", 'unknown stop of group-omp "aic": did you mean "bic"'),
     ("group-omp", "tolerance", 2.0, "tolerance"),
