@@ -1,19 +1,20 @@
-"""What every penalised back-end shares: its penalty, its exact path and its referee.
+"""Back-ends of one convex penalty, of single coefficients or of groups of columns: LASSO and kin.
 
     minimise over V (k, n):   loss(Y - Z V) + alpha * Omega(V),   alpha = alpha_fraction * alpha_max
 
-A back-end of this kind is a penalty; the settings ``alpha_fraction``, ``solver`` and ``selection``
-mean the same in all of them.
+Each is a penalty with its settings, on V in columns of unit rms; `PenalisedPath` has what all of
+them share: an exact path and its referee. A group spans all targets (joint), for a flight its
+velocity components, or each target has groups of its own (``separate``, the paper's n problems).
+group_weights: omega_g = 1 (``unit``) or the root of the number of columns (``sqrt-size``).
 """
 
-import dataclasses
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, unknown
 from sparsefit.regression.backend import (
     AlphaFraction,
@@ -21,11 +22,25 @@ from sparsefit.regression.backend import (
     Selection,
     Solution,
     numeric_fraction,
+    setting,
 )
 from sparsefit.regression.certificate import CertificateKind
-from sparsefit.regression.penalties import Penalty
+from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
+from sparsefit.regression.losses import RootSquares, Squares
+from sparsefit.regression.ordered_penalties import FusedNorm, SortedNorm
+from sparsefit.regression.penalties import (
+    AbsoluteValues,
+    BoundedValues,
+    Penalty,
+    SquaredNorm,
+    lasso_penalty,
+)
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.exact import exact_path
+
+GroupWeights = Literal["unit", "sqrt-size"]
+RATIO = "it is the share of the absolute values in the penalty"
+NO_RIDGE = f"{RATIO}; for none of them use ridge"
 
 
 @dataclass(frozen=True)
@@ -107,13 +122,235 @@ class PenalisedPath(Checked, ABC):
 
     def referee(self) -> Self | None:
         """The back-end solved by Clarabel, for points that the certificate rejects."""
-        return dataclasses.replace(self, solver="clarabel") if self._is_exact else None
+        return replace(self, solver="clarabel") if self._is_exact else None
 
 
-def without_small(norms: Array, power: float) -> Array:
-    """(norm / largest)^-power (g,); norms below 1e-3 of the largest count as that, and 0 as 1."""
+@dataclass(frozen=True)
+class Lasso(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha sum |V_jt| (Tibshirani 1996), V >= 0 where ``positive``."""
+
+    name: ClassVar[str] = "lasso"
+    solver: str = "homotopy"
+    positive: bool = False
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Every coefficient a block of its own."""
+        return _signed(lasso_penalty(problem.columns), self.positive)
+
+
+@dataclass(frozen=True)
+class ElasticNet(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha [r sum |V_jt| + (1 - r)/2 |V|^2 / y] (Zou and Hastie 2005).
+
+    l1_ratio: r in (0, 1]; 1 is the LASSO. y is the rms of the target, so that the ridge does not
+    depend on its unit; where it is 1, this is scikit-learn's objective. positive: V >= 0.
+    """
+
+    name: ClassVar[str] = "elastic-net"
+    solver: str = "homotopy"
+    l1_ratio: float = setting(0.5, low=0.0, high=1.0, open_low=True, meaning=NO_RIDGE)
+    positive: bool = False
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Every coefficient a block of its own, and a ridge."""
+        rms = float(np.sqrt(problem.statistics.target_square.mean())) or 1.0
+        weights = np.full(problem.columns, self.l1_ratio)
+        plain = AbsoluteValues(weights, ridge=(1.0 - self.l1_ratio) / rms)
+        return _signed(plain, self.positive)
+
+
+def _signed(plain: AbsoluteValues, positive: bool) -> AbsoluteValues:
+    lower, upper = np.zeros(plain.columns), np.full(plain.columns, np.inf)
+    return BoundedValues(plain.weights, lower, upper, ridge=plain.ridge) if positive else plain
+
+
+@dataclass(frozen=True)
+class Ridge(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha/2 |V|^2, alpha = alpha_fraction * k (Hoerl and Kennard 1970).
+
+    No penalty has a solution of zero: the unit is the number of columns k, the trace of Z'Z/m,
+    which bounds its largest eigenvalue.
+    """
+
+    name: ClassVar[str] = "ridge"
+    alpha_fraction: float | Literal["auto"] = 0.001
+    solver: str = "cholesky"
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """A ridge alone."""
+        return SquaredNorm(problem.columns)
+
+
+@dataclass(frozen=True)
+class SquareRootLasso(PenalisedPath):
+    """y |Y - ZV|/sqrt(m) + alpha sum |V_jt|, y = |Y|/sqrt(m) (Belloni, Chernozhukov, Wang 2011).
+
+    The penalty that suits a noise does not depend on how strong it is. All targets share one root.
+    """
+
+    name: ClassVar[str] = "square-root-lasso"
+    solver: str = "scaled-homotopy"
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Every coefficient a block of its own, added to a root."""
+        return replace(lasso_penalty(problem.columns), loss=RootSquares())
+
+
+@dataclass(frozen=True)
+class HuberLasso(PenalisedPath):
+    """Huber's loss of Y - ZV plus alpha sum |V_jt|: outliers beyond clip * y count linearly.
+
+    clip: in units of the rms y of each target. BIC, which counts squares, does not apply.
+    """
+
+    name: ClassVar[str] = "huber-lasso"
+    solver: str = "newton"
+    selection: Literal["cross-validation"] = "cross-validation"
+    clip: float = setting(1.0, low=0.0, open_low=True)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Every coefficient a block of its own, added to Huber's loss."""
+        return replace(lasso_penalty(problem.columns), loss=Squares(clip=self.clip))
+
+
+@dataclass(frozen=True)
+class Slope(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha sum_i lambda_i |V|_(i) by target (Bogdan et al. 2015).
+
+    lambda_i = Phi^-1(1 - i rate / 2k), over lambda_1: those that keep the rate of false discoveries
+    at orthonormal columns; rate in (0, 1).
+    """
+
+    name: ClassVar[str] = "slope"
+    solver: str = "newton"
+    rate: float = setting(0.1, low=1e-6, high=1.0 - 1e-6)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Weights by rank."""
+        from scipy.special import ndtri
+
+        k = problem.columns
+        lambdas = ndtri(1.0 - np.arange(1, k + 1) * self.rate / (2 * k))
+        return SortedNorm(lambdas / lambdas[0])
+
+
+@dataclass(frozen=True)
+class FusedLasso(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha sum_t [r sum_j |V_jt| + (1 - r) sum_j |V_(j+1)t - V_jt|].
+
+    For columns in an order (Tibshirani et al. 2005); l1_ratio: r in (0, 1].
+    """
+
+    name: ClassVar[str] = "fused-lasso"
+    solver: str = "newton"
+    l1_ratio: float = setting(0.1, low=0.0, high=1.0, open_low=True, meaning=NO_RIDGE)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Absolute values and differences of neighbours."""
+        return FusedNorm(problem.columns, self.l1_ratio)
+
+
+@dataclass(frozen=True)
+class Grouped(PenalisedPath, ABC):
+    """Base of the penalties of groups of columns; separate, group_weights: see the file's head."""
+
+    solver: str = "variational"
+    separate: bool = False
+    group_weights: GroupWeights = "unit"
+
+    def norms(self, problem: RegressionProblem, factors: Array | float = 1.0) -> GroupNorms:
+        """The norms of the problem's groups, whose weights omega are multiplied by ``factors``."""
+        sizes = np.bincount(problem.groups)
+        omega = np.ones(len(sizes)) if self.group_weights == "unit" else np.sqrt(sizes)
+        return GroupNorms(problem.groups, omega * factors, not self.separate)
+
+
+@dataclass(frozen=True)
+class GroupLasso(Grouped):
+    """1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g| (Yuan and Lin 2006)."""
+
+    name: ClassVar[str] = "group-lasso"
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Blocks of the problem's groups."""
+        return self.norms(problem)
+
+
+@dataclass(frozen=True)
+class SparseGroupLasso(Grouped):
+    """1/(2m) |Y - ZV|^2 + alpha [(1 - r) sum_g omega_g |V_g| + r sum_h |V_h|] (Simon et al. 2013).
+
+    h are the problem's subgroups within its groups g (the waves of a ring), where it has them, and
+    single coefficients elsewhere. l1_ratio: r in [0, 1]; 0 is the group-LASSO, 1 the LASSO.
+    """
+
+    name: ClassVar[str] = "sparse-group-lasso"
+    solver: str = "block-newton"
+    l1_ratio: float = setting(0.5, low=0.0, high=1.0, meaning=RATIO)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Blocks of the problem's groups, and those within them."""
+        ratio = self.l1_ratio
+        inner: AbsoluteValues | GroupNorms = AbsoluteValues(np.full(problem.columns, ratio))
+        if problem.subgroups is not None:
+            weights = np.full(int(problem.subgroups.max()) + 1, ratio)
+            inner = GroupNorms(problem.subgroups, weights, not self.separate)
+        if ratio in (0.0, 1.0):
+            return inner if ratio else self.norms(problem)
+        return NestedNorms(self.norms(problem, 1.0 - ratio), inner)
+
+
+@dataclass(frozen=True)
+class AdaptiveLasso(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha sum_j omega_j sum_t |V_jt| (Zou 2006).
+
+    omega_j = (|V0_j| / max |V0_j|)^-power, V0 the ridge fit (Z'Z/m + pilot_ridge I)^-1 Z'Y/m over
+    all targets together, whose norms below 1e-3 of the largest count as that. power 0 is the
+    LASSO. Where alpha_fraction is chosen, the weights are learned in each fold.
+    """
+
+    name: ClassVar[str] = "adaptive-lasso"
+    solver: str = "homotopy"
+    power: float = setting(1.0, low=0.0, high=4.0)
+    pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Every coefficient a block of its own, weighted by the first fit."""
+        alone = np.arange(problem.columns)
+        return AbsoluteValues(_pilot_factors(problem, alone, self.pilot_ridge, self.power))
+
+
+@dataclass(frozen=True)
+class AdaptiveGroupLasso(Grouped):
+    """The group-LASSO with omega_g = (|V0_g| / max |V0_g|)^-power (Wang and Leng 2008).
+
+    V0 is the ridge fit of the adaptive LASSO; with group_weights ``sqrt-size`` omega_g is larger by
+    the root of the number of columns. power 0 is the group-LASSO. Where alpha_fraction is chosen,
+    the weights are learned in each fold.
+    """
+
+    name: ClassVar[str] = "adaptive-group-lasso"
+    power: float = setting(1.0, low=0.0, high=4.0)
+    pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        """Blocks of the problem's groups, weighted by the first fit."""
+        factors = _pilot_factors(problem, problem.groups, self.pilot_ridge, self.power)
+        return self.norms(problem, factors)
+
+
+def _pilot_factors(
+    problem: RegressionProblem, groups: IntArray, ridge: float, power: float
+) -> Array:
+    """(|V0_g| / max |V0_g|)^-power (g,), V0 = (Z'Z/m + ridge I)^-1 Z'Y/m over all targets.
+
+    Norms below 1e-3 of the largest count as that; where all are 0 the factors are 1.
+    """
+    penalty, statistics = SquaredNorm(problem.columns), problem.statistics
+    points = exact_path(
+        problem.design, problem.target, penalty, np.array([ridge]), statistics=statistics
+    )
+    norms = np.sqrt(np.bincount(groups, np.square(points.weights[0]).sum(axis=1)))
     largest = float(norms.max())
-    if largest == 0.0:
-        return np.ones(len(norms))
-    factors: Array = np.maximum(norms / largest, 1e-3) ** -power
-    return factors
+    factors: Array = np.maximum(norms / (largest or 1.0), 1e-3) ** -power
+    return factors if largest else np.ones(len(norms))

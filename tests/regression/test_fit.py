@@ -17,7 +17,7 @@ from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.lassos import Lasso
+from sparsefit.solvers.penalised import Lasso
 from tests.problems import flight_problem, regular
 
 door = import_module("sparsefit.regression.fit")

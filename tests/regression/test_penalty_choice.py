@@ -21,7 +21,7 @@ from sparsefit.regression.penalty_choice import (
     effective_samples,
 )
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.lassos import Lasso
+from sparsefit.solvers.penalised import Lasso
 from sparsefit.study.study import Study
 from tests.problems import SMALL_GRID, degenerate, flight, flight_problem, regular
 from tests.study.small_study import small_study
@@ -233,7 +233,7 @@ def test_compressed_samples_are_chosen_for_by_information_only():
         sf.fit(packed, auto("group-lasso", "cross-validation"))
 
 
-@pytest.mark.parametrize("name", ["lasso", "ridge", "group-mcp"])
+@pytest.mark.parametrize("name", ["lasso", "ridge", "huber-lasso"])
 def test_what_cannot_be_cut_up_is_refused(name):
     with pytest.raises(InputError, match=r"needs at least 10 samples, not 8; give alpha_fraction"):
         sf.fit(regular(samples=8), auto(name, "cross-validation"))
