@@ -23,7 +23,10 @@ from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
-    Kernel,
+    BEGIN,
+    KERNELS,
+    MANY,
+    OnColumns,
     Points,
     Units,
     compiled,
@@ -37,6 +40,7 @@ START = 200  # columns in play at first
 SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
 AHEAD = 8  # penalties that are solved before all columns are asked
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
+IN_ROWS = ("newton", "block descent")  # kernels that need no G where columns are more than rows
 HELD = 2**25  # entries of the columns in play that are held as rows beside their products
 
 
@@ -44,8 +48,7 @@ HELD = 2**25  # entries of the columns in play that are held as rows beside thei
 class InPlay:
     """Columns in play: their indices (j,), Z_J (m, j) where it is held, Z_J'Z_J/m where it is.
 
-    Where the columns are more than the rows, their products are formed for a kernel that needs
-    them.
+    Where the columns are more than the rows, some kernels do without their products.
     """
 
     design: Design
@@ -64,21 +67,15 @@ class InPlay:
             if held:
                 rows[:, :held] = self.rows
             rows[:, held:] = self.design.columns(new)
-        if by_gram or rows is None or len(index) <= m:
+        if by_gram and self.gram is not None:
             gram = np.empty((len(index), len(index)))
-            old = self.gram if self.gram is not None else self._products(rows, slice(0, held))
-            gram[:held, :held] = old
+            gram[:held, :held] = self.gram
             if rows is not None:
                 gram[held:] = rows[:, held:].T @ rows / self.design.samples
             else:
                 gram[held:] = self.design.products(new, index)
             gram[:held, held:] = gram[held:, :held].T
-        return replace(self, index=index, rows=rows, gram=gram)
-
-    def _products(self, rows: Array | None, part: slice) -> Array:
-        assert rows is not None
-        square: Array = rows[:, part].T @ rows[:, part] / self.design.samples
-        return square
+        return InPlay(self.design, self.target, index, rows, gram)
 
     @property
     def normal(self) -> Normal:
@@ -154,11 +151,10 @@ def _along(
     single = len(alphas) < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
     if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
         normal = Normal(statistics.gram, None, design.samples)
-        kernel = kernel_for(penalty, q)(normal, cross, penalty, units)
-        stretch = kernel.advance(alphas)
-        return Points(
-            stretch.values, stretch.complete, stretch.steps, f"{kernel.name}, all columns"
-        )
+        name, on = kernel_for(penalty, q), OnColumns(normal, cross, penalty, units)
+        stretch = KERNELS[name](on, alphas, {BEGIN: np.zeros(cross.shape)})
+        words = f"{name}, all columns"
+        return Points(stretch.values, stretch.complete, stretch.steps, words)
     start = START if k > FEW else START // 8
     return _with_working_set(design, target, cross, penalty, alphas, units, start)
 
@@ -174,17 +170,17 @@ def _with_working_set(
 ) -> Points:
     """The path on the columns in play, ``start`` of them or more at first."""
     (k, q), count = cross.shape, len(alphas)
-    kind = kernel_for(penalty, q)
-    play = InPlay(design, target, np.zeros(0, np.intp), None, np.zeros((0, 0)))
-    play = play.joined(_first(penalty, cross, start), kind.by_gram)
-    part = penalty.restricted(play.index)
-    assert part is not None
-    kernel: Kernel = kind(play.normal, cross[play.index], part, units)
+    name, index = kernel_for(penalty, q), _first(penalty, cross, start)
+    empty = InPlay(design, target, index[:0], None, np.zeros((0, 0)))
+    play = empty.joined(index, True)
     weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
     steps, done, ahead = np.zeros(count, np.intp), 0, AHEAD
+    attempts = {BEGIN: np.zeros((len(index), q))}
     while done < count:
-        here = alphas[done : done + ahead]
-        stretch = kernel.advance(here)
+        here, part = alphas[done : done + ahead], penalty.restricted(play.index)
+        assert part is not None
+        on = OnColumns(play.normal, cross[play.index], part, units)
+        stretch = KERNELS[name](on, here, attempts)
         accepted, new = _objections(play, penalty, here, stretch.values)
         until = done + accepted
         weights[done:until, play.index] = stretch.values[:accepted]
@@ -192,12 +188,16 @@ def _with_working_set(
         steps[done:until] = stretch.steps[:accepted]
         done = until
         ahead = min(AHEAD, 2 * ahead) if accepted == len(here) else max(accepted, 1)
+        attempts |= dict(zip(here.tolist(), stretch.values, strict=True))
         if len(new):
-            play = play.joined(new, kernel.by_gram)
-            part = penalty.restricted(play.index)
-            assert part is not None
-            kernel = kernel.enlarged(play.normal, cross[play.index], part, accepted)
-    return Points(weights, complete, steps, f"{kernel.name}, {len(play.index)} columns in play")
+            in_use, m = int(stretch.values.any(axis=2).any(axis=0).sum()), design.shape[0]
+            if name == "variational" and in_use > m >= MANY and m * k <= HELD:
+                name = "block descent"
+            in_rows = name in IN_ROWS and m * k <= HELD and len(play.index) + len(new) > m
+            play = play.joined(new, not in_rows)
+        reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
+        attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
+    return Points(weights, complete, steps, f"{name}, {len(play.index)} columns in play")
 
 
 def _first(penalty: Penalty, cross: Array, least: int) -> IntArray:

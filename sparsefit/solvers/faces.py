@@ -69,18 +69,13 @@ def _optimum_of_face(
     right = cross - (pull - point) / step
     if fixed.any():
         right = right - normal.times(fixed) - mu * fixed
-    column, target = np.divmod(on, point.shape[1])
     flat = right.ravel()[on]
     flat = flat if factor is None else factor.T @ flat
     if not len(flat):
         return fixed.reshape(point.shape)
-    if normal.gram is None and len(flat) > normal.samples * point.shape[1]:
+    if normal.rows is not None and len(flat) > normal.samples * point.shape[1]:
         return None  # more directions than rows hold
-    square = normal.among(column)
-    if point.shape[1] > 1:
-        square = np.where(target[:, None] == target, square, 0.0)
-    if factor is not None:
-        square = factor.T @ (factor.T @ square).T
+    square = normal.within(on, factor, point.shape[1])
     square.flat[:: len(square) + 1] += mu + SHIFT
     z = definite(square, flat)
     if z is None:

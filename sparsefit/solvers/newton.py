@@ -55,57 +55,34 @@ class Normal:
         pulled: Array = ((self.rows[:, on] @ values[on]).T @ self.rows).T / self.samples
         return pulled
 
-    def solved(self, on: IntArray, factor: object, pull: Array, step: float, targets: int) -> Array:
+    def solved(self, on: IntArray, factor: Any, pull: Array, step: float, targets: int) -> Array:
         """s N (I + s N'G N)^-1 N' pull (c,) on the coefficients ``on`` (c,), flat in (j, q)."""
-        column, target = np.divmod(on, targets)
-        right = pull if factor is None else factor.T @ pull  # type: ignore[attr-defined]
-        if self.gram is None and self.rows is not None and len(right) > targets * self.samples:
-            y = self._solved_in_rows(column, target, factor, right, step, targets)
+        right = pull if factor is None else factor.T @ pull
+        if targets == 1 and self.rows is not None and len(right) > len(self.rows):
+            tall = self.rows[:, on] * np.sqrt(step / self.samples)
+            tall = tall if factor is None else (factor.T @ tall.T).T
+            outer = tall @ tall.T
+            outer.flat[:: len(outer) + 1] += 1.0
+            y = right - tall.T @ _nearest(outer, tall @ right)
         else:
-            square = self.among(column)
-            if targets > 1:
-                square = np.where(target[:, None] == target, square, 0.0)
-            if factor is not None:
-                square = factor.T @ (factor.T @ square).T  # type: ignore[attr-defined]
-            square *= step
+            square = step * self.within(on, factor, targets)
             square.flat[:: len(square) + 1] += 1.0
-            y = _definite(square, right)
-        lifted: Array = step * (y if factor is None else factor @ y)  # type: ignore[operator]
+            y = _nearest(square, right)
+        lifted: Array = step * (y if factor is None else factor @ y)
         return lifted
 
-    def among(self, column: IntArray) -> Array:
-        """G among these columns, which may repeat."""
+    def within(self, on: IntArray, factor: Any, targets: int) -> Array:
+        """N'G N on the coefficients ``on`` (c,), flat in (j, q), of N (c, d), None for identity."""
+        column, target = np.divmod(on, targets)
         if self.gram is not None:
-            block: Array = self.gram.take(column, 0).take(column, 1)
-            return block
-        assert self.rows is not None
-        part = self.rows[:, column]
-        product: Array = part.T @ part / self.samples
-        return product
-
-    def _solved_in_rows(
-        self,
-        column: IntArray,
-        target: IntArray,
-        factor: object,
-        right: Array,
-        step: float,
-        targets: int,
-    ) -> Array:
-        """(I + s L'L)^-1 right by the matrix I + s L L' of the rows of all targets."""
-        assert self.rows is not None
-        m, part = len(self.rows), self.rows[:, column] / np.sqrt(self.samples)
-        tall = part
+            square = self.gram.take(column, 0).take(column, 1)
+        else:
+            assert self.rows is not None
+            part = self.rows[:, column]
+            square = part.T @ part / self.samples
         if targets > 1:
-            tall = np.zeros((targets * m, len(column)))
-            for t in range(targets):
-                tall[t * m : (t + 1) * m, target == t] = part[:, target == t]
-        if factor is not None:
-            tall = (factor.T @ tall.T).T  # type: ignore[attr-defined]
-        outer = step * (tall @ tall.T)
-        outer.flat[:: len(outer) + 1] += 1.0
-        y: Array = right - step * (tall.T @ _definite(outer, tall @ right))
-        return y
+            square = np.where(target[:, None] == target, square, 0.0)
+        return square if factor is None else factor.T @ (factor.T @ square).T
 
 
 def definite(matrix: Array, right: Array) -> Array | None:
@@ -116,13 +93,12 @@ def definite(matrix: Array, right: Array) -> Array | None:
     return None if failed else solution
 
 
-def _definite(matrix: Array, right: Array) -> Array:
+def _nearest(matrix: Array, right: Array) -> Array:
     """The solution of a positive definite system, least squares where rounding made it none."""
     solution = definite(matrix, right)
-    if solution is not None:
-        return solution
-    nearest: Any = np.linalg.lstsq(matrix, right, rcond=1e-14)[0]
-    return np.asarray(nearest, dtype=np.float64)
+    if solution is None:
+        solution = np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-14)[0])
+    return solution
 
 
 def settled(

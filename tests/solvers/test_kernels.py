@@ -8,7 +8,7 @@ from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import AbsoluteValues
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import exact, kernels
-from sparsefit.solvers.kernels import Units, kernel_for
+from sparsefit.solvers.kernels import BEGIN, KERNELS, OnColumns, Units, kernel_for
 from sparsefit.solvers.newton import Normal, settled
 
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
@@ -37,9 +37,11 @@ def problem(seed, samples=40, targets=1, correlated=True):
 def path_of(z, y, penalty, alphas, stretches):
     """The path of a kernel that is asked for stretches of it, in turn."""
     normal, cross = Normal(z.T @ z / len(z), z, len(z)), z.T @ y / len(z)
-    units = Units.of(penalty, cross, 1.0)
-    kernel = kernel_for(penalty, y.shape[1])(normal, cross, penalty, units)
-    parts = [kernel.advance(part) for part in np.array_split(alphas, stretches)]
+    on = OnColumns(normal, cross, penalty, Units.of(penalty, cross, 1.0))
+    kernel, attempts, parts = KERNELS[kernel_for(penalty, y.shape[1])], {BEGIN: 0.0 * cross}, []
+    for part in np.array_split(alphas, stretches):
+        parts.append(kernel(on, part, attempts))
+        attempts = {float(part[-1]): parts[-1].values[-1]}
     assert all(part.complete.all() for part in parts)
     return np.concatenate([part.values for part in parts])
 
@@ -99,7 +101,7 @@ def test_groups_that_outnumber_the_rows_are_descended_to_the_same_optimum(
     largest = float(penalty.dual_norm(design.correlate(target)).max())
     alphas = largest * np.geomspace(1.0, 3e-2, 12)
     whole = exact.exact_path(design, target, penalty, alphas)
-    monkeypatch.setattr(kernels, "MANY", 10)
+    monkeypatch.setattr(exact, "MANY", 10)
     monkeypatch.setattr(kernels, "MOST", most)
     descended = exact.exact_path(design, target, penalty, alphas)
     assert "block descent" in descended.words
