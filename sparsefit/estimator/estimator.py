@@ -170,12 +170,12 @@ class Estimator:
 
         used: the candidate length scales [m] of weights above zero.
         """
-        from sparsefit.estimator.judge import EARLY, Judged, judge
+        from sparsefit.estimator.judge import doubts_of_flow, doubts_of_logs
         from sparsefit.estimator.measure import measure_flow
 
         several, precision = self.readout.scales == "several", self.readout.precision
         search, parts = prepared.search, dict[str, Any]()
-        early = judge(Judged(prepared, None, (), precision), EARLY)
+        early = next(doubts_of_logs(prepared), None)
         if early is not None:
             return parts, early
         start = self.readout.start(search, fit, self.library)
@@ -194,7 +194,7 @@ class Estimator:
             on_grid, _ = self._on_grid(prepared, fit)
             parts |= {"mean_velocity": on_grid["mean_velocity"], "uncertainty": None}
             del parts["timescale"]
-        return parts, judge(Judged(prepared, result, scales, precision, self.free))
+        return parts, next(doubts_of_flow(prepared, result, scales, precision, self.free), None)
 
     def to_json(self) -> str:
         """The estimator as JSON text, which ``from_json`` reads back."""

@@ -47,40 +47,17 @@ from sparsefit.likelihood.vehicle_estimate import model_of, vehicle_of
 from sparsefit.model import Proposal
 from sparsefit.model.shapes import flows_of, read_cells
 
-
-@dataclass(frozen=True)
-class Choice:
-    """Settings of the choice among lobes.
-
-    Args:
-        worse: times the least RSS of the rows: a proposal that leaves more is not measured.
-        most: lobes that are measured.
-        gusty: lobes that are measured in turbulence too.
-        close: of BIC: a rival that near could be the flow too.
-        near: in pi/extent: how far an optimum's waves may be from those that were proposed.
-        stray: of |k|: waves that move by more beside a cause are others.
-        apart: of U0 or L: rivals that differ by less say the same.
-        slight: of U0 or L: a cause that moves neither by more only widens their intervals.
-        false_alarm: of a flow in a flight without one, over all lobes.
-        clear: of the air's variance: a flow that explains more, and leaves white innovations, is
-            there.
-        hidden: of 2 ln(likelihood ratio) that a wrong vehicle may hide of a flow.
-    """
-
-    worse: float = 3.0
-    most: int = 5
-    gusty: int = 2
-    close: float = 10.0
-    near: float = 0.5
-    stray: float = 0.25
-    apart: float = 0.02
-    slight: float = 1e-3
-    false_alarm: float = 1e-3
-    clear: float = 0.9
-    hidden: float = 500.0
-
-
-CHOICE = Choice()
+WORSE = 3.0  # times the least RSS of the rows: a proposal that leaves more is not measured
+MOST = 5  # lobes that are measured
+GUSTY = 2  # lobes that are measured in turbulence too
+CLOSE = 10.0  # of BIC: a rival that near could be the flow too
+NEAR = 0.5  # in pi/extent: how far an optimum's waves may be from those that were proposed
+STRAY = 0.25  # of |k|: waves that move by more beside a cause are others
+APART = 0.02  # of U0 or L: rivals that differ by less say the same
+SLIGHT = 1e-3  # of U0 or L: a cause that moves neither by more only widens their intervals
+FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
+EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
+HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,16 +231,16 @@ def measure_flow(
     constants = [
         own for name in names for own in FREEDOMS[name].elements if not FREEDOMS[name].wanders
     ]
-    near = CHOICE.near * math.pi / prepared.search.lookout.extent
+    near = NEAR * math.pi / prepared.search.lookout.extent
     least, grid = min(own.residual for own in proposals), prepared.library.grid
     likely = []
     for own in proposals:
         lengths = math.sqrt(2.0) * math.pi / np.hypot(*own.wavevectors.T)
         within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
-        if own.residual <= CHOICE.worse * least and within:
+        if own.residual <= WORSE * least and within:
             likely.append(own)
     trials: list[tuple[Posterior, Posterior | None, Proposal]] = []
-    chosen = lobes(likely, near)[: CHOICE.most]
+    chosen = lobes(likely, near)[:MOST]
     chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
     for proposal in chosen:
         if len(proposal.wavevectors) % 2 and not all(_loose(there) for there, _, _ in trials):
@@ -280,7 +257,7 @@ def measure_flow(
     if not trials:
         return None
     trials.sort(key=lambda trial: (_loose(trial[0]), _bic(trial)))
-    for place, (there, _, proposal) in enumerate(trials[: CHOICE.gusty]):
+    for place, (there, _, proposal) in enumerate(trials[:GUSTY]):
         if _loose(there) > _loose(trials[0][0]):  # cells come first, the rest is turbulence
             break
         if disturbed(there) and "turbulence" not in names:
@@ -293,25 +270,25 @@ def measure_flow(
     diagnosis = Diagnosis(likelier, likelier)
     goodness = Goodness.of(likelier, diagnosis)
     white = goodness.whiteness > 1e-6 or likelier.exact
-    clear = white and goodness.r_squared > CHOICE.clear
+    clear = white and goodness.r_squared > EXPLAINED
     excess = math.inf if clear else _excess(prepared, logs, likelier)
-    if excess > -CHOICE.hidden:
-        around = max(near, CHOICE.stray * float(np.hypot(*proposal.wavevectors.T).min()))
+    if excess > -HIDDEN:
+        around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         diagnosis = diagnose(
             logs, best, names, shapes=shapes, ready=gusty,
             inside=lambda own: alike(own, proposal, around),
         )  # fmt: skip
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
-    slight = not of_flow and _apart(diagnosis.believed, diagnosis.posterior) < CHOICE.slight
+    slight = not of_flow and _apart(diagnosis.believed, diagnosis.posterior) < SLIGHT
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
     rivals = [
         trial[2]
         for trial in trials[1:]
         if not _loose(trial[0])
-        and _bic(trial) - _bic(trials[0]) < CHOICE.close
-        and min(_apart(own, trial[0]) for own in (best, diagnosis.posterior)) > CHOICE.apart
+        and _bic(trial) - _bic(trials[0]) < CLOSE
+        and min(_apart(own, trial[0]) for own in (best, diagnosis.posterior)) > APART
     ]
     goodness = Goodness.of(posterior, diagnosis)
     excess += 2 * (diagnosis.posterior.log_likelihood - likelier.log_likelihood)
@@ -393,7 +370,7 @@ def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior)
     nothing = fitted(logs, with_process(calm, gusts))
     if nothing is None:
         return -math.inf
-    odds = max(len(prepared.search.lookout.lobes), 1) / CHOICE.false_alarm
+    odds = max(len(prepared.search.lookout.lobes), 1) / FALSE_ALARM
     chance = 2 * math.log(odds) + len(pattern.names)
     return 2 * (posterior.log_likelihood - nothing.log_likelihood) - chance
 
