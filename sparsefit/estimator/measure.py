@@ -135,6 +135,9 @@ class Measured:
         every = []
         for value, slope in zip(values(0, 0.0), zip(*slopes, strict=True), strict=True):
             variances = np.einsum("if,ij,jf->f", slope, covariance, slope)
+            if self.posterior is self.diagnosis.posterior:
+                speed, length = self.diagnosis.ambiguity
+                variances[:3] += np.square(value[:3] * [speed, length, math.hypot(speed, length)])
             every.append((value, np.sqrt(np.maximum(variances, 0.0))))
         return every
 

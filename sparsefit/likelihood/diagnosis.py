@@ -99,6 +99,7 @@ class Diagnosis:
         suspects: the causes, the most significant one first.
         growth: of U0 in time, at the posterior.
         turbulence_gain: 2 ln(likelihood ratio) of the disturbances that walk; 0 without any.
+        ambiguity: by which shares other causes, nearly as likely, say other U0 and L.
     """
 
     posterior: Posterior
@@ -106,6 +107,7 @@ class Diagnosis:
     suspects: tuple[Suspect, ...] = ()
     growth: Gain | None = None
     turbulence_gain: float = 0.0
+    ambiguity: tuple[float, float] = (0.0, 0.0)
 
 
 def diagnose(
@@ -129,6 +131,7 @@ def diagnose(
     """
     believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
     first, start, tests, gains = posterior, None, 1, dict[tuple[str, int], Gain]()
+    rivals: list[tuple[Posterior, Posterior]] = []
 
     def score(trial: Trial) -> tuple[float, Trial, Posterior | None]:
         """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
@@ -192,6 +195,8 @@ def diagnose(
             suspects.append(
                 Suspect(best.cause.name, size, chance, gain_of_it, best.free, best.flight)
             )
+            others = [own for _, trial, own in scored if trial.suspicious and trial is not best]
+            rivals += [(there, own) for own in others if own is not None and usable(own)]
         closed.add(best.free)
         posterior = there
         believed = believed if suspects else there
@@ -201,7 +206,26 @@ def diagnose(
     believed = believed if suspects else posterior
     if posterior is not start:
         gains = gains_of(posterior, {"growth": ("growth",)})
-    return Diagnosis(posterior, believed, tuple(suspects), gains.get(("growth", 0)), wandering)
+    growth, shares = gains.get(("growth", 0)), _ambiguity(posterior, rivals) if suspects else (0, 0)
+    return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
+
+
+def _ambiguity(
+    posterior: Posterior, rivals: Sequence[tuple[Posterior, Posterior]]
+) -> tuple[float, float]:
+    """The shares by which causes that are not told apart differ in U0 and L.
+
+    Process noise that remains beside a cause is a misfit that no cause explains: likelihoods that
+    differ by less than it gains say nothing of which cause is right.
+    """
+    unexplained, shares = max(posterior.evidence, CHANCE), [(0.0, 0.0)]
+    for best, other in rivals:
+        if other.log_likelihood > best.log_likelihood - unexplained:
+            here, there = best.model.pattern, other.model.pattern
+            speeds = there.mean_velocity / here.mean_velocity
+            shares.append((abs(speeds - 1), abs(there.length_scale / here.length_scale - 1)))
+    speed, length = np.max(shares, axis=0).tolist()
+    return speed, length
 
 
 def _scanned(start: Posterior, process: Process) -> float:
