@@ -386,19 +386,16 @@ def merge(args: argparse.Namespace) -> int:
 
     study = _checked(args)
     merged = study.merge(args.parts, keep_first=args.keep_first)
-    if merged.finished:
+    now = study.status()
+    if now.finished:
         page.write(study)
-    lines = []
-    for part in merged.parts:
-        counts = ((part.alike, "alike"), (part.other, "different and left out"))
-        beside = "".join(f", {count} {words}" for count, words in counts if count)
-        lines.append(f"{part.folder}: {part.taken} of its {part.rows} rows were new{beside}")
-    rest = f"{merged.planned - merged.done} left to run: sparsefit study run {args.study}"
-    state = "finished" if merged.finished else rest
-    lines.append(f"{merged.folder}: {merged.done} of {merged.planned} cases, {state}")
-    parts = [{**dataclasses.asdict(part), "folder": str(part.folder)} for part in merged.parts]
-    counted = {"planned": merged.planned, "done": merged.done, "parts": parts}
-    record = {"study": study.name, "folder": str(merged.folder), **counted}
+    lines = [f"{part.folder}: {part.taken} of its {part.rows} rows were new" for part in merged]
+    rest = f"{now.planned - now.done} left to run: sparsefit study run {args.study}"
+    state = "finished" if now.finished else rest
+    lines.append(f"{now.folder}: {now.done} of {now.planned} cases, {state}")
+    parts = [{**dataclasses.asdict(part), "folder": str(part.folder)} for part in merged]
+    counted = {"planned": now.planned, "done": now.done, "parts": parts}
+    record = {"study": study.name, "folder": str(now.folder), **counted}
     return emit(record, lines, as_json=args.json)
 
 

@@ -56,35 +56,26 @@ class Crew:
 class Case:
     """A case while it is computed: its contender and tolerance, its timings and its verdict.
 
-    weights: the answer (p, k, n) of its first solve; status and reason: set where it is over.
+    points: the penalties of its path, 1 of a back-end that has none; weights: the answer (p, k, n)
+    of its first solve; status and reason: set where it is over.
     """
 
     cell: int
     number: int
     contender: Contender
     tolerance: float
+    points: int
     repeats: Repeats = field(default_factory=Repeats)
     weights: Array | None = None
     verdict: dict[str, Any] = field(default_factory=dict)
     status: str = ""
     reason: str = ""
-    turn: int = 0
     values: dict[str, Value] = field(default_factory=dict)
 
     @property
     def desk(self) -> str:
         """The process that it is solved in."""
         return f"solver {self.contender.family}"
-
-
-@dataclass(frozen=True)
-class Solved:
-    """The weights (p, k, n) of one solve, the solver's words, its seconds and memory [MB]."""
-
-    weights: Array
-    words: str
-    timing: Timing
-    memory: float
 
 
 def size_of(data: Data) -> dict[str, Value]:
@@ -103,8 +94,18 @@ class Arena:
     folder: Path
     crew: Crew
 
-    def run(self, cases: Sequence[Case]) -> Step:
+    def case(self, cell: int) -> Case:
+        """The case of a cell, before it begins."""
+        number, stop = self.design.cells[cell]
+        contender, points = self.design.contenders[number], 1
+        if not contender.missing:
+            backend = backends.get(contender.backend, **contender.settings)
+            points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
+        return Case(cell, number, contender, stop, points)
+
+    def run(self, cells: Sequence[int]) -> Step:
         """Judge each case, time all by turns until their medians are known, then hold rows out."""
+        cases = [self.case(cell) for cell in cells]
         for case in cases:
             yield from self._tried(case, self._begin(case, cases))
         clock, turn = self.design.clock, 0
@@ -113,7 +114,7 @@ class Arena:
         while timed := [c for c in timed if not c.status and not c.repeats.enough(*rules)]:
             turn += 1
             for case in timed if turn % 2 == 0 else reversed(timed):
-                yield from self._tried(case, self._repeat(case))
+                yield from self._tried(case, self._repeat(case, turn))
         for case in cases:
             if self.design.holdout is not None and not case.status:
                 yield from self._tried(case, self._hold_out(case, self.design.holdout))
@@ -135,22 +136,18 @@ class Arena:
             if looser and other.status == "timeout":
                 words = f"not tried: at tolerance {other.tolerance:g} {other.reason}"
                 raise Over("timeout", words)
-        solved = yield from self._solve(case)
-        case.weights = solved.weights
-        case.values |= {"memory": solved.memory, "word": solved.words}
+        case.weights, timing = yield from self._solve(case)
         yield from self._judge(case, case.weights)
-        case.repeats.note(solved.timing, first=True)
+        case.repeats.note(timing, first=True)
 
-    def _repeat(self, case: Case) -> Step:
+    def _repeat(self, case: Case, turn: int) -> Step:
         """One more timed solve; its answer is the first one's, or is judged itself."""
-        case.turn += 1
-        solved = yield from self._solve(case, seed=case.turn)
-        weights, first = solved.weights, case.weights
+        weights, timing = yield from self._solve(case, seed=turn)
+        first, before = case.weights, case.verdict["excess"]
         assert first is not None
-        case.repeats.note(solved.timing, first=False)
+        case.repeats.note(timing, first=False)
         if np.abs(weights - first).max() <= SAME * np.abs(first).max():
             return
-        before = case.verdict["excess"]
         yield from self._judge(case, weights)
         after = case.verdict["excess"]
         if after > max(WORSE * before, self._requested(case)):
@@ -159,33 +156,36 @@ class Arena:
 
     def _solve(
         self, case: Case, *, seed: int = 0, without: tuple[int, int] | None = None
-    ) -> Generator[Ask | Outcome, Answer | None, Solved]:
-        """One solve of all rows, or of those without a range."""
+    ) -> Generator[Ask | Outcome, Answer | None, tuple[Array, Timing]]:
+        """The weights (p, k, n) of one solve of all rows, or of those without a range."""
         yield from self._meet(case)
         path = self.folder / WEIGHTS
-        shape = (self._points(case), self.data.theta.shape[1], self.data.target.shape[1])
+        shape = (case.points, self.data.theta.shape[1], self.data.target.shape[1])
         into = np.lib.format.open_memmap(path, mode="w+", dtype=float, shape=shape)
         into[...] = np.nan
         into.flush()
-        content = self._content(case, str(self.folder))
-        content |= {"seed": seed, "without": without, "weights": str(path)}
-        ready = yield from self._ask(case, "ready", content, READY_SECONDS)
+        rows = {"folder": str(self.folder), "seed": seed, "without": without, "weights": str(path)}
+        ready = yield from self._ready(case, rows)
         answer = yield from self._ask(case, "solve", {}, case.contender.limit, timed=True)
-        weights = np.array(into)
         # An odd seed changes the sign of the target: the answer has it too.
-        weights = -weights if seed % 2 else weights
+        weights = -np.array(into) if seed % 2 else np.array(into)
         answered = int(np.isfinite(weights).all(axis=(1, 2)).sum())
         words = str(answer.content.get("words", "no words"))[:MAX_REASON]
         if answered < len(weights):
             raise Over("error", f"{answered} of {len(weights)} points answered: {words}")
+        if case.weights is None:
+            memory = _number(answer.content, "memory") - _number(ready.content, "memory")
+            case.values |= {"memory": memory if memory > 0.0 else 0.0 * memory, "word": words}
         wall = max(answer.wall - self.crew.overhead.get(case.desk, 0.0), 1e-9)
-        memory = _number(answer.content, "memory") - _number(ready.content, "memory")
-        memory = max(memory, 0.0) if memory == memory else math.nan
-        return Solved(weights, words, Timing(wall, answer.cpu), memory)
+        return weights, Timing(wall, answer.cpu)
 
-    def _content(self, case: Case, folder: str) -> dict[str, Any]:
-        content = {"folder": folder, "contender": case.number, "tolerance": case.tolerance}
-        return {**content, "seed": 0, "without": None, "weights": ""}
+    def _ready(
+        self, case: Case, rows: Mapping[str, Any]
+    ) -> Generator[Ask | Outcome, Answer | None, Answer]:
+        """Have the process of a case copy its rows; of none of these, small ones."""
+        own = {"contender": case.number, "tolerance": case.tolerance}
+        small = {"folder": "", "seed": 0, "without": None, "weights": ""}
+        return (yield from self._ask(case, "ready", {**own, **small, **rows}, READY_SECONDS))
 
     def _meet(self, case: Case) -> Step:
         """The clock's own time of a process, and a first call on a small problem."""
@@ -200,7 +200,7 @@ class Arena:
             crew.overhead[desk] = float(np.median(walls))
         if case.number in crew.met.setdefault(desk, set()):
             return
-        yield from self._ask(case, "ready", self._content(case, ""), READY_SECONDS)
+        yield from self._ready(case, {})
         try:
             words, limit = "its first call", case.contender.first
             first = yield from self._ask(case, "solve", {}, limit, timed=True, words=words)
@@ -239,16 +239,14 @@ class Arena:
         path = self.folder / "judged.npy"
         np.save(path, weights)
         content = {"folder": str(self.folder), "contender": case.number, "weights": str(path)}
-        words = "the certificate"
-        answer = yield from self._ask(
-            case, "verdict", content, JUDGE_SECONDS, desk=JUDGE, words=words
-        )
-        worst, told = case.verdict, answer.content
-        case.verdict = {
-            "certificate_kind": str(told.get("kind", "")),
-            "certificate": max(_number(told, "gap"), worst.get("certificate", 0.0)),
-            "excess": max(_number(told, "excess"), worst.get("excess", 0.0)),
-        }
+        how: Any = {"desk": JUDGE, "words": "the certificate"}
+        answer = yield from self._ask(case, "verdict", content, JUDGE_SECONDS, **how)
+        worst, verdict = case.verdict, answer.content
+        case.verdict = {"certificate_kind": str(verdict.get("kind", ""))}
+        for name, key in (("certificate", "gap"), ("excess", "excess")):
+            value = _number(verdict, key)
+            value = math.inf if math.isnan(value) else value  # no proof is no answer
+            case.verdict[name] = max(value, worst.get(name, 0.0))
 
     def _hold_out(self, case: Case, rules: Holdout) -> Step:
         """Errors on rows that a fit did not see, its support, and how alike two halves are."""
@@ -260,12 +258,12 @@ class Arena:
         errors, bases = [], []
         for low, high in [(int(f[0]), int(f[-1]) + 1) for f in folds if len(f)]:
             try:
-                solved = yield from self._solve(case, without=(low, high))
+                fitted, _ = yield from self._solve(case, without=(low, high))
             except Over as over:
                 status, reason = over.args
                 raise Over(status, f"on a fold of the rows: {reason}"[:MAX_REASON]) from None
             part, mean = data.target[low:high], np.delete(data.target, np.s_[low:high], 0).mean(0)
-            errors.append(missed(data.theta[low:high], part, solved.weights))
+            errors.append(missed(data.theta[low:high], part, fitted))
             bases.append(float(((part - mean) ** 2).sum()))
         point = 0
         if errors:
@@ -289,17 +287,10 @@ class Arena:
         if rules.stability and m >= 4:
             halves = []
             for other in ((m // 2, m), (0, m // 2)):
-                solved = yield from self._solve(case, without=other)
-                halves.append(support(solved.weights[point], rms, rules.support))
+                fitted, _ = yield from self._solve(case, without=other)
+                halves.append(support(fitted[point], rms, rules.support))
             union, shared = (halves[0] | halves[1]).sum(), (halves[0] & halves[1]).sum()
             case.values["stability"] = float(shared / union) if union else 1.0
-
-    def _points(self, case: Case) -> int:
-        """The number of answers: penalties of the path; 1 of a back-end that has none."""
-        if case.contender.missing:
-            return 1
-        backend = backends.get(case.contender.backend, **case.contender.settings)
-        return len(self.design.fractions) or 1 if own_fraction(backend) else 1
 
     def _requested(self, case: Case) -> float:
         """The accuracy that a case is held to: its tolerance, or the strictest of the study."""
@@ -310,9 +301,8 @@ class Arena:
         status, reason = case.status or "ok", case.reason
         if not case.status and not case.verdict["excess"] <= self._requested(case):
             status, words = "inaccurate", str(case.values.get("word", ""))
-            content = f"certified {case.verdict['excess']:.1e}"
-            content += f", asked for {self._requested(case):g}"
-            reason = f"{content}: {words}" if words else content
+            reason = f"certified {case.verdict['excess']:.1e}, asked for {self._requested(case):g}"
+            reason = f"{reason}: {words}" if words else reason
         timings = case.repeats.timings
         walls = median_interval([timing.wall for timing in timings])
         cpus = median_interval([timing.cpu for timing in timings])
@@ -322,7 +312,7 @@ class Arena:
             **dict(zip(("cpu", "cpu_low", "cpu_high"), cpus, strict=True)),
             **case.verdict,
             **case.values,
-            "points": self._points(case),
+            "points": case.points,
             "repeats": len(timings),
             "known": case.repeats.registered(self.design.clock.precision),
             "disturbed": case.repeats.disturbed,
@@ -332,7 +322,6 @@ class Arena:
 
 
 def _number(content: Mapping[str, Any], name: str) -> float:
-    """A number that a process told; infinite for a gap that it did not, NaN for anything else."""
+    """A number that a process told, NaN for anything else."""
     value = content.get(name)
-    number = float(value) if isinstance(value, int | float) else math.nan
-    return math.inf if math.isnan(number) and name != "memory" else number
+    return float(value) if isinstance(value, int | float) else math.nan

@@ -45,9 +45,10 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
     plan = study.plan()
     case = plan[plan["case_id"] == case_id].iloc[0]
     name = f"{study.name}, case {case_id}: {case['title']}"
-    truths = [part.length_scale for part in again.flow.cells] if again.flow is not None else []
+    flow = again.flown.draw.flow
+    truths = [part.length_scale for part in flow.cells] if flow is not None else []
     estimate, estimator = again.estimate, study.estimator(case["candidate"])
-    figure = draw_estimate(estimate, estimator, [again.flown], name, truths)
+    figure = draw_estimate(estimate, estimator, list(again.flown.fleet[:1]), name, truths)
     if file.suffix.lower() != ".html":
         write_whole(file, encoded(figure, file.suffix.lower()))
         return made

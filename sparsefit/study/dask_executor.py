@@ -8,8 +8,7 @@ several workers are tried one by one, and one that does it again is `crashed`.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack
 from importlib import import_module
 from itertools import islice
@@ -18,7 +17,7 @@ from typing import Any
 from sparsefit.errors import InputError, MissingExtra, described
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment
-from sparsefit.study.pool import Outcomes, outcomes
+from sparsefit.study.pool import outcomes
 
 
 def outcomes_on_dask(
@@ -27,7 +26,7 @@ def outcomes_on_dask(
     batches: Iterable[Batch],
     processes: int,
     stop: Callable[[], bool],
-) -> Outcomes:
+) -> Generator[Outcome, None, None]:
     """Every cell of every batch, as its task ends.
 
     scheduler: its address, or None for a cluster of ``processes`` workers on this machine, which
@@ -66,7 +65,7 @@ def outcomes_on_dask(
             elif set(mine) & tried:
                 reason = f"the dask task failed: {described(future.exception())}"
                 for unit, cell in ((batch.unit, cell) for batch in mine for cell in batch.cells):
-                    yield Outcome(unit, cell, "crashed", reason), math.nan
+                    yield Outcome(unit, cell, "crashed", reason)
             else:
                 tried.update(mine)
                 for batch in mine:
@@ -75,7 +74,7 @@ def outcomes_on_dask(
                 submit(more)
 
 
-def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[tuple[Outcome, float]]:
+def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:
     """On a dask worker: the outcomes of batches, from a process that can be killed."""
     return list(outcomes(experiment, iter(batches), 1))
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
 
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import LEVEL, TEXT, Outcome, body_of, kinds_of, read_body
+from sparsefit.study.columns import Outcome, body_of, kinds_of, read_body
 from sparsefit.study.manifest import MANIFEST, check_whole, read_record
 from sparsefit.study.plan import Plan
 from sparsefit.whole_file import whole_file
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 CASES, WEIGHTS = "cases.parquet", "weights.parquet"
 BATCH = 2048  # rows that are read or written as records at once
 GROUP = 65_536  # rows of a group of the Parquet file
-OF_ANY = ("case_id", "status", "reason", "backend", "settings")
-OF_FLIGHTS = ("split", "protocol", "label")
-OF_PROBLEMS = ("problem", "objective", "solver")
 
 
 class Row(NamedTuple):
@@ -128,13 +125,12 @@ def parquet(path: Path) -> Iterator[Any]:
 
 def check_cases(path: Path, schema: Any) -> list[str]:
     """The names of the columns; `InputError` unless they are those of cases."""
-    for name in (*OF_ANY, *(OF_PROBLEMS if "solver" in schema.names else OF_FLIGHTS)):
-        # large_string by pandas, of whoever writes a part of the rows
-        if name not in schema.names or "string" not in str(schema.field(name).type):
-            raise InputError(
-                f'{path}: no cases of a study, without a column "{name}" of text: take the file '
-                "from where it came, or run the study with --fresh"
-            )
+    of_text = {name for name in schema.names if "string" in str(schema.field(name).type)}
+    if missing := sorted({"case_id", "status", "reason", "backend", "settings"} - of_text):
+        raise InputError(
+            f'{path}: no cases of a study, without a column "{missing[0]}" of text: take the file '
+            "from where it came, or run the study with --fresh"
+        )
     return list(schema.names)
 
 
@@ -196,15 +192,13 @@ def _weights_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     import pyarrow as pa
 
     ids = [plan.case_ids[plan.place_of[row.key]] for row in rows]
-    pairs = [(name, *pair) for name, row in zip(ids, rows, strict=True)
-             for pair in read_body(row.body)[2]]  # fmt: skip
-    columns = {"case_id": TEXT, "length_scale": LEVEL, "weight": LEVEL}
-    return pa.table(
-        {
-            name: pa.array([pair[i] for pair in pairs], type=pa.type_for_alias(kind.arrow))
-            for i, (name, kind) in enumerate(columns.items())
-        }
-    )
+    pairs = [
+        {"case_id": name, "length_scale": scale, "weight": weight}
+        for name, row in zip(ids, rows, strict=True)
+        for scale, weight in read_body(row.body)[2]
+    ]
+    kinds = {"case_id": pa.string(), "length_scale": pa.float64(), "weight": pa.float64()}
+    return pa.Table.from_pylist(pairs, schema=pa.schema(kinds))
 
 
 def _write(tables: Iterator[pa.Table], path: Path, dense: set[str]) -> None:

@@ -1,27 +1,34 @@
 """The worker's side of a study of flights: a flight, its library, its fits, made once and shared.
 
-    fly      simulate the flights of a unit, or read them from a log; answers with the truth
+    fly      simulate the flights of a unit, or read them from a log
     prepare  build the library of the cells of one regression problem
     cases    fit (along one path, where that is shared) and read each cell
 
-A row is (cell, status, reason, body), as the store keeps it.
+A row is (cell, status, reason, body), as the store keeps it. To time an estimate there are
+
+    ready    fly the flight of a unit, on a core of its own; answers with the memory so far
+    estimate it, from its record to the answer
 """
 
 from __future__ import annotations
 
-import dataclasses
 import gc
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from sparsefit import Estimator, Library, PointMassVehicle, backends
 from sparsefit.errors import InputError, SparsefitError, described, one_line
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.estimator.prepare import Prepared
-from sparsefit.flight import Flight, simulate_flight
-from sparsefit.flight.flow import Cells, Flow
+from sparsefit.flight import simulate_flight
+from sparsefit.flight.flow import Cells
 from sparsefit.model import LengthScaleGrid
+from sparsefit.model.grid import extent_of
 from sparsefit.onboard import as_flown
 from sparsefit.regression import Fit
 from sparsefit.regression.fit import path
@@ -29,9 +36,10 @@ from sparsefit.score import strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Outcome, Value, body_of, values_of
 from sparsefit.study.crossing import Cell
 from sparsefit.study.definition import Definition
-from sparsefit.study.draw import SIMULATION, Draw, stream
-from sparsefit.study.logged import Logged
-from sparsefit.study.reading import Reading, Yardstick, yardstick
+from sparsefit.study.draw import SIMULATION, Draw, FlightRules, stream
+from sparsefit.study.logged import Logged, Logs
+from sparsefit.study.reading import Flown, Reading, bounds_of
+from sparsefit.study.worker import resident
 
 ALPHA = "alpha_fraction"
 
@@ -48,9 +56,28 @@ def estimator_of(definition: Definition, cell: Cell) -> Estimator:
     return as_flown(estimator) if definition.on_board else estimator
 
 
-def draw_of(definition: Definition, unit: int, cell: Cell) -> Draw | Logged:
-    """The flight of a unit and a cell: its flow, vehicle and noise, or its log."""
-    return cell.setup.flights.draw(unit, definition.flights.count, definition.seed)
+def path_fractions(cell: Cell) -> tuple[float, ...]:
+    """The whole grid of penalties of a [[backends]] entry that walks one path; else none.
+
+    All of it, whatever is left to do of it: a resumed run repeats the path.
+    """
+    grid = [value for value in cell.choice.grid.get(ALPHA, ()) if value != "auto"]
+    # With "auto" a back-end walks a path of its own.
+    walks = cell.walks and cell.settings.get(ALPHA) != "auto" and len(grid) > 1
+    return tuple(map(float, grid)) if walks else ()
+
+
+def fly(definition: Definition, unit: int, rules: FlightRules | Logs) -> Flown:
+    """Simulate, or read from its log, what the cells of one condition share."""
+    draw = rules.draw(unit, definition.flights.count, definition.seed)
+    seed = stream(definition.seed, unit, SIMULATION)
+    fleet = draw.fleet(seed)
+    extent = extent_of(np.concatenate([flown.position for flown in fleet]))
+    if isinstance(draw, Logged):
+        return Flown(unit, draw, fleet, extent)
+    others = draw.others(seed, definition.run.prediction_flights) if draw.flown else ()
+    blind = tuple(replace(flown, flow=None) for flown in fleet)
+    return Flown(unit, draw, blind, extent, bounds_of(draw, fleet), others)
 
 
 def truth_of(draw: Draw | Logged) -> dict[str, Value]:
@@ -63,35 +90,8 @@ def truth_of(draw: Draw | Logged) -> dict[str, Value]:
     sides, drift = cells.length_scales, cells.drift
     names = (*PARAMETERS, "length_scale_x", "length_scale_y", "heading", "drift_x", "drift_y")
     values = (*(getattr(cells, name) for name in PARAMETERS), *sides, cells.heading, *drift)
-    content: dict[str, Value] = {
-        f"true_{name}": float(value) for name, value in zip(names, values, strict=True)
-    }
-    return {**content, "flow": "cellular"}
-
-
-@dataclass(frozen=True)
-class Flown:
-    """The flights of a unit in a condition, without their flow, and how they are judged.
-
-    The truth enters at the score and nowhere before.
-    """
-
-    unit: int
-    draw: Draw | Logged
-    fleet: tuple[Flight, ...]
-    yardstick: Yardstick
-
-    @classmethod
-    def of(cls, definition: Definition, unit: int, cell: Cell) -> Flown:
-        """Simulate, or read from its log, what the cells of one condition share."""
-        draw = draw_of(definition, unit, cell)
-        seed = stream(definition.seed, unit, SIMULATION)
-        fleet = draw.fleet(seed)
-        if isinstance(draw, Logged):
-            return cls(unit, draw, fleet, Yardstick(fleet[0].extent))
-        others = draw.others(seed, definition.run.prediction_flights) if draw.flown else ()
-        blind = tuple(dataclasses.replace(flown, flow=None) for flown in fleet)
-        return cls(unit, draw, blind, yardstick(draw, fleet, others))
+    truth = {f"true_{name}": float(value) for name, value in zip(names, values, strict=True)}
+    return {**truth, "flow": "cellular"}
 
 
 class FlightDesk:
@@ -114,19 +114,23 @@ class FlightDesk:
         gc.freeze()  # later collections pass over what is loaded now
 
     def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """The answer to `fly`, `prepare` or `cases` of a unit and cells that share them."""
-        unit = content["unit"]
+        """The answer to a verb for a unit and cells that share its flight."""
         cells = [self._definition.flights.cells[index] for index in content["cells"]]
-        flown = self._fly(unit, cells[0])
-        if verb == "fly":
-            return {}
-        prepared = self._prepare(flown, cells[0])
+        flown = self._fly(content["unit"], cells[0])
         if verb == "prepare":
-            return {}
-        outcomes = [
-            self._outcome(flown, prepared, cell, fit) for cell, fit in self._fits(prepared, cells)
-        ]
-        return {"rows": [(o.cell, o.status, o.reason, body_of(o)) for o in outcomes]}
+            self._prepare(flown, cells[0])
+        elif verb == "cases":
+            prepared = self._prepare(flown, cells[0])
+            fits = self._fits(prepared, cells)
+            return {"rows": [self._row(flown, prepared, cell, fit) for cell, fit in fits]}
+        elif verb == "ready":
+            if hasattr(os, "sched_setaffinity"):
+                os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+            return {"memory": resident()}
+        elif verb == "estimate":
+            with suppress(Exception):  # a refusal takes its time too
+                self._estimator(cells[0]).estimate(flown.fleet)
+        return {}
 
     def _estimator(self, cell: Cell) -> Estimator:
         if cell.index not in self._estimators:
@@ -138,7 +142,7 @@ class FlightDesk:
         if self._flown is None or self._flown[0] != key:
             self._flown = self._prepared = None
             gc.collect()  # what a flight has left is not charged to the next
-            self._flown = (key, Flown.of(self._definition, unit, cell))
+            self._flown = (key, fly(self._definition, *key))
         return self._flown[1]
 
     def _prepare(self, flown: Flown, cell: Cell) -> Prepared:
@@ -164,50 +168,29 @@ class FlightDesk:
             fit = estimator.fit(prepared)
             yield from ((cell, fit) for cell in cells)
 
-    def _outcome(self, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit) -> Outcome:
-        estimate, values = read_case(self._estimator(cell), flown, prepared, fit)
+    def _row(
+        self, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit
+    ) -> tuple[int, str, str, str]:
+        estimate = self._estimator(cell).read(prepared, fit)
+        values = values_of(Reading(estimate, fit, prepared.problem, flown)) | truth_of(flown.draw)
         weights: tuple[tuple[float, float], ...] = ()
         if self._definition.keeps_weights:
             pairs = estimate.weights_by_scale.items()
             weights = tuple(sorted((float(scale), float(weight)) for scale, weight in pairs))
         reason = one_line(estimate.reason or "", MAX_REASON)
-        values |= truth_of(flown.draw)
         shared = float(fit.shared_seconds)
-        return Outcome(flown.unit, cell.index, estimate.status, reason, values, shared, weights)
-
-
-def read_case(
-    estimator: Estimator, flown: Flown, prepared: Prepared, fit: Fit
-) -> tuple[Estimate, dict[str, Value]]:
-    """The estimate of a fit, and the values of its columns."""
-    estimate = estimator.read(prepared, fit)
-    flow = flown.draw.flow
-    return estimate, values_of(Reading(estimate, fit, prepared.problem, flow, flown.yardstick))
-
-
-def path_fractions(cell: Cell) -> tuple[float, ...]:
-    """The whole grid of penalties of a [[backends]] entry that walks one path; else none.
-
-    All of it, whatever is left to do of it: a resumed run repeats the path.
-    """
-    grid = [value for value in cell.choice.grid.get(ALPHA, ()) if value != "auto"]
-    # With "auto" a back-end walks a path of its own.
-    walks = cell.walks and cell.settings.get(ALPHA) != "auto" and len(grid) > 1
-    return tuple(map(float, grid)) if walks else ()
+        body = body_of(Outcome(flown.unit, cell.index, "", "", values, shared, weights))
+        return cell.index, estimate.status, reason, body
 
 
 @dataclass(frozen=True, eq=False)
 class CaseAgain:
-    """A case that was run once more, in this process, with all that it was read from.
+    """A case that was run once more, in this process.
 
-    flown: the flight, of several together the first; flow: the true one, None where there is none
-    or nobody knows it; values: the columns of `cases.parquet` that are read from it, by name.
+    values: the columns of `cases.parquet` that are read from it, by name.
     """
 
-    flown: Flight
-    flow: Flow | None
-    prepared: Prepared
-    fit: Fit
+    flown: Flown
     estimate: Estimate
     values: dict[str, Value]
 
@@ -215,14 +198,15 @@ class CaseAgain:
     def of(cls, definition: Definition, unit: int, cell: Cell) -> CaseAgain:
         """Fly, fit and read. Raises SparsefitError where the case fails, as in the run."""
         try:
-            flown = Flown.of(definition, unit, cell)
+            flown = fly(definition, unit, cell.setup.flights)
             estimator = estimator_of(definition, cell)
             prepared = cell.setup.online.prepare(estimator, flown.fleet)
             fit = estimator.fit(prepared)
-            estimate, values = read_case(estimator, flown, prepared, fit)
+            estimate = estimator.read(prepared, fit)
+            values = values_of(Reading(estimate, fit, prepared.problem, flown))
         except InputError:
             raise
         except Exception as error:
             name = f"{unit:04d}-{cell.key}"
             raise SparsefitError(f"{name} ends in an error: {described(error)}") from error
-        return cls(flown.fleet[0], flown.draw.flow, prepared, fit, estimate, values)
+        return cls(flown, estimate, values)

@@ -14,17 +14,14 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sparsefit.codec import finite_or_none
 from sparsefit.study.definition import Definition
-from sparsefit.study.draw import SIMULATION, stream
-from sparsefit.study.flight_desk import draw_of, estimator_of
+from sparsefit.study.flight_desk import FlightDesk
 from sparsefit.study.manifest import processor, read_record, sparsefit_version
 from sparsefit.study.worker import Answer, Ask, Worker, memory_limit
 from sparsefit.whole_file import write_whole
@@ -46,43 +43,6 @@ class Latency:
     flights: int
     busy: float = 0.0
 
-    @property
-    def disturbed(self) -> bool:
-        """Whether other programs had the core for more than a tenth of the flights."""
-        return self.busy > 0.1
-
-
-class LatencyDesk:
-    """Estimates one flight after the other, for the cells of one candidate in turn."""
-
-    def __init__(self, definition: Definition, cells: tuple[int, ...]) -> None:
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-        self._definition = definition
-        self._cells = [definition.flights.cells[index] for index in cells]
-        self._ready: tuple[Any, Any] = (None, None)
-
-    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """`ready`: fly the flight of a place; `estimate` it."""
-        if verb == "ready":
-            self._ready = self._flight(content["place"])
-            return {}
-        estimator, fleet = self._ready
-        with suppress(Exception):  # a refusal takes its time too
-            estimator.estimate(fleet)
-        return {}
-
-    def _flight(self, place: int) -> tuple[Any, Any]:
-        """The flights at a place of those to be timed: worlds in turn, then the next flight."""
-        design = self._definition.flights
-        stored = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
-        cell = self._cells[place % len(self._cells)]
-        unit = stored[place // len(self._cells) % len(stored)]
-        fleet = draw_of(self._definition, unit, cell).fleet(
-            stream(self._definition.seed, unit, SIMULATION)
-        )
-        return estimator_of(self._definition, cell), [replace(f, flow=None) for f in fleet]
-
 
 def measure(
     definition: Definition,
@@ -93,46 +53,48 @@ def measure(
     """Time `flights` estimates of every candidate, the conditions of the study in turn.
 
     trials: the cells of each candidate. The flights are those that a candidate is chosen on.
-    progress: called with (candidates done, candidates, seconds left or None).
+    progress: called with (candidates done, candidates, None).
     """
-    measured, begun = {}, time.monotonic()
+    measured = {}
     for done, (name, cells) in enumerate(trials.items()):
         if progress:
-            each = (time.monotonic() - begun) / done if done else None
-            progress(done, len(trials), None if each is None else each * (len(trials) - done))
-        measured[name] = _measured(definition, tuple(cells), flights)
+            progress(done, len(trials), None)
+        measured[name] = _measured(definition, cells, flights)
     return measured
 
 
-def _measured(definition: Definition, cells: tuple[int, ...], flights: int) -> Latency:
+def _measured(definition: Definition, cells: Sequence[int], flights: int) -> Latency:
     """A slow candidate is timed on fewer flights, 10 at least, and says so."""
+    design, limit = definition.flights, definition.run.case_timeout
+    units = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
     memory = memory_limit(definition.run.max_memory, 1)
-    worker = Worker.start(LatencyDesk, (definition, cells), memory=memory)
-    limit, times, busy = definition.run.case_timeout, [], 0
-    begun = time.monotonic()
+    worker = Worker.start(FlightDesk, (definition,), memory=memory)
+    begun, times, busy = time.monotonic(), list[float](), 0
     try:
         for place in (0, 0, *range(flights)):  # two to warm up
+            unit = units[place // len(cells) % len(units)]
+            content = {"unit": unit, "cells": [cells[place % len(cells)]]}
             runs: list[Answer] = []
             disturbed = True
             while disturbed and len(runs) < 2:
-                run = worker.wait(Ask("ready", {"place": place}, limit))
+                run = worker.wait(Ask("ready", content, limit))
                 if not run.lost:
-                    run = worker.wait(Ask("estimate", {}, limit, timed=True))
+                    run = worker.wait(Ask("estimate", content, limit, timed=True))
                 if run.lost:
                     return Latency(math.inf, math.inf, math.inf, 0)
                 runs.append(run)
                 # The two clocks may differ by .2 ms anyway.
-                disturbed = runs[-1].wall > 1.1 * runs[-1].cpu + 2e-4
-            times.append(min(run.cpu for run in runs) if disturbed else runs[-1].wall)
+                disturbed = run.wall > 1.1 * run.cpu + 2e-4
+            times.append(min(run.cpu for run in runs) if disturbed else run.wall)
             busy += disturbed and len(times) > 2
             if len(times) >= 12 and time.monotonic() - begun > 15.0:
                 break
-        peak = worker.peak_memory()
+        peak = worker.wait(Ask("ready", content, limit)).content.get("memory")
     finally:
         worker.close()
     del times[:2]
     middle, late = np.quantile(times, [0.5, 0.99])
-    return Latency(float(middle), float(late), peak, len(times), busy / len(times))
+    return Latency(float(middle), float(late), peak or math.nan, len(times), busy / len(times))
 
 
 def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:

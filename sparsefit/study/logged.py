@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
@@ -61,7 +61,7 @@ class Logged:
     one in the file.
     """
 
-    file: str
+    file: str = field(repr=False)  # wherever it lies, its digest says what was logged
     digest: str
     start: float
     end: float

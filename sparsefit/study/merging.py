@@ -21,7 +21,7 @@ from sparsefit.study.columns import STATUSES, read_body
 from sparsefit.study.export import CASES, Row
 from sparsefit.study.manifest import check_whole
 from sparsefit.study.plan import Plan
-from sparsefit.study.runner import Request, locked, run
+from sparsefit.study.runner import locked, run
 from sparsefit.study.store import STORE, Store
 
 ALIKE = 1e-6  # relative: by which another machine's rounding may differ
@@ -29,36 +29,16 @@ ALIKE = 1e-6  # relative: by which another machine's rounding may differ
 
 @dataclass(frozen=True)
 class MergedPart:
-    """One folder that rows were taken from: how many it had, and how many were new.
-
-    alike: how many tell what a row that was there tells; other: how many tell something else.
-    """
+    """One folder that rows were taken from: how many it had, and how many were new."""
 
     folder: Path
     rows: int
     taken: int
-    alike: int = 0
-    other: int = 0
-
-
-@dataclass(frozen=True)
-class Merged:
-    """The parts of a merge, and how much of the study is there now."""
-
-    folder: Path
-    parts: tuple[MergedPart, ...]
-    planned: int
-    done: int
-
-    @property
-    def finished(self) -> bool:
-        """Whether every planned case is there."""
-        return self.done == self.planned
 
 
 def merge(
     plan: Plan, folder: Path, parts: Sequence[str | Path], *, keep_first: bool = False
-) -> Merged:
+) -> list[MergedPart]:
     """Take into the folder of a study the rows that the parts have.
 
     A case that is there, or in an earlier part, keeps its row. Once all are there the study is
@@ -76,36 +56,30 @@ def merge(
     if folder.resolve() in {part.resolve() for part in folders}:
         words = "merges into itself: give the other parts, or other --results"
         raise InputError(f"{folder}: {words}")
-    stores = []
+    parts_rows = []
     for part in folders:
         with told_with(part):
-            stores.append(Store.read(part, plan))
+            stored = Store.read(part, plan).rows()
+            parts_rows.append({row.key: row for row in stored if row.status in STATUSES})
+    merged, taken = list[MergedPart](), list[Row]()
     with locked(folder):
         rows = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
-        taken: list[Row] = []
-        merged = []
-        for part, store in zip(folders, stores, strict=True):
+        for part, theirs in zip(folders, parts_rows, strict=True):
             with told_with(part):
-                theirs = {row.key: row for row in store.rows() if row.status in STATUSES}
                 _check_machine(plan, [row for _, row in rows.values()], theirs.values())
-            alike = 0
             for key in theirs.keys() & rows.keys():
-                same = _same(plan, rows[key][1], theirs[key])
-                if not same and not keep_first:
+                if not keep_first and not _alike(plan, rows[key][1], theirs[key]):
                     raise InputError(_clash(plan, rows[key], (part, theirs[key])))
-                alike += same
-            both = len(theirs.keys() & rows.keys())
             new = [theirs[key] for key in _takes(plan, set(rows), set(theirs))]
             rows |= {row.key: (part, row) for row in new}
             taken += new
-            merged.append(MergedPart(part, len(theirs), len(new), alike, both - alike))
+            merged.append(MergedPart(part, len(theirs), len(new)))
         with Store.opened(folder, plan) as own:
             for row in taken:
                 own.put_row(row)
-    done = int(Store.read(folder, plan).done.sum())
-    if done == plan.size:  # only its order is left
-        run(plan, folder, Request(processes=1))
-    return Merged(folder, tuple(merged), plan.size, done)
+    if len(rows) == plan.size:  # only its order is left
+        run(plan, folder, processes=1)
+    return merged
 
 
 def _folder_of(plan: Plan, part: Path) -> Path:
@@ -148,18 +122,16 @@ def _judged(plan: Plan, row: Row) -> list[float]:
     return [float(values.get(name, math.nan)) for name in plan.experiment.judged]
 
 
-def _same(plan: Plan, first: Row, second: Row) -> bool:
+def _alike(plan: Plan, first: Row, second: Row) -> bool:
     return first.status == second.status and bool(
         np.allclose(_judged(plan, first), _judged(plan, second), ALIKE, 0.0, equal_nan=True)
     )
 
 
-def _clash(plan: Plan, first: tuple[Path, Row], second: tuple[Path, Row]) -> str:
-    case = plan.case_ids[plan.place_of[second[1].key]]
-    sides = []
-    for folder, row in (first, second):
-        numbers = _judged(plan, row)
-        content = f": U0 {numbers[0]:.7g} m/s, L_w {numbers[1]:.7g} m" if numbers else ""
-        sides.append(f"{folder} ({row.status}{content})")
-    remedy = "leave one out, or add --keep-first"
-    return f"case {case} differs between {' and '.join(sides)}: {remedy}"
+def _clash(plan: Plan, *rows: tuple[Path, Row]) -> str:
+    case = plan.case_ids[plan.place_of[rows[0][1].key]]
+    sides = (
+        f"{folder} ({row.status} {' '.join(f'{value:.7g}' for value in _judged(plan, row))})"
+        for folder, row in rows
+    )
+    return f"case {case} differs between {' and '.join(sides)}: leave one out, or add --keep-first"

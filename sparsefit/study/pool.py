@@ -7,7 +7,6 @@ process itself was stopped is not charged.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
@@ -18,7 +17,6 @@ from sparsefit.study.plan import Batch, Experiment, Step
 from sparsefit.study.worker import Answer, Ask, Worker, memory_limit, wait_for
 
 TICK = 0.5  # seconds between looks at the clock, at most
-Outcomes = Generator[tuple[Outcome, float], None, None]
 
 
 def outcomes(
@@ -26,38 +24,30 @@ def outcomes(
     batches: Iterator[Batch],
     processes: int,
     stop: Callable[[], bool] = lambda: False,
-) -> Outcomes:
-    """Every cell of every batch as it ends, and the seconds [s] that it took of a worker.
+) -> Generator[Outcome, None, None]:
+    """Every cell of every batch as it ends.
 
     Workers end with the generator. Once ``stop`` says so, nothing is asked that is not under way.
     """
-    memory = memory_limit(experiment.definition.run.max_memory, processes)
-    pool = Pool(experiment, batches, processes, memory, stop)
+    pool = Pool(experiment, batches, processes, stop)
     try:
         yield from pool.run()
     finally:
-        pool.close()
+        for slot in pool.slots:
+            for worker in slot.crew.values():
+                worker.close()
+            if slot.steps is not None:
+                slot.steps.close()
         experiment.end()
 
 
 @dataclass(eq=False)
 class Slot:
-    """One place where a batch runs: its coroutine, its workers by desk, and the one at work.
-
-    ask: what that does; since: when the last outcome came; warm: whether a first case has paid for
-    what a process loads on first use.
-    """
+    """One place where a batch runs: its coroutine, its workers by desk, and what one is asked."""
 
     steps: Step | None = None
     crew: dict[str, Worker] = field(default_factory=dict)
     ask: Ask | None = None
-    since: float = 0.0
-    warm: bool = False
-
-    @property
-    def working(self) -> Worker | None:
-        """The worker that is asked."""
-        return self.crew[self.ask.desk] if self.ask else None
 
 
 # Ours, as pebble times and blames whole tasks: cases that share a flight, a library and a path
@@ -70,55 +60,37 @@ class Pool:
     experiment: Experiment
     batches: Iterator[Batch]
     processes: int
-    memory: float
     stop: Callable[[], bool]
     slots: list[Slot] = field(default_factory=list)
-    looked: float = field(default_factory=time.monotonic)
     stillborn: int = 0
     killed: int = 0
 
-    def run(self) -> Outcomes:
+    def run(self) -> Iterator[Outcome]:
         """All outcomes; a slot is added while there are batches and fewer than `processes`."""
+        looked = time.monotonic()
         while True:
-            while len(self.slots) < self.processes and not self.stop():
-                slot = Slot()
-                if not self._next(slot):
-                    break
+            while len(self.slots) < self.processes and self._next(slot := Slot()):
                 self.slots.append(slot)
                 yield from self._advance(slot, None)
-            busy = {slot: slot.working for slot in self.slots if slot.ask}
+            busy = [(slot, slot.crew[slot.ask.desk]) for slot in self.slots if slot.ask]
             if not busy:
                 return
-            self._wait([worker for worker in busy.values() if worker])
-            for slot, worker in busy.items():
-                answer = worker.receive() if worker else None
+            until = min(worker.deadline for _, worker in busy) - time.monotonic()
+            wait_for([worker for _, worker in busy], min(until, TICK))
+            gap, looked = time.monotonic() - looked, time.monotonic()
+            for slot, worker in busy:
+                if gap > 6.0 * TICK:  # this process itself was stopped
+                    worker.deadline += gap - TICK
+                answer = worker.receive()
                 if answer is not None:
                     yield from self._take(slot, answer)
 
-    def close(self) -> None:
-        """End every worker."""
-        for slot in self.slots:
-            for worker in slot.crew.values():
-                worker.close()
-            if slot.steps is not None:
-                slot.steps.close()
-
-    def _wait(self, workers: list[Worker]) -> None:
-        """Until a worker says something, ends, or reaches its limit."""
-        until = min(worker.deadline for worker in workers) - time.monotonic()
-        wait_for(workers, min(until, TICK))
-        gap, self.looked = time.monotonic() - self.looked, time.monotonic()
-        if gap > 6.0 * TICK:  # this process itself was stopped
-            for worker in workers:
-                worker.deadline += gap - TICK
-
-    def _take(self, slot: Slot, answer: Answer) -> Outcomes:
+    def _take(self, slot: Slot, answer: Answer) -> Iterator[Outcome]:
         """Go on with the answer of a slot's worker; one that did not even start is replaced."""
         ask, slot.ask = slot.ask, None
         assert ask is not None
         if answer.lost:
             slot.crew.pop(ask.desk)
-            slot.warm = False
         if answer.started:
             self.stillborn = self.killed = 0
             yield from self._advance(slot, answer)
@@ -134,32 +106,28 @@ class Pool:
             raise SparsefitError(f"a worker process could not start ({answer.reason})")
         self._send(slot, ask)
 
-    def _advance(self, slot: Slot, answer: Answer | None) -> Outcomes:
+    def _advance(self, slot: Slot, answer: Answer | None) -> Iterator[Outcome]:
         """Go on with the batch of a slot, and with the next, until a worker is at work."""
         while slot.steps is not None or self._next(slot):
             assert slot.steps is not None
             try:
                 event = slot.steps.send(answer)
             except StopIteration:
-                slot.steps, answer = None, None
-                if self.stop():
-                    return
-                continue
+                slot.steps = event = None
             answer = None
             if isinstance(event, Ask):
                 if not self.stop():
                     self._send(slot, event)
                 return
-            now = time.monotonic()
-            spent = now - slot.since if slot.warm else math.nan
-            slot.since, slot.warm = now, True
-            yield event, spent
+            if event is not None:
+                yield event
 
     def _send(self, slot: Slot, ask: Ask) -> None:
         """Ask the worker of a desk, which is started where there is none."""
         if ask.desk not in slot.crew:
             make, arguments = self.experiment.desk(ask.desk)
-            slot.crew[ask.desk] = Worker.start(make, arguments, memory=self.memory)
+            memory = memory_limit(self.experiment.definition.run.max_memory, self.processes)
+            slot.crew[ask.desk] = Worker.start(make, arguments, memory=memory)
         slot.ask = ask
         slot.crew[ask.desk].send(ask)
 
@@ -167,5 +135,5 @@ class Pool:
         """Begin the next batch; whether there is one."""
         batch = None if self.stop() else next(self.batches, None)
         if batch is not None:
-            slot.steps, slot.since = self.experiment.run(batch), time.monotonic()
+            slot.steps = self.experiment.run(batch)
         return batch is not None

@@ -42,6 +42,7 @@ from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import answers
 from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
+from sparsefit.study.worker import resident
 
 RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
 PROBLEM, THETA, WEIGHTS = "problem.npz", "theta.npz", "weights.npy"
@@ -194,7 +195,7 @@ class SolverDesk:
                 into[...] = np.asarray(solution.weights, float)
         worst = max(solutions, key=lambda each: RANK.get(each.status, 3), default=None)
         words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
-        return {"words": one_line(words, 200), "memory": _resident("VmHWM")}
+        return {"words": one_line(words, 200), "memory": resident()}
 
 
 class JudgeDesk:
@@ -255,13 +256,5 @@ def _peak_from_here() -> float | None:
     with suppress(OSError):
         with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
             file.write("5")
-        return _resident("VmRSS")
-    return None
-
-
-def _resident(name: str) -> float | None:
-    with suppress(OSError, ValueError):
-        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-            if line.startswith(name):
-                return float(line.split()[1]) / 1e3
+        return resident("VmRSS")
     return None

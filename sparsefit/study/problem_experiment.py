@@ -21,7 +21,7 @@ from scipy.sparse import save_npz
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
-from sparsefit.study.arena import JUDGE, Arena, Case, Crew, size_of
+from sparsefit.study.arena import JUDGE, Arena, Crew, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
@@ -148,12 +148,8 @@ class ProblemExperiment(Experiment):
 
     def run(self, batch: Batch) -> Step:
         """Judge each case, time all by turns, then hold rows out."""
-        cases = []
-        for cell in batch.cells:
-            number, stop = self.design.cells[cell]
-            cases.append(Case(cell, number, self.design.contenders[number], stop))
         data, folder = self._data[batch.unit], self._folder(batch.unit)
-        yield from Arena(self.design, batch.unit, data, folder, self._crew).run(cases)
+        yield from Arena(self.design, batch.unit, data, folder, self._crew).run(batch.cells)
 
     def _folder(self, unit: int) -> Path:
         """The folder with the arrays of a problem, written once."""

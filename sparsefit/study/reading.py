@@ -16,11 +16,11 @@ from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, CellularFlow, Flow
 from sparsefit.likelihood import Disturbance, FlightLog, StreamPattern, bound
 from sparsefit.likelihood.vehicle_estimate import model_of
-from sparsefit.model.grid import extent_of
 from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.score import ScalesScore, prediction_error, score, score_scales
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.draw import Draw
+from sparsefit.study.logged import Logged
 
 WITHIN = 1.0  # percent: the error within which all length scales count as right
 LISTED_DIGITS = 7  # significant, of the numbers in a listed set of scales
@@ -29,13 +29,17 @@ EXACT = 1e-6  # noise of a known position and velocity, in L and U0
 
 
 @dataclass(frozen=True)
-class Yardstick:
-    """The extent [m] of the flights of a case, and the Cramér-Rao bounds by parameter.
+class Flown:
+    """The flights of a unit in a condition, without their flow, and how they are judged.
 
-    bounds: the least standard deviations of U0 [m/s], L [m] and tau_w [s]; none where none is
-    known. others: flights through the same flow, along which it is predicted.
+    The truth enters at the score and nowhere before. extent [m]: of the flights together; bounds:
+    the least standard deviations of U0 [m/s], L [m] and tau_w [s]; none where none is known.
+    others: flights through the same flow, along which it is predicted.
     """
 
+    unit: int
+    draw: Draw | Logged
+    fleet: tuple[Flight, ...]
     extent: float
     bounds: Mapping[str, float] = field(default_factory=dict)
     others: tuple[Flight, ...] = ()
@@ -57,13 +61,17 @@ class ScaleSets:
 
 @dataclass(frozen=True)
 class Reading:
-    """A case that was read; `flow` is the true one, None in still air."""
+    """A case that was read."""
 
     estimate: Estimate
     fit: Fit
     problem: RegressionProblem
-    flow: Flow | None
-    yardstick: Yardstick
+    flown: Flown
+
+    @property
+    def flow(self) -> Flow | None:
+        """The true flow, None in still air."""
+        return self.flown.draw.flow
 
     @property
     def hit(self) -> bool:
@@ -89,7 +97,7 @@ class Reading:
     @property
     def prediction_error(self) -> float | None:
         """The relative error of the flow along other flights; None without a flow or a flight."""
-        flow, others = self.estimate.flow, self.yardstick.others
+        flow, others = self.estimate.flow, self.flown.others
         return prediction_error(flow, others) if flow is not None and others else None
 
     @cached_property
@@ -117,18 +125,17 @@ def _listed(scales: Sequence[Cells | ScaleEstimate]) -> str:
     return json.dumps(rounded, separators=(",", ":"))
 
 
-def yardstick(draw: Draw, fleet: tuple[Flight, ...], others: tuple[Flight, ...]) -> Yardstick:
-    """The extent of flights together, and their Cramér-Rao bounds under Eq. 7.
+def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
+    """The Cramér-Rao bounds of U0 [m/s], L [m] and tau_w [s] of flights together under Eq. 7.
 
     Bounds are those of trajectories that are known, with noise on v' alone: there are none
     without process noise, with noise of position or velocity, without a single cellular flow, or
     where the flights do not see all of it.
     """
-    extent = extent_of(np.concatenate([flown.position for flown in fleet]))
     noise, flow = draw.values.get("process_noise", 0.0), draw.flow
     measured = any(draw.values.get(name, 0.0) > 0 for name in ("position_noise", "velocity_noise"))
     if noise <= 0 or measured or not isinstance(flow, CellularFlow):
-        return Yardstick(extent, others=others)
+        return {}
     # psi = U0/(2k) [cos k(x - y) - cos k(x + y)]
     speed, scale = flow.mean_velocity, flow.length_scale
     k, height = flow.wavenumber, 0.5 * speed / flow.wavenumber
@@ -143,10 +150,9 @@ def yardstick(draw: Draw, fleet: tuple[Flight, ...], others: tuple[Flight, ...])
     try:
         covariance = bound([FlightLog.of_flight(flown) for flown in fleet], models, states)
     except InputError:
-        return Yardstick(extent, others=others)
+        return {}
     slopes = np.zeros((3, len(covariance)))  # of U0, L and tau_w by the parameters of the pattern
     slopes[0, 0] = slopes[1, 1] = 1.0
     slopes[2, :2] = -scale / speed**2, 1.0 / speed
     errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes)).tolist()
-    bounds = dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))
-    return Yardstick(extent, bounds, others)
+    return dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))

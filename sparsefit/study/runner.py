@@ -13,64 +13,23 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, SparsefitError, is_integer, one_of
-from sparsefit.study.columns import FAILED
+from sparsefit.study.columns import FAILED, Outcome
 from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
-from sparsefit.study.pool import Outcomes, outcomes
+from sparsefit.study.pool import outcomes
 from sparsefit.study.store import Store, clear, discard
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
-EXECUTORS = ("processes", "dask")
 PROGRESS_SECONDS = 0.2  # not more often than an eye can follow
-
-
-@dataclass(frozen=True)
-class Request:
-    """The work that a run is asked to do beside computing the cases without a row.
-
-    processes: how many work, None for as many as there are processors; fresh: start over;
-    retry_failed: compute cases again that ended as error, timeout or crashed; stale: those that
-    other code has computed; only: no cases but those of these names; executor: "processes" of this
-    machine or "dask", at the address of a scheduler or on a cluster of its own.
-    """
-
-    processes: int | None = None
-    fresh: bool = False
-    retry_failed: bool = False
-    stale: bool = False
-    only: Sequence[str] = ()
-    executor: str = "processes"
-    scheduler: str | None = None
-
-    def checked(self, *, alone: bool) -> int:
-        """The number of processes; `alone`: of an experiment in which one works at a time."""
-        one_of("executor", self.executor, EXECUTORS)
-        words = ""
-        if self.scheduler is not None and self.executor != "dask":
-            words = f"a scheduler is of dask, not of {self.executor}: add --executor dask"
-        elif self.processes is not None and not is_integer(self.processes, 1):
-            words = f"processes must be a whole number of at least 1, not {self.processes!r}"
-        elif alone and self.processes not in (None, 1):
-            words = "solvers are timed one at a time: leave --processes away"
-        elif alone and self.executor != "processes":
-            words = "solvers are timed on this machine: leave --executor away"
-        if words:
-            raise InputError(words)
-        # In a container there are fewer processors than the machine has.
-        here = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
-        return 1 if alone else self.processes or len(here(0))
 
 
 @dataclass(frozen=True)
@@ -112,16 +71,18 @@ class RunSummary:
         """Whether every planned case is a row."""
         return self.done == self.planned
 
-    @property
-    def nothing_to_do(self) -> bool:
-        """Whether all that was asked for was there before."""
-        return self.computed == 0
-
 
 def run(
     plan: Plan,
     folder: Path,
-    request: Request = Request(),
+    *,
+    processes: int | None = None,
+    fresh: bool = False,
+    retry_failed: bool = False,
+    stale: bool = False,
+    only: Sequence[str] = (),
+    executor: str = "processes",
+    scheduler: str | None = None,
     progress: Progress | None = None,
     stopping: Callable[[], None] | None = None,
 ) -> RunSummary:
@@ -131,6 +92,13 @@ def run(
     keeps aside what it no longer plans.
 
     Args:
+        processes: how many work, None for as many as there are processors.
+        fresh: start over.
+        retry_failed: compute cases again that ended as error, timeout or crashed.
+        stale: compute cases again that other code has computed.
+        only: compute no cases but those of these names.
+        executor: "processes" of this machine, or "dask".
+        scheduler: the address of dask's; None for a cluster of its own.
         progress: called with (cases done, cases planned, seconds left or None).
         stopping: called at the first interrupt, after which work at hand is finished.
 
@@ -138,29 +106,56 @@ def run(
         InputError: if the folder cannot be written, is in use, or is another study's.
         KeyboardInterrupt: interrupted; the rows so far are on the disk.
     """
-    processes = request.checked(alone=plan.experiment.alone)
+    one_of("executor", executor, ("processes", "dask"))
+    alone = plan.experiment.alone
+    if scheduler is not None and executor != "dask":
+        raise InputError(f"a scheduler is of dask, not of {executor}: add --executor dask")
+    if processes is not None and not is_integer(processes, 1):
+        raise InputError(f"processes must be a whole number of at least 1, not {processes!r}")
+    if alone and (processes not in (None, 1) or executor != "processes"):
+        words = "solvers are timed one at a time, here: leave --processes and --executor away"
+        raise InputError(words)
+    # In a container there are fewer processors than the machine has.
+    here = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
+    count = 1 if alone else processes or len(here(0))
+    compute: Callable[..., Generator[Outcome, None, None]] = outcomes
+    if executor == "dask":
+        from sparsefit.study.dask_executor import outcomes_on_dask
+
+        compute = partial(outcomes_on_dask, scheduler)
     with locked(folder):
-        if request.fresh:
+        if fresh:
             clear(folder)
         store = Store.read(folder, plan)
         wanted = ~store.done
-        if request.retry_failed:
+        if retry_failed:
             wanted |= store.ended(*FAILED)
-        if request.stale:
+        if stale:
             wanted |= store.stale
-        if request.only:
-            wanted &= plan.named(request.only)
+        if only:
+            wanted &= plan.named(only)
         wanted = plan.experiment.whole(wanted, store.done, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)
         with Store.opened(folder, plan) as store:
-            summary = _run(store, wanted, request, processes, progress, stopping)
+            batches = plan.experiment.batches(wanted)
+            with (
+                counted_interrupts(stopping or (lambda: None)) as stop,
+                closing(compute(plan.experiment, batches, count, stop)) as arriving,
+            ):
+                summary = _stored(store, wanted, arriving, count, progress)
+                if stop() and summary.computed < wanted.sum():
+                    raise KeyboardInterrupt
+            if summary.computed < wanted.sum():
+                words = f"{wanted.sum() - summary.computed} cases ended without a row"
+                raise SparsefitError(f"{folder}: {words}: run the study again for these")
             if summary.finished:
                 remaining = store.export()
+                definition = plan.experiment.definition
                 content = {
-                    "study": plan.experiment.definition.name,
-                    "study_hash": plan.experiment.definition.hash,
-                    "seed": plan.experiment.definition.seed,
+                    "study": definition.name,
+                    "study_hash": definition.hash,
+                    "seed": definition.seed,
                     "cases": plan.size,
                     "statuses": dict(sorted(summary.statuses.items())),
                     "wall_seconds": round(summary.seconds, 3),
@@ -174,45 +169,34 @@ def run(
     return summary
 
 
-def _run(
+def _stored(
     store: Store,
     wanted: BoolArray,
-    request: Request,
+    arriving: Iterator[Outcome],
     processes: int,
     progress: Progress | None,
-    stopping: Callable[[], None] | None,
 ) -> RunSummary:
-    """Compute the cases wanted; each row is in the store before the next is waited for."""
-    plan, begun = store.plan, time.monotonic()
-    resumed, computed = int((store.done & ~wanted).sum()), int(wanted.sum())
-    pace, shown = Pace(wanted.sum(axis=0), processes), -math.inf
+    """Put outcomes into the store as they arrive, each before the next is waited for."""
+    plan, begun, shown = store.plan, time.monotonic(), -math.inf
+    resumed, total = int((store.done & ~wanted).sum()), int(wanted.sum())
     solving: dict[int, float] = {}
-    missing, batches = wanted.copy(), plan.experiment.batches(wanted)
-    compute: Callable[..., Outcomes] = outcomes
-    if request.executor == "dask":
-        from sparsefit.study.dask_executor import outcomes_on_dask
+    computed = 0
 
-        compute = partial(outcomes_on_dask, request.scheduler)
-    with (
-        counted_interrupts(stopping or (lambda: None)) as stop,
-        closing(compute(plan.experiment, batches, processes, stop)) as arriving,
-    ):
-        for outcome, spent in chain([(None, math.nan)], arriving):
-            if outcome is not None:
-                store.put(outcome, plan.versions[outcome.cell])
-                missing[outcome.unit, outcome.cell] = False
-                seconds = float(outcome.values.get("seconds", 0.0)) - outcome.shared_seconds
-                solving[plan.experiment.cost(outcome.unit, outcome.cell)] = seconds
-                pace.note(outcome.cell, spent)
-            if progress and (not pace.cases or time.monotonic() - shown > PROGRESS_SECONDS):
-                shown = time.monotonic()
-                progress(resumed + computed - pace.cases, resumed + computed, pace.eta)
-        if stop() and missing.any():
-            raise KeyboardInterrupt
-    if missing.any():
-        name = plan.experiment.definition.name
-        words = f"{missing.sum()} cases of {name} ended without a row: run the study again"
-        raise SparsefitError(f"{words}; what was computed is there")
+    def show() -> None:
+        spent = time.monotonic() - begun
+        ahead = spent / computed * (total - computed) if computed else None
+        if progress:
+            progress(resumed + computed, resumed + total, ahead)
+
+    show()
+    for outcome in arriving:
+        store.put(outcome, plan.versions[outcome.cell])
+        seconds = float(outcome.values.get("seconds", 0.0)) - outcome.shared_seconds
+        solving[plan.experiment.cost(outcome.unit, outcome.cell)] = seconds
+        computed += 1
+        if computed == total or time.monotonic() - shown > PROGRESS_SECONDS:
+            shown = time.monotonic()
+            show()
     return RunSummary.of(
         store,
         resumed=resumed,
@@ -276,42 +260,3 @@ def counted_interrupts(requested: Callable[[], None]) -> Iterator[Callable[[], b
     finally:
         if signal.getsignal(signal.SIGINT) is hear:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-# Ours, as cells differ in cost: over five replayed studies, tqdm's estimate was 24-143 % off in the
-# median and the mean pace 3-24 %; this was 2-11 %.
-class Pace:
-    """The cases that are left of every cell (c,), and the mean seconds [s] of those seen.
-
-    The mean of a cell forgets over 10 cases, so that it follows a trend.
-    """
-
-    def __init__(self, remaining: Any, processes: int) -> None:
-        self.remaining = list(map(int, remaining))
-        self.mean = [math.nan] * len(self.remaining)
-        self.seen = [0] * len(self.remaining)
-        self.cases, self.processes = sum(self.remaining), processes
-
-    def note(self, cell: int, seconds: float) -> None:
-        """One case of `cell` ended after `seconds` of a worker's time; NaN: not representative."""
-        self.cases -= 1
-        self.remaining[cell] -= 1
-        if seconds == seconds:
-            self.seen[cell] += 1
-            before = self.mean[cell] if self.seen[cell] > 1 else seconds
-            self.mean[cell] = before + (seconds - before) / min(self.seen[cell], 10)
-
-    @property
-    def eta(self) -> float | None:
-        """Seconds left; None while less than half of the cells with cases left was seen.
-
-        A cell never seen counts as the median of those seen: the first case of a flight carries
-        the simulation and the library, and must not stand for all.
-        """
-        remaining, mean = np.array(self.remaining), np.array(self.mean)
-        seen = np.isfinite(mean)
-        if not remaining.any():
-            return 0.0
-        if not seen.any() or 2 * (seen & (remaining > 0)).sum() < (remaining > 0).sum():
-            return None
-        return float(remaining @ np.where(seen, mean, np.median(mean[seen]))) / self.processes

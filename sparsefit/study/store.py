@@ -15,7 +15,7 @@ import sqlite3
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +34,11 @@ SCHEMA = """CREATE TABLE IF NOT EXISTS cases (key TEXT PRIMARY KEY, status TEXT 
 reason TEXT NOT NULL, version TEXT NOT NULL, body TEXT NOT NULL, crc INTEGER NOT NULL)"""
 PUT = "INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?, ?)"
 SELECT = "SELECT key, status, reason, version, body, crc FROM cases"
+REMEDIES = {  # by what SQLite says
+    **dict.fromkeys(("full", "I/O"), "make room, and run it again"),
+    **dict.fromkeys(("readonly", "unable to open"), "check the folder's permissions"),
+    "locked": "another run writes to it: wait for it",
+}
 
 
 @dataclass
@@ -70,10 +75,7 @@ class Store:
         store.exported = all(store.status) and not store.unplanned
         for stored in store._stored():
             store.exported = False
-            if stored is None:
-                store.damaged += 1
-            else:
-                store._place(stored)
+            store._place(stored)
         if store.unplanned and not any(store.status):
             made = read_record(folder / MANIFEST) or {}
             other = made.get("study_hash") != plan.experiment.definition.hash
@@ -84,9 +86,11 @@ class Store:
             )
         return store
 
-    def _place(self, row: Row) -> None:
-        place = self.plan.place_of.get(row.key)
-        if place is None:
+    def _place(self, row: Row | None) -> None:
+        place = None if row is None else self.plan.place_of.get(row.key)
+        if row is None:
+            self.damaged += 1
+        elif place is None:
             self.unplanned += 1
         elif row.status in STATUSES:
             self.status[place], self.version[place] = row.status, row.version or "unknown"
@@ -95,24 +99,23 @@ class Store:
     @contextmanager
     def opened(cls, folder: Path, plan: Plan) -> Iterator[Store]:
         """The store to write to, with the rows of an earlier export in it; synced at the end."""
-        store = cls.read(folder, plan)
-        with _telling(folder / STORE):
-            base = sqlite3.connect(folder / STORE, timeout=60.0, isolation_level=None)
+        store, path = cls.read(folder, plan), folder / STORE
+        with _telling(path), closing(sqlite3.connect(path, timeout=60.0)) as base:
+            base.execute(SCHEMA)
+            store.base = base
+            there = {key for (key,) in base.execute("SELECT key FROM cases")}
+            for row in exported_rows(folder, plan):
+                if row.key not in there:
+                    store.put_row(row)
+            store.sync()
             try:
-                base.execute("PRAGMA synchronous=FULL")
-                base.execute(SCHEMA)
-                store.base = base
-                there = {key for (key,) in base.execute("SELECT key FROM cases")}
-                for row in exported_rows(folder, plan):
-                    if row.key not in there:
-                        store.put_row(row)
-                store.sync()
                 yield store
                 store.sync()
-            finally:
+            except BaseException:
                 with suppress(sqlite3.Error, InputError):
                     store.sync()
-                base.close()
+                raise
+            finally:
                 store.base = None
 
     @property
@@ -137,12 +140,12 @@ class Store:
     @property
     def statuses(self) -> Counter[str]:
         """The number of cases that ended in each status."""
-        return Counter(status for status in self.status if status)
+        return Counter(filter(None, self.status))
 
     @property
     def versions(self) -> Counter[str]:
         """The number of rows that each version made."""
-        return Counter(v for v, s in zip(self.version, self.status, strict=True) if s)
+        return Counter(filter(None, self.version))
 
     @property
     def finished(self) -> bool:
@@ -167,19 +170,12 @@ class Store:
 
     def sync(self) -> None:
         """Commit what is pending to the disk."""
-        path, rows = self.folder / STORE, self.pending
+        path = self.folder / STORE
         if not path.exists():
             raise InputError(f"{path}: was removed during the run: run it again")
         assert self.base is not None
-        with _telling(path):
-            self.base.execute("BEGIN")
-            try:
-                self.base.executemany(PUT, [(*row, row.crc) for row in rows])
-            except sqlite3.Error:
-                with suppress(sqlite3.Error):
-                    self.base.execute("ROLLBACK")
-                raise
-            self.base.execute("COMMIT")
+        with _telling(path), self.base:
+            self.base.executemany(PUT, [(*row, row.crc) for row in self.pending])
         self.pending, self.synced = [], time.monotonic()
 
     def rows(self) -> Iterator[Row]:
@@ -196,8 +192,7 @@ class Store:
 
     def _stored(self) -> Iterator[Row | None]:
         """Every row of `cases.sqlite`; None for one whose checksum is wrong."""
-        path = self.folder / STORE
-        base = self.base
+        path, base = self.folder / STORE, self.base
         if base is None and not is_regular(path):
             return
         with _telling(path):
@@ -250,13 +245,7 @@ def _telling(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the second of SQLite's own words
-        cause, remedy = str(error), "study run --fresh starts over"
-        if "full" in cause or "I/O" in cause:
-            remedy = "make room, and run it again"
-        elif "readonly" in cause or "unable to open" in cause:
-            remedy = "check the folder's permissions"
-        elif "locked" in cause:
-            remedy = "another run writes to it: wait for it"
-        else:
-            cause = f"damaged ({cause})"
+        remedy = next((words for word, words in REMEDIES.items() if word in str(error)), "")
+        cause = str(error) if remedy else f"damaged ({error})"
+        remedy = remedy or "study run --fresh starts over"
         raise InputError(f"{path}: {cause}: {remedy}") from None

@@ -11,7 +11,7 @@ Results lie beside the study file unless said: `studies/mine.toml` has `results/
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -19,8 +19,6 @@ from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from sparsefit.codec import shown
 from sparsefit.errors import InputError
@@ -31,11 +29,11 @@ from sparsefit.study.export import cases_table, read_cases, read_weights
 from sparsefit.study.flight_desk import CaseAgain, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.latency import Latency, measure, read_latencies, write_latencies
-from sparsefit.study.merging import Merged, merge
-from sparsefit.study.plan import Experiment, Plan
+from sparsefit.study.merging import MergedPart, merge
+from sparsefit.study.plan import Batch, Experiment, Plan
 from sparsefit.study.pool import outcomes
 from sparsefit.study.problem_experiment import ProblemExperiment
-from sparsefit.study.runner import Progress, Request, RunSummary, run
+from sparsefit.study.runner import Progress, RunSummary, run
 from sparsefit.study.store import Store
 
 if TYPE_CHECKING:
@@ -134,21 +132,15 @@ class Study:
         """One row a case: unit, condition, candidate, title and the level of every factor."""
         return self.planned.frame()
 
-    def run(
-        self,
-        *,
-        progress: Progress | None = None,
-        stopping: Callable[[], None] | None = None,
-        **request: Any,
-    ) -> RunSummary:
-        """Compute the cases that have no row; see `runner.Request` for the options.
+    def run(self, **request: Any) -> RunSummary:
+        """Compute the cases that have no row; `runner.run` has the options.
 
         Raises:
             InputError: if the folder cannot be written, is in use, or is another study's.
             KeyboardInterrupt: interrupted; the rows so far are on the disk.
         """
         try:
-            return run(self.planned, self.folder, Request(**request), progress, stopping)
+            return run(self.planned, self.folder, **request)
         finally:
             self.__dict__.pop("cases", None)
 
@@ -159,23 +151,17 @@ class Study:
     @cached_property
     def cases(self) -> pd.DataFrame:
         """The rows that are there, finished or not, in plan order, with the plan's columns."""
-        store = Store.read(self.folder, self.planned)
+        store, frame = Store.read(self.folder, self.planned), self.plan()
         if store.finished:
             table = read_cases(self.folder)
-            return self._joined(table, self.plan())
-        rows = list(store.rows())
-        if not rows:
+        elif rows := list(store.rows()):
+            table = cases_table(self.planned, self.planned.columns(), rows).to_pandas()
+            places = [self.planned.place_of[row.key] for row in rows]
+            frame = frame.iloc[places].reset_index(drop=True)
+        else:
             words = f"0 of {self.planned.size} cases are there; run them first"
             raise InputError(f"{self.folder}: {words}: sparsefit study run {self.path}")
-        table = cases_table(self.planned, self.planned.columns(), rows).to_pandas()
-        places = [self.planned.place_of[row.key] for row in rows]
-        frame = self.plan().iloc[places].reset_index(drop=True)
-        return self._joined(table, frame)
-
-    def _joined(self, table: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
-        """The columns of the plan, and those of the rows that it has not."""
-        fresh = [name for name in table.columns if name not in plan.columns]
-        frame = plan.join(table[fresh])
+        frame = frame.join(table[[name for name in table.columns if name not in frame.columns]])
         design = self.definition.design
         if isinstance(design, ProblemDesign):
             clock = design.clock
@@ -197,7 +183,7 @@ class Study:
             counts |= {"missing": self.missing, "at_most": minutes}
         return counts
 
-    def merge(self, parts: Sequence[str | Path], *, keep_first: bool = False) -> Merged:
+    def merge(self, parts: Sequence[str | Path], *, keep_first: bool = False) -> list[MergedPart]:
         """Take the rows of other results folders of this study; see `merging.merge`."""
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts, keep_first=keep_first)
@@ -211,17 +197,14 @@ class Study:
         """
         place = self.planned.place_of_case.get(case_id)
         if place is None:
-            near = (get_close_matches(case_id, self.planned.case_ids, 1) or self.planned.case_ids)[
-                0
-            ]
+            ids = self.planned.case_ids
+            near, *_ = get_close_matches(case_id, ids, 1) or ids
             where = "ids stand in its cases.parquet and report.html"
             raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}, {near} say")
         unit, cell = self.planned.at(place)
         if isinstance(self.experiment, FlightExperiment):
             return CaseAgain.of(self.definition, unit, self.definition.flights.cells[cell])
-        wanted = np.zeros(self.planned.shape, dtype=bool)
-        wanted[unit, cell] = True
-        ((outcome, _),) = outcomes(self.experiment, self.experiment.batches(wanted), 1)
+        (outcome,) = outcomes(self.experiment, iter([Batch(unit, (cell,))]), 1)
         return outcome
 
     def cells_of(self, candidate: str) -> list[int]:
@@ -262,31 +245,23 @@ class Study:
         cells = self.experiment.cells()
         pairs = zip(cells["candidate"], cells["title"], strict=True)
         able = dict.fromkeys(name for name, title in pairs if title not in self.refusals)
-        return self._with(list(able), "on-board", seed=self.seed, on_board=True)
+        return self._part(list(able), "on-board", on_board=True)
 
-    def variant(self, candidates: Sequence[str], count: int, name: str = "fresh") -> Study:
-        """These candidates on flights of fresh seeds, in a folder within the study's own."""
-        seed = int(sha256(f"{name} {self.seed}".encode()).hexdigest()[:8], 16)
-        return self._with(candidates, name, seed=seed, count=count, validate_count=None)
+    def variant(self, candidates: Sequence[str], count: int) -> Study:
+        """These candidates on flights of fresh seeds, in the folder ``fresh``."""
+        seed = int(sha256(f"fresh {self.seed}".encode()).hexdigest()[:8], 16)
+        design = replace(self.definition.flights, count=count, validate_count=None)
+        return self._part(candidates, "fresh", seed=seed, design=design)
 
-    def _with(self, candidates: Sequence[str], name: str, *, seed: int, on_board: bool = False,
-              **design: Any) -> Study:  # fmt: skip
-        """These candidates in a folder within the study's own; design: what differs in that."""
-        own = self.definition.flights
+    def _part(self, candidates: Sequence[str], name: str, **changes: Any) -> Study:
+        """These candidates, in a folder within the study's own; changes: of the definition."""
+        own = changes.pop("design", self.definition.flights)
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
         cells = tuple(replace(own.cells[cell], index=i) for i, cell in enumerate(chosen))
-        count = design.get("count", own.count)
-        content = f"{self.hash} {name} {count} {' '.join(cell.key for cell in cells)}"
-        definition = replace(
-            self.definition,
-            name=name,
-            seed=seed,
-            hash=sha256(content.encode()).hexdigest(),
-            outputs=Outputs(),
-            design=replace(own, cells=cells, **design),
-            on_board=on_board or self.definition.on_board,
-        )
-        return Study(definition, self.folder / name)
+        content = f"{self.hash} {name} {own.count} {' '.join(cell.key for cell in cells)}"
+        changes |= {"name": name, "hash": sha256(content.encode()).hexdigest()}
+        changes |= {"outputs": Outputs(), "design": replace(own, cells=cells)}
+        return Study(replace(self.definition, **changes), self.folder / name)
 
     @property
     def latencies(self) -> dict[str, Latency]:

@@ -304,15 +304,6 @@ class Worker:
             wait_for([self], self.deadline - time.monotonic())
         return answer
 
-    def peak_memory(self) -> float:
-        """The most memory [MB] that the process ever had; NaN where the system does not say."""
-        with suppress(OSError, ValueError, IndexError):
-            (worker, *_) = guardian.children_of(self.process.pid)
-            for line in Path(f"/proc/{worker}/status").read_text(encoding="ascii").splitlines():
-                if line.startswith("VmHWM"):
-                    return float(line.split()[1]) / 1e3
-        return math.nan
-
     def close(self) -> None:
         """End the process for real, with all that it started, and wait until it is gone."""
         assert self.process.stdin is not None
@@ -349,6 +340,15 @@ def cpu_seconds(pid: int) -> float:
         ended = sum(map(int, words[13:15])) / os.sysconf("SC_CLK_TCK")
         total += ended + sum(map(cpu_seconds, guardian.children_of(pid)))
     return total
+
+
+def resident(name: str = "VmHWM") -> float | None:
+    """Memory [MB] of this process, the most that it ever had or "VmRSS"; None without /proc."""
+    with suppress(OSError, ValueError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith(name):
+                return float(line.split()[1]) / 1e3
+    return None
 
 
 class _Caller:

@@ -12,7 +12,7 @@ from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.study.columns import read_body
 from sparsefit.study.draw import Draw, stream
-from sparsefit.study.flight_desk import FlightDesk, Flown
+from sparsefit.study.flight_desk import FlightDesk, fly
 from sparsefit.study.quantities import FlightWords
 from sparsefit.study.study import Study
 
@@ -87,19 +87,20 @@ def together(tmp_path, more="", sweep=""):
 
 def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
     swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
-    both = (Flown.of(swept.definition, 1, cell) for cell in swept.definition.flights.cells)
-    (one, least), (three, less) = ((flown.fleet, flown.yardstick) for flown in both)
+    rules = [cell.setup.flights for cell in swept.definition.flights.cells]
+    both = [fly(swept.definition, 1, each) for each in rules]
+    (one, least), (three, less) = ((flown.fleet, flown.bounds) for flown in both)
     assert (len(one), len(three)) == (1, 3)
     np.testing.assert_array_equal(one[0].position, three[0].position)
     assert len({flight.position[0, 0] for flight in three}) == 3
     assert all(flight.flow is None for flight in three)
-    assert less.bounds["length_scale"] < least.bounds["length_scale"]
+    assert less["length_scale"] < least["length_scale"]
 
 
 def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
     swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
     cell = swept.definition.flights.cells[0]
-    flown, draw = Flown.of(swept.definition, 1, cell), cell.setup.flights.draw(1, 2, 5)
+    flown, draw = fly(swept.definition, 1, cell.setup.flights), cell.setup.flights.draw(1, 2, 5)
     place, speed, scale = (
         flown.fleet[0].position.T,
         draw.flow.mean_velocity,
@@ -113,7 +114,7 @@ def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
         for h, g in ((1e-6, 0.0), (0.0, 1e-6))
     ]  # fmt: skip
     known = draw.vehicle.response_time * np.sqrt(np.diag(np.linalg.inv(rows @ np.transpose(rows))))
-    bounds = flown.yardstick.bounds
+    bounds = flown.bounds
     assert known[0] <= bounds["mean_velocity"] < 1.5 * known[0]
     assert known[1] <= bounds["length_scale"] < 5.0 * known[1]
 

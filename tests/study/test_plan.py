@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sparsefit.study.draw import SIMULATION, Draw, stream
-from sparsefit.study.flight_experiment import flight_key, sharing
 from sparsefit.study.study import Study
 
 HEAD = """
@@ -148,9 +147,8 @@ def test_backends_and_levels_share_their_flights(tmp_path: Path) -> None:
     """Common random numbers: only what is swept differs between levels."""
     plain = draws(load(tmp_path, HEAD + LASSO))
     study = load(tmp_path, HEAD + LASSO + REST)
-    quiet, noisy = (
-        group[0].setup.flights for group in sharing(study.definition.flights.cells, flight_key)
-    )
+    cells = study.definition.flights.cells
+    quiet, noisy = dict.fromkeys(cell.setup.flights for cell in cells)
     for flight, alone in enumerate(plain):
         low, high = (rules.draw(flight, 5, 5) for rules in (quiet, noisy))
         assert low.values | {"velocity_noise": 0.0} == alone.values | {"velocity_noise": 0.0}

@@ -141,7 +141,7 @@ def test_one_s_own_solver_is_compared_by_its_settings(own):
     assert (cases.loc[cases["solver"] == "ista iterations=1", "status"] == "inaccurate").all()
     assert cases.attrs == {"accuracies": (1e-4, 1e-6, 1e-8), "limit": 5.0, "shift": 0.001}
     assert own.missing == {}
-    assert own.run().nothing_to_do
+    assert own.run().computed == 0
 
 
 def test_problems_are_judged_by_held_out_rows_and_truth(own):
