@@ -84,7 +84,7 @@ def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) 
         how = {"threads_per_worker": 1, "dashboard_address": None, "processes": True}
         scheduler = stack.enter_context(dask.LocalCluster(n_workers=processes, **how))
     try:
-        return stack.enter_context(dask.Client(scheduler, timeout=30.0))
+        return stack.enter_context(dask.Client(scheduler, timeout=10.0))
     except (OSError, ValueError) as error:
         cause = described(error)
         raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None

@@ -107,7 +107,11 @@ class Pool:
         self._send(slot, ask)
 
     def _advance(self, slot: Slot, answer: Answer | None) -> Iterator[Outcome]:
-        """Go on with the batch of a slot, and with the next, until a worker is at work."""
+        """Go on with the batch of a slot, and with the next, until a worker is at work.
+
+        Outcomes are told once it is: it does not wait for what is done with them.
+        """
+        ended = []
         while slot.steps is not None or self._next(slot):
             assert slot.steps is not None
             try:
@@ -118,9 +122,10 @@ class Pool:
             if isinstance(event, Ask):
                 if not self.stop():
                     self._send(slot, event)
-                return
+                break
             if event is not None:
-                yield event
+                ended.append(event)
+        yield from ended
 
     def _send(self, slot: Slot, ask: Ask) -> None:
         """Ask the worker of a desk, which is started where there is none."""

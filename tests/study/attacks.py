@@ -3,10 +3,9 @@
     kills N     the parent, its group or its workers; flights with 1 and 2 processes, and problems
     disks N     full disks: files that may not grow, and a file system of little room (as root)
     damage N    bytes of a store, an export or a manifest that are other than written
-    hang        a solver that hangs on two problems, with a limit of 2 s
-    memory      a solver that takes 30 GB
 
-Each prints what was lost: 0 where all is well. The suite has small versions (`test_runs.py`).
+Each prints what was lost: 0 where all is well. The suite has small versions (`test_runs.py`), and
+solvers that hang or take all memory (`test_problem_studies.py`).
 """
 
 import os
@@ -28,7 +27,7 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.study.guardian import children_of
 from sparsefit.study.store import STORE, Store
-from tests.study import hostile, solver_deeds
+from tests.study import hostile
 from tests.study.small_study import small_study
 
 ROOT = Path(__file__).parents[2]
@@ -198,32 +197,12 @@ def damage(count):
         print(f"{count} damaged stores: {wrong} told wrong rows, {refused} refused in a line")
 
 
-def solvers(*names):
-    with tempfile.TemporaryDirectory() as home:
-        folder = Path(home)
-        shutil.copy(solver_deeds.__file__, folder / "deeds.py")
-        own = "".join(f'[[solvers]]\nname = "{name}"\nfile = "deeds.py"\n' for name in names)
-        listed = ", ".join(f'"{name}"' for name in names)
-        backend = f'[[backends]]\nname = "lasso"\nsolver = ["homotopy", {listed}]\n'
-        (folder / "s.toml").write_text(f"{PROBLEMS}count = 2\n{own}{backend}")
-        study = sf.Study.from_file(folder / "s.toml")
-        begun = time.monotonic()
-        study.run()
-        cases = study.cases
-        print(cases[["solver", "problem", "status", "reason"]].to_string())
-        print(f"{time.monotonic() - begun:.1f} s")
-
-
 def main(attack, count="20"):
     with tempfile.TemporaryDirectory() as plugin:
         hostile.install(plugin)
         sys.path.insert(0, plugin)
         os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), plugin])
-        named = {"kills": kills, "disks": disks, "damage": damage}
-        if attack in named:
-            named[attack](int(count))
-        else:
-            solvers({"hang": "hangs", "memory": "memory"}[attack])
+        {"kills": kills, "disks": disks, "damage": damage}[attack](int(count))
 
 
 if __name__ == "__main__":

@@ -197,7 +197,7 @@ def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
 def test_a_path_that_hangs_blames_one_of_its_cases(tmp_path):
     """Cases that share a path are tried one by one when it is lost."""
     grid = '[[backends]]\nname = "hostile"\ndeed = ["work", "hang"]\nrarely = [1.0]\n'
-    study = load(tmp_path, grid + SQUARES, count=1, timeout=5.0)
+    study = load(tmp_path, grid + SQUARES, count=1, timeout=3.0)
     cases = by_deed(read_cases(study.run(processes=1).folder))
     assert cases["hang"].status == "timeout"
     assert cases["work"].status in ("ok", "unidentifiable")
