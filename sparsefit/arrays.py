@@ -1,6 +1,6 @@
 """The arrays that signatures speak of, named once, and records that print the shapes of theirs."""
 
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -30,17 +30,12 @@ class Brief:
 
 
 def _told(record: Any) -> str:
-    told = [
+    texts = [
         f"{field.name}={_brief(getattr(record, field.name))}"
         for field in fields(record)
-        if field.repr and not _is_default(field, getattr(record, field.name))
+        if field.repr and repr(getattr(record, field.name)) != repr(field.default)
     ]
-    return f"{type(record).__name__}({', '.join(told)})"
-
-
-def _is_default(field: "Field[Any]", value: object) -> bool:
-    known = field.default is not MISSING
-    return known and (value is field.default or repr(value) == repr(field.default))
+    return f"{type(record).__name__}({', '.join(texts)})"
 
 
 def _brief(value: object) -> str:
@@ -51,6 +46,6 @@ def _brief(value: object) -> str:
     if isinstance(value, tuple):
         if len(value) > 3 and (len(value) > 8 or is_dataclass(value[0])):
             return f"<{len(value)} {type(value[0]).__name__}>"
-        told = ", ".join(map(_brief, value))
-        return f"({told},)" if len(value) == 1 else f"({told})"
+        items = ", ".join(map(_brief, value))
+        return f"({items},)" if len(value) == 1 else f"({items})"
     return _told(value) if is_dataclass(value) and not isinstance(value, type) else repr(value)

@@ -182,8 +182,8 @@ def prediction_error(flow: FlowField | None, flights: Sequence[Flight]) -> float
         assert flight.flow is not None
         places = (*flight.position.T, flight.time)
         true = flight.flow.velocity(*places)
-        found = np.zeros_like(true) if flow is None else flow.velocity(*places)
-        missed += float(np.sum((found - true) ** 2))
+        estimated = np.zeros_like(true) if flow is None else flow.velocity(*places)
+        missed += float(np.sum((estimated - true) ** 2))
         there += float(np.sum(true**2))
     if not there > 0:
         raise InputError("prediction_error: the true flow is 0 along all flights: fly elsewhere")

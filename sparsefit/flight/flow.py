@@ -22,7 +22,6 @@ from sparsefit.errors import InputError, finite, is_number, non_negative, pair, 
 from sparsefit.flight.waves import Flow, FlowField, Formula, WaveFlow
 
 __all__ = ["Cells", "CellularFlow", "Flow", "FlowField", "ShapedCells", "SuperposedFlow", "as_flow"]
-THINNEST = 1e6  # the longer side of a cell over the other
 
 
 class Cells(Flow):
@@ -140,8 +139,8 @@ class ShapedCells(Cells):
         given = self.length_scales
         sides = pair("length_scales", (given, given) if is_number(given) else given, "m")
         sides = (positive("length_scales", sides[0], "m"), positive("length_scales", sides[1], "m"))
-        if max(sides) > THINNEST * min(sides):
-            raise InputError(f"length_scales differ by more than {THINNEST:g} times: no cells")
+        if max(sides) > 1e6 * min(sides):
+            raise InputError("length_scales differ by more than 1e6 times: no cells")
         angle = positive("angle", self.angle, "rad")
         if angle >= math.pi:
             raise InputError(f"angle must lie between 0 and pi [rad]; got {angle!r}")

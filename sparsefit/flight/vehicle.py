@@ -21,7 +21,6 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, finite, is_real, non_negative, pair, positive
 
 MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
-SLACK = 1e-6  # of the mean step: how far rounding may lead beyond the ends of a series
 
 
 @dataclass(frozen=True)
@@ -160,13 +159,15 @@ class ThrustSeries:
         """
         sought = _series(time)
         first, last = float(self.time[0]), float(self.time[-1])
-        slack = SLACK * (last - first) / (len(self.time) - 1)
+        slack = 1e-6 * (last - first) / (len(self.time) - 1)  # of the mean step: rounding
         if sought.min() < first - slack or sought.max() > last + slack:
             raise InputError(
                 f"the thrust is known from {first:g} to {last:g} s, the flight is from "
                 f"{sought.min():g} to {sought.max():g} s: log it for all of the flight"
             )
-        return np.stack([np.interp(sought, self.time, one) for one in self.acceleration.T], axis=1)
+        return np.stack(
+            [np.interp(sought, self.time, axis) for axis in self.acceleration.T], axis=1
+        )
 
     def pointwise(self) -> Callable[[float], tuple[float, float]]:
         """The acceleration at one time on plain floats; the ends hold beyond them."""

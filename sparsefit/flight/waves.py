@@ -40,9 +40,6 @@ SPECTRA = {  # the power p of a spectrum, and a times the integral length
     "von-karman": (7.0 / 3.0, 1.0 / 1.339),
 }
 BANDS = 64
-LONGEST = 0.1  # |k|/a of the longest waves: less than 1e-4 of the energy is in longer ones
-SHORTEST = 100.0  # |k| L of the shortest: 5 % (von Karman) or 1.5 % (Dryden) is in shorter ones
-GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 class FlowField(Protocol):
@@ -240,13 +237,15 @@ class Turbulence(Flow):
         """The waves of the field, two per band of wavenumbers; a stream for each quantity."""
         place, turn, phase, tempo = (np.random.default_rng([self.seed, i]) for i in range(4))
         power, knee = SPECTRA[self.spectrum]
-        edges = np.geomspace(LONGEST * knee, SHORTEST, BANDS + 1) / self.length
+        # Less than 1e-4 of the energy is in longer waves, 5 % (von Karman) or 1.5 % in shorter.
+        edges = np.geomspace(0.1 * knee, 100.0, BANDS + 1) / self.length
         c = 1.0 / (1.0 + (edges * self.length / knee) ** 2)
         above = (power - 1.0) * c ** (power - 2.0) - (power - 2.0) * c ** (power - 1.0)
         shares = (above[:-1] - above[1:]) / (above[0] - above[-1])
         inside = place.random(BANDS)
         size = edges[:-1] ** (1.0 - inside) * edges[1:] ** inside
-        heading = math.pi / 2.0 * (turn.random() + GOLDEN * np.arange(BANDS))
+        golden = (math.sqrt(5.0) - 1.0) / 2.0
+        heading = math.pi / 2.0 * (turn.random() + golden * np.arange(BANDS))
         headings = np.concatenate([heading, heading + math.pi / 2.0])
         sizes = np.tile(size, 2)
         amplitudes = self.intensity * np.sqrt(2.0 * np.tile(shares, 2)) / sizes

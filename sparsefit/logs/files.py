@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import ModuleType
@@ -80,7 +81,10 @@ def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> Fl
     decode = _format(path, FORMATS).decode
     with regular_file(path, most=LARGEST) as file, told_with(path):
         table: FlightTable = decode(file, layout)
-        return table.since(layout.epoch)
+    if layout.epoch is None or table.epoch is None:
+        return table
+    time = table.columns["time"] + (table.epoch - layout.epoch).total_seconds()
+    return replace(table, columns=table.columns | {"time": time}, epoch=layout.epoch)
 
 
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
 
@@ -94,15 +94,6 @@ class FlightTable:
         if VELOCITY not in vectors:
             return Flight.from_positions(*first, flown, self.flow, push, self.frame)
         return Flight(*first, vectors[VELOCITY], flown, self.flow, True, push, self.frame)
-
-    def since(self, epoch: datetime | None) -> FlightTable:
-        """Return the rows by a clock that is 0 at ``epoch``, where the log has a calendar."""
-        if epoch is None or self.epoch is None:
-            return self
-        late = (self.epoch - epoch).total_seconds()
-        return replace(
-            self, columns=self.columns | {"time": late + self.columns["time"]}, epoch=epoch
-        )
 
     def texts(self) -> dict[str, str]:
         """Return the settings as `said` reads them exactly; a flow of a user's own has none."""

@@ -45,7 +45,7 @@ class Source(NamedTuple):
 
     @property
     def degrees(self) -> bool:
-        """Whether it is an angle on the Earth."""
+        """Return whether the unit is that of an angle on the Earth."""
         return self.unit in ANGLES
 
 
@@ -97,8 +97,8 @@ class Layout:
         place = None if origin is None else pair("origin", origin, "degrees")
         if place is not None and not (abs(place[0]) <= 360.0 and abs(place[1]) <= 90.0):
             raise InputError(f"origin must be longitude and latitude in degrees; got {place}")
-        moment = moment_of(epoch) if isinstance(epoch, str) else epoch
-        if epoch is not None and not isinstance(moment, datetime):
+        moment = moment_of(str(epoch)) if isinstance(epoch, str | datetime) else None
+        if epoch is not None and moment is None:
             raise InputError(f"epoch must be an ISO time, 2012-07-22T14:15:00, say; got {epoch!r}")
         return cls(sources, _halves(only, "only: ", "id=7") if only else None, place, moment)
 

@@ -18,8 +18,6 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
 
 POLAR = 85.0  # degrees: few fly beyond, and whoever seems to has likely exchanged his columns
-WIDEST = 2_000e3  # m: a plane beyond it is none
-RADIUS = 6_371e3  # m, of the Earth
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +75,11 @@ def plane_of(
     projection = pyproj.Proj(proj="aeqd", lon_0=east, lat_0=north, ellps="WGS84")
     position = np.column_stack(projection(longitude, latitude))
     farthest = float(np.hypot(*position.T).max())
-    if not farthest < WIDEST:
+    if not farthest < 2_000e3:  # m
         words = f"the track goes {farthest / 1e3:.0f} km from {'the origin' if origin else 'its'}"
         raise InputError(f"{words}{'' if origin else ' middle'}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
-    share = max(1e-3, 100.0 * (farthest / RADIUS) ** 2 / 6.0)  # %
+    share = max(1e-3, 100.0 * (farthest / 6_371e3) ** 2 / 6.0)  # %
     west = (east + 180.0) % 360.0 - 180.0
     place = f"{abs(north):.4f}° {'NS'[north < 0]}, {abs(west):.4f}° {'EW'[west < 0]}"
     words = f"local plane about {place}, lengths true to {share:.1g} %"

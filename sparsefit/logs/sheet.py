@@ -26,7 +26,9 @@ Cells: TypeAlias = "np.ndarray[Any, Any]"
 """The cells of a column, (m,): numbers, moments (``datetime64``) or texts (objects)."""
 _VEHICLES = {"vehicle", "drifter", "buoy", "platform", "aircraft", "callsign", "flight", "trip",
              "trajectory", "icao24", "tail", "registration", "device", "ship", "mmsi"}  # fmt: skip
-_MANY = 2  # samples of each vehicle at least, in the mean: a column of row numbers names none
+
+
+_IDENTIFIER = re.compile(r"(^|[^a-z0-9])(id|identifier)$")
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,12 @@ class Sheet:
         """
         sources = layout.chosen(self.names)
         used = [source.column for source in sources.values()]
-        naming = [name for name in self.names if name not in used and _names_vehicle(name)]
+        naming = [
+            name
+            for name in self.names
+            if name not in used
+            and (name.casefold() in _VEHICLES or _IDENTIFIER.search(name.casefold()))
+        ]
         if layout.only and layout.only[0] not in self.names:
             raise InputError(
                 f'no column "{layout.only[0]}"{suggestion(layout.only[0], self.names)}'
@@ -69,7 +76,13 @@ class Sheet:
                 there = ", ".join(sorted(set(words))[:3])
                 raise InputError(f"no row has {'='.join(layout.only)}; there is {there}, ...")
         for name in naming:
-            _check_one_vehicle(name, Counter(_words(cells[name][rows])))
+            counts = Counter(_words(cells[name][rows]))
+            if len(counts) > 1 and len(rows) >= 2 * len(counts):  # else they number the rows
+                few = ", ".join(sorted(counts)[:3])
+                raise InputError(
+                    f"column {name} names {len(counts)} vehicles ({few}): a flight is of one; "
+                    f"read the rows of one (--only {name}={min(counts)}, from Python only=...)"
+                )
         values: dict[str, Array] = {}
         epoch = None
         for name, (column, unit) in sources.items():
@@ -161,19 +174,3 @@ def _since_first(cells: Cells, at: Callable[[int], str]) -> tuple[Array, datetim
     first_of = moments[0]
     seconds = [(moment - first_of).total_seconds() for moment in moments if moment and first_of]
     return np.array(seconds), first_of
-
-
-def _names_vehicle(name: str) -> bool:
-    """Whether a column is called as one that names a vehicle: Id, drifter, flight_id, ..."""
-    words = re.split(r"[^a-z0-9]+", name.casefold())
-    return name.casefold() in _VEHICLES or words[-1] in ("id", "identifier")
-
-
-def _check_one_vehicle(column: str, counts: Mapping[str, int]) -> None:
-    """Refuse rows of several vehicles, by their numbers, unless they only count the rows."""
-    if len(counts) > 1 and sum(counts.values()) >= _MANY * len(counts):
-        few = ", ".join(sorted(counts)[:3])
-        raise InputError(
-            f"column {column} names {len(counts)} vehicles ({few}): a flight is of one; "
-            f"read the rows of one (--only {column}={min(counts)}, from Python only=...)"
-        )

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from sparsefit.estimator.prepare import Prepared
 
 WIDEST = 16.0  # the largest length scale over the least: beyond it the path held is too short
-CANDIDATES = 8  # looked at with each sample of the search
 NOON = 10**18  # ns that the first sample's clock is given: others may come before it
 _WORDS = {
     BoardDoubt.FEW_SAMPLES: (Doubt.FEW_SAMPLES, "too few samples for a search; fly on"),
@@ -82,7 +81,6 @@ def board_settings(
         float(readout.precision),
         memory,
         int(_any_heading(estimator)),
-        CANDIDATES,
     )
 
 

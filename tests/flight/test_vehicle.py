@@ -17,21 +17,14 @@ TIME = np.arange(101) / 20.0
 CIRCLE = turning(5.0, 20.0, constant=(1.0, 0.5), size=2.0, period=4.0, phase=0.3)
 
 
-def test_acceleration_by_hand():
-    # (w - v)/tau + a = ((1, 2) - (3, 1))/0.5 + (5, 3)
+def test_acceleration_by_hand_and_rows_are_samples():
+    # (w - v)/tau + a = ((1, 2) - (3, 1))/0.5 + (5, 3); in still air the terminal velocity is tau a
     assert VEHICLE.acceleration([3.0, 1.0], [1.0, 2.0]) == pytest.approx([1.0, 5.0], abs=1e-15)
-
-
-def test_terminal_velocity_in_still_air_is_thrust_times_response_time():
     assert VEHICLE.acceleration([2.5, 1.5], [0.0, 0.0]) == pytest.approx([0.0, 0.0], abs=1e-15)
-
-
-def test_rows_are_samples():
     velocity = np.arange(8.0).reshape(4, 2)
     rows = VEHICLE.acceleration(velocity, np.ones(2))
-    assert rows.shape == (4, 2)
     np.testing.assert_array_equal(rows[2], VEHICLE.acceleration(velocity[2], [1.0, 1.0]))
-    assert VEHICLE.flow_velocity(velocity, velocity).shape == (4, 2)
+    assert rows.shape == VEHICLE.flow_velocity(velocity, velocity).shape == (4, 2)
 
 
 def test_values_are_stored_as_floats():

@@ -13,7 +13,7 @@ from sparsefit.onboard.c_source import footprint, microseconds, package, ram, wo
 GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 ESTIMATOR = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
 compiler = pytest.mark.skipif(not shutil.which("gcc"), reason="there is no gcc")
-STRICT = ("gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-I.")
+STRICT = ("gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-Wpedantic", "-I.")
 SIZES = """#include "sf_flow.h"
 #include <stdio.h>
 #include <string.h>
