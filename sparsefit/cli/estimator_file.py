@@ -19,7 +19,7 @@ OPTIONS = {  # (section, key) of an estimator's record: the option that sets it
     ("derivative", "window"): Option("--window", "of savgol (5 samples) or weak", "N", whole),
     ("derivative", "order"): Option("--order", "of savgol (4) or weak (8)", "N", whole),
     ("derivative", "repair"): Option(
-        "--no-repair", "leave outliers, jumps, gaps, uneven and repeated samples as they are",
+        "--no-repair", "leave outliers, gaps and uneven steps as they are",
         read=None, extra={"action": "store_false", "default": None}),
     ("library.grid", "lower"): Option(
         "--grid-lower", "least length scale sought; default: 1 m", "M", METRES),

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -34,7 +33,6 @@ class ClimbEffort:
     lines: int = 5  # lobes along the axes that are descended into
     ranked: int = 20  # peaks of the plane that are ranked by their fit
     descended: int = 4  # of these that are descended into; 2 where the track is in pieces
-    strong: int = 24  # single waves that rectangles are made of
     waves: int = 4  # waves of several
     instead: int = 4  # places that are tried for either wave of a pair
     around: int = 4  # rounds of the search around the best shape
@@ -55,7 +53,6 @@ class ClimbLimits:
     strongest: float = 6.0  # rms of Phi: a wave that strong is one of two that cancel
     loud: float = 2.0  # of the mean power: errors that have more where Phi has its own are a flow
     spread: float = 6.0  # standard deviations of that power, beside it
-    alike: float = 0.15  # of |k|: waves that differ by more make no rectangle
     fastest: float = 0.6  # of sqrt(2 <Phi^2>): drifts beyond it are not looked for
 
 
@@ -226,7 +223,6 @@ class Ladder:
         scan = self.lookout.scan
         looks: tuple[Callable[[], None], ...] = (
             lambda: self.follow(SQUARE, scan, self.squares(scan)),
-            lambda: self.follow(RECTANGLE, scan, self.rectangles()),
             self.moving,
             self.pairs,
             self.several,
@@ -276,17 +272,6 @@ class Ladder:
             x, y = scan.axis[[i, j]]
             waves.append(np.array([[x, y, omega[i, j]], [y, -x, omega[j, len(omega) - 1 - i]]]))
         return waves
-
-    def rectangles(self) -> list[Array]:
-        """Two strong waves (2, 3) that stand and are equally long."""
-        strong = self.lookout.strong(self.rows.rest, self.effort.strong)
-        lengths = np.hypot(*strong.T)
-        pairs = [
-            list(pair)
-            for pair in sorted(combinations(range(len(strong)), 2), key=sum)
-            if np.ptp(lengths[list(pair)]) <= self.limits.alike * lengths[list(pair)].max()
-        ]
-        return [np.pad(strong[pair], ((0, 0), (0, 1))) for pair in pairs[: self.effort.ranked]]
 
     def follow(self, shape: Shape, scan: WaveScan | None, waves: list[Array]) -> None:
         """A shape from waves (2, 3) of most promise, from pieces of the track to the whole."""

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
-from sparsefit.flight.record import MINIMUM_SAMPLES
-from sparsefit.logs.checks import ONE_STEP, clock_rounding
-from sparsefit.rows.clean import Pieces, Repairs, repaired
+from sparsefit.rows.clean import LogPieces, Repairs, repaired
 from sparsefit.rows.samples import ORDER, Samples, weak_form
 from sparsefit.rows.smoothing import FEWEST, Rates, Smoothing, polynomial_kernels, smooth
 
@@ -32,8 +30,8 @@ class Derivative:
     - ``midpoint``: difference quotient and mean state of two neighbours, second order.
     - ``savgol``: a polynomial of ``order`` fitted to ``window`` samples (Savitzky and Golay,
       1964), states smoothed too; uniform steps only; half a window is dropped at either end.
-    - ``auto``: one polynomial through position and velocity, its window chosen from the flight
-      by an unbiased risk (`sparsefit.rows.smoothing`). Short flights, and uneven steps
+    - ``auto``: a polynomial through position and one through velocity, their windows chosen from
+      the flight by an unbiased risk (`sparsefit.rows.smoothing`). Short flights, and uneven steps
       that are not repaired, fall back to ``midpoint``: ``smoothing`` says so.
     - ``weak``: no derivative; averages by test functions (`sparsefit.rows.samples`) of the
       states that ``auto`` smooths, or as measured where it cannot; any spacing.
@@ -44,9 +42,8 @@ class Derivative:
             function, odd, >= 5; None is the window of ``auto``, at least 21. Others have none.
         order: degree of the savgol polynomial, 1 <= order < window; None is 4. Of ``weak`` the
             exponent of the test functions, 2 to 32; None is 8.
-        repair: whether outliers, jumps, gaps, repeated samples and, for ``auto`` and ``weak``,
-            uneven time steps are mended before (`sparsefit.rows.clean`). Clean flights
-            are not changed by it.
+        repair: whether outliers, gaps and, for ``auto`` and ``weak``, uneven time steps are mended
+            before (`sparsefit.rows.clean`). Clean flights are not changed by it.
 
     Raises:
         InputError: if a setting is out of its range.
@@ -91,11 +88,9 @@ class Derivative:
             InputError: with ``savgol`` and ``weak``, if the flight is shorter than the window;
                 with ``savgol``, if its time steps are not uniform.
         """
-        log, repairs = Pieces.of(flight), Repairs()
+        log, repairs = LogPieces.of(flight), Repairs()
         if self.repair:
-            smoothed = self.method in SMOOTHED
-            shortest = FEWEST if smoothed else self.window or MINIMUM_SAMPLES
-            log, repairs = repaired(flight, even=smoothed, shortest=shortest)
+            log, repairs = repaired(flight, even=self.method in SMOOTHED)
         time, state, rate, smoothing = self._rates(log)
 
         def push_at(times: Array) -> Array | None:
@@ -113,57 +108,60 @@ class Derivative:
         halves = state[:, :2], state[:, 2:], rate[:, :2], rate[:, 2:]
         return Samples(time, *halves, smoothing, averages, repairs, push_at(time))
 
-    def _rates(self, log: Pieces) -> Rates:
-        """States and rates of a log in pieces, none of which a difference crosses."""
+    def _rates(self, log: LogPieces) -> Rates:
+        """States and rates of a log, none across a gap."""
         reason = ""
         if self.method in SMOOTHED:
             if len(log.time) < FEWEST:
                 reason = f"{len(log.time)} samples are fewer than {FEWEST}"
-            elif log.lengths.min() < FEWEST:
+            elif not log.whole(FEWEST).any():
                 reason = f"no {FEWEST} samples without a gap"
             elif not log.even:
                 reason = "time steps are not uniform"
             else:
                 return smooth(log)
-        parts = [self._differences(log.time[piece], log.state[piece]) for piece in log.slices]
-        times, states, rates, filters = zip(*parts, strict=True)
-        smoothing = replace(filters[0], reason=reason)
-        return np.concatenate(times), np.vstack(states), np.vstack(rates), smoothing
-
-    def _differences(self, time: Array, state: Array) -> Rates:
-        """States and rates of one piece, states (m, 4) at times (m,), by the fixed filters."""
-        steps = np.diff(time)[:, None]
+        time, state = log.time, log.state
         if self.method == "savgol":  # in full windows only: at an edge a polynomial extrapolates
-            window, order, mean = self._savgol(time, steps[:, 0])
-            full = slice(window // 2, len(time) - window // 2)
+            window, order = self._savgol(log)
+            kernels = polynomial_kernels(window, order, 1.0)[:2]
             value, slope = (
                 np.stack([np.correlate(column, kernel, "valid") for column in state.T], axis=1)
-                for kernel in polynomial_kernels(window, order, 1.0)[:2]
+                for kernel in kernels
             )
             own = Smoothing("savgol", window=window, rate_window=window, order=order)
-            return time[full], value, slope / mean, own
-        quotient = np.diff(state, axis=0) / steps
-        if self.method == "forward":
-            return time[:-1], state[:-1], quotient, Smoothing("forward", rate_window=2)
-        if self.method == "central":  # weights by the opposite step cancel the second-order term
-            before, after = steps[:-1], steps[1:]
-            rate = (after * quotient[:-1] + before * quotient[1:]) / (before + after)
-            return time[1:-1], state[1:-1], rate, Smoothing("central", rate_window=3)
-        middle, mean_state = time[:-1] + np.diff(time) / 2.0, (state[:-1] + state[1:]) / 2.0
-        return middle, mean_state, quotient, Smoothing("midpoint", window=2, rate_window=2)
+            rows, width = (time[window // 2 :][: len(value)], value, slope / log.step), window
+        else:
+            steps = np.diff(time)[:, None]
+            quotient = np.diff(state, axis=0) / steps
+            if self.method == "forward":
+                own, width = Smoothing("forward", rate_window=2), 2
+                rows = time[:-1], state[:-1], quotient
+            elif self.method == "central":  # opposite steps cancel the second-order term
+                before, after = steps[:-1], steps[1:]
+                rate = (after * quotient[:-1] + before * quotient[1:]) / (before + after)
+                own, width = Smoothing("central", rate_window=3), 3
+                rows = time[1:-1], state[1:-1], rate
+            else:
+                own, width = Smoothing("midpoint", reason, window=2, rate_window=2), 2
+                rows = time[:-1] + np.diff(time) / 2.0, (state[:-1] + state[1:]) / 2.0, quotient
+        if not len(log.starts):
+            return *rows, own
+        whole = log.whole(width)
+        return rows[0][whole], rows[1][whole], rows[2][whole], own
 
-    def _savgol(self, time: Array, steps: Array) -> tuple[int, int, float]:
-        """Window, order and mean step [s]; InputError where times (m,) do not suit a polynomial."""
-        window, mean = self.window or 0, float(time[-1] - time[0]) / len(steps)
-        if len(time) < window:
+    def _savgol(self, log: LogPieces) -> tuple[int, int]:
+        """Window and order; InputError where the steps of a log do not suit a polynomial."""
+        window = self.window or 0
+        if not log.whole(window).any():
             raise InputError(
-                f"savgol window {window} is longer than the flight of {len(time)} samples: "
+                f"savgol window {window} is longer than the flight of {len(log.time)} samples: "
                 "use a smaller window, or central"
             )
-        row = int(np.argmax(np.abs(steps - mean)))
-        if abs(steps[row] - mean) > ONE_STEP * mean + clock_rounding(time):
+        if not log.even:
+            row = int(np.argmax(np.abs(log.away)))
             raise InputError(
-                f"savgol needs uniform time steps; the step after row {row} is {steps[row]:.6g} s, "
-                f"the mean {mean:.6g} s: use central or midpoint"
+                f"savgol needs uniform time steps; the step after row {row} is "
+                f"{np.diff(log.time)[row]:.6g} s, the mean {log.step:.6g} s: use central or "
+                "midpoint"
             )
-        return window, self.order or 0, mean
+        return window, self.order or 0

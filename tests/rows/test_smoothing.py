@@ -13,13 +13,13 @@ from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle, turning
 from sparsefit.rows import Derivative
-from sparsefit.rows.clean import Pieces
+from sparsefit.rows.clean import LogPieces
 from sparsefit.rows.smoothing import (
     FEWEST,
-    LONG,
     ORDER,
     SHORTEST,
-    Channels,
+    filtered,
+    least_risk,
     noise_level,
     polynomial_kernels,
 )
@@ -37,33 +37,7 @@ def fly(seed, timescale, duration=10.0, **noise):
 
 def log_of(position, velocity, step=0.01):
     time = step * np.arange(len(position))
-    return Pieces(time, np.hstack([position, velocity]), np.empty(0, dtype=np.intp))
-
-
-@pytest.mark.parametrize("window", [11, 21, 101])
-@pytest.mark.parametrize("ratio", [0.1, 5.0, 1e3])
-def test_coupled_kernels_are_exact_for_polynomials_and_their_slopes(window, ratio):
-    time = 0.01 * (np.arange(window) - window // 2)
-    path = np.polynomial.Polynomial(np.random.default_rng(1).standard_normal(ORDER + 2))
-    path = path(np.polynomial.Polynomial([0.0, 1.0 / time[-1]]))
-    data = np.concatenate([path(time), path.deriv()(time)])
-    expected = [path(0.0), path.deriv()(0.0), path.deriv(2)(0.0)]
-    values = polynomial_kernels(window, ORDER, 0.01, ratio) @ data
-    size = [1.0, 1.0 / time[-1], 1.0 / time[-1] ** 2]
-    np.testing.assert_allclose(np.divide(values, size), np.divide(expected, size), atol=1e-8)
-
-
-def test_coupled_kernels_are_weighted_least_squares_by_normal_equations():
-    window, order, step, ratio = 13, 4, 0.1, 3.0
-    time = step * (np.arange(window) - window // 2)
-    rows = [[t**p for p in range(order + 2)] for t in time]
-    rows += [[p * t ** max(p - 1, 0) for p in range(order + 2)] for t in time]
-    design, weight = np.array(rows), np.repeat([ratio**2, 1.0], window)
-    solved = np.linalg.solve(design.T @ (weight[:, None] * design), design.T * weight)
-    expected = np.array([solved[0], solved[1], 2.0 * solved[2]])
-    kernels = polynomial_kernels(window, order, step, ratio)
-    largest = np.abs(expected).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(kernels / largest, expected / largest, atol=1e-9)
+    return LogPieces(time, np.hstack([position, velocity]), np.empty(0, dtype=np.intp))
 
 
 def test_polynomial_kernels_are_savitzky_golay():
@@ -104,21 +78,15 @@ def test_the_window_grows_with_the_noise_and_shrinks_with_the_speed_of_the_flow(
 def test_the_window_chosen_has_nearly_the_least_true_error():
     flight = fly(3, 0.3, 30.0, velocity_noise=0.5, position_noise=0.1)
     truth = fly(3, 0.3, 30.0)
-    channels = Channels.of(log_of(flight.position, flight.velocity))
-    origin = flight.position.mean(axis=0)
+    log = log_of(flight.position, flight.velocity)
 
-    def true_risk(window, coupled):
-        kernels, half = channels.kernels(window, coupled=coupled), window // 2
-        inner = slice(half, len(truth.time) - half)
-        position = channels.filtered(kernels[0]).T + origin - truth.position[inner]
-        velocity = channels.filtered(kernels[2]).T - truth.velocity[inner]
-        errors = position / channels.sigma[0], velocity / channels.sigma[1]
-        return sum(float(np.mean(error**2)) for error in errors)
+    def true_risk(window):
+        half = window // 2
+        smoothed = filtered(flight.velocity, polynomial_kernels(window, ORDER, 0.01)[0])
+        return np.mean((smoothed - truth.velocity[half : len(truth.time) - half]) ** 2)
 
-    window, coupled = channels.window()
-    every = [true_risk(w, c) for w in range(SHORTEST, 200, 4) for c in (True, False)]
-    assert coupled
-    assert true_risk(window, coupled) < 1.1 * min(every)
+    window = least_risk(flight.velocity, 0.5, log)
+    assert true_risk(window) < 1.1 * min(map(true_risk, range(SHORTEST, 200, 4)))
 
 
 def test_the_filter_and_the_noise_are_reported():
@@ -126,7 +94,6 @@ def test_the_filter_and_the_noise_are_reported():
     samples = AUTO(flight)
     smoothing = samples.smoothing
     assert (smoothing.method, smoothing.reason, smoothing.order) == ("auto", "", ORDER)
-    assert smoothing.coupled
     assert SHORTEST <= smoothing.rate_window < smoothing.window
     assert smoothing.sigma_position == pytest.approx(0.1, rel=0.05)
     assert smoothing.sigma_velocity == pytest.approx(0.5, rel=0.05)
@@ -135,19 +102,6 @@ def test_the_filter_and_the_noise_are_reported():
     exact = VEHICLE.acceleration(truth.velocity, truth.flow.velocity(*truth.position.T))[rows]
     assert np.std(samples.acceleration - exact) < 0.1 * np.std(exact)
     np.testing.assert_array_equal(samples.time, flight.time[rows])
-
-
-@pytest.mark.parametrize(
-    "distort",
-    [lambda t, v: 1.05 * v, lambda t, v: v + 3.0, lambda t, v: v + np.sin(t)[:, None]],
-    ids=["scale", "offset", "drift"],
-)
-def test_a_velocity_that_is_not_the_slope_of_the_position_is_smoothed_by_itself(distort):
-    flight = fly(5, 0.5, 30.0, velocity_noise=0.2, position_noise=0.04)
-    velocity = distort(flight.time, flight.velocity)
-    other = Flight(time=flight.time, position=flight.position, velocity=velocity, vehicle=VEHICLE)
-    assert AUTO(flight).smoothing.coupled
-    assert not AUTO(other).smoothing.coupled
 
 
 def test_an_origin_far_away_changes_nothing():
@@ -202,19 +156,13 @@ def test_exact_flights_are_read_to_a_thousandth_of_a_percent(timescale):
     assert math.sqrt(np.mean(error**2)) < 1e-5 * flight.flow.mean_velocity
 
 
-@pytest.mark.parametrize("noise", [0.3, 1e-12])
-def test_a_flight_is_smoothed_alike_with_and_without_the_transform(noise, monkeypatch):
-    """Above the rounding by the transform, and below it sum by sum."""
-    rng, t = np.random.default_rng(4), np.linspace(0, 4, 400)
-    path = np.column_stack([np.sin(t), np.cos(2 * t)])
-    log = log_of(path, path + noise * rng.normal(size=path.shape))
-    channels = Channels(log, log.state.T.reshape(2, 2, -1), (noise, noise))
-    kernel = channels.kernels(2 * LONG + 1, coupled=True)[2]
-    assert (channels._spectra is None) is (noise < 1e-9)
-    smoothed = channels.filtered(kernel)
-    monkeypatch.setattr("sparsefit.rows.smoothing.LONG", 10**6)
-    plain = channels.filtered(kernel)
-    np.testing.assert_allclose(smoothed, plain, atol=1e-13 if noise > 1e-9 else 0.0)
+def test_a_long_flight_is_judged_by_its_middle(monkeypatch):
+    flight = fly(9, 0.4, 30.0, velocity_noise=0.3, position_noise=0.05)
+    whole = AUTO(flight)
+    monkeypatch.setattr("sparsefit.rows.smoothing.JUDGED", 1000)
+    part = AUTO(flight)
+    assert len(part.time) > 2500
+    assert part.smoothing.window == pytest.approx(whole.smoothing.window, rel=0.5)
 
 
 def test_positions_alone_are_smoothed_by_their_own_polynomial():
