@@ -170,7 +170,10 @@ def _with_working_set(
 ) -> Points:
     """The path on the columns in play, ``start`` of them or more at first."""
     (k, q), count = cross.shape, len(alphas)
-    name, index = kernel_for(penalty, q), _first(penalty, cross, start)
+    name, pull = kernel_for(penalty, q), penalty.block_dual_norms(cross).max(axis=-1)
+    # The whole blocks of the largest dual norms; of one block of all columns the largest |Z'Y|.
+    pull = pull[penalty.blocks] if len(pull) > 1 else np.abs(cross).max(axis=1)
+    index = _whole(penalty, np.argsort(-pull, kind="stable"), start)
     empty = InPlay(design, target, index[:0], None, np.zeros((0, 0)))
     play = empty.joined(index, True)
     weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
@@ -198,18 +201,6 @@ def _with_working_set(
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
     return Points(weights, complete, steps, f"{name}, {len(play.index)} columns in play")
-
-
-def _first(penalty: Penalty, cross: Array, least: int) -> IntArray:
-    """Whole blocks of the largest dual norms, so many columns or more."""
-    pull = penalty.block_dual_norms(cross).max(axis=-1)
-    blocks = penalty.blocks
-    if len(pull) == 1:  # one block of all columns: the largest correlations
-        pull, blocks = np.abs(cross).max(axis=1), np.arange(len(cross))
-    order = np.argsort(-pull, kind="stable")
-    sizes = np.cumsum(np.bincount(blocks)[order])
-    chosen = order[: int(np.searchsorted(sizes, least)) + 1]
-    return np.flatnonzero(np.isin(blocks, chosen))
 
 
 def _objections(
@@ -253,7 +244,7 @@ def _whole(penalty: Penalty, columns: IntArray, most: int) -> IntArray:
     """The blocks of the leading columns, at most so many columns where one block is not more."""
     blocks = penalty.blocks
     if blocks[0] == blocks[-1]:  # one block of all columns
-        return columns[:most]
+        return np.sort(columns[:most])
     named = blocks[columns]
     first = np.sort(np.unique(named, return_index=True)[1])
     order = named[first]

@@ -19,14 +19,13 @@ import numpy as np
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
-from sparsefit.solvers.faces import on_a_face
-from sparsefit.solvers.newton import Normal, relative_gap, settled
+from sparsefit.solvers.newton import Normal, on_a_face, relative_gap, settled
 
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 DESCENDED = 1e-9  # that of descent, which converges linearly
 EXTRAPOLATED = 5  # sweeps that descent extrapolates from
 MANY = 300  # rows, from which on descent is faster where more columns are in use
-MOST = 1200  # sweeps at one penalty, before Newton's method takes over
+MOST = 300  # sweeps at one penalty, before Newton's method takes over
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +200,18 @@ def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
     for i, alpha in enumerate(alphas.tolist()):
         start = np.ascontiguousarray(_nearest(attempts, alpha)[1][order].T / level)
         values, gaps[i], steps[i] = descent.settled(start, alpha / level)
-        if gaps[i] > DESCENDED:
-            problem = descent.normal, descent.cross, penalty, alpha / level
-            point, gaps[i], taken = settled(*problem, values.T, DESCENDED)
-            values, steps[i] = point.T, steps[i] + taken
         solved[i, order] = values.T * level
         attempts[alpha] = solved[i]
+        if gaps[i] > DESCENDED:  # columns are too much alike
+            gram = on.normal.rows.T @ on.normal.rows / on.normal.samples
+            rest = variational(
+                replace(on, normal=replace(on.normal, gram=gram)), alphas[i:], attempts
+            )
+            return Stretch(
+                np.concatenate([solved[:i], rest.values]),
+                np.concatenate([gaps[:i] <= DESCENDED, rest.complete]),
+                np.concatenate([steps[:i], rest.steps]),
+            )
     return Stretch(solved, gaps <= DESCENDED, steps)
 
 

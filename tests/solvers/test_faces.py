@@ -6,8 +6,7 @@ import pytest
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.ordered_penalties import FusedNorm, SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, BoundedValues
-from sparsefit.solvers.faces import on_a_face
-from sparsefit.solvers.newton import Normal, settled
+from sparsefit.solvers.newton import Normal, on_a_face, settled
 
 K = 25
 PENALTIES = {

@@ -88,7 +88,7 @@ def test_columns_that_join_on_the_way_change_no_point(kind, monkeypatch):
 
 
 @pytest.mark.parametrize("targets", [1, 2])
-@pytest.mark.parametrize("most", [1, 1200])
+@pytest.mark.parametrize("most", [1, 300])
 def test_groups_that_outnumber_the_rows_are_descended_to_the_same_optimum(
     targets, most, monkeypatch
 ):
