@@ -25,16 +25,6 @@ class ParameterError:
     signed: float
     signed_percent: float
 
-    @property
-    def absolute(self) -> float:
-        """|estimated - true|, in the parameter's unit."""
-        return abs(self.signed)
-
-    @property
-    def absolute_percent(self) -> float:
-        """|estimated - true| in percent of the truth."""
-        return abs(self.signed_percent)
-
 
 @dataclass(frozen=True)
 class Score:
@@ -144,19 +134,15 @@ def score_scales(
     for distance, i, j in pairs:
         if distance <= tolerance and i not in match and j not in match.values():
             match[i] = j
-    detected = [(scales[j], flow.cells[i]) for i, j in sorted(match.items())]
-    return ScalesScore(
-        true=len(flow.cells),
-        found=len(scales),
-        length_scale_errors=tuple(
-            _error(scale.length_scale, truth.length_scale).signed_percent
-            for scale, truth in detected
-        ),
-        mean_velocity_errors=tuple(
-            _error(scale.mean_velocity, truth.mean_velocity).signed_percent
-            for scale, truth in detected
-        ),
-    )
+    matched = [(scales[j], flow.cells[i]) for i, j in sorted(match.items())]
+    errors = {
+        name: tuple(
+            _error(getattr(scale, name), getattr(truth, name)).signed_percent
+            for scale, truth in matched
+        )
+        for name in ("length_scale", "mean_velocity")
+    }
+    return ScalesScore(len(flow.cells), len(scales), *errors.values())
 
 
 def prediction_error(flow: FlowField | None, flights: Sequence[Flight]) -> float:

@@ -21,10 +21,9 @@ def estimate(speed, scale, grid=None):
     return Estimate(speed, scale, timescale, grid, status="ok")
 
 
-def test_signed_and_absolute_errors_worked_by_hand():
+def test_signed_errors_worked_by_hand():
     found = sf.score.score(estimate(8.0, 5.0), FLOW, SCALES)
     assert (found.mean_velocity.signed, found.mean_velocity.signed_percent) == (-2.0, -20.0)
-    assert (found.mean_velocity.absolute, found.mean_velocity.absolute_percent) == (2.0, 20.0)
     assert (found.length_scale.signed, found.length_scale.signed_percent) == (1.0, 25.0)
     assert found.timescale.signed == pytest.approx(0.225)
     assert found.timescale.signed_percent == pytest.approx(56.25)
@@ -43,14 +42,14 @@ def test_no_estimate_has_no_error_and_is_no_hit():
     found = sf.score.score(estimate(math.nan, math.nan), FLOW, SCALES)
     assert not found.hit
     assert math.isnan(found.length_scale.signed)
-    assert math.isnan(found.mean_velocity.absolute_percent)
+    assert math.isnan(found.mean_velocity.signed_percent)
 
 
 def test_a_perfect_estimate_has_no_error():
     found = sf.score.score(estimate(10.0, 4.0), FLOW, np.array([4.0]))
     assert found.hit
-    assert found.length_scale.absolute == found.mean_velocity.absolute == 0.0
-    assert found.timescale.absolute == pytest.approx(0.0, abs=1e-16)
+    assert found.length_scale.signed == found.mean_velocity.signed == 0.0
+    assert found.timescale.signed == pytest.approx(0.0, abs=1e-16)
 
 
 TWO = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 4.0), sf.CellularFlow(5.0, 8.0)))

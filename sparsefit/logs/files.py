@@ -62,8 +62,8 @@ def read_flight(
     Raises:
         InputError: naming file, line and column, if the file is missing, is not a flight, holds
             several vehicles, or there is no vehicle in it and none is given.
-        MissingExtra: for Parquet without pyarrow, for longitude and latitude without pyproj, for
-            logs of PX4 without pyulog, for IGC files without aerofiles.
+        MissingExtra: for longitude and latitude without pyproj, for logs of PX4 without pyulog, for
+            IGC files without aerofiles.
     """
     table = read_table(path, Layout.of(columns, only, origin, epoch))
     with told_with(Path(path)):
@@ -94,7 +94,6 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
 
     Raises:
         InputError: if the file exists and ``overwrite`` is false, or cannot be written.
-        MissingExtra: for Parquet without pyarrow.
     """
     path = Path(path)
     encode = _format(path, WRITTEN).encode

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import io
 from functools import partial
-from importlib import import_module
-from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable, said
 from sparsefit.logs.layout import Layout
 from sparsefit.logs.sheet import Cells, Sheet, check_size
@@ -20,12 +18,10 @@ _SPARE = 1 << 20  # bytes beside these: pages and dictionaries of short files
 
 
 def encode(table: FlightTable) -> bytes:
-    """Return the file's content.
+    """Return the file's content."""
+    import pyarrow as arrow
+    from pyarrow import parquet
 
-    Raises:
-        MissingExtra: without pyarrow.
-    """
-    arrow, parquet = _arrow()
     buffer = io.BytesIO()
     parquet.write_table(arrow.table(table.columns, metadata=table.texts()), buffer)
     return buffer.getvalue()
@@ -37,9 +33,9 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming the column, if it is no Parquet, lacks a column, a value is no number, or
             the file unpacks to more than a flight.
-        MissingExtra: without pyarrow.
     """
-    arrow, parquet = _arrow()
+    import pyarrow as arrow
+    from pyarrow import parquet
 
     def read(wanted: list[str]) -> dict[str, Cells]:
         # Texts stay packed as places in a dictionary until they are cells, which share them.
@@ -56,7 +52,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
                 size = f"column {name} unpacks to {unpacked / 1e6:.0f} MB for {meta.num_rows} rows"
                 raise InputError(f"{size}: no log of a flight; write it again")
         table = source.read(columns=wanted)
-        return {name: _cells(arrow, table.column(name)) for name in wanted}
+        return {name: _cells(table.column(name)) for name in wanted}
 
     try:
         source = parquet.ParquetFile(file)
@@ -72,26 +68,15 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
 
 
-def _arrow() -> tuple[ModuleType, ModuleType]:
-    """Import pyarrow when the first Parquet file is met; CSV works without it."""
-    try:
-        return import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError:
-        raise MissingExtra(
-            "Parquet files need pyarrow: pip install pyarrow, or use a .csv file"
-        ) from None
-
-
-def _cells(arrow: ModuleType, column: Any) -> Cells:
+def _cells(column: Any) -> Cells:
     """The cells as an array of numbers or moments, or as texts; NaN or no text where empty."""
+    from pyarrow import types
+
     kind = column.type
-    numeric = arrow.types.is_floating(kind) or arrow.types.is_integer(kind)
-    if numeric or arrow.types.is_timestamp(kind):
+    if types.is_floating(kind) or types.is_integer(kind) or types.is_timestamp(kind):
         array: Cells = column.to_numpy()
         return array
-    packed = (
-        column if arrow.types.is_dictionary(kind) else column.cast("string").dictionary_encode()
-    )
+    packed = column if types.is_dictionary(kind) else column.cast("string").dictionary_encode()
     packed = packed.combine_chunks()
     words = ["" if word is None else str(word) for word in packed.dictionary.to_pylist()]
     places = packed.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.record import SMALLEST_STEP
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import Turbulence, WaveFlow
-from sparsefit.logs import parquet_file, read_flight, write_flight
+from sparsefit.logs import read_flight, write_flight
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = CellularFlow(15.43, 4.21)
@@ -260,16 +260,6 @@ def test_junk_is_not_parquet(tmp_path, content):
     path.write_bytes(content or path.read_bytes().replace(b"time", b"\xf1ime"))
     with pytest.raises(InputError, match="not a Parquet file, or a damaged one"):
         read_flight(path)
-
-
-def test_parquet_without_pyarrow_tells_how_to_install_it(tmp_path, monkeypatch):
-    def absent(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(parquet_file, "import_module", absent)
-    with pytest.raises(MissingExtra, match=r"pip install pyarrow"):
-        write_flight(flight_with(), tmp_path / "a.parquet")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["a.text", "a", "a.csvv", "a.csv.gz"])
