@@ -4,11 +4,11 @@ At a wavenumber k = pi/L the candidates of cells are the single sines and cosine
 and k y, and their four products. An incompressible flow in the plane has a stream function psi, u =
 d psi/dy and v = -d psi/dx. Of
 
-    psi = sum_j a_j cos theta_j + b_j sin theta_j,    theta_j = k_j . x - omega_j t,
+    psi = sum_j a_j cos theta_j + b_j sin theta_j,    theta_j = k_j . x,
 
 each wave j gives two columns, which both velocity components share: rows are x before y of each
-sample. With g = d/d theta of cos and of sin, they are (k_y, -k_x) g(theta). k is in rad/m, omega in
-rad/s, a and b in m^2/s.
+sample. With g = d/d theta of cos and of sin, they are (k_y, -k_x) g(theta). k is in rad/m, a and b
+in m^2/s.
 """
 
 from __future__ import annotations
@@ -52,14 +52,6 @@ def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
     return half * share, share - 1.0
 
 
-def candidates(x: Array, y: Array, out: Array) -> Array:
-    """The 8 candidates at phases k x and k y of one shape, written to ``out`` (8, ...)."""
-    (out[0], out[2]), (out[1], out[3]) = sines_and_cosines(x), sines_and_cosines(y)
-    for place, (first, second) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3)), 4):
-        np.multiply(out[first], out[second], out=out[place])
-    return out
-
-
 def check_size(rows: int, columns: int, words: str) -> None:
     """InputError where a dense library of so many rows and columns would not fit in memory."""
     size = 8 * rows * columns
@@ -87,26 +79,14 @@ def candidate_columns(position: Array, scales: Array) -> Array:
     # piece a candidate, as strided products take twice the time.
     for start in range(0, len(theta), BUILD_ROWS):
         block = position[start : start + BUILD_ROWS]
-        columns = buffer[:, : len(block)]
-        candidates(block[:, :1] * wavenumbers, block[:, 1:] * wavenumbers, columns)
-        theta[start : start + BUILD_ROWS] = columns.transpose(1, 2, 0)
+        out = buffer[:, : len(block)]
+        (out[0], out[2]), (out[1], out[3]) = (
+            sines_and_cosines(block[:, axis : axis + 1] * wavenumbers) for axis in range(2)
+        )
+        for place, (first, second) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3)), 4):
+            np.multiply(out[first], out[second], out=out[place])
+        theta[start : start + BUILD_ROWS] = out.transpose(1, 2, 0)
     return theta.reshape(len(position), -1)
-
-
-def wave_columns(place: Array, phases: Array) -> Array:
-    """Columns (2 J, m, 2) [rad/m] of waves (J, 3), (k_x, k_y, omega), at (x, y, t) (m, 3).
-
-    The columns of a wave stand together, psi = cos before psi = sin; the last axis is (u, v).
-    """
-    sine, cosine = sines_and_cosines(phases * (1.0, 1.0, -1.0) @ place.T)
-    return across(phases, np.stack([-sine, cosine], axis=1)).reshape(-1, len(place), 2)
-
-
-def across(phases: Array, slopes: Array) -> Array:
-    """The flow (J, ..., 2) of waves (J, 3) with d psi/d theta (J, ...): (k_y, -k_x) times it."""
-    k = phases[:, [1, 0]] * (1.0, -1.0)
-    flow: Array = slopes[..., None] * k.reshape(len(k), *[1] * (slopes.ndim - 1), 2)
-    return flow
 
 
 def wave_theta(position: Array, wavevectors: Array) -> Array:
@@ -116,11 +96,12 @@ def wave_theta(position: Array, wavevectors: Array) -> Array:
     """
     words = f"{len(position)} samples x {len(wavevectors)} waves"
     check_size(2 * len(position), 2 * len(wavevectors), words)
-    theta = np.empty((len(position), 2, 2 * len(wavevectors)))
-    steady = np.pad(wavevectors, ((0, 0), (0, 1)))
+    theta = np.empty((len(position), 2, len(wavevectors), 2))
+    across = wavevectors.T[::-1, :, None] * np.array([1.0, -1.0])[:, None, None]  # (k_y, -k_x)
     for start in range(0, len(position), BUILD_ROWS):
-        place = np.pad(position[start : start + BUILD_ROWS], ((0, 0), (0, 1)))
-        theta[start : start + BUILD_ROWS] = wave_columns(place, steady).transpose(1, 2, 0)
+        block = position[start : start + BUILD_ROWS]
+        sine, cosine = sines_and_cosines(block @ wavevectors.T)
+        theta[start : start + BUILD_ROWS] = across * np.stack([-sine, cosine], axis=2)[:, None]
     return theta.reshape(2 * len(position), -1)
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray, box
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, integer, is_number, one_of, positive
-from sparsefit.flight import Flight
 
 Spacing = Literal["length-scale", "wavenumber", "flight"]
 
@@ -86,20 +85,13 @@ class LengthScaleGrid:
                 "held; use a larger step or a narrower range"
             )
 
-    @classmethod
-    def for_flight(
-        cls, flight: Flight, lower: float = 1.0, upper: float = 12.0, *, fraction: float = 0.25
-    ) -> LengthScaleGrid:
-        """The grid that resolves a flight: uniform in wavenumber, at a fraction of the lobe.
+    def resolving(self, extent: float) -> LengthScaleGrid:
+        """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own.
 
-        The residual as a function of k has lobes of width 2 pi / extent; steps of a quarter of
-        it, the default, put a candidate in every lobe. Finer at small L than a grid uniform in
+        The residual as a function of k has lobes of width 2 pi / extent; steps of a quarter of it,
+        the default fraction, put a candidate in every lobe. Finer at small L than a grid uniform in
         L, and coarser at large L.
         """
-        return cls(lower, upper, spacing="flight", fraction=fraction).resolving(flight.extent)
-
-    def resolving(self, extent: float) -> LengthScaleGrid:
-        """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own."""
         if self.spacing != "flight":
             return self
         span = np.pi / self.lower - np.pi / self.upper

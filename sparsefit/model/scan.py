@@ -21,7 +21,7 @@ from sparsefit.cached import cached_property
 from sparsefit.model.grid import Bounds, extent_of, middle
 
 FLAT = 1e-2  # of m: eigenvalues of the Gram matrix below it are those of a constant
-COARSE = 1e-4  # accuracy of the search's sums, relative to the number of rows
+ACCURACY = 1e-4  # of sums, relative to the number of rows
 MOST_SINGLE = 2_048  # steps from the middle of a grid: its sums then round to 1e-4 of the rows
 LINE_STEP = 0.5  # of a scan along a line, in 1/extent: the phase of a row turns by as many radians
 MOST_PLACES = 500_000  # wavevectors of the plane, 0.1 s; longer tracks are cut into pieces
@@ -38,19 +38,12 @@ class FourierSums:
         step: between wavenumbers along each axis (d,).
         half: how many steps there are from the middle to either side, along each axis.
         middle: of the grid, where d is 1; else 0.
-        accuracy: of the sums, relative to the number of rows.
     """
 
     place: Array
     step: Array
     half: tuple[int, ...]
     middle: float = 0.0
-    accuracy: float = COARSE
-
-    @property
-    def single(self) -> bool:
-        """Whether the sums are taken in single precision, whose rounding grows with the grid."""
-        return self.accuracy >= COARSE and max(self.half) <= MOST_SINGLE
 
     @cached_property
     def axes(self) -> list[Array]:
@@ -64,7 +57,8 @@ class FourierSums:
 
         if self.middle:
             loads = loads * np.exp(1j * times * self.middle * self.place.sum(axis=1))
-        real, both = (np.float32, np.complex64) if self.single else (np.float64, np.complex128)
+        single = max(self.half) <= MOST_SINGLE
+        real, both = (np.float32, np.complex64) if single else (np.float64, np.complex128)
         nodes = (times * self.step * self.place).T.astype(real, order="C")
         size = tuple(2 * n + 1 for n in self.half)
         transform = (finufft.nufft1d1, finufft.nufft2d1, finufft.nufft3d1)[len(size) - 1]
@@ -72,10 +66,10 @@ class FourierSums:
             *nodes,
             np.ascontiguousarray(loads, dtype=both),
             size if len(size) > 1 else size[0],
-            eps=self.accuracy,
+            eps=ACCURACY,
             isign=1,
             nthreads=1,
-            upsampfac=1.25 if self.single else 2.0,
+            upsampfac=1.25 if single else 2.0,
         )
         return sums
 

@@ -16,8 +16,6 @@ import numpy as np
 
 from sparsefit.arrays import Array
 
-QUARTER = np.array([[0.0, 1.0], [-1.0, 0.0]])  # of rows (k_x, k_y): turned by a quarter turn
-
 
 @dataclass(frozen=True)
 class Shape:
@@ -78,7 +76,7 @@ class Shape:
         phases = np.zeros((len(self.waves), 3))
         phases[:, :2] = np.tensordot(q[:count], by_q[:count, :, :2], axes=1)
         if self.turned:
-            by_q[count, :, :2] = phases[:, :2] @ QUARTER
+            by_q[count, :, :2] = phases[:, [1, 0]] * (-1.0, 1.0)
         if self.drifting:
             phases[:, 2] = phases[:, :2] @ q[-2:]
             by_q[:, :, 2] = by_q[:, :, :2] @ q[-2:]
@@ -114,12 +112,6 @@ SQUARE = replace(AXIS, name="square", turned=True)
 """Square cells at any heading: q = (k, heading)."""
 RECTANGLE = Shape("rectangle", (((1, 0), (0, 1)), ((1, 0), (0, -1))), turned=True)
 """Rectangular cells at any heading: q = (k_x, k_y, heading), L_x = pi/k_x and L_y = pi/k_y."""
-
-
-CELLS = Shape("cells", (((1,), (0,)), ((0,), (1,)), ((1,), (1,)), ((1,), (-1,))))
-"""The waves that the 8 candidates of Eq. 17 are made of: q = k = pi/L."""
-WAVE = Shape("wave", (((1,), (0,)),), turned=True)
-"""One wave: q = (|k|, heading)."""
 
 
 def free_waves(count: int, *, drifting: bool = False) -> Shape:

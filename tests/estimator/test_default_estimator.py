@@ -82,13 +82,13 @@ def test_a_flight_along_an_axis_is_refused_in_its_own_words():
 
 def test_the_grid_for_a_flight_puts_candidates_in_every_lobe():
     flight = flown()
-    grid = sf.model.LengthScaleGrid.for_flight(flight, 2.0, 10.0)
+    grid = sf.model.LengthScaleGrid(2.0, 10.0, spacing="flight").resolving(flight.extent)
     steps = np.diff(np.sort(np.pi / grid.scales))
     assert grid.scales[[0, -1]] == pytest.approx([2.0, 10.0])
     assert steps.max() <= 0.25 * 2 * np.pi / flight.extent * (1 + 1e-12)
     assert np.ptp(steps) < 1e-9 * steps[0]
     with pytest.raises(InputError, match="fraction"):
-        sf.model.LengthScaleGrid.for_flight(flight, fraction=0.0)
+        sf.model.LengthScaleGrid(spacing="flight", fraction=0.0)
 
 
 def test_settings_that_share_a_factorisation_are_each_charged_for_it():
