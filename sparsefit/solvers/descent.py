@@ -13,7 +13,6 @@ Sources: Tibshirani et al., J. R. Stat. Soc. B 74 (2012) 245-266, the strong rul
 Stiefel, J. Res. NBS 49 (1952) 409-436.
 """
 
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -32,31 +31,13 @@ GRADIENTS = 2000  # the most steps of conjugate gradients
 EXACT = 1e-10  # of alpha: what a correlation may be off by
 
 
-@dataclass(frozen=True, eq=False)
-class Sparse:
-    """Z of a sparse design: the factors (k,) of theta that give unit rms; means are taken off."""
-
-    design: Design
-    scale: Array
-
-    @classmethod
-    def of(cls, design: Design) -> "Sparse":
-        """The columns of a design."""
-        return cls(design, 1.0 / design.rms)
-
-    def taken(self, columns: IntArray) -> Any:
-        """Z_A (m, c) as CSC, off which no means were taken."""
-        part = self.design.csc[:, columns]
-        part.data = part.data * np.repeat(self.scale[columns], np.diff(part.indptr))
-        return part
-
-
 class Walk:
     """Where the path stands: V (k,) and the residual (m,); both are worked on in place."""
 
-    def __init__(self, columns: Sparse, target: Array) -> None:
-        self.columns, self.residual = columns, np.array(target, dtype=np.float64)
-        self.values, self.steps = np.zeros(columns.design.shape[1]), 0
+    def __init__(self, design: Design, target: Array) -> None:
+        self.design, self.scale = design, 1.0 / design.rms
+        self.residual = np.array(target, dtype=np.float64)
+        self.values, self.steps = np.zeros(design.shape[1]), 0
 
     def settle(self, limits: Array, ridge: float, in_play: BoolArray) -> tuple[Array, bool]:
         """The optimum at limits alpha w (k,) and a ridge: Z'R/m (k,), and whether it is one."""
@@ -64,7 +45,7 @@ class Walk:
         for _ in range(ROUNDS):
             self._descend(limits, ridge, np.flatnonzero(in_play), rough * alpha)
             signs_held = self._polish(limits, ridge, alpha)
-            pull = self.columns.design.correlate(self.residual[:, None])[:, 0]
+            pull = self.design.correlate(self.residual[:, None])[:, 0]
             zero = self.values == 0
             objecting = zero & (np.abs(pull) > limits * (1.0 + EXACT))
             if signs_held and not objecting.any():
@@ -75,10 +56,17 @@ class Walk:
         return pull, False
 
     def _descend(self, limits: Array, ridge: float, columns: IntArray, stop: float) -> None:
-        design, scale = self.columns.design, self.columns.scale
-        matrix = design.csc
+        design, matrix = self.design, self.design.csc
         steps, shift = import_module("sparsefit.solvers.sweeps").descend(
-            *(matrix.data, matrix.indices, matrix.indptr, columns, scale, design.means, limits),
+            *(
+                matrix.data,
+                matrix.indices,
+                matrix.indptr,
+                columns,
+                self.scale,
+                design.means,
+                limits,
+            ),
             *(ridge, float(design.samples), self.residual, self.values, stop, SWEEPS),
         )
         self.steps += steps
@@ -87,12 +75,13 @@ class Walk:
 
     def _polish(self, limits: Array, ridge: float, alpha: float) -> bool:
         """Go to the optimum for the signs at hand; whether it was reached."""
-        samples = float(self.columns.design.samples)
+        samples = float(self.design.samples)
         for _ in range(POLISHES):
             used = np.flatnonzero(self.values)
             if not len(used):
                 return True
-            part, values = self.columns.taken(used), self.values[used]
+            part, values = self.design.csc[:, used], self.values[used]  # means are not taken off
+            part.data = part.data * np.repeat(self.scale[used], np.diff(part.indptr))
             sign = np.sign(values)
             pull = part.T @ self.residual / samples - ridge * values - limits[used] * sign
             if np.abs(pull).max() <= EXACT * alpha:
@@ -114,8 +103,8 @@ class Walk:
         """x of (Z_A'Z_A/m + mu I) x = right by conjugate gradients, and Z_A x."""
         x, image = np.zeros(len(right)), np.zeros(part.shape[0])
         rest, direction = right.copy(), right.copy()
-        square, across, design = float(rest @ rest), part.T, self.columns.design
-        samples, means = float(design.samples), design.means[used] * self.columns.scale[used]
+        square, across, design = float(rest @ rest), part.T, self.design
+        samples, means = float(design.samples), design.means[used] * self.scale[used]
         for _ in range(GRADIENTS):
             if np.abs(rest).max() <= stop:
                 break
@@ -143,7 +132,7 @@ def descent_path(
     cross Z'y/m (k,).
     """
     count, k = len(alphas), len(cross)
-    walk = Walk(Sparse.of(design), target)
+    walk = Walk(design, target)
     weights, complete = np.zeros((count, k)), np.zeros(count, bool)
     steps, pull, before = np.zeros(count, np.intp), cross, None
     for i, alpha in enumerate(alphas.tolist()):
