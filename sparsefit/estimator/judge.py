@@ -135,7 +135,7 @@ def doubts_of_flow(
                 f"the fit explains only {100 * (1 - residual):.0f} % of the flow velocity: the "
                 "flow is another, or hardly steady"
             )
-        if goodness.turbulence_share > 0.4:
+        if goodness.turbulence_share > 0.5:  # as strong as the cells, whose rms is U0/2
             yield misfit(
                 f"{MORE}: turbulence of {goodness.turbulence:.2g} m/s, "
                 f"{100 * goodness.turbulence_share:.2g} % of U0, and hardly any steady cells"
@@ -146,10 +146,12 @@ def doubts_of_flow(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "
                 "explains it"
             )
-    if len(result.waves) != 2 and len(scales) < 2:
+    strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 3:].T)
+    roll = len(strength) == 2 and strength.min() < 0.5 * strength.max()
+    if roll or (len(strength) != 2 and len(scales) < 2):
         yield unidentifiable(
             Doubt.NO_CELLS,
-            f"{len(result.waves)} waves make no cells of one flow or two, equally strong: only the "
+            f"{len(strength)} waves make no cells of one flow or two, equally strong: only the "
             "flow itself is told; fly longer",
         )
     if result.rival is not None:
