@@ -119,13 +119,7 @@ def test_kicks_keep_their_power_where_times_jitter():
 def test_bad_faults_are_named(changes, message):
     with pytest.raises(InputError, match=message):
         LogFaults(**changes)
-
-
-def test_gaps_that_leave_nothing_are_refused():
     with pytest.raises(InputError, match="make them fewer or shorter"):
         LogFaults(gaps=2000, gap_duration=200.0).spoil(LINE, SEED)
-
-
-def test_bad_jitter_is_named():
     with pytest.raises(InputError, match="time_jitter is a share"):
         simulate_flight(None, VEHICLE, duration=1.0, sample_rate=10.0, seed=0, time_jitter=0.5)

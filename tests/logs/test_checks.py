@@ -132,14 +132,11 @@ def test_quality_counts_what_is_there(flight):
     )
 
 
-def test_quality_of_a_slow_log_of_positions():
+def test_quality_of_a_slow_log_and_of_noise(flight):
     time = 900.0 * np.arange(5.0)
-    flight = sf.Flight.from_positions(time, 2e4 * np.outer(time / 900, [1.0, 2.0]), VEHICLE)
-    words = quality_of(flight).words
-    assert words == "every 900 s, even steps; no gaps; 80 × 160 km at 49.7 m/s rms; noise not known"
-
-
-def test_quality_tells_the_noise(flight):
+    slow = sf.Flight.from_positions(time, 2e4 * np.outer(time / 900, [1.0, 2.0]), VEHICLE)
+    expected = "every 900 s, even steps; no gaps; 80 × 160 km at 49.7 m/s rms; noise not known"
+    assert quality_of(slow).words == expected
     quality = quality_of(flight, sf.Derivative()(flight).smoothing)
     assert quality.velocity_noise == pytest.approx(0.2, rel=0.1)
     assert quality.position_noise == pytest.approx(0.05, rel=0.1)
