@@ -1,7 +1,7 @@
 """The model: candidate functions, what their weights say, and the search for shapes of flow."""
 
 from sparsefit.model.columns import CANDIDATES, candidate_columns
-from sparsefit.model.grid import LengthScaleGrid, WaveGrid
+from sparsefit.model.grid import LengthScaleGrid
 from sparsefit.model.library import TARGET_NAMES, Library
 from sparsefit.model.readout import GridReading, Readout, read_grid
 from sparsefit.model.search import Proposal, Search, Start, flight_weights
@@ -16,7 +16,6 @@ __all__ = [
     "Readout",
     "Search",
     "Start",
-    "WaveGrid",
     "candidate_columns",
     "flight_weights",
     "read_grid",

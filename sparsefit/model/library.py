@@ -20,7 +20,7 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, integer, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, wave_theta
-from sparsefit.model.grid import Bounds, LengthScaleGrid, WaveGrid, extent_of
+from sparsefit.model.grid import Bounds, LengthScaleGrid, extent_of, wave_rings
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out
 from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.rows import Samples
@@ -94,9 +94,9 @@ class Library:
     is as the vehicle says, and the air at rest but for the flow.
     ``family``: ``cells`` or ``waves``. Waves have one weight for both velocity components, and
     their one target is the flow velocity.
-    ``waves``: how fine the wavevectors of ``waves`` are; ``grid`` gives the bounds of the length
-    scale. ``groups``: what its groups are: the ``wave``, the ``ring`` of waves of one |k|, which is
-    the length scale, or ``nested``: waves within rings, for penalties of groups in groups.
+    ``groups`` of waves, between the length scales of ``grid``: the ``wave``, the ``ring`` of waves
+    of one |k|, which is the length scale, or ``nested``: waves within rings, for penalties of
+    groups in groups.
     ``every``: rows are every so many-th sample, where a smoothed flight has more than it has to
     say; the search and the measurement still take all. Raises InputError on settings out of range.
     """
@@ -105,7 +105,6 @@ class Library:
     target: Target = "flow-velocity"
     unknown: tuple[str, ...] = ()
     family: FamilyName = "cells"
-    waves: WaveGrid = WaveGrid()
     groups: WaveGroups = "wave"
     every: int = 1
 
@@ -118,10 +117,9 @@ class Library:
                 "family 'waves' is of a stream function, which gives the flow velocity: "
                 f"target {self.target!r} needs family 'cells'"
             )
-        if self.family != "waves" and (self.groups != "wave" or self.waves != WaveGrid()):
-            setting = "groups" if self.groups != "wave" else "waves"
+        if self.family != "waves" and self.groups != "wave":
             raise InputError(
-                f"library: {setting!r} is a setting of family 'waves', not of {self.family!r}; "
+                f"library: 'groups' is a setting of family 'waves', not of {self.family!r}; "
                 "leave it out"
             )
         integer("library: every", self.every, 1)
@@ -147,7 +145,7 @@ class Library:
         """
         extent = extent_of(position)
         if self.family == "waves":
-            rings = self.waves.rings(self.grid.lower, self.grid.upper, extent)
+            rings = wave_rings(self.grid.lower, self.grid.upper, extent)
             k, wave = rings.wavevectors, np.repeat(np.arange(len(rings.ring)), 2)
             if self.groups == "wave":
                 scales = rings.scales[rings.ring]
