@@ -323,9 +323,7 @@ def test_settings_that_cannot_be_are_refused(settings, words):
 
 
 def test_a_grid_too_large_says_how_many_waves_and_what_to_narrow():
-    with pytest.raises(
-        InputError, match=r"resolves 2.* waves down to 1 m, more than the 2048 t"
-    ):
+    with pytest.raises(InputError, match=r"resolves 2.* waves down to 1 m, more than the 2048 t"):
         wave_rings(1.0, 12.0, 30.0)
     with pytest.raises(InputError, match="raise the grid's lower bound to about"):
         wave_rings(1e-9, 12.0, 1e9)
