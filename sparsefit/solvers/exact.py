@@ -60,21 +60,21 @@ class InPlay:
     def joined(self, new: IntArray, by_gram: bool) -> InPlay:
         """With further columns behind those that there are."""
         index = np.concatenate([self.index, new])
-        (m, _), held, gram = self.design.shape, len(self.index), None
+        (m, _), old, gram = self.design.shape, len(self.index), None
         rows = None
         if m * len(index) <= HELD:
             rows = np.empty((m, len(index)), order="F")
-            if held:
-                rows[:, :held] = self.rows
-            rows[:, held:] = self.design.columns(new)
+            if old:
+                rows[:, :old] = self.rows
+            rows[:, old:] = self.design.columns(new)
         if by_gram and self.gram is not None:
             gram = np.empty((len(index), len(index)))
-            gram[:held, :held] = self.gram
+            gram[:old, :old] = self.gram
             if rows is not None:
-                gram[held:] = rows[:, held:].T @ rows / self.design.samples
+                gram[old:] = rows[:, old:].T @ rows / self.design.samples
             else:
-                gram[held:] = self.design.products(new, index)
-            gram[:held, held:] = gram[held:, :held].T
+                gram[old:] = self.design.products(new, index)
+            gram[:old, old:] = gram[old:, :old].T
         return InPlay(self.design, self.target, index, rows, gram)
 
     @property
@@ -140,13 +140,10 @@ def _along(
     zero = Points(np.zeros((count, k, q)), np.ones(count, bool), np.zeros(count, np.intp), "zero")
     if level == 0.0 or not cross.any():
         return zero
-    if design.kind == "sparse" and isinstance(penalty, AbsoluteValues) and k > FEW:
-        plain = type(penalty) is AbsoluteValues and design.csc.nnz < 2**31
-        if plain and compiled("sweeps") is not None:
-            weights, complete, steps = descent_path(
-                design, target[:, 0], cross[:, 0], penalty, alphas
-            )
-            return Points(weights[:, :, None], complete, steps, "descent")
+    few_entries = design.kind == "sparse" and k > FEW and design.csc.nnz < 2**31
+    if few_entries and type(penalty) is AbsoluteValues and compiled("sweeps"):
+        weights, complete, steps = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
+        return Points(weights[:, :, None], complete, steps, "descent")
     units = Units.of(penalty, cross, level)
     single = len(alphas) < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
     if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
@@ -210,8 +207,8 @@ def _objections(
 
     values (a, j, q) at alphas (a,).
     """
-    count, held, q = values.shape
-    flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(held, count * q)
+    count, size, q = values.shape
+    flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(play.target, (1, count)) - play.fitted(flat)
     pulls = play.design.correlate(residual)
     pulls = pulls.reshape(len(pulls), count, q).transpose(1, 0, 2)
@@ -232,7 +229,7 @@ def _objections(
             break
     if not joining:
         return count, np.zeros(0, dtype=np.intp)
-    most = max(held // 2, START // 4)
+    most = max(size // 2, START // 4)
     new = joining[0]
     for later in joining[1:]:
         if len(new) < most:

@@ -1,8 +1,8 @@
-"""Exact paths on the columns in play, which go on from weights that are known at some penalties.
+"""Exact paths on the columns in play, which go on from weights at some penalties.
 
 A kernel solves at descending penalties on the sums of the columns in play. Where a column outside
 objects to a point, the path goes on from the penalty before, with that column beside the others and
-what was found meanwhile as a start. ``homotopy``, ``variances`` and ``sweeps`` are compiled; where
+what was solved meanwhile as a start. ``homotopy``, ``variances`` and ``sweeps`` are compiled; where
 they are not built, the generic Newton's method runs in their place, slower.
 """
 
@@ -25,7 +25,7 @@ STOP = 1e-11  # relative gap, far below any tolerance that a certificate is aske
 DESCENDED = 1e-9  # that of descent, which converges linearly
 EXTRAPOLATED = 5  # sweeps that descent extrapolates from
 MANY = 300  # rows, from which on descent is faster where more columns are in use
-MOST = 300  # sweeps at one penalty, before Newton's method takes over
+MOST = 300  # sweeps at one penalty, before the variances take over
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,9 +162,9 @@ def variational(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
         pull, gram = pull[order], gram[np.ix_(order, order)]
     if np.any(scale != 1.0):
         pull, gram = pull / scale[:, None], gram / np.multiply.outer(scale, scale)
-    at, known = _nearest(attempts, float(alphas[0]))
-    known = known[order] * scale[:, None]  # |W_g| = eta_g alpha at an optimum
-    eta = np.sqrt(np.add.reduceat(np.square(known).sum(axis=1), starts[:-1])) / at
+    at, start = _nearest(attempts, float(alphas[0]))
+    start = start[order] * scale[:, None]  # |W_g| = eta_g alpha at an optimum
+    eta = np.sqrt(np.add.reduceat(np.square(start).sum(axis=1), starts[:-1])) / at
     sources = compiled("variances")
     problem = sources.Groups(np.ascontiguousarray(gram), np.ascontiguousarray(pull.T), starts)
     search = sources.Search(problem, eta, on.stop)
