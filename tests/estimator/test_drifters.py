@@ -24,16 +24,18 @@ def track():
     return flight.position
 
 
-@pytest.mark.parametrize("days", [10, *(pytest.param(d, marks=pytest.mark.slow) for d in (5, 25))])
-def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days):
-    estimator = sf.Estimator(library=sf.Library(GRID))
-    for first in range(0, 25 * DAY - days * DAY + 1, 15 * DAY):
-        position = track[first : first + days * DAY]
-        flight = sf.Flight.from_positions(EVERY * np.arange(len(position)), position, WATER)
-        estimate = estimator.estimate(flight)
-        assert estimate.status in ("unidentifiable", "misfit")
-        assert estimate.reason
-        assert not estimate.repairs.words
+PIECES = [(10, 0), *(pytest.param(*own, marks=pytest.mark.slow)
+                    for own in ((10, 15), (5, 0), (5, 15), (25, 0)))]  # fmt: skip
+
+
+@pytest.mark.parametrize(("days", "first"), PIECES)
+def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days, first):
+    position = track[first * DAY : (first + days) * DAY]
+    flight = sf.Flight.from_positions(EVERY * np.arange(len(position)), position, WATER)
+    estimate = sf.Estimator(library=sf.Library(GRID)).estimate(flight)
+    assert estimate.status in ("unidentifiable", "misfit")
+    assert estimate.reason
+    assert not estimate.repairs.words
 
 
 def test_a_grid_of_metres_is_refused_for_a_sea(track):
