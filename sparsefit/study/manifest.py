@@ -14,7 +14,6 @@ import os
 import platform
 import re
 import stat
-import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -44,7 +43,7 @@ COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
 
 def code_version(plugin: str = "") -> str:
     """`0.4.0+1a2b3c4d`, and the distribution and version that a plug-in comes from."""
-    return " ".join(part for part in (f"{sparsefit_version()}+{_digest()}", plugin) if part)
+    return f"{sparsefit.__version__}+{_digest()} {plugin}".rstrip()
 
 
 @cache
@@ -88,17 +87,13 @@ def without_words(source: str) -> str:
 def write_manifest(folder: Path, content: Mapping[str, object]) -> None:
     """Write the manifest of a finished run: this content, the checksums, and on what it ran."""
     checksums = {path.name: _sha256(path) for path in sorted(folder.glob("*.parquet"))}
-    load = [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None
     whole = {
         **content,
         "sha256": checksums,
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": versions(),
         "platform": platform.platform(),
-        "machine": platform.machine(),
         "processors": os.cpu_count(),
-        "load": load,
-        "git_commit": git_commit(),
     }
     write_whole(folder / MANIFEST, json.dumps(whole, indent=2) + "\n")
 
@@ -140,13 +135,13 @@ def _sha256(path: Path) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of sparsefit, Python and what computes; None for what is not installed."""
-    content = {"sparsefit": sparsefit_version(), "python": platform.python_version()}
-    return {**content, **{name: version_of(name) for name in PACKAGES}}
+    own = {"sparsefit": sparsefit.__version__, "python": platform.python_version()}
+    return own | {name: version_of(name) for name in PACKAGES}
 
 
 def sparsefit_version() -> str:
-    """The version of the package that runs, installed or not."""
-    return str(getattr(sparsefit, "__version__", None) or version_of("sparsefit") or "unknown")
+    """The version of the package that runs."""
+    return sparsefit.__version__
 
 
 def version_of(name: str) -> str | None:
@@ -155,26 +150,6 @@ def version_of(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
-
-
-def git_commit() -> str | None:
-    """The commit of the checkout that holds this package, `+changes` if it was edited since.
-
-    None where git or the checkout is missing: an installed copy may lie inside one of others.
-    """
-    package = Path(sparsefit.__file__).resolve().parent
-    answers = []
-    for words in (("rev-parse", "--show-toplevel", "HEAD"), ("status", "--porcelain", "--", ".")):
-        command = ["git", "-C", str(package), *words]
-        try:
-            run = subprocess.run(command, capture_output=True, check=True, text=True, timeout=10)
-        except (OSError, subprocess.SubprocessError):
-            return None
-        answers.append(run.stdout.splitlines())
-    (top, commit), changed = answers
-    if Path(top).resolve() != package.parent:
-        return None
-    return f"{commit}+changes" if changed else commit
 
 
 def processor() -> str:

@@ -1,8 +1,10 @@
 """The verbs on studies, on one small study that is run once."""
 
+import io
 import json
 import os
 import shutil
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -71,8 +73,12 @@ def home(tmp_path_factory):
     (folder / "small.toml").write_text(STUDY)
     part = ["study", "run", str(folder / "small.toml"), "--processes", "1", "--only", "stlsq"]
     assert main(part) == 0
-    shutil.copytree(folder, folder.parent / f"{folder.name}-half")
-    assert main(part[:-2]) == 0
+    shutil.copytree(folder, f"{folder}-half")
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert main([*part[:-2], "--json"]) == 0
+    said = {"out": out.getvalue(), "err": err.getvalue()}
+    (folder / "resumed.json").write_text(json.dumps(said))
     return folder
 
 
@@ -93,7 +99,7 @@ def fresh(tmp_path, monkeypatch):
 @pytest.fixture
 def half(home, tmp_path, monkeypatch):
     """The study with the cases of one of its two back-ends."""
-    shutil.copytree(home.parent / f"{home.name}-half", tmp_path, dirs_exist_ok=True)
+    shutil.copytree(f"{home}-half", tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return "small.toml"
 
@@ -132,17 +138,16 @@ def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
         assert Path("results/small", name).is_file()
 
 
-def test_run_goes_on_where_it_was_stopped(capsys, half):
-    code, out, err = run(capsys, "study", "run", half, "--processes", "1", "--json")
-    found = json.loads(out)
-    assert code == 0
+def test_run_goes_on_where_it_was_stopped(home):
+    said = json.loads((home / "resumed.json").read_text())
+    found = json.loads(said["out"])
     assert (found["cases"], found["resumed"]) == (PLANNED, 32)
     assert found["headline"].startswith("Median |error| of τ_w")
-    manifest = json.loads(Path("results/small/manifest.json").read_text())
+    manifest = json.loads((home / "results/small/manifest.json").read_text())
     assert manifest["solver_seconds"] == pytest.approx(found["solver_seconds"], abs=1e-3)
     assert 0 < found["solver_seconds"] < found["seconds"]  # one process
-    assert err.startswith(f"32/{PLANNED} cases, 33 %\n")
-    assert err.endswith(f"{PLANNED}/{PLANNED} cases, 100 %\n")
+    assert said["err"].startswith(f"32/{PLANNED} cases, 33 %\n")
+    assert said["err"].endswith(f"{PLANNED}/{PLANNED} cases, 100 %\n")
 
 
 @pytest.mark.parametrize("fresh_run", [False, True])
@@ -171,15 +176,13 @@ def test_lines_are_few_and_truthful(capsys, monkeypatch):
     ]
 
 
-def test_status(capsys, fresh):
-    assert "small: not begun, 0 of 96 cases" in run(capsys, "study", "status", fresh)[1]
-
-
-def test_status_of_a_finished_and_of_a_stopped_study(capsys, half):
+def test_status(capsys, half, home):
     _, out, _ = run(capsys, "study", "status", half)
     assert out == "small: not finished, 32 of 96 cases (32 unidentifiable) in results/small\n"
     found = json.loads(run(capsys, "study", "status", half, "--json")[1])
     assert (found["finished"], found["done"]) == (False, 32)
+    out = run(capsys, "study", "status", half, "--results", "elsewhere")[1]
+    assert "small: not begun, 0 of 96 cases" in out
 
 
 def test_errors_are_grouped_by_reason(capsys, finished):
@@ -414,23 +417,18 @@ class TestCompare:
 
 
 class TestMerge:
-    def test_parts_make_the_whole(self, capsys, finished):
-        whole = read_cases("results/small")
-        for name in ("lasso", "stlsq"):
-            options = ("--only", name, "--results", name, "--processes", "1")
-            run(capsys, "study", "run", finished, *options)
+    def test_parts_make_the_whole(self, capsys, home, finished):
+        whole, part = read_cases("results/small"), f"{home}-half/results"
         os.rename("results", "before")
-        code, out, _ = run(capsys, "study", "merge", finished, "lasso")
+        code, out, _ = run(capsys, "study", "merge", finished, part)
         assert code == 0
-        assert "64 of 96 cases, 32 left to run" in out
-        code, out, _ = run(capsys, "study", "merge", finished, "lasso", "stlsq/small")
-        assert "lasso/small: 0 of its 64 rows were new\n" in out
-        assert "stlsq/small: 32 of its 32 rows were new" in out
+        assert "32 of 96 cases, 64 left to run" in out
+        code, out, _ = run(capsys, "study", "merge", finished, part, "before/small")
+        assert "half/results/small: 0 of its 32 rows were new" in out
+        assert "before/small: 64 of its 96 rows were new" in out
         assert "96 of 96 cases, finished" in out
         assert Path("results/small/README.md").exists()
-        merged = read_cases("results/small")
-        same = [name for name in whole if name not in ("seconds", "version")]
-        assert merged[same].equals(whole[same])
+        assert read_cases("results/small").equals(whole)
 
     def test_a_part_without_its_checksum_is_not_believed(self, capsys, finished):
         shutil.copytree("results", "other")
