@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 COLOURS = {"ok": "32", "inaccurate": "33", "unidentifiable": "33", "misfit": "33", "skipped": "33"}
 RED = "31"  # of every other status
 PLAIN_SECONDS = 5.0  # between two lines of progress where there is no terminal
-BAR = "{percentage:3.0f} % |{bar}| {n_fmt}/{total_fmt} cases, {elapsed} gone{postfix}"
 
 
 def emit(record: Any, lines: Iterable[str], *, as_json: bool) -> int:
@@ -112,36 +111,27 @@ def terminal_width() -> int:
 
 
 class Progress:
-    """Progress on stderr: a bar on a terminal, elsewhere a line at most every five seconds."""
+    """Progress on stderr: one line that changes on a terminal, elsewhere one every five seconds."""
 
     def __init__(self) -> None:
-        self._bar: Any = None
         self._last = float("-inf")
 
     def __call__(self, done: int, planned: int, left: float | None) -> None:
-        """Show that `done` of `planned` cases are finished, with the seconds left where known."""
-        words = "" if done == planned or left is None else f"about {duration(left)} left"
-        if sys.stderr.isatty():
-            if self._bar is None:
-                from tqdm import tqdm
-
-                self._bar = tqdm(
-                    total=planned, initial=done, bar_format=BAR, file=sys.stderr, dynamic_ncols=True
-                )
-            self._bar.n = done
-            self._bar.set_postfix_str(words, refresh=False)
-            self._bar.refresh()
-            return
+        """Tell that `done` of `planned` cases are finished, with the seconds left where known."""
+        line = f"{done}/{planned} cases, {100 * done // max(planned, 1)} %"
+        if done < planned and left is not None:
+            line += f", about {duration(left)} left"
         now = time.monotonic()
-        if done == planned or now - self._last >= PLAIN_SECONDS:
+        if sys.stderr.isatty():
+            print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
+        elif done == planned or now - self._last >= PLAIN_SECONDS:
             self._last = now
-            share = f"{done}/{planned} cases, {100 * done // max(planned, 1)} %"
-            print(f"{share}{', ' + words if words else ''}", file=sys.stderr, flush=True)
+            print(line, file=sys.stderr, flush=True)
 
     def __enter__(self) -> Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the last state of the bar on the screen."""
-        if self._bar is not None:
-            self._bar.close()
+        """Leave the last line on the screen."""
+        if sys.stderr.isatty():
+            print(file=sys.stderr)

@@ -19,15 +19,9 @@ OPTIONS = (
     Option("estimator", "estimator file, .json, as sparsefit select writes", "ESTIMATOR"),
     Option("--c", "folder to write", "DIR", extra={"required": True, "dest": "folder"}),
     Option("--flight", "recorded flight of the test; default: a simulated one", "FILE"),
+    Option("--float", "numbers of 4 bytes in place of 8", read=None),
     Option("--compiler", "that measures the flash; default: cc, where there is one", "CC"),
     Option("--force", "write into DIR though it has files", read=None),
-)
-REAL = {"action": "store_const", "dest": "real", "default": "double"}
-REALS = (
-    Option(
-        "--double", "numbers of 8 bytes (default)", read=None, extra={**REAL, "const": "double"}
-    ),
-    Option("--float", "numbers of 4 bytes", read=None, extra={**REAL, "const": "float"}),
 )
 
 
@@ -36,7 +30,6 @@ def add(verbs: Verbs) -> None:
     words = "write an estimator as C99: no heap, bounded work, with a test that replays a flight"
     parser = verb(verbs, "export", run, summary=words, example=EXAMPLE)
     declare(parser, OPTIONS)
-    declare(parser.add_mutually_exclusive_group(), REALS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,13 +42,14 @@ def run(args: argparse.Namespace) -> int:
     estimator = read_estimator(args.estimator)
     flight = None if args.flight is None else read_flight(args.flight)
     source = Path(args.estimator).name
-    content = package(estimator, args.real, flight, source=source, compiler=args.compiler)
+    real = "float" if args.float else "double"
+    content = package(estimator, real, flight, source=source, compiler=args.compiler)
     for path, file in content.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / path, file)
     grid = estimator.library.grid
     print(f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
-    print(f"       {grid.lower:g} to {grid.upper:g} m, {args.real}")
+    print(f"       {grid.lower:g} to {grid.upper:g} m, {real}")
     costs = ("RAM ", "flas", "stac", "work", "    ")
     readme = content["README.md"].decode().splitlines()
     print("\n".join(line[4:] for line in readme if line[4:8] in costs))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sparsefit.cli.options import FORCE, JSON, RESULTS, Option, Verbs, declare, number, verb, whole
 from sparsefit.cli.terminal import Progress, check_output, emit
-from sparsefit.cli.verb_study import STUDY, finished_study
+from sparsefit.cli.verb_study import STUDY, stored
 
 if TYPE_CHECKING:
     from sparsefit.study.selection import Check, Selection
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.study.selection import select
     from sparsefit.whole_file import write_whole
 
-    study = finished_study(args)
+    study, _ = stored(args, whole=True)
     options = {}
     for option in RULE:
         name = option.flags.removeprefix("--").replace("-", "_")

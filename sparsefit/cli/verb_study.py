@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +46,7 @@ EXAMPLE = """\
 """
 COMPARE = """\
   sparsefit study compare results-0.3/table2 results/table2
-  sparsefit study compare old/table2 studies/table2.toml --fail-on worse -o changes
+  sparsefit study compare old/table2 studies/table2.toml -o changes
 """
 MERGE = """\
   sparsefit study run studies/table2.toml --only lasso          # on one machine
@@ -84,9 +84,6 @@ COMPARED = (
     RESULTS,
     Option("--tolerance", "a number that changed by less is the same; default: 1e-6 of itself",
            "SHARE", number(), {"default": 1e-6}),
-    Option("--fail-on", "exit code 1 when anything changed (default), when it became worse, or "
-           "never: changed, worse, never",
-           extra={"choices": ("changed", "worse", "never"), "default": "changed"}),
     Option("-o --output", "write tables and a picture there", "FOLDER"),
 )  # fmt: skip
 MERGED = (
@@ -166,32 +163,24 @@ def plan(args: argparse.Namespace) -> int:
     """Count what will be computed."""
     study = read_study(args)
     record = {"study": study.name, "question": study.question, **study.counts()}
-    return emit(record, rows_of(_told(record)), as_json=args.json)
-
-
-def _told(record: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Rows of a record; of a mapping in it one for each of its items."""
+    rows: list[tuple[str, str]] = []
     for name, value in record.items():
-        if isinstance(value, Mapping):
-            yield from ((f"{name.rstrip('s')} {key}", str(item)) for key, item in value.items())
+        if isinstance(value, dict):
+            rows += ((f"{name.rstrip('s')} {key}", str(item)) for key, item in value.items())
         elif isinstance(value, list):
-            yield name, ", ".join(map(str, value))
+            rows.append((name, one_line(f"{len(value)}: {'; '.join(value)}", terminal_width())))
         else:
-            yield name, str(value)
+            rows.append((name, str(value)))
+    return emit(record, rows_of(rows), as_json=args.json)
 
 
 def keys(args: argparse.Namespace) -> int:
     """List the keys of one section, or of all."""
     from sparsefit.study.keys import RECORDS, keys_of
 
-    sections = [args.section] if args.section else list(RECORDS)
-    record = {section: keys_of(section) for section in sections}
-    lines = [
-        line
-        for section, words in record.items()
-        for line in ([] if args.section else ["", f"[{section}]"]) + rows_of(words.items())
-    ]
-    return emit(record, lines, as_json=args.json)
+    record = {name: keys_of(name) for name in ([args.section] if args.section else RECORDS)}
+    parts = ("\n".join([f"[{name}]", *rows_of(words.items())]) for name, words in record.items())
+    return emit(record, ["\n\n".join(parts)], as_json=args.json)
 
 
 def run_study(args: argparse.Namespace) -> int:
@@ -209,7 +198,12 @@ def run_study(args: argparse.Namespace) -> int:
             stopping=lambda: print(f"\n{finishing}", file=sys.stderr),
             **{name: getattr(args, name) for name in names},
         )
-    for note in _notes(summary):
+    rows = {
+        f"{summary.dropped} cases that the study no longer plans are left out": summary.dropped,
+        f"{summary.damaged} rows were damaged, and their cases computed again": summary.damaged,
+        _stale(summary.stale): summary.stale,
+    }
+    for note in (note for note, count in rows.items() if count):
         print(note, file=sys.stderr)
     args.stopped = "stopped while writing the report; run the same command again to continue"
     record = {
@@ -231,16 +225,6 @@ def run_study(args: argparse.Namespace) -> int:
         rest = "run without --only for the rest, and the report"
         lines.append(f"{summary.done} of {summary.planned} cases are there: {rest}")
     return emit(record, lines, as_json=args.json)
-
-
-def _notes(summary: RunSummary) -> Iterator[str]:
-    """The fate of rows of an earlier run, a line each."""
-    if summary.dropped:
-        yield f"{summary.dropped} cases that the study no longer plans are left out"
-    if summary.damaged:
-        yield f"{summary.damaged} damaged rows were passed over, and their cases computed again"
-    if summary.stale:
-        yield _stale(summary.stale)
 
 
 def _stale(stale: int) -> str:
@@ -285,7 +269,8 @@ def status(args: argparse.Namespace) -> int:
 
 def errors(args: argparse.Namespace) -> int:
     """List cases that are not ok, by candidate, status and reason; numbers in a reason may vary."""
-    study, state, cases = _stored(args)
+    study, state = stored(args, whole=False)
+    cases = study.cases
     cases = cases[cases["status"] != "ok"]
     pattern = cases["reason"].str.replace(r"[-+]?\d[\d.,e+-]*", "#", regex=True)
     names = {"status": "status", "label": "title", "reason": "reason", "first_case": "case_id"}
@@ -311,8 +296,8 @@ def show(args: argparse.Namespace) -> int:
         return _show_case(args)
     from sparsefit.study import page, tables
 
-    study, _, cases = _stored(args)
-    width = terminal_width()
+    study, _ = stored(args, whole=False)
+    cases, width = study.cases, terminal_width()
     if not args.table and not args.json:
         print(page.show(study, cases, width=width), end="")
         return 0
@@ -346,16 +331,16 @@ def report(args: argparse.Namespace) -> int:
     """Write tables, figures and report anew; the cases stay as they are."""
     from sparsefit.study import page
 
-    study = finished_study(args)
-    if stale := study.status().stale:
-        print(_stale(stale), file=sys.stderr)
+    study, state = stored(args, whole=True)
+    if state.stale:
+        print(_stale(state.stale), file=sys.stderr)
     written = page.write(study)
     print("\n".join([page.headline(study, study.cases), *map(str, written)]).lstrip("\n"))
     return 0
 
 
 def compare(args: argparse.Namespace) -> int:
-    """Show what changed; exit 1 where that is more than was asked for."""
+    """Show what changed; exit 1 where anything did."""
     from sparsefit.study import compare as comparing
     from sparsefit.study.export import read_cases
     from sparsefit.study.study import Study
@@ -375,9 +360,7 @@ def compare(args: argparse.Namespace) -> int:
     lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
     lines += [f"written: {path}" for path in written[-1:]]
     emit(both.record() | {"written": written}, lines, as_json=args.json)
-    if args.fail_on == "worse":
-        return int(both.worse)
-    return int(both.differs and args.fail_on == "changed")
+    return int(both.differs)
 
 
 def merge(args: argparse.Namespace) -> int:
@@ -399,24 +382,15 @@ def merge(args: argparse.Namespace) -> int:
     return emit(record, lines, as_json=args.json)
 
 
-def _stored(args: argparse.Namespace) -> tuple[Study, RunSummary, pd.DataFrame]:
-    """The study, its state and its rows. Raises InputError where there is none yet."""
-    study = read_study(args)
-    state = study.status()
-    if not state.done:
-        raise _unfinished(args.study, state)
-    return study, state, study.cases
+def stored(args: argparse.Namespace, *, whole: bool) -> tuple[Study, RunSummary]:
+    """The study and its state; whole: all of its cases are needed, else some.
 
-
-def finished_study(args: argparse.Namespace) -> Study:
-    """The study, of which all cases are there; else InputError with the command that runs them."""
+    Raises:
+        InputError: with the command that runs those that are not there.
+    """
     study = read_study(args)
     state = study.status()  # refuses the results of another study
-    if not state.finished:
-        raise _unfinished(args.study, state)
-    return study
-
-
-def _unfinished(name: str, state: RunSummary) -> InputError:
-    there = f"{state.done} of {state.planned} cases are there; run them first"
-    return InputError(f"{state.folder}: {there}: sparsefit study run {name}")
+    if not (state.finished if whole else state.done):
+        there = f"{state.done} of {state.planned} cases are there; run them first"
+        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}")
+    return study, state
