@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Literal
 
 from sparsefit.cli.estimator_file import read_estimator
 from sparsefit.cli.options import Option, Verbs, declare, verb
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     estimator = read_estimator(args.estimator)
     flight = None if args.flight is None else read_flight(args.flight)
     source = Path(args.estimator).name
-    real = "float" if args.float else "double"
+    real: Literal["double", "float"] = "float" if args.float else "double"
     content = package(estimator, real, flight, source=source, compiler=args.compiler)
     for path, file in content.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
