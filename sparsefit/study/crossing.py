@@ -118,11 +118,6 @@ class Cell:
     own_settings: str
     walks: bool
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names by which a user may call it: its back-end, its label or its protocol."""
-        return (self.choice.name, self.choice.label, self.protocol)
-
 
 Fitted: TypeAlias = tuple[BackendChoice, Mapping[str, Setting], str, str, bool]
 

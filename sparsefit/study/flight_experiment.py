@@ -121,10 +121,6 @@ class FlightExperiment(Experiment):
         """The number of the flight and the key of the cell: `0007-3f9c0d6a41b2e857`."""
         return f"{unit:04d}-{self.design.cells[cell].key}"
 
-    def names(self, cell: int) -> Sequence[str]:
-        """The back-end, the label and the protocol."""
-        return self.design.cells[cell].names
-
     def version(self, cell: int) -> str:
         """The code, and a plug-in's."""
         return code_version(backends.distribution(self.design.cells[cell].choice.name))

@@ -43,12 +43,14 @@ class Experiment:
     """A kind of study: its units, its cells, and how a batch of cases is run.
 
     columns: of `cases.parquet`, but for swept factors; judged: those in which two rows of one case
-    must agree; alone: whether cases are timed, so that one process works at a time.
+    must agree; called: those with the names by which a user may call a cell; alone: whether cases
+    are timed, so that one process works at a time.
     """
 
     definition: Definition
     columns: ClassVar[Sequence[Column]]
     judged: ClassVar[Sequence[str]] = ()
+    called: ClassVar[Sequence[str]] = ("backend", "label", "protocol")
     alone: ClassVar[bool] = False
 
     def units(self) -> Columns:
@@ -65,10 +67,6 @@ class Experiment:
 
     def case_id(self, unit: int, cell: int) -> str:
         """The id of a case in its row, stable whatever else the study plans."""
-        raise NotImplementedError
-
-    def names(self, cell: int) -> Sequence[str]:
-        """The names by which a user may call a cell."""
         raise NotImplementedError
 
     def version(self, cell: int) -> str:
@@ -226,7 +224,8 @@ class Plan:
         """
         wanted: BoolArray = np.zeros(self.shape, dtype=bool)
         units = [str(unit) for unit in self.experiment.units()["unit"]]
-        called = [self.experiment.names(cell) for cell in range(self.shape[1])]
+        columns = self.experiment.cells()
+        called = list(zip(*(columns[name] for name in self.experiment.called), strict=True))
         for name in names:
             cells = np.array([any(fnmatchcase(own, name) for own in each) for each in called])
             rows = np.array([fnmatchcase(unit, name) for unit in units])

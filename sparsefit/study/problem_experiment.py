@@ -42,6 +42,7 @@ class ProblemExperiment(Experiment):
     """Problems x (solvers x tolerances x settings); no time of theirs is like another."""
 
     columns = PROBLEM_COLUMNS
+    called = ("backend", "objective", "solver")
     alone = True
 
     @property
@@ -92,11 +93,6 @@ class ProblemExperiment(Experiment):
     @cached_property
     def _unit_names(self) -> list[str]:
         return [str(name) for name in self.units()["identity"]]
-
-    def names(self, cell: int) -> Sequence[str]:
-        """The back-end, the objective, the solver."""
-        contender = self.design.contenders[self.design.cells[cell][0]]
-        return (contender.backend, contender.objective, contender.solver)
 
     def version(self, cell: int) -> str:
         """The code, a plug-in's, and on what it runs."""
