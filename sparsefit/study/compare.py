@@ -18,8 +18,9 @@ import pandas as pd
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study import page
+from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import grouped, level_text
-from sparsefit.study.measures import PARAMETERS, factors, measure, numbers
+from sparsefit.study.measures import factors, measure, numbers
 from sparsefit.study.resampling import by_unit, difference, pooled
 from sparsefit.study.table import Table, significant
 from sparsefit.whole_file import write_files

@@ -21,44 +21,22 @@ from matplotlib.figure import Figure
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.plot.style import GREY, styled, with_unit, wrapped
-from sparsefit.study import solver_times
-from sparsefit.study.entries import (
-    Entry,
-    Options,
-    Script,
-    asked_for,
-    check_columns,
-    factor_words,
-    grouped,
-    level_text,
-    levels_of,
-    read_entry,
-)
-from sparsefit.study.measures import (
-    PARAMETERS,
-    SYMBOLS,
-    UNITS,
-    Measure,
-    answered,
-    bounded,
-    factors,
-    in_flow,
-    in_still_air,
-    measure,
-    numbers,
-    three,
-)
+from sparsefit.study import entries, measures, solver_times
+from sparsefit.study.columns import PARAMETERS
+from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text
+from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers, three
 from sparsefit.study.panels import LOG_RANGE, NAMED_CURVES, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
 from sparsefit.study.table import sentence
 
 PANELS = 6  # rows of panels, with more nobody reads a picture
 UNIT_OF = {
-    **{"duration": "s", "sample_rate": "Hz", "windows": "s", "gap_duration": "s"},
-    **{"process_noise": "m/s²", "thrust_acceleration": "m/s²", "velocity_noise": "m/s"},
-    **{"position_noise": "m", "measurement_noise": "m/s / m", "wind": "m/s"},
-    **{"turbulence_length": "m", "heading": "rad", "lower": "m", "upper": "m", "step": "m"},
-    **{name: UNITS[name] for name in PARAMETERS},
+    **dict.fromkeys(("duration", "windows", "gap_duration"), "s"),
+    **dict.fromkeys(("process_noise", "thrust_acceleration"), "m/s²"),
+    **dict.fromkeys(("velocity_noise", "wind"), "m/s"),
+    **dict.fromkeys(("position_noise", "turbulence_length", "lower", "upper", "step"), "m"),
+    **{"sample_rate": "Hz", "measurement_noise": "m/s / m", "heading": "rad"},
+    **UNITS,
 }
 
 
@@ -71,7 +49,8 @@ class Picture(NamedTuple):
 
 def _rows(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Return the words and the cases of each row of panels: the levels of `rows`."""
-    check_columns(cases, [entry.lines, *entry.rows, *filter(None, [entry.columns])], "the figure")
+    told_apart = [entry.lines, *entry.rows, *filter(None, [entry.columns])]
+    entries.check_columns(cases, told_apart, "the figure")
     before = [f"{factor_words(name)} " if "." in name else "" for name in entry.rows]
     groups = list(grouped(cases, entry.rows))[:PANELS]
     return [(", ".join(map("".join, zip(before, map(level_text, key), strict=True))),
@@ -82,7 +61,7 @@ def _columns(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]
     """Return the words and the cases of each column of panels: the levels of `columns`."""
     if not entry.columns:
         return [("", cases)]
-    levels, words = levels_of(cases, entry.columns), factor_words(entry.columns)
+    levels, words = entries.levels_of(cases, entry.columns), factor_words(entry.columns)
     before = "" if entry.columns == "accuracy" else f"{words} "
     return [(f"{before}{level}", cases[levels == level]) for level in levels.cat.categories]
 
@@ -95,7 +74,7 @@ def _lines(entry: Entry, cases: pd.DataFrame) -> Iterator[tuple[str, IntArray]]:
 
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
     """Return the swept factors whose every level is a number."""
-    return [name for name in factors(cases) if pd.api.types.is_numeric_dtype(cases[name])]
+    return [name for name in measures.factors(cases) if pd.api.types.is_numeric_dtype(cases[name])]
 
 
 def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
@@ -108,13 +87,13 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     axes_of = [entry.along] if entry.along else numeric_factors(cases)
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
-    check_columns(cases, axes_of, "the figure")
+    entries.check_columns(cases, axes_of, "the figure")
     if entry.along == "condition" and cases["condition"].nunique() < 2:
         entry = replace(entry, lines="condition")
     whole, seen, grid = cases, np.any(has_number, axis=0), list[list[Panel]]()
     cases = whole[seen].reset_index(drop=True)
     for along in axes_of:
-        level_of = levels_of(whole, along)[
+        level_of = entries.levels_of(whole, along)[
             np.any(has_number, axis=0)
         ].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
@@ -174,7 +153,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
 
 def _steps(entry: Entry, each: Measure, level: str, title: str, cases: pd.DataFrame) -> Panel:
     """Return the sorted sizes of every line with the share of planned cases up to each."""
-    values, planned, curves = np.abs(each.read(cases)), ~in_still_air(cases), list[Curve]()
+    values, planned, curves = np.abs(each.read(cases)), ~measures.in_still_air(cases), list[Curve]()
     least, finite = each.least or 1e-300, values[np.isfinite(values)]
     low, high = np.quantile(finite, (0.01, 0.9)).tolist() if finite.size else (1.0, 1.0)
     low = max(low, least)
@@ -217,7 +196,7 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
 
     Colours are conditions. What lies outside of the frame is drawn on its edge, and counted.
     """
-    flown = cases[in_flow(cases)]
+    flown = cases[measures.in_flow(cases)]
     if flown["condition"].nunique() > NAMED_CURVES:
         flown = flown.assign(condition="all conditions")
     grid = [
@@ -331,13 +310,14 @@ def figures(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Picture]:
     """Return pictures by file name: these, or those that a study asks for, or all that fit."""
-    script, every, own = Script(study), dict[str, Picture](), study.definition.outputs.figures
-    for entry in asked_for(names, own) or own or fitting(cases):
+    script, own = entries.Script(study), study.definition.outputs.figures
+    every: dict[str, Picture] = {}
+    for entry in entries.asked_for(names, own) or own or fitting(cases):
         if isinstance(entry, str) and entry in script.functions:
             made: Figure = styled(partial(script.call, entry, cases, Figure))
             every[entry] = Picture(made, sentence(entry.replace("_", " ")))
             continue
-        read = read_entry(entry, NAMED, MEASURED, "figure", script)
+        read = entries.read_entry(entry, NAMED, MEASURED, "figure", script)
         shown = styled(partial(LAYOUTS[read.compare or "settings"], read, cases))
         words = ", ".join(each.words for each in read.measures) or "an answer"
         blank = f"{read.file_name}: nothing to draw, no case has {words}."
@@ -349,9 +329,9 @@ def _caption(entry: Entry, cases: pd.DataFrame) -> str:
     """Return the title of an entry, or what its picture shows."""
     said = [entry.title]
     if entry.compare == "scatter":
-        count, titles = cases["title"].nunique(), "; ".join(best_titles(cases[in_flow(cases)]))
-        best = f"the best of {count} by reading: {titles}" if count > 1 else titles
-        said = [entry.title or f"Estimated against true, {best}",
+        count, best = cases["title"].nunique(), best_titles(cases[measures.in_flow(cases)])
+        titles = f"{f'the best of {count} by reading: ' if count > 1 else ''}{'; '.join(best)}"
+        said = [entry.title or f"Estimated against true, {titles}",
                 "points beyond the frame stand on its edge"]  # fmt: skip
     elif not entry.title and entry.compare == "ecdf":
         words = "; ".join(dict.fromkeys(each.words for each in entry.measures))
@@ -369,12 +349,12 @@ def fitting(cases: pd.DataFrame) -> list[str]:
     """Return the names of the figures that have something to show of these cases."""
     if "objective" in cases:
         return ["profiles", "shapes", "accuracy"]
-    several = cases["flight"].nunique() > 1 and bool(in_flow(cases).any())
+    several = cases["flight"].nunique() > 1 and bool(measures.in_flow(cases).any())
     says = {
         "sweep": several and bool(numeric_factors(cases)),
         "errors": several,
         "scatter": several,
-        "efficiency": "flights.process_noise" in factors(cases[bounded(cases)]),
+        "efficiency": "flights.process_noise" in measures.factors(cases[measures.bounded(cases)]),
         "coverage": several and np.isfinite(measure("length-scale-coverage").values(cases)).any(),
     }
     return [name for name, holds in says.items() if holds]

@@ -11,23 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import one_of, unknown
+from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
 
 Read: TypeAlias = Callable[[pd.DataFrame], Array]
-PARAMETERS = ("mean_velocity", "length_scale", "timescale")
 SYMBOLS = {"mean_velocity": "U0", "length_scale": "L_w", "timescale": "τ_w"}
 UNITS = {"mean_velocity": "m/s", "length_scale": "m", "timescale": "s"}
-STATUSES = (
-    *("ok", "misfit", "inaccurate", "unidentifiable"),
-    *("error", "timeout", "crashed", "skipped"),
-)
 OFF = 5.0  # percent: an estimate that misses a parameter by more should have been doubted
 
 
@@ -95,21 +92,21 @@ def factors(cases: pd.DataFrame) -> list[str]:
 class Measure:
     """One number of a case.
 
-    name: by which a study asks for it; words: the quantity in a sentence, `|error| of τ_w`.
-    read: the number (rows,) of each case in `unit`; NaN where it has none.
-    summary: in `QUANTILES` or `SUMMARIES`, by which a group of cases is told.
+    name: by which a study asks for it; heading: over a column of a table; words: the quantity in a
+    sentence, `|error| of τ_w`; read: the number (rows,) of each case in `unit`, NaN where it has
+    none; summary: in `QUANTILES` or `SUMMARIES`, by which a group of cases is told.
     miss: what a failure counts as in a mean; failures are left out where it is None.
-    heading: over a column of a table; format: of the summary, three significant digits by default.
-    more: whether more is better; least: a smaller size is rounding; varies: with the machine.
+    format: of the summary, three significant digits by default; more: whether more is better;
+    least: a smaller size is rounding; varies: with the machine.
     """
 
     name: str
-    words: str
     unit: str
+    heading: str
+    words: str
     read: Read
     summary: str = "median"
     miss: float | None = None
-    heading: str = ""
     format: str = ""
     more: bool = False
     least: float = 0.0
@@ -195,21 +192,17 @@ def _sizes(cases: pd.DataFrame) -> Array:
     return np.abs(_percent(cases))
 
 
-def _intervals(cases: pd.DataFrame) -> tuple[Array, ...]:
-    """Return truth, estimate, low and high ends (rows, 3), NaN where a flight is not called ok."""
-    columns = [parameters(cases, name) for name in ("true", "est", "low", "high")]
-    whole = ~np.isnan(columns).any(axis=0) & ended(cases, "ok")[:, None]
-    return tuple(np.where(whole, column, np.nan) for column in columns)
-
-
 def _covered(cases: pd.DataFrame) -> Array:
-    true, _, low, high = _intervals(cases)
-    return np.where(np.isnan(true), np.nan, (low <= true) & (true <= high))
+    """Return whether 95 % intervals of flights called ok hold the truth, (rows, 3)."""
+    true, low, high = (parameters(cases, name) for name in ("true", "low", "high"))
+    has_ends = ended(cases, "ok")[:, None] & ~np.isnan(true + low + high + parameters(cases, "est"))
+    return np.where(has_ends, (low <= true) & (true <= high), np.nan)
 
 
 def _half_widths(cases: pd.DataFrame) -> Array:
-    _, estimate, low, high = _intervals(cases)
-    return np.asarray(50.0 * (high - low) / np.abs(estimate))
+    """Return the half-widths [%] of the estimate of those intervals, (rows, 3)."""
+    estimate, low, high = (parameters(cases, name) for name in ("est", "low", "high"))
+    return np.where(np.isnan(_covered(cases)), np.nan, 50.0 * (high - low) / np.abs(estimate))
 
 
 def _bounds(cases: pd.DataFrame) -> Array:
@@ -223,6 +216,11 @@ def _efficiencies(cases: pd.DataFrame) -> Array:
 
 def _column(name: str, factor: float = 1.0) -> Read:
     return lambda cases: factor * numbers(cases, name)
+
+
+def _timed(name: str) -> Read:
+    """Return what reads a column of problems that the clock timed."""
+    return lambda cases: only(numbers(cases, "repeats") > 0, numbers(cases, name))
 
 
 def _hits(cases: pd.DataFrame) -> Array:
@@ -263,133 +261,129 @@ def _drift_errors(cases: pd.DataFrame) -> Array:
     return only(answered(cases), 100.0 * missed)
 
 
-def _timed(name: str) -> Read:
-    """Return what reads a column of problems that the clock timed."""
-    return lambda cases: only(numbers(cases, "repeats") > 0, numbers(cases, name))
+def _unseen(cases: pd.DataFrame) -> BoolArray:
+    within = numbers(cases, "scales_within_1_percent") > 0
+    return np.asarray(ended(cases, "ok") & ~within)
 
 
-# name; words, unit and read of all three parameters (rows, 3); further fields of the measure
-_KINDS: tuple[tuple[Measure, Read], ...] = tuple((Measure(name, words, unit, read, **more), read)
-    for name, words, unit, read, more in (
-        ("error", "|error| of {}", "%", _sizes,
-         {"miss": 100.0, "heading": "|error| {}", "least": TINY}),
-        ("size", "|error| of {}", "%", _sizes, {"heading": "|error| {}", "least": TINY}),
-        ("signed-error", "signed % error of {}", "%", _percent,
-         {"summary": "mean", "format": "+.2f", "heading": "signed % error {}"}),
-        ("deviation", "signed error of {}", "", _signed,
-         {"summary": "mean", "format": "+.2f", "heading": "signed error {}"}),
-        ("efficiency", "error of {} over the Cramér-Rao bound", "", _efficiencies,
-         {"summary": "rms", "heading": "error/bound {}"}),
-        ("bounded-error", "error of {} where a bound is known", "%",
-         lambda cases: only(bounded(cases), _percent(cases)),
-         {"summary": "rms", "heading": "error {}", "least": TINY}),
-        ("bound", "Cramér-Rao bound of {}", "%", _bounds,
-         {"summary": "rms", "heading": "bound {}"}),
-        ("coverage", "95 % intervals of {}, of flights called ok, that hold the truth", "%",
-         _covered, {"summary": "share", "format": ".1f", "more": True, "heading": "coverage {}"}),
-        ("half-width", "half-width of the 95 % interval of {}", "%", _half_widths,
-         {"heading": "half-width {}", "least": TINY}),
-    ))  # fmt: skip
+def _at(read: Read, place: int, cases: pd.DataFrame) -> Array:
+    return read(cases)[:, place]
 
 
-def _of_parameter(kind: Measure, read: Read, place: int) -> Measure:
-    """Return the measure `kind` of one of the three parameters."""
-    name = PARAMETERS[place]
-    return replace(
-        kind,
-        name=f"{name.replace('_', '-')}-{kind.name}",
-        words=kind.words.format(SYMBOLS[name]),
-        heading=kind.heading.format(SYMBOLS[name]),
-        unit=UNITS[name] if kind.name == "deviation" else kind.unit,
-        read=lambda cases: read(cases)[:, place],
-    )
+def _of_each(name: str, unit: str | None, heading: str, words: str, read: Read,
+             **more: Any) -> list[Measure]:  # fmt: skip
+    """Return a measure of each of U0, L_w and tau_w, the columns (rows, 3) of `read`.
+
+    Args:
+        unit: that of the parameter where it is None.
+    """
+    return [
+        Measure(f"{parameter.replace('_', '-')}-{name}", UNITS[parameter] if unit is None else unit,
+                f"{heading} {SYMBOLS[parameter]}", words.format(SYMBOLS[parameter]),
+                partial(_at, read, place), **more)
+        for place, parameter in enumerate(PARAMETERS)
+    ]  # fmt: skip
 
 
-def _share(name: str, words: str, heading: str, read: Callable[[pd.DataFrame], Array | BoolArray],
-           *, more: bool = False, format: str = ".1f", unit: str = "%") -> Measure:  # fmt: skip
+def _share(name: str, heading: str, words: str, read: Callable[[pd.DataFrame], Array | BoolArray],
+           format: str = ".1f", *, more: bool = False) -> Measure:  # fmt: skip
     """Return a measure that is 1 or 0, told as a share."""
-    return Measure(name, words, unit, lambda cases: read(cases).astype(float), "share",
-                   heading=heading, more=more, format=format)  # fmt: skip
+    return Measure(name, "%", heading, words, lambda cases: read(cases).astype(float), "share",
+                   format=format, more=more)  # fmt: skip
+
+
+def _ends_as(status: str) -> Callable[[pd.DataFrame], BoolArray]:
+    return lambda cases: ended(cases, status)
 
 
 MEASURES: dict[str, Measure] = {each.name: each for each in (
-    *(_of_parameter(*kind, place) for place in range(3) for kind in _KINDS),
-    Measure("largest-error", "largest |error| of U0, L_w and τ_w", "%",
-            lambda cases: _sizes(cases).max(axis=1), miss=100.0, heading="largest |error|",
-            least=TINY),
-    _share("hits", "flights whose nearest grid scale was chosen", "hits", _hits, more=True,
-           format=".0f"),
-    Measure("seconds", "time of a case", "s", _column("seconds"), heading="time", varies=True),
-    Measure("ratio", "time over that of the fastest", "", _column("ratio"), heading="× fastest",
-            varies=True),
-    Measure("certificate", "certificate", "",
+    # of each parameter
+    *_of_each("error", "%", "|error|", "|error| of {}", _sizes, miss=100.0, least=TINY),
+    *_of_each("size", "%", "|error|", "|error| of {}", _sizes, least=TINY),
+    *_of_each("signed-error", "%", "signed % error", "signed % error of {}", _percent,
+              summary="mean", format="+.2f"),
+    *_of_each("deviation", None, "signed error", "signed error of {}", _signed, summary="mean",
+              format="+.2f"),
+    *_of_each("efficiency", "", "error/bound", "error of {} over the Cramér-Rao bound",
+              _efficiencies, summary="rms"),
+    *_of_each("bounded-error", "%", "error", "error of {} where a bound is known",
+              lambda cases: only(bounded(cases), _percent(cases)), summary="rms", least=TINY),
+    *_of_each("bound", "%", "bound", "Cramér-Rao bound of {}", _bounds, summary="rms"),
+    *_of_each("coverage", "%", "coverage", "95 % intervals of {}, of flights called ok, that hold "
+              "the truth", _covered, summary="share", format=".1f", more=True),
+    *_of_each("half-width", "%", "half-width", "half-width of the 95 % interval of {}",
+              _half_widths, least=TINY),
+    # of a flight
+    Measure("largest-error", "%", "largest |error|", "largest |error| of U0, L_w and τ_w",
+            lambda cases: _sizes(cases).max(axis=1), miss=100.0, least=TINY),
+    _share("hits", "hits", "flights whose nearest grid scale was chosen", _hits, ".0f", more=True),
+    Measure("seconds", "s", "time", "time of a case", _column("seconds"), varies=True),
+    Measure("certificate", "", "certificate", "certificate",
             lambda cases: only(answered(cases), numbers(cases, "certificate")), "largest",
-            heading="certificate", format=".1e", varies=True),
-    _share("answered", "cases with an answer", "answered", answered, more=True),
-    _share("off", f"flights called ok that are off by more than {OFF:g} %", "off, of ok",
-           lambda cases: only(in_flow(cases) & ended(cases, "ok"), off(cases)), format=".2f"),
-    _share("silent-misses", f"flights called ok and off by more than {OFF:g} %", "silent misses",
-           lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), format=".2f"),
-    _share("misfits", "flights called a misfit", "misfit",
+            format=".1e", varies=True),
+    _share("answered", "answered", "cases with an answer", answered, more=True),
+    _share("off", "off, of ok", f"flights called ok that are off by more than {OFF:g} %",
+           lambda cases: only(in_flow(cases) & ended(cases, "ok"), off(cases)), ".2f"),
+    _share("silent-misses", "silent misses", f"flights called ok and off by more than {OFF:g} %",
+           lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), ".2f"),
+    _share("misfits", "misfit", "flights called a misfit",
            lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
-    _share("called-ok", "cases that ended as ok", "ok", lambda cases: ended(cases, "ok"),
-           more=True),
-    _share("called-misfit", "cases that ended as misfit", "misfit",
-           lambda cases: ended(cases, "misfit")),
-    _share("called-unidentifiable", "cases that ended as unidentifiable", "unidentifiable",
-           lambda cases: ended(cases, "unidentifiable")),
-    Measure("r-squared", "R² of the fit", "", _column("r_squared"), heading="R²", format=".4f",
-            more=True),
-    Measure("heading-error", "|error| of the heading", "°", _heading_errors, heading="heading",
+    _share("called-ok", "ok", "cases that ended as ok", _ends_as("ok"), more=True),
+    _share("called-misfit", "misfit", "cases that ended as misfit", _ends_as("misfit")),
+    _share("called-unidentifiable", "unidentifiable", "cases that ended as unidentifiable",
+           _ends_as("unidentifiable")),
+    Measure("r-squared", "", "R²", "R² of the fit", _column("r_squared"), format=".4f", more=True),
+    Measure("heading-error", "°", "heading", "|error| of the heading", _heading_errors, least=TINY),
+    Measure("sides-error", "%", "sides", "largest |error| of the cells' sides", _side_errors,
             least=TINY),
-    Measure("sides-error", "largest |error| of the cells' sides", "%", _side_errors,
-            heading="sides", least=TINY),
-    Measure("drift-error", "error of the drift, of U0", "%", _drift_errors, heading="drift",
-            least=TINY),
-    Measure("prediction-error", "error of the flow along other flights", "%",
-            _column("prediction_error", 100.0), "geometric mean", 100.0, "prediction", least=TINY),
-    Measure("offered-prediction-error", "error of the flow along other flights, where offered",
-            "%", lambda cases: only(answered(cases), 100.0 * numbers(cases, "prediction_error")),
-            "geometric mean", 100.0, "prediction, where offered", least=TINY),
-    Measure("bounded", "cases with a bound", "", lambda cases: bounded(cases).astype(float),
-            "number", heading="with bound"),
-    Measure("unseen", "cases called ok without all scales", "",
-            lambda cases: (ended(cases, "ok") & ~(numbers(cases, "scales_within_1_percent") > 0)
-                           ).astype(float), "number", heading="unseen"),
-    _share("scales-found", "flights with every length scale within 1 %", "all found",
+    Measure("drift-error", "%", "drift", "error of the drift, of U0", _drift_errors, least=TINY),
+    Measure("prediction-error", "%", "prediction", "error of the flow along other flights",
+            _column("prediction_error", 100.0), "geometric mean", 100.0, least=TINY),
+    Measure("offered-prediction-error", "%", "prediction, where offered",
+            "error of the flow along other flights, where offered",
+            lambda cases: only(answered(cases), 100.0 * numbers(cases, "prediction_error")),
+            "geometric mean", 100.0, least=TINY),
+    Measure("bounded", "", "with bound", "cases with a bound",
+            lambda cases: bounded(cases).astype(float), "number"),
+    # of several scales at once
+    Measure("unseen", "", "unseen", "cases called ok without all scales",
+            lambda cases: _unseen(cases).astype(float), "number"),
+    _share("scales-found", "all found", "flights with every length scale within 1 %",
            lambda cases: only(in_flow(cases),
                               np.nan_to_num(numbers(cases, "scales_within_1_percent"))),
-           more=True, format=".0f"),
-    Measure("scales-missed", "scales missed", "", _column("scales_missed"), "mean",
-            heading="missed", format=".2f"),
-    Measure("scales-spurious", "scales spurious", "", _column("scales_spurious"), "mean",
-            heading="spurious", format=".2f"),
-    Measure("scales-length-scale-error", "largest error of L_w", "%",
-            _column("scales_max_length_scale_error"), heading="error L_w", least=TINY),
-    Measure("scales-mean-velocity-error", "largest error of U0", "%",
-            _column("scales_max_mean_velocity_error"), heading="error U0", least=TINY),
-    Measure("holdout-error", "held-out error, of the target's variance", "%",
-            _column("holdout_error", 100.0), miss=100.0, heading="held-out error", least=TINY),
-    Measure("support", "columns in use", "", _column("support"), heading="columns"),
-    *(Measure(name, f"{name} of the support", "", _column(name), heading=name, more=True)
+           ".0f", more=True),
+    Measure("scales-missed", "", "missed", "scales missed", _column("scales_missed"), "mean",
+            format=".2f"),
+    Measure("scales-spurious", "", "spurious", "scales spurious", _column("scales_spurious"),
+            "mean", format=".2f"),
+    Measure("scales-length-scale-error", "%", "error L_w", "largest error of L_w",
+            _column("scales_max_length_scale_error"), least=TINY),
+    Measure("scales-mean-velocity-error", "%", "error U0", "largest error of U0",
+            _column("scales_max_mean_velocity_error"), least=TINY),
+    # of a regression problem
+    Measure("ratio", "", "× fastest", "time over that of the fastest", _column("ratio"),
+            varies=True),
+    Measure("holdout-error", "%", "held-out error", "held-out error, of the target's variance",
+            _column("holdout_error", 100.0), miss=100.0, least=TINY),
+    Measure("support", "", "columns", "columns in use", _column("support")),
+    *(Measure(name, "", name, f"{name} of the support", _column(name), more=True)
       for name in ("precision", "recall", "f1")),
-    Measure("stability", "overlap of the supports of two halves", "", _column("stability"),
-            heading="stability", more=True),
-    Measure("excess", "certified excess of the objective", "", _column("excess"), "largest",
-            heading="excess", format=".1e"),
-    Measure("wall", "time of a solve", "s", _column("wall"), heading="time", varies=True),
-    Measure("cpu", "CPU time of a solve", "s", _column("cpu"), heading="CPU time", varies=True),
-    Measure("first-call", "time of the first call, with imports and compilation", "s",
-            _timed("first"), "largest", heading="first call", varies=True),
-    Measure("peak-memory", "peak memory", "MB", _timed("memory"), "largest",
-            heading="peak memory", format=".0f", varies=True),
-    Measure("repeats", "repeats of a solve", "", _timed("repeats"), heading="repeats",
+    Measure("stability", "", "stability", "overlap of the supports of two halves",
+            _column("stability"), more=True),
+    Measure("excess", "", "excess", "certified excess of the objective", _column("excess"),
+            "largest", format=".1e"),
+    Measure("wall", "s", "time", "time of a solve", _column("wall"), varies=True),
+    Measure("cpu", "s", "CPU time", "CPU time of a solve", _column("cpu"), varies=True),
+    Measure("first-call", "s", "first call", "time of the first call, with imports and compilation",
+            _timed("first"), "largest", varies=True),
+    Measure("peak-memory", "MB", "peak memory", "peak memory", _timed("memory"), "largest",
             format=".0f", varies=True),
-    _share("median-known", "times known to the precision asked for", "median known",
-           _timed("known"), more=True, format=".0f"),
-    _share("disturbed", "times taken while other programs had the core", "disturbed",
-           _timed("disturbed"), format=".0f"),
-    Measure("cores", "CPU time over wall time", "",
-            lambda cases: _timed("cpu")(cases) / numbers(cases, "wall"), heading="CPU / wall",
-            format=".2f", varies=True),
+    Measure("repeats", "", "repeats", "repeats of a solve", _timed("repeats"), format=".0f",
+            varies=True),
+    _share("median-known", "median known", "times known to the precision asked for",
+           _timed("known"), ".0f", more=True),
+    _share("disturbed", "disturbed", "times taken while other programs had the core",
+           _timed("disturbed"), ".0f"),
+    Measure("cores", "", "CPU / wall", "CPU time over wall time",
+            lambda cases: _timed("cpu")(cases) / numbers(cases, "wall"), format=".2f", varies=True),
 )}  # fmt: skip

@@ -23,9 +23,10 @@ import pandas as pd
 
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
+from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import Script, grouped, read_entry
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import STATUSES, measure, numbers
+from sparsefit.study.measures import measure, numbers
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.whole_file import write_files
 

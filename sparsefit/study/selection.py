@@ -18,28 +18,9 @@ import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, suggestion, told_with
-from sparsefit.study.measures import (
-    MEASURES,
-    Measure,
-    answered,
-    ended,
-    factors,
-    in_flow,
-    in_still_air,
-    measure,
-    off,
-    only,
-)
-from sparsefit.study.resampling import (
-    ROUNDING,
-    SUMMARIES,
-    Difference,
-    best_probabilities,
-    ends,
-    mean,
-    quantile,
-    resampled,
-)
+from sparsefit.study import measures, resampling
+from sparsefit.study.measures import Measure, factors
+from sparsefit.study.resampling import ROUNDING, Difference, ends, mean
 from sparsefit.study.table import significant
 
 SPLITS = ("validate", "evaluate")
@@ -163,7 +144,7 @@ class Trials:
     def _drawn(self, grid: Array, seed: int) -> Array:
         """Return the loss (resamples,) of a candidate; one seed draws the same units for all."""
         criterion = self.criterion
-        return resampled(
+        return resampling.resampled(
             lambda at: criterion.sign * criterion.score(grid[at]), len(grid), grid[0].size, seed
         )
 
@@ -190,13 +171,15 @@ class Trials:
         self, rule: Any, timed: Mapping[str, Mapping[str, float]]
     ) -> list[tuple[Breach, ...]]:
         """Return the constraints that each candidate breaks, each in its worst regime."""
-        cases, flown, nothing = self.cases, in_flow(self.cases), np.zeros(len(self.cases))
-        failed, silent, error = only(flown, ~answered(cases)), nothing, nothing
+        cases, flown, nothing = self.cases, measures.in_flow(self.cases), np.zeros(len(self.cases))
+        failed, silent, error = measures.only(flown, ~measures.answered(cases)), nothing, nothing
         if "est_mean_velocity" in cases:
-            missed = np.where(flown, off(cases), in_still_air(cases)) & ended(cases, "ok")
-            silent, error = missed.astype(float), MEASURES["largest-error"].read(cases)
-        largest = quantile(pooled_regimes(self.grid(error)), 0.95)
-        there = SUMMARIES["largest"](pooled_regimes(self.grid(flown.astype(float)))) > 0
+            missed = np.where(
+                flown, measures.off(cases), measures.in_still_air(cases)
+            ) & measures.ended(cases, "ok")
+            silent, error = missed.astype(float), measures.MEASURES["largest-error"].read(cases)
+        largest = resampling.quantile(pooled_regimes(self.grid(error)), 0.95)
+        there = resampling.SUMMARIES["largest"](pooled_regimes(self.grid(flown.astype(float)))) > 0
         values = {
             "max_failure": mean(pooled_regimes(self.grid(failed))),
             "max_silent_misses": mean(pooled_regimes(self.grid(silent))),
@@ -368,7 +351,7 @@ def select(
     chosen = min(within, default=None)
     if within and rule.simplest == "fastest":
         chosen = min(within, key=lambda at: timed.get(candidates[at], {}).get("median", math.inf))
-    probabilities = best_probabilities(first.drawn[passing]).tolist() if passing else []
+    probabilities = resampling.best_probabilities(first.drawn[passing]).tolist() if passing else []
     shares = dict(zip(passing, probabilities, strict=True))
     titles = dict(zip(cases["candidate"], cases["title"], strict=True))
     scored = {
@@ -410,7 +393,7 @@ def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     one_of("regime in over =", rule.over, (AVERAGE, WORST, *regimes))
     summary, name = rule.measure
     with told_with("criterion ="):
-        return Criterion(measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
+        return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
 
 
 def _comparable(study: Any, cases: pd.DataFrame, rule: Any) -> pd.DataFrame:

@@ -18,87 +18,17 @@ import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, suggestion
-from sparsefit.study import solver_times
-from sparsefit.study.entries import (
-    Entry,
-    Options,
-    Script,
-    asked_for,
-    check_columns,
-    factor_words,
-    grouped,
-    level_text,
-    levels_of,
-    read_entry,
-)
-from sparsefit.study.measures import (
-    MEASURES,
-    OFF,
-    PARAMETERS,
-    STATUSES,
-    SYMBOLS,
-    UNITS,
-    Measure,
-    answered,
-    bounded,
-    ended,
-    factors,
-    in_flow,
-    in_still_air,
-    measure,
-    numbers,
-    off,
-    only,
-    parameters,
-    three,
-)
-from sparsefit.study.resampling import (
-    EXCHANGES,
-    RESAMPLES,
-    by_unit,
-    difference,
-    exchange_p,
-    holm,
-    interval,
-    pooled,
-    wilson,
-)
+from sparsefit.study import entries, measures, resampling, solver_times
+from sparsefit.study.columns import PARAMETERS, STATUSES
+from sparsefit.study.entries import Entry, Options, level_text
+from sparsefit.study.measures import MEASURES, OFF, SYMBOLS, UNITS, Measure, numbers, three
 from sparsefit.study.table import Column, Row, Table, Value, sentence
 
 ROWS = ("condition", "title")
-SUMMARY = (
-    "answered", "median mean-velocity-size", "median length-scale-size",
-    "95th percentile largest-error", "silent-misses", "length-scale-coverage", "median seconds",
-    "largest certificate",
-)  # fmt: skip
-PREDICTION = ("holdout-error", "support", "precision", "recall", "f1", "stability")
 INTERVALS = (
-    f"From, to: 95 %, by {RESAMPLES} draws of whole flights; a share of single cases: Wilson's."
+    f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights; a share of single cases: "
+    "Wilson's."
 )
-CLOCK = ("first-call", "peak-memory", "median repeats", "median-known", "disturbed", "cores")
-
-
-def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
-    """Return the columns that tell rows apart, without those that hold one value throughout.
-
-    Raises:
-        InputError: for a column that the cases do not have.
-    """
-    check_columns(cases, rows, "rows")
-    several = [name for name in rows if cases[name].nunique(dropna=False) > 1]
-    return several or list(rows[-1:])
-
-
-def column_of(each: Measure) -> Column:
-    """Return the column of a measure in a table, the summary before its heading or above it."""
-    head, symbol = each.heading or each.words, ""
-    for sign in SYMBOLS.values():
-        if head.endswith(f" {sign}"):
-            head, symbol = head.removesuffix(f" {sign}"), sign
-    words = head if each.summary in ("share", "number") else f"{each.summary} {head}"
-    format, unit = ("d", "") if each.summary == "number" else (each.format, each.unit)
-    name, group = (symbol, words) if symbol else (words, "")
-    return Column(name, unit, format, group, each.least, each.varies)
 
 
 class Part(NamedTuple):
@@ -113,22 +43,44 @@ class Part(NamedTuple):
     interval: bool = False
 
 
+def column_of(each: Measure) -> Column:
+    """Return the column of a measure in a table, the summary before its heading or above it."""
+    head, _, symbol = each.heading.rpartition(" ")
+    if symbol not in SYMBOLS.values():
+        head, symbol = each.heading, ""
+    words = head if each.summary in ("share", "number") else f"{each.summary} {head}"
+    format, unit = ("d", "") if each.summary == "number" else (each.format, each.unit)
+    name, group = (symbol, words) if symbol else (words, "")
+    return Column(name, unit, format, group, each.least, each.varies)
+
+
+def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
+    """Return the columns that tell rows apart, without those that hold one value throughout.
+
+    Raises:
+        InputError: for a column that the cases do not have.
+    """
+    entries.check_columns(cases, rows, "rows")
+    several = [name for name in rows if cases[name].nunique(dropna=False) > 1]
+    return several or list(rows[-1:])
+
+
 def _counted(name: str, mask: BoolArray, group: str = "") -> Part:
     """Return the column of the number of cases where a mask (rows,) holds."""
-    column = Column(name, format="d", group=group)
-    return Part(column, replace(MEASURES["bounded"], name=name), mask.astype(float))
+    return Part(Column(name, format="d", group=group), MEASURES["bounded"], mask.astype(float))
 
 
 def _counts(cases: pd.DataFrame) -> list[Part]:
     """Return the columns of how many cases were planned, are ok and have no answer."""
     every = np.ones(len(cases), dtype=bool)
-    return [_counted("n", every), _counted("ok", ended(cases, "ok")),
-            _counted("failures", ~answered(cases))]  # fmt: skip
+    return [_counted("n", every), _counted("ok", measures.ended(cases, "ok")),
+            _counted("failures", ~measures.answered(cases))]  # fmt: skip
 
 
 def summarised(
-    entry: Entry, cases: pd.DataFrame, title: str, parts: Sequence[Part], names: Sequence[str] = ()
-) -> Table:
+    entry: Entry, cases: pd.DataFrame, title: str, parts: Sequence[Part], names: Sequence[str] = (),
+    notes: Sequence[str] = (),
+) -> Table:  # fmt: skip
     """Return a row per group of cases and a column per part: the one group-by of all tables.
 
     Args:
@@ -137,29 +89,26 @@ def summarised(
     names = names or name_columns(cases, entry.rows or ROWS)
     columns = [*map(Column, names)]
     for part in parts:
-        columns.append(part.column)
-        group = f"{part.column.group} {part.column.name}".strip()
         ends = ("from", "to") if part.interval else ()
-        columns += (replace(part.column, name=name, group=group) for name in ends)
+        columns += [part.column, *(
+            replace(part.column, name=name, group=f"{part.column.group} {part.column.name}".strip())
+            for name in ends
+        )]  # fmt: skip
     rows: list[Row] = []
-    for key, places in grouped(cases, names):
+    for key, places in entries.grouped(cases, names):
         cells: list[Value] = []
         for part in parts:
-            here = part.values[places]
-            summary = part.each.summary_of(here)
-            cells.append(int(summary) if part.each.summary == "number" else summary)
+            here, each = part.values[places], part.each
+            summary = each.summary_of(here)
+            cells.append(int(summary) if each.summary == "number" else summary)
             if part.interval:
-                grid = by_unit(here, cases["flight"].iloc[places])
-                if part.each.summary == "share" and grid.shape[1] == 1:
-                    cells += wilson(float(np.nansum(here)), int((~np.isnan(here)).sum()))
+                grid = resampling.by_unit(here, cases["flight"].iloc[places])
+                if each.summary == "share" and grid.shape[1] == 1:
+                    cells += resampling.wilson(np.nansum(here), (~np.isnan(here)).sum())
                 else:
-                    cells += interval(pooled(part.each.reduce), grid)
+                    cells += resampling.interval(resampling.pooled(each.reduce), grid)
         rows.append((*map(level_text, key), *cells))
-    return Table(entry.title or title, tuple(columns), rows, entry.notes)
-
-
-def _noted(made: Table, *notes: str) -> Table:
-    return replace(made, notes=(*made.notes, *notes))
+    return Table(entry.title or title, tuple(columns), rows, (*entry.notes, *notes))
 
 
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -168,60 +117,57 @@ def settings(entry: Entry, cases: pd.DataFrame) -> Table:
         Part(column_of(each), each, each.values(cases), entry.interval and each.summary != "number")
         for each in entry.measures
     ]
+    notes = dict.fromkeys(sentence(f"{each.phrase}: {each.convention}")
+                          for each in entry.measures if each.miss is not None)  # fmt: skip
     title = entry.name.replace("-", " ").capitalize() or "Measures"
-    made = summarised(entry, cases, title, [*_counts(cases), *parts])
-    conventions = dict.fromkeys(
-        sentence(f"{each.phrase}: {each.convention}")
-        for each in entry.measures if each.miss is not None
-    )  # fmt: skip
-    return _noted(made, *conventions, *([INTERVALS] if entry.interval else []))
+    return summarised(entry, cases, title, [*_counts(cases), *parts], (),
+                      (*notes, *([INTERVALS] if entry.interval else [])))  # fmt: skip
 
 
 def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group and a column per level of the factor `along`, of the first measure."""
-    swept, each = factors(cases), entry.measures[0]
+    swept, each = measures.factors(cases), entry.measures[0]
     if not entry.along and len(swept) != 1:
         raise InputError(f"along = … names which factor: {', '.join(swept) or 'none is swept'}")
     along = entry.along or swept[0]
+    words, levels = entries.factor_words(along), entries.levels_of(cases, along)
     others = ["protocol", "backend", "label", "settings"] if "protocol" in cases else []
     others += [name for name in swept if name != along]
     rows = entry.rows or [name for name in others if cases[name].nunique() > 1] or ["title"]
-    words, levels, values = factor_words(along), levels_of(cases, along), each.values(cases)
+    values = each.values(cases)
     parts = [
         Part(replace(column_of(each), name=level, group=words), each,
-             only((levels == level).to_numpy(), values))
+             measures.only((levels == level).to_numpy(), values))
         for level in levels.cat.categories
     ]  # fmt: skip
     title = f"{sentence(each.phrase)[:-1]} along {words}"
-    made = summarised(entry, cases, title, [*_counts(cases), *parts], name_columns(cases, rows))
-    return _noted(made, sentence(each.convention))
+    return summarised(entry, cases, title, [*_counts(cases), *parts], name_columns(cases, rows),
+                      [sentence(each.convention)])  # fmt: skip
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return how cases ended against what was true: within 5 %, off, no flow, nobody knows."""
-    near, truth = f"≤ {OFF:g} %", np.full(len(cases), "all", dtype=object)
-    judged = "est_mean_velocity" in cases
-    if judged:
-        truth[in_flow(cases)] = np.where(off(cases), "off", near)[in_flow(cases)]
-        truth[in_still_air(cases)] = "no flow"
-        truth[~ended(cases, *STATUSES[:4])] = "all"
+    near, truth, notes = f"≤ {OFF:g} %", np.full(len(cases), "all", dtype=object), list[str]()
+    if "est_mean_velocity" in cases:
+        flown = measures.in_flow(cases)
+        truth[flown] = np.where(measures.off(cases), "off", near)[flown]
+        truth[measures.in_still_air(cases)] = "no flow"
+        truth[~measures.ended(cases, *STATUSES[:4])] = "all"
+        notes = [
+            f"Off: U0, L_w or τ_w misses the truth by more than {OFF:g} %, or there is no number. "
+            "Ok and off is a silent miss; ok without a flow a false alarm; unidentifiable and off "
+            "was deserved."
+        ]
     parts = [_counts(cases)[0]]
     for name in STATUSES:
         for fact in (near, "off", "no flow", "all"):
-            both = ended(cases, name) & (truth == fact)
+            both = measures.ended(cases, name) & (truth == fact)
             parts += [_counted(fact, both, name)] if both.any() else []
-    note = (
-        f"Off: U0, L_w or τ_w misses the truth by more than {OFF:g} %, or there is no number. "
-        "Ok and off is a silent miss; ok without a flow a false alarm; unidentifiable and off was "
-        "deserved."
-    )
-    made = summarised(entry, cases, "How cases ended, and what was true", parts)
-    return _noted(made, note) if judged else made
+    return summarised(entry, cases, "How cases ended, and what was true", parts, (), notes)
 
 
 def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of 95 % intervals that hold the truth, a row per group and parameter."""
-    share, width = (MEASURES[name] for name in ("timescale-coverage", "timescale-half-width"))
     covered, halves = (
         np.column_stack([MEASURES[name].values(cases) for name in three(kind)]).ravel()
         for kind in ("coverage", "half-width")
@@ -231,44 +177,43 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     each = each.assign(parameter=np.tile(list(SYMBOLS.values()), len(cases)))
     parts = [
         *_counts(each)[:2], _counted("with interval", ~np.isnan(covered)),
-        Part(Column("coverage", "%", ".1f"), share, covered, interval=True),
-        Part(Column("half-width", "%"), width, halves),
+        Part(Column("coverage", "%", ".1f"), MEASURES["hits"], covered, interval=True),
+        Part(Column("half-width", "%"), MEASURES["seconds"], halves),
     ]  # fmt: skip
-    made = summarised(entry, each, "Coverage of the 95 % intervals", parts, names)
-    at = len(names) + 2
     note = (
         "Share of the flights called ok whose 95 % interval holds the truth, with its own 95 % "
         "interval over flights. Half-width: median, in percent of the estimate."
     )
-    return _noted(replace(made, rows=[row for row in made.rows if row[at]]), note)
+    made = summarised(entry, each, "Coverage of the 95 % intervals", parts, names, [note])
+    return replace(made, rows=[row for row in made.rows if row[len(names) + 2]])
 
 
 def single(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return status, truth, estimate and percentage error of every case."""
-    values = {"true": parameters(cases, "true"), "estimated": parameters(cases, "est")}
     parts = [
-        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), MEASURES["seconds"], every[:, at])
-        for group, every in values.items() for at, name in enumerate(PARAMETERS)
+        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), MEASURES["seconds"],
+             numbers(cases, f"{prefix}_{name}"))
+        for group, prefix in (("true", "true"), ("estimated", "est")) for name in PARAMETERS
     ]  # fmt: skip
-    for name, each in zip(PARAMETERS, map(measure, three("signed-error")), strict=True):
-        column = Column(SYMBOLS[name], "%", "+.2f", "error")
-        parts.append(Part(column, each, each.values(cases)))
+    for parameter, name in zip(PARAMETERS, three("signed-error"), strict=True):
+        column = Column(SYMBOLS[parameter], "%", "+.2f", "error")
+        parts.append(Part(column, MEASURES[name], MEASURES[name].values(cases)))
     names = [*name_columns(cases, entry.rows or ("flight", *ROWS)), "status"]
     return summarised(entry, cases, "True and estimated flow parameters", parts, names)
 
 
 def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of planned cases within each limit; a failure is within none."""
-    each, share = entry.measures[0], MEASURES["answered"]
-    sizes, flown = np.abs(each.read(cases)), in_flow(cases)
+    each, share, flown = entry.measures[0], MEASURES["answered"], measures.in_flow(cases)
+    sizes = np.abs(each.read(cases))
     parts = [
         Part(Column(f"≤ {limit:g} {each.unit}".strip(), "%", ".1f"), share,
-             only(flown, sizes <= limit), interval=True)
+             measures.only(flown, sizes <= limit), interval=True)
         for limit in entry.limits or (0.1, 1.0, 5.0, 20.0)
     ]  # fmt: skip
     title = f"Share of cases within so much: {each.words}"
-    made = summarised(entry, cases, title, [_counts(cases)[0], *parts])
-    return _noted(made, "Failures are within no limit.", INTERVALS)
+    return summarised(entry, cases, title, [_counts(cases)[0], *parts], (),
+                      ("Failures are within no limit.", INTERVALS))  # fmt: skip
 
 
 def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -278,23 +223,23 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
     any contrast each title stands against the first.
     """
     titles = [str(title) for title in cases["title"].unique()]
-    rows, tests = list[list[Value]](), list[float]()
+    rows: list[list[Any]] = []
     for first, second in entry.contrasts or [(title, titles[0]) for title in titles[1:]]:
         sides = sides_of(cases, first, second)
         shared = pd.Index(sides[0]["flight"].unique()).intersection(sides[1]["flight"].unique())
         for each in entry.measures:
-            statistic = pooled(each.reduce)
-            grids = [by_unit(each.values(side), side["flight"], shared) for side in sides]
-            apart = difference(statistic, *grids)
-            tests.append(exchange_p(statistic, *grids))
+            statistic = resampling.pooled(each.reduce)
+            grids = [resampling.by_unit(each.values(own), own["flight"], shared) for own in sides]
+            apart = resampling.difference(statistic, *grids)
             better = first if (apart.effect > 0) == each.more else second
-            verdict = "tie" if apart.tie else f"{better} is better"
-            summaries = [float(statistic(grid)) for grid in grids]
-            rows.append([each.phrase, first, second, verdict, len(shared), *summaries,
-                         apart.effect, apart.low, apart.high])  # fmt: skip
-    for row, p, adjusted in zip(rows, tests, holm(tests), strict=True):
+            rows.append([
+                each.phrase, first, second, "tie" if apart.tie else f"{better} is better",
+                len(shared), *(float(statistic(grid)) for grid in grids), apart.effect, apart.low,
+                apart.high, resampling.exchange_p(statistic, *grids),
+            ])  # fmt: skip
+    for row, adjusted in zip(rows, resampling.holm([row[-1] for row in rows]), strict=True):
         row[3] = row[3] if adjusted <= 0.05 else "tie"
-        row += [p, adjusted]
+        row.append(adjusted)
     columns = (
         *map(Column, ("measure", "first", "second", "verdict")), Column("flights", format="d"),
         *(Column(name, group="summary") for name in ("first", "second")), Column("effect"),
@@ -302,11 +247,11 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
         *(Column(name, format=".4f") for name in ("p", "p (Holm)")),
     )  # fmt: skip
     note = (
-        f"Paired by flight, first minus second. 95 %: bootstrap over flights ({RESAMPLES}); "
-        f"p by {EXCHANGES} exchanges within flights, adjusted for this table by Holm's rule."
+        "Paired by flight, first minus second. 95 %: bootstrap over flights "
+        f"({resampling.RESAMPLES}); p by {resampling.EXCHANGES} exchanges within flights, adjusted "
+        "for this table by Holm's rule."
     )
-    return Table(entry.title or "Contrasts", columns, [tuple(row) for row in rows],
-                 (*entry.notes, note))  # fmt: skip
+    return Table(entry.title or "Contrasts", columns, list(map(tuple, rows)), (*entry.notes, note))
 
 
 def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
@@ -316,15 +261,14 @@ def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
         InputError: where no column holds both.
     """
     columns = ("protocol", "world", "reading", "condition", "title", "backend", "label", "solver")
-    values: set[str] = set()
-    for name in (*(name for name in columns if name in cases), *factors(cases)):
-        levels = levels_of(cases, name)
-        values |= set(levels.cat.categories)
+    names = (*(name for name in columns if name in cases), *measures.factors(cases))
+    every = [entries.levels_of(cases, name) for name in names]
+    for levels in every:
         if set(pair) <= set(levels.cat.categories):
             return [cases[levels == value] for value in pair]
-    missing = [value for value in pair if value not in values]
-    if missing:
-        raise InputError(f'contrasts: "{missing[0]}" is unknown{suggestion(missing[0], values)}')
+    values = {value for levels in every for value in levels.cat.categories}
+    for value in set(pair) - values:
+        raise InputError(f'contrasts: "{value}" is unknown{suggestion(value, values)}')
     raise InputError(f'contrasts: "{pair[0]}" and "{pair[1]}" are of no one kind')
 
 
@@ -343,12 +287,15 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
 MEASURED = {name: name in ("settings", "protocols", "profiles", "contrasts") for name in LAYOUTS}
 FAILED = "Errors are over the cases with an estimate; failures are counted beside them."
 NAMED: Mapping[str, Options] = {
+    "prediction": {"title": "What is predicted and recovered", "rows": ("title",), "measure": (
+        "holdout-error", "support", "precision", "recall", "f1", "stability")},
     "solvers": {"compare": "solvers"},
     "winners": {"compare": "winners"},
-    "prediction": {"title": "What is predicted and recovered", "measure": PREDICTION,
-                   "rows": ("title",)},
     "parameters": {"compare": "parameters"},
-    "summary": {"title": "Summary", "measure": SUMMARY},
+    "summary": {"title": "Summary", "measure": (
+        "answered", "median mean-velocity-size", "median length-scale-size",
+        "95th percentile largest-error", "silent-misses", "length-scale-coverage",
+        "median seconds", "largest certificate")},
     "status": {"compare": "status"},
     "errors-absolute": {
         "title": "Sizes of the percentage errors",
@@ -382,7 +329,9 @@ NAMED: Mapping[str, Options] = {
     },
     "failed": {"compare": "failed"},
     "clock": {
-        "title": "The clock", "measure": CLOCK, "rows": ("solver",),
+        "title": "The clock", "rows": ("solver",),
+        "measure": ("first-call", "peak-memory", "median repeats", "median-known", "disturbed",
+                    "cores"),
         "notes": ("First call: imports and compilation, in no other time. CPU / wall above 1: "
                   "threads.",),
     },
@@ -395,14 +344,12 @@ def fitting(cases: pd.DataFrame) -> list[str]:
         predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
         return [*predicted, "solvers", "winners", "failed", "clock"]
     several = cases["flight"].nunique() > 1
+    flown = several and bool(measures.in_flow(cases).any())
     says = {
         "parameters": not several,
-        "summary": several,
-        "status": several,
-        "errors-absolute": several and bool(in_flow(cases).any()),
-        "errors": several and bool(in_flow(cases).any()),
-        "efficiency": bool(bounded(cases).any()),
-        "coverage": bool(np.isfinite(parameters(cases, "low")).any()),
+        **{"summary": several, "status": several, "errors-absolute": flown, "errors": flown},
+        "efficiency": bool(measures.bounded(cases).any()),
+        "coverage": bool(np.isfinite(measures.parameters(cases, "low")).any()),
         "scales": bool(np.isfinite(numbers(cases, "scales_missed")).any()),
         "times": True,
     }
@@ -423,30 +370,28 @@ def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:
     """Return tables by file name: these, or those that the study asks for, or all that fit."""
-    script, outputs = Script(study), study.definition.outputs
+    script, outputs = entries.Script(study), study.definition.outputs
     every: dict[str, Table] = {}
-    for entry in asked_for(names, outputs.tables) or outputs.tables or fitting(cases):
+    for entry in entries.asked_for(names, outputs.tables) or outputs.tables or fitting(cases):
         if isinstance(entry, str) and entry in script.functions:
             made = script.call(entry, cases, (pd.DataFrame, Table))
             made = made if isinstance(made, Table) else Table.of(made)
             title = made.title or entry.replace("_", " ").capitalize()
             every[entry] = replace(made, title=title)
             continue
-        read = read_entry(entry, NAMED, MEASURED, "table", script)
+        read = entries.read_entry(entry, NAMED, MEASURED, "table", script)
         made = LAYOUTS[read.compare or "settings"](read, cases)
-        reference = outputs.reference
-        if not read.compare and not read.interval:
-            printed = [printed_value(reference, each) for each in read.measures]
-            if any(value is not None for value in printed):
-                blank = [None] * (len(made.columns) - len(printed) - 4)
-                row = (reference.name, *blank, reference.flights, None, None, *printed)
-                made = replace(made, rows=[row, *made.rows])
+        printed = [printed_value(outputs.reference, each) for each in read.measures]
+        if not (read.compare or read.interval) and any(value is not None for value in printed):
+            blank = [None] * (len(made.columns) - len(printed) - 4)
+            own = (outputs.reference.name, *blank, outputs.reference.flights, None, None, *printed)
+            made = replace(made, rows=[own, *made.rows])
         every[read.file_name] = made
     return {name: made for name, made in every.items() if made.rows or names}
 
 
 def printed_value(reference: Any, each: Measure) -> float | None:
-    """Return what a reference prints of a measure; None where it, or no reference, is printed."""
+    """Return the number that a reference prints of a measure; None where it prints nothing."""
     for kind in ("deviation", "signed-error"):
         values = getattr(reference, kind.replace("-", "_"), ())
         if values and each.name in three(kind):

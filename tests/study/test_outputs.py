@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from sparsefit.errors import InputError
 from sparsefit.plot.style import encoded, labels
-from sparsefit.study import figures, page, panels, solver_times, tables
+from sparsefit.study import figures, measures, page, panels, solver_times, tables
 from sparsefit.study.definition import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
 from tests.study.frames import case, frame, solve, study
@@ -228,7 +228,7 @@ class TestFigures:
         assert legend_of(figure) == ["lasso", "stlsq"]
         assert [list(line.get_xdata()) for line in axes.lines] == [[5.0, 20.0, 80.0]] * 2
         part = cases[(cases["title"] == "lasso") & (cases["flights.duration"] == 20.0)]
-        expected = tables.measure("timescale-error").summarise(part)
+        expected = measures.measure("timescale-error").summarise(part)
         assert axes.lines[0].get_ydata()[1] == pytest.approx(expected)
 
     def test_a_legend_names_what_is_drawn_and_twins_are_drawn_once(self):
