@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import argparse
 import ast
-import importlib
 import inspect
 import re
 import runpy
 import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,7 +28,6 @@ from docutils.utils.math import latex2mathml
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-import sparsefit
 from sparsefit import backends
 from sparsefit.cli import parser
 from sparsefit.study import figures, keys, measures, tables
@@ -38,19 +37,28 @@ DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"
 README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
 BAR = re.compile(r"(``[^`]*``)|\|")
-ROOMS = {  # a page of public names each: its title, and the modules
-    "flights": ("Flights and flows", ("flight", "flows", "logs")),
-    "estimates": ("Estimates", ("estimator", "rows", "model", "likelihood", "score")),
+ROOMS = {  # a page of public names each: its title, and the modules, some with their names
+    "flights": ("Flights and flows", ("flight", "flight.vehicle", "flows", "logs")),
+    "estimates": ("Estimates", ("estimator", "rows", "model", "likelihood")),
     "onboard": ("On board", ("onboard",)),
     "regression": ("Regression", ("regression", "backends", "penalties", "solvers.registry")),
     "adapters": ("scikit-learn and PySINDy", ("sklearn", "pysindy")),
-    "studies": ("Studies and pictures", ("study", "plot", "errors")),
-}
+    "studies": ("Studies and pictures", (
+        "study.study: Study", "plot", "score: score, score_scales, prediction_error",
+        "errors: SparsefitError, InputError, MissingExtra")),
+}  # fmt: skip
 STYLE = {
     "font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False,
     "svg.fonttype": "none", "svg.hashsalt": "sparsefit", "font.family": "sans-serif",
     "figure.constrained_layout.use": True, "savefig.facecolor": "white",
 }  # fmt: skip
+
+
+def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
+    """The lines of a Markdown table."""
+    every = ([str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows)
+    first = list(heads)
+    return [f"| {' | '.join(row)} |" for row in (first, ["---"] * len(first), *every)]
 
 
 def meanings(section: str) -> dict[str, str]:
@@ -59,18 +67,17 @@ def meanings(section: str) -> dict[str, str]:
     return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
 
 
-def key_table(section: str) -> list[str]:
+def key_table(section: str, _: Mapping[str, str] | None = None) -> list[str]:
     """A Markdown table of the keys of a section. Raises ValueError where one has no words."""
     words = meanings(section)
     missing = [key for key, text in words.items() if not text]
     if missing or not words:
         raise ValueError(f"study-keys.toml, [{section}]: no words for {missing}")
-    cells = ((key, text.replace("|", "\\|")) for key, text in words.items())
-    return [
-        "| key | what it holds |",
-        "|---|---|",
-        *(f"| `{key}` | {text} |" for key, text in cells),
-    ]
+    return table(("key", "what it holds"), ((f"`{key}`", text) for key, text in words.items()))
+
+
+def _listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(";") if part.strip()]
 
 
 def _selected(name: str, columns: list[str], where: str) -> pd.DataFrame:
@@ -88,6 +95,21 @@ def _selected(name: str, columns: list[str], where: str) -> pd.DataFrame:
     if frame.empty:
         raise ValueError(f"{name}.csv has no row where {where}")
     return frame[columns or list(frame)]
+
+
+def results(name: str, options: Mapping[str, str]) -> list[str]:
+    """Rows and columns of a table that a study wrote."""
+    columns, heads = (_listed(options.get(key, "")) for key in ("columns", "names"))
+    frame = _selected(name, columns, options.get("where", ""))
+
+    def rounded(cell: str) -> str:
+        try:
+            return cell if cell.isdigit() else f"{float(cell):.3g}"
+        except ValueError:
+            return cell
+
+    rows = frame.map(rounded).to_numpy()
+    return [*table(heads or frame, rows), "", f"*From results/{name}.csv*"]
 
 
 def measured(text: str) -> str:
@@ -115,152 +137,112 @@ def measured_role(role, rawtext, text, lineno, inliner, options=None, content=No
         return [inliner.problematic(rawtext, rawtext, message)], [message]
 
 
-def _rounded(cell: str) -> str:
-    try:
-        return f"{float(cell):.3g}" if not cell.isdigit() else cell
-    except ValueError:
-        return cell
-
-
-class Written(SphinxDirective):
-    """A directive whose content is Markdown that `lines` writes."""
-
-    option_spec: ClassVar = dict.fromkeys(
-        ("columns", "names", "where", "alone"), directives.unchanged
-    )
-    optional_arguments = 1
-
-    def lines(self) -> list[str]:
-        raise NotImplementedError(type(self).__name__)
-
-    def run(self) -> list[nodes.Node]:
-        try:
-            lines = self.lines()
-        except (OSError, KeyError, ValueError) as error:
-            raise self.error(str(error)) from None
-        source, _ = self.get_source_info()
-        holder = nodes.section()
-        holder.document = self.state.document
-        self.state.nested_parse(StringList(lines, source), 0, holder)
-        return holder.children
-
-
-class Results(Written):
-    """Rows and columns of a table that a study wrote."""
-
-    def lines(self) -> list[str]:
-        columns, heads = (_listed(self.options.get(key, "")) for key in ("columns", "names"))
-        name = self.arguments[0]
-        frame = _selected(name, columns, self.options.get("where", "")).map(_rounded)
-        rows = [heads or list(frame), ["---"] * frame.shape[1], *frame.to_numpy().tolist()]
-        cells = ([str(cell).replace("|", "\\|") for cell in row] for row in rows)
-        return [*(f"| {' | '.join(row)} |" for row in cells), "", f"*From results/{name}.csv*"]
-
-
-class Answers(Written):
+def answers(_: str, options: Mapping[str, str]) -> list[str]:
     """The question and the sentence of every study, as the program wrote them."""
-
-    def lines(self) -> list[str]:
-        rows = ["| study | question | answer |", "|---|---|---|"]
-        for path in sorted(RESULTS.glob("*/README.md")):
-            _, question, answer, *_ = path.read_text("utf-8").split("\n\n")
-            name, cell = path.parent.name, answer.replace("\n", " ").replace("|", "\\|")
-            rows.append(f"| [`{name}`](studies/{name}.md) | {question.strip('*')} | {cell} |")
-        return rows
+    rows = []
+    for path in sorted(RESULTS.glob("*/README.md")):
+        _, question, answer, *_ = path.read_text("utf-8").split("\n\n")
+        name = path.parent.name
+        rows.append((f"[`{name}`](studies/{name}.md)", question.strip("*"), answer))
+    return table(("study", "question", "answer"), rows)
 
 
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(";") if part.strip()]
-
-
-class Picture(Written):
-    """A picture, what it shows, and how it is drawn."""
-
-    def lines(self) -> list[str]:
-        source = DOCS / "pictures" / f"{self.arguments[0]}.py"
-        text = source.read_text("utf-8")
-        title, _, words = (ast.get_docstring(ast.parse(text)) or "").partition("\n")
-        image = Path(self.env.app.outdir) / "_drawn" / f"{source.stem}.svg"
-        if not image.exists():
-            image.parent.mkdir(parents=True, exist_ok=True)
-            _draw(source, image)
-        shown = [f'<img class="drawn" src="_drawn/{image.name}" alt="{title}">', ""]
-        if "alone" in self.options:
-            return [*shown, title]
-        code = ["````{dropdown} How it is drawn", "```python", text.split('"""', 2)[2].strip()]
-        return [*shown, f"**{title}** {' '.join(words.split())}", "", *code, "```", "````"]
-
-
-def _draw(source: Path, image: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    with matplotlib.rc_context(STYLE):
-        runpy.run_path(str(source))
-        pyplot.savefig(image, bbox_inches="tight")
-        pyplot.close("all")
-
-
-class StudyKeys(Written):
-    """The keys of one section of a study file."""
-
-    def lines(self) -> list[str]:
-        return key_table(self.arguments[0])
-
-
-class StudyNames(Written):
+def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
     """The names that [outputs] takes: of tables, figures, summaries or measures."""
-
-    def lines(self) -> list[str]:
-        kinds = {"tables": tables, "figures": figures}
-        if self.arguments[0] in kinds:
-            room = kinds[self.arguments[0]]
-            names = dict.fromkeys([*room.NAMED, *room.LAYOUTS])
-            return [", ".join(f"`{name}`" for name in names) + "."]
-        if self.arguments[0] == "summaries":
-            return [", ".join(f"`{name}`" for name in SUMMARY_NAMES) + "."]
-        rows = [
-            f"| `{each.name}` | {each.words.replace('|', chr(92) + '|')} | {each.unit} |"
-            for each in measures.MEASURES.values()
-        ]
-        return ["| measure | what it is | unit |", "|---|---|---|", *rows]
+    if kind == "measures":
+        rows = [(f"`{name}`", each.words, each.unit) for name, each in measures.MEASURES.items()]
+        return table(("measure", "what it is", "unit"), rows)
+    names: Iterable[str] = SUMMARY_NAMES
+    if kind != "summaries":
+        room = {"tables": tables, "figures": figures}[kind]
+        names = {**room.NAMED, **room.LAYOUTS}
+    return [", ".join(f"`{name}`" for name in names) + "."]
 
 
-class BackendSettings(Written):
+def backend_settings(_: str, options: Mapping[str, str]) -> list[str]:
     """Every back-end: what it minimises, in its own words, and its settings."""
-
-    def lines(self) -> list[str]:
-        lines: list[str] = []
-        for name in backends.known():
-            kind = backends.load(name)
-            doc = BAR.sub(lambda found: found[1] or r"\|", inspect.getdoc(kind) or "")
-            lines += [f"### `{name}`", "", "````{eval-rst}", *doc.splitlines(), "````", ""]
-            settings = [f"`{item.name} = {item.default!r}`" for item in fields(kind) if item.init]
-            lines += [f"Settings: {', '.join(settings) or 'none'}.", ""]
-        return lines
+    lines: list[str] = []
+    for name in backends.known():
+        kind = backends.load(name)
+        doc = BAR.sub(lambda found: found[1] or r"\|", inspect.getdoc(kind) or "")
+        lines += [f"### `{name}`", "", "````{eval-rst}", *doc.splitlines(), "````", ""]
+        settings = [f"`{item.name} = {item.default!r}`" for item in fields(kind) if item.init]
+        lines += [f"Settings: {', '.join(settings) or 'none'}.", ""]
+    return lines
 
 
-class Commands(Written):
+def commands(_: str, options: Mapping[str, str]) -> list[str]:
     """Every verb with its help."""
 
-    def lines(self) -> list[str]:
-        return list(_verbs("sparsefit", parser(), "##"))
+    def verbs(typed: str, declared: argparse.ArgumentParser, level: str) -> Iterator[str]:
+        for action in declared._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                for name, inner in action.choices.items():
+                    text = inner.format_help().strip()
+                    yield from (f"{level} {typed} {name}", "", "```text", *text.splitlines(), "```")
+                    yield from ("", *verbs(f"{typed} {name}", inner, level + "#"))
+
+    return list(verbs("sparsefit", parser(), "##"))
 
 
-def _verbs(typed: str, declared: argparse.ArgumentParser, level: str):
-    for action in declared._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for name, inner in action.choices.items():
-                yield from (f"{level} {typed} {name}", "", "```text")
-                yield from (*inner.format_help().strip().splitlines(), "```", "")
-                yield from _verbs(f"{typed} {name}", inner, level + "#")
+def picture(name: str, options: Mapping[str, str]) -> list[str]:
+    """A picture, what it shows, and how it is drawn."""
+    source = DOCS / "pictures" / f"{name}.py"
+    text = source.read_text("utf-8")
+    title, _, words = (ast.get_docstring(ast.parse(text)) or "").partition("\n")
+    image = Path(options["outdir"]) / "_drawn" / f"{name}.svg"
+    if not image.exists():
+        import matplotlib
+
+        matplotlib.use("Agg")
+        from matplotlib import pyplot
+
+        image.parent.mkdir(parents=True, exist_ok=True)
+        with matplotlib.rc_context(STYLE):
+            runpy.run_path(str(source))
+            pyplot.savefig(image, bbox_inches="tight")
+            pyplot.close("all")
+    shown = [f'<img class="drawn" src="_drawn/{image.name}" alt="{title}">', ""]
+    if "alone" in options:
+        return [*shown, title]
+    code = ["````{dropdown} How it is drawn", "```python", text.split('"""', 2)[2].strip()]
+    return [*shown, f"**{title}** {' '.join(words.split())}", "", *code, "```", "````"]
+
+
+def written(content: Callable[[str, Mapping[str, str]], list[str]]) -> type[SphinxDirective]:
+    """A directive of the lines of Markdown that `content` gives of its argument and options."""
+
+    class Written(SphinxDirective):
+        option_spec: ClassVar = dict.fromkeys(
+            ("columns", "names", "where", "alone"), directives.unchanged
+        )
+        optional_arguments = 1
+
+        def run(self) -> list[nodes.Node]:
+            argument, options = "".join(self.arguments), {"outdir": self.env.app.outdir}
+            try:
+                lines = content(argument, {**options, **self.options})
+            except (OSError, KeyError, ValueError) as error:
+                raise self.error(str(error)) from None
+            holder = nodes.section()
+            holder.document = self.state.document
+            source, _ = self.get_source_info()
+            self.state.nested_parse(StringList(lines, source), 0, holder)
+            return holder.children
+
+    return Written
 
 
 def write_pages(app: Sphinx) -> None:
     """Write a page for every study in `results/` and every room, in folders that git ignores."""
-    pages = {f"api/{room}": _names(*content) for room, content in ROOMS.items()}
+    pages = {}
+    for room, (title, modules) in ROOMS.items():
+        text = f"# {title}\n"
+        for entry in modules:
+            module, _, names = entry.partition(": ")
+            members = f".. automodule:: sparsefit.{module}\n   :members: {names}".rstrip()
+            text += f"\n## `sparsefit.{module}`\n\n````{{eval-rst}}\n{members}\n````\n"
+        pages[f"api/{room}"] = text
     for path in RESULTS.glob("*/README.md"):
         name = path.parent.name
         text = re.sub(r"^###", "##", path.read_text("utf-8"), flags=re.MULTILINE)
@@ -273,32 +255,6 @@ def write_pages(app: Sphinx) -> None:
         path.parent.mkdir(exist_ok=True)
         if not path.exists() or path.read_text("utf-8") != text:
             path.write_text(text, "utf-8")
-
-
-def _names(title: str, modules: tuple[str, ...]) -> str:
-    """The page of a room: what `sparsefit` offers of it, and the public names of its modules."""
-    parts, shown = [f"# {title}"], set[int]()
-    for module in modules:
-        room = importlib.import_module(f"sparsefit.{module}")
-        home = module.partition(".")[0]
-        names = {
-            f"sparsefit.{name}": getattr(sparsefit, name)
-            for name, place in sparsefit._HOMES.items() if place.partition(".")[0] == home
-        }  # fmt: skip
-        defined = (name for name, value in vars(room).items() if name[0] != "_"
-                   and getattr(value, "__module__", "") == room.__name__)  # fmt: skip
-        own = getattr(room, "__all__", defined if module == "solvers.registry" else ())
-        names |= {f"sparsefit.{module}.{name}": getattr(room, name) for name in own}
-        lines = []
-        for path, value in names.items():
-            if id(value) not in shown and (inspect.isclass(value) or inspect.isfunction(value)):
-                kind = "autoclass" if inspect.isclass(value) else "autofunction"
-                lines += [f".. {kind}:: {path}", *["   :members:"] * inspect.isclass(value), ""]
-            shown.add(id(value))
-        first = (room.__doc__ or "").strip().split("\n\n")[0]
-        text = "\n".join(lines)
-        parts.append(f"## `sparsefit.{module}`\n\n````{{eval-rst}}\n{first}\n\n{text}````")
-    return "\n\n".join(parts) + "\n"
 
 
 def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
@@ -334,12 +290,10 @@ def _math(block: bool):
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives, and formulas as MathML, for which nothing is fetched."""
-    for name, kind in (
-        ("results", Results), ("picture", Picture), ("study-keys", StudyKeys),
-        ("study-names", StudyNames), ("backend-settings", BackendSettings),
-        ("answers", Answers), ("commands", Commands),
-    ):  # fmt: skip
-        app.add_directive(name, kind)
+    every = (results, picture, study_names, backend_settings, answers, commands)
+    for content in every:
+        app.add_directive(content.__name__.replace("_", "-"), written(content))
+    app.add_directive("study-keys", written(key_table))
     app.add_role("measured", measured_role)
     app.add_html_math_renderer("mathml", (_math(False), None), (_math(True), None))
     app.connect("builder-inited", write_pages)

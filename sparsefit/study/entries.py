@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -107,42 +108,46 @@ class Script:
         return made
 
 
-def read_entry(
-    entry: str | Options,
+def asked(
+    study: Any,
+    kind: str,
     named: Mapping[str, Options],
     layouts: Mapping[str, bool],
-    kind: str,
-    script: Script,
-) -> Entry:
-    """Return an entry of [outputs] as a record; one whose name is shipped starts from that.
+    names: Sequence[str | Options] = (),
+    fits: Sequence[str] = (),
+) -> Iterator[tuple[str, Entry | Callable[..., Any]]]:
+    """Give the file name of each output with its entry, or with what calls the script's function.
+
+    An entry whose name is shipped, or declared by the study in full, starts from that.
 
     Args:
-        layouts: by name, whether each needs a measure.
+        kind: `table` or `figure`; layouts: by name, whether each needs a measure.
+        names: those that are asked for, else those that the study declares, else what `fits`.
 
     Raises:
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
     """
-    options: Options = {"name": entry} if isinstance(entry, str) else entry
-    name = str(options.get("name", ""))
-    if isinstance(entry, str) and name not in named:
-        raise unknown(kind, name, [*named, *script.functions])
-    if "/" in name or "\\" in name or name.startswith("."):
-        raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
-    shipped = named.get(name, {})
-    if options.get("compare", shipped.get("compare")) != shipped.get("compare"):
-        shipped = {}  # another layout under the name of a shipped one
-    read = build(Entry, {**shipped, **options}, Place(f"the {kind}"))
-    one_of(f"compare of the {kind}", read.compare or "settings", layouts)
-    if not read.measures and layouts[read.compare or "settings"]:
-        raise InputError(f"the {kind} {name!r} needs measure = …: add it")
-    return read
-
-
-def asked_for(names: Sequence[str | Options], own: Sequence[str | Options]) -> list[str | Options]:
-    """Return entries, a name of one that the study declares itself in full."""
-    declared = {str(each["name"]): each for each in own
-                if not isinstance(each, str) and "name" in each}  # fmt: skip
-    return [declared.get(each, each) if isinstance(each, str) else each for each in names]
+    script, own = Script(study), getattr(study.definition.outputs, f"{kind}s")
+    declared = {each["name"]: each for each in own if not isinstance(each, str) and "name" in each}
+    for entry in names or own or fits:
+        name = entry if isinstance(entry, str) else str(entry.get("name", ""))
+        if isinstance(entry, str) and name not in declared:
+            if name in script.functions:
+                yield name, partial(script.call, name)
+                continue
+            if name not in named:
+                raise unknown(kind, name, [*named, *script.functions])
+        if "/" in name or "\\" in name or name.startswith("."):
+            raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
+        given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
+        shipped = named.get(name, {})
+        if given.get("compare", shipped.get("compare")) != shipped.get("compare"):
+            shipped = {}  # another layout under the name of a shipped one
+        read = build(Entry, {**shipped, **given}, Place(f"the {kind}"))
+        one_of(f"compare of the {kind}", read.compare or "settings", layouts)
+        if not read.measures and layouts[read.compare or "settings"]:
+            raise InputError(f"the {kind} {name!r} needs measure = …: add it")
+        yield read.file_name, read
 
 
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:

@@ -20,7 +20,7 @@ from sparsefit.study.measures import factors
 from sparsefit.study.page import Code, drawing, joined, picture_files, table_files, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
 from sparsefit.study.selection import LIMITS, Check, Scored, Selection, limit_text
-from sparsefit.study.table import Column, Row, Table, sentence, significant
+from sparsefit.study.table import Column, Row, Table, significant
 from sparsefit.whole_file import write_files
 
 DISTURBED = 0.1  # share of timed flights with other programs on the core, from which it is told
@@ -57,73 +57,67 @@ def headline(selection: Selection) -> str:
 def lines(selection: Selection, check: Check | None = None) -> list[str]:
     """Return what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
     criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
-    kind, splits, regimes = selection.kind, list(selection.units), criterion.regimes
+    kind, regimes, count = selection.kind, criterion.regimes, list(selection.units.values())
     limits = [
         f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
         for name, limit in asdict(rule.limits).items() if limit is not None
     ]  # fmt: skip
-    said = [
-        f"{len(selection.ranked)} candidates{f' in {len(regimes)} regimes' * (len(regimes) > 1)}, "
-        f"chosen on {selection.units[splits[0]]} {kind}"
-        + (f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else "")
-        + f"; the simplest within {100 * rule.margin:g} % of the best."
-    ]
+    keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
+    where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
+    said = {
+        "Rule": f"{criterion.words}; the simplest within {100 * rule.margin:g} % of the best",
+        "Candidates": f"{len(selection.ranked)}{where}, chosen on {count[0]} {kind}{keeping}",
+    }
     if selection.refused:
-        said.append(f"{len(selection.refused)} more cannot be on board: see the table.")
+        said["Not on board"] = f"{len(selection.refused)} more, see the table"
     if chosen is None:
-        return [*said, *_binding(selection)]
+        return [f"{name}: {text}." for name, text in said.items()] + list(_binding(selection))
 
-    def scored(value: float, between: tuple[float, float]) -> str:
+    def scored(value: float, between: Sequence[float]) -> str:
         return f"{criterion.say(value)} ({significant(between[0])} to {significant(between[1])})"
 
-    fresh = "that had no part in the choice" if len(splits) > 1 else "it was chosen on"
-    score = f"{criterion.words}: {scored(chosen.evaluate, chosen.between)}"
-    said.insert(0, sentence(f"{score} on {selection.units[splits[-1]]} {kind} {fresh}"))
+    fresh = " that had no part in the choice" if len(count) > 1 else ""
+    said = {
+        "Score": f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
+    } | said
     if selection.tied:
         needed = [each.apart.more_units for each in selection.tied if each.apart is not None]
-        finite = [count for count in needed if math.isfinite(count)]
-        more = f"; {min(finite):.0f} more {kind} would end the easiest" if finite else ""
-        said.append(f"A tie with {listed([each.title for each in selection.tied])}{more}.")
-    regret, hindsight = selection.regret, selection.hindsight
-    if hindsight is chosen:
-        said.append("With hindsight no candidate that keeps everything is better.")
-    elif hindsight is not None and regret is not None:
+        least = min(needed)
+        more = f"; {least:.0f} more {kind} would end the easiest" if math.isfinite(least) else ""
+        said["Tied"] = f"{listed([each.title for each in selection.tied], 'and')}{more}"
+    regret, best = selection.regret, selection.hindsight
+    if regret is not None and best is not None:
         value = scored(regret.effect, (regret.low, regret.high))
-        said.append(f"With hindsight {hindsight.title} is best: regret {value}.")
+        said["Regret"] = "none" if best is chosen else f"{value} against {best.title}"
     if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
         worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
         value = criterion.say(float(chosen.by_regime[worst]))
-        said.append(f"Its worst regime is {regimes[worst]}: {value}.")
-    said += [f"On the evaluate {kind} it breaks: {breach.words}." for breach in chosen.broken]
+        said["Worst regime"] = f"{value} in {regimes[worst]}"
+    if chosen.broken:
+        said[f"Broken on the evaluate {kind}"] = "; ".join(each.words for each in chosen.broken)
     if seen := selection.latencies.get(chosen.candidate):
-        loud = f" ({100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
-        loud += "quiet machine)"
-        said.append(
-            f"One estimate takes {significant(1e3 * seen['median'])} ms, at most "
-            f"{significant(1e3 * seen['p99'])} ms in 99 of 100, BLAS on one thread"
-            f"{loud if seen['busy'] > DISTURBED else ''}."
+        loud = f"; {100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
+        loud += "quiet machine"
+        said["Latency"] = (
+            f"median {significant(1e3 * seen['median'])} ms, 99th percentile "
+            f"{significant(1e3 * seen['p99'])} ms, BLAS on one thread"
+            f"{loud if seen['busy'] > DISTURBED else ''}"
         )
     if check is not None:
-        best = "none of those not ruled out is better there"
-        if not check.regret.identical:
-            best = f"{check.hindsight} is best there, regret {criterion.say(check.regret.effect)}"
-        value = scored(check.score, check.between)
-        said.append(f"On {check.units} fresh {kind}: {value}; {best}.")
-        said += [f"There it breaks: {breach.words}." for breach in check.broken]
-    return said
+        value = f"{scored(check.score, check.between)} on {check.units} {kind}, regret "
+        against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
+        broken = "".join(f"; broken: {each.words}" for each in check.broken)
+        said["Fresh seeds"] = f"{value}{'none' if check.regret.identical else against}{broken}"
+    return [f"{name}: {text}." for name, text in said.items()]
 
 
 def _binding(selection: Selection) -> Iterator[str]:
     """Give, for each constraint, how many it refuses and who comes closest."""
     every = [(breach, each) for each in selection.ranked for breach in each.breaches]
-    single = (each.breaches[0].constraint for each in selection.ranked if len(each.breaches) == 1)
-    alone, count = Counter(single), Counter(breach.constraint for breach, _ in every)
-    for name, refused in count.most_common():
-        mine = [pair for pair in every if pair[0].constraint == name]
-        breach, nearest = min(mine, key=lambda pair: pair[0].value)
-        binds = f" and alone binds for {alone[name]}" if alone[name] else ""
-        yield (f"{name} refuses {refused} of {len(selection.ranked)}{binds}; the closest is "
-               f"{nearest.title}: {breach.words}.")  # fmt: skip
+    for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
+        breach, nearest = min((pair for pair in every if pair[0].constraint == name),
+                              key=lambda pair: pair[0].value)  # fmt: skip
+        yield f"{name}: refuses {refused}; the closest is {nearest.title}, {breach.words}."
 
 
 def verdict(selection: Selection, each: Scored) -> str:

@@ -310,18 +310,16 @@ def figures(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Picture]:
     """Return pictures by file name: these, or those that a study asks for, or all that fit."""
-    script, own = entries.Script(study), study.definition.outputs.figures
     every: dict[str, Picture] = {}
-    for entry in entries.asked_for(names, own) or own or fitting(cases):
-        if isinstance(entry, str) and entry in script.functions:
-            made: Figure = styled(partial(script.call, entry, cases, Figure))
-            every[entry] = Picture(made, sentence(entry.replace("_", " ")))
+    for name, entry in entries.asked(study, "figure", NAMED, MEASURED, names, fitting(cases)):
+        if not isinstance(entry, Entry):
+            made: Figure = styled(partial(entry, cases, Figure))
+            every[name] = Picture(made, sentence(name.replace("_", " ")))
             continue
-        read = entries.read_entry(entry, NAMED, MEASURED, "figure", script)
-        shown = styled(partial(LAYOUTS[read.compare or "settings"], read, cases))
-        words = ", ".join(each.words for each in read.measures) or "an answer"
-        blank = f"{read.file_name}: nothing to draw, no case has {words}."
-        every[read.file_name] = Picture(shown, _caption(read, cases) if shown else blank)
+        shown = styled(partial(LAYOUTS[entry.compare or "settings"], entry, cases))
+        words = ", ".join(each.words for each in entry.measures) or "an answer"
+        blank = f"{name}: nothing to draw, no case has {words}."
+        every[name] = Picture(shown, _caption(entry, cases) if shown else blank)
     return every
 
 

@@ -24,7 +24,7 @@ import pandas as pd
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
-from sparsefit.study.entries import Script, grouped, read_entry
+from sparsefit.study.entries import Entry, Script, asked, grouped
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import measure, numbers
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
@@ -105,15 +105,12 @@ def check_outputs(study: Any) -> None:
     Raises:
         InputError: with the nearest name that is.
     """
-    outputs, script = study.definition.outputs, Script(study)
     for kind, room in (("table", tables), ("figure", figures)):
-        for entry in getattr(outputs, f"{kind}s"):
-            if not (isinstance(entry, str) and entry in script.functions):
-                read = read_entry(entry, room.NAMED, room.MEASURED, kind, script)
-                for pair in read.contrasts:
-                    tables.sides_of(study.plan(), *pair)
-    if outputs.headline:
-        measure(outputs.headline)
+        for _, entry in asked(study, kind, room.NAMED, room.MEASURED):
+            for pair in entry.contrasts if isinstance(entry, Entry) else ():
+                tables.sides_of(study.plan(), *pair)
+    if study.definition.outputs.headline:
+        measure(study.definition.outputs.headline)
 
 
 def headline(study: Any, cases: pd.DataFrame) -> str:

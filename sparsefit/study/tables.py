@@ -370,23 +370,21 @@ def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:
     """Return tables by file name: these, or those that the study asks for, or all that fit."""
-    script, outputs = entries.Script(study), study.definition.outputs
-    every: dict[str, Table] = {}
-    for entry in entries.asked_for(names, outputs.tables) or outputs.tables or fitting(cases):
-        if isinstance(entry, str) and entry in script.functions:
-            made = script.call(entry, cases, (pd.DataFrame, Table))
+    outputs, every = study.definition.outputs, dict[str, Table]()
+    for name, entry in entries.asked(study, "table", NAMED, MEASURED, names, fitting(cases)):
+        if not isinstance(entry, Entry):
+            made = entry(cases, (pd.DataFrame, Table))
             made = made if isinstance(made, Table) else Table.of(made)
-            title = made.title or entry.replace("_", " ").capitalize()
-            every[entry] = replace(made, title=title)
+            title = made.title or name.replace("_", " ").capitalize()
+            every[name] = replace(made, title=title)
             continue
-        read = entries.read_entry(entry, NAMED, MEASURED, "table", script)
-        made = LAYOUTS[read.compare or "settings"](read, cases)
-        printed = [printed_value(outputs.reference, each) for each in read.measures]
-        if not (read.compare or read.interval) and any(value is not None for value in printed):
+        made = LAYOUTS[entry.compare or "settings"](entry, cases)
+        printed = [printed_value(outputs.reference, each) for each in entry.measures]
+        if not (entry.compare or entry.interval) and any(value is not None for value in printed):
             blank = [None] * (len(made.columns) - len(printed) - 4)
             own = (outputs.reference.name, *blank, outputs.reference.flights, None, None, *printed)
             made = replace(made, rows=[own, *made.rows])
-        every[read.file_name] = made
+        every[name] = made
     return {name: made for name, made in every.items() if made.rows or names}
 
 

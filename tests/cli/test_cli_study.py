@@ -283,8 +283,8 @@ def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
     options = (*UNTIMED, "--max-failure", "0.5", "--processes", "1", "--force", "--check")
     code, out, err = run(capsys, "select", finished, *options, "3")
     assert code == 0
-    assert "On 3 fresh flights: " in out
-    assert "On 3 fresh flights: " in Path("results/small/evidence.md").read_text()
+    assert "Fresh seeds: " in out
+    assert "Fresh seeds: " in Path("results/small/evidence.md").read_text()
     cases = read_cases("results/small/fresh")
     study = Study.from_file(finished)
     trues = set(cases["true_length_scale"])
@@ -298,7 +298,7 @@ def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
 def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, finished):
     code, out, _ = run(capsys, "select", finished, *UNTIMED, "--max-error", "1e-9")
     assert code == 1
-    assert "max_error refuses 12 of 12" in out
+    assert "max_error: refuses 12" in out
     assert not Path("estimator.json").exists()
     assert "No candidate" in Path("results/small/evidence.md").read_text()
 

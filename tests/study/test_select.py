@@ -57,7 +57,7 @@ def test_the_best_of_validate_is_chosen_and_scored_on_evaluate():
     assert (other.apart.effect, other.apart.low, other.apart.high) == pytest.approx((1, 1, 1))
     assert selection.regret.effect == pytest.approx(8.0)
     assert selection.hindsight is other
-    assert "With hindsight stlsq is best: regret 8.00 %" in " ".join(lines(selection))
+    assert "Regret: 8.00 % (8.00 to 8.00) against stlsq." in " ".join(lines(selection))
 
 
 def test_the_simplest_within_the_margin_is_the_one_listed_first():
@@ -87,7 +87,7 @@ def test_equals_tie_and_the_first_sentence_can_be_read_aloud():
     assert [each.best for each in selection.ranked] == [0.5, 0.5, 0.0]
     assert math.isinf(selection.tied[0].apart.more_units)
     assert headline(selection) == "Use ladder; lasso or stlsq will do, lasso is the simplest."
-    assert lines(selection)[0].startswith("Mean |error| of τ_w: 2.00 % (2.00 to 2.00) on 6 flights")
+    assert lines(selection)[0].startswith("Score: 2.00 % (2.00 to 2.00) on 6 flights")
     every = chosen(made[made["label"] != "bad"])
     assert headline(every) == "Use ladder; any of 2 back-ends will do, lasso is the simplest."
 
@@ -143,7 +143,7 @@ class TestConstraints:
         selection = chosen(self.made, latencies=TIMES, **limits)
         assert (selection.chosen, selection.regret) == (None, None)
         said = " ".join(lines(selection))
-        assert "max_failure refuses 1 of 2 and alone binds for 1; the closest is stlsq" in said
+        assert "max_failure: refuses 1; the closest is stlsq" in said
         assert "latency 4000 ms, 1000 ms is the most" in said
         assert headline(selection) == "No candidate of 2 keeps every constraint."
         page = write_selection(study(self.made), selection, tmp_path)[-1]
@@ -236,7 +236,7 @@ def test_fresh_flights_check_the_choice(tmp_path):
     assert (told.hindsight, told.regret.effect) == ("stlsq", pytest.approx(3.0))
     files = {path.name: path for path in write_selection(study(made), selection, tmp_path, told)}
     assert list(files)[-1] == "evidence.md"
-    assert "On 20 fresh flights: 4.00 %" in files["evidence.md"].read_text()
+    assert "Fresh seeds: 4.00 %" in files["evidence.md"].read_text()
     assert files["pareto.svg"].read_bytes().startswith(b"<?xml")
     assert record(selection, told)["check"]["hindsight"] == "stlsq"
     assert provenance(study(made), selection)["validate"] == pytest.approx(2.0)
