@@ -17,6 +17,7 @@ import runpy
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -38,7 +39,7 @@ RESULTS = DOCS.parent / "results"
 README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
 BAR = re.compile(r"(``[^`]*``)|\|")
 ROOMS = {  # a page of public names each: its title, and the modules, some with their names
-    "flights": ("Flights and flows", ("flight", "flight.vehicle", "flows", "logs")),
+    "flights": ("Flights and flows", ("flight", "flight.vehicle: PointMassVehicle", "flows", "logs")),
     "estimates": ("Estimates", ("estimator", "rows", "model", "likelihood")),
     "onboard": ("On board", ("onboard",)),
     "regression": ("Regression", ("regression", "backends", "penalties", "solvers.registry")),
@@ -240,7 +241,8 @@ def write_pages(app: Sphinx) -> None:
         text = f"# {title}\n"
         for entry in modules:
             module, _, names = entry.partition(": ")
-            members = f".. automodule:: sparsefit.{module}\n   :members: {names}".rstrip()
+            names = names or ", ".join(import_module(f"sparsefit.{module}").__all__)
+            members = f".. automodule:: sparsefit.{module}\n   :members: {names}"
             text += f"\n## `sparsefit.{module}`\n\n````{{eval-rst}}\n{members}\n````\n"
         pages[f"api/{room}"] = text
     for path in RESULTS.glob("*/README.md"):

@@ -77,9 +77,8 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
         return f"{criterion.say(value)} ({significant(between[0])} to {significant(between[1])})"
 
     fresh = " that had no part in the choice" if len(count) > 1 else ""
-    said = {
-        "Score": f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
-    } | said
+    score = f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
+    said = {"Score": score, **said}
     if selection.tied:
         needed = [each.apart.more_units for each in selection.tied if each.apart is not None]
         least = min(needed)
