@@ -39,7 +39,8 @@ RESULTS = DOCS.parent / "results"
 README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
 BAR = re.compile(r"(``[^`]*``)|\|")
 ROOMS = {  # a page of public names each: its title, and the modules, some with their names
-    "flights": ("Flights and flows", ("flight", "flight.vehicle: PointMassVehicle", "flows", "logs")),
+    "flights": ("Flights and flows", (
+        "flight", "flight.vehicle: PointMassVehicle", "flows", "logs")),
     "estimates": ("Estimates", ("estimator", "rows", "model", "likelihood")),
     "onboard": ("On board", ("onboard",)),
     "regression": ("Regression", ("regression", "backends", "penalties", "solvers.registry")),
