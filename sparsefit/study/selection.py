@@ -174,36 +174,27 @@ class Trials:
         cases, flown, nothing = self.cases, measures.in_flow(self.cases), np.zeros(len(self.cases))
         failed, silent, error = measures.only(flown, ~measures.answered(cases)), nothing, nothing
         if "est_mean_velocity" in cases:
-            missed = np.where(
-                flown, measures.off(cases), measures.in_still_air(cases)
-            ) & measures.ended(cases, "ok")
-            silent, error = missed.astype(float), measures.MEASURES["largest-error"].read(cases)
+            missed = np.where(flown, measures.off(cases), measures.in_still_air(cases))
+            silent = (missed & measures.ended(cases, "ok")).astype(float)
+            error = measures.MEASURES["largest-error"].read(cases)
         largest = resampling.quantile(pooled_regimes(self.grid(error)), 0.95)
         there = resampling.SUMMARIES["largest"](pooled_regimes(self.grid(flown.astype(float)))) > 0
         values = {
-            "max_failure": mean(pooled_regimes(self.grid(failed))),
-            "max_silent_misses": mean(pooled_regimes(self.grid(silent))),
-            "max_error": np.where(np.isnan(largest) & there, np.inf, largest),
-        } | {
-            name: np.array(
-                [[timed.get(each, {}).get(column, math.inf)] for each in self.candidates]
-            )
-            for name, column in TIMED.items()
+            "max_failure": mean(pooled_regimes(self.grid(failed))).tolist(),
+            "max_silent_misses": mean(pooled_regimes(self.grid(silent))).tolist(),
+            "max_error": np.where(np.isnan(largest) & there, np.inf, largest).tolist(),
         }
+        for name, column in TIMED.items():
+            values[name] = [[timed.get(each, {}).get(column, math.inf)] for each in self.candidates]
         every: list[list[Breach]] = [[] for _ in self.candidates]
         for name, levels in values.items():
             limit = getattr(rule.limits, name)
-            for broken, own in zip(every, levels.tolist(), strict=True):
+            for broken, own in zip(every, levels, strict=True):
                 worst = max(own, key=lambda value: (not math.isnan(value), value))
-                untimed = (
-                    name in TIMED
-                    and math.isinf(worst)
-                    and any(
-                        each.constraint not in TIMED
-                        for each in broken  # it need not be timed
-                    )
-                )
-                if limit is not None and worst > limit and not untimed:
+                others = {breach.constraint for breach in broken} - {*TIMED}
+                if name in TIMED and math.isinf(worst) and others:
+                    continue  # what breaks a constraint of the cases need not be timed
+                if limit is not None and worst > limit:
                     where = self.criterion.regimes[own.index(worst)] if len(own) > 1 else ""
                     broken.append(Breach(name, where, worst, limit))
         return [tuple(broken) for broken in every]

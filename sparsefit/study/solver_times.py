@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import islice
 
 import numpy as np
 import pandas as pd
@@ -20,13 +19,8 @@ from sparsefit.arrays import Array
 from sparsefit.study.resampling import ratio
 from sparsefit.study.table import Column, Row, Table, Value, significant
 
-CLOCK = {"accuracies": (1e-4, 1e-6, 1e-8), "limit": 10.0, "shift": 1e-3}  # unless the frame says
+ACCURACIES, LIMIT, SHIFT = (1e-4, 1e-6, 1e-8), 10.0, 1e-3  # [s], unless the frame says
 CHARGED = ", certified"  # ends the name of a solver that is timed with its certificates too
-
-
-def clock_of(cases: pd.DataFrame, name: str) -> float:
-    """Return the limit or the shift [s] of the clock, as the frame carries it."""
-    return float(cases.attrs.get(name, CLOCK[name]))
 
 
 def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
@@ -34,7 +28,7 @@ def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
 
     An accuracy below the least tolerance of a solver would tell of the study and not of the solver.
     """
-    every = tuple(cases.attrs.get("accuracies", CLOCK["accuracies"]))
+    every = tuple(cases.attrs.get("accuracies", ACCURACIES))
     tried = cases.loc[(cases["status"] != "skipped") & cases["tolerance"].notna()]
     strictest = tried.groupby(["objective", "solver"])["tolerance"].min().max()
     fair = tuple(level for level in every if not level < strictest * (1.0 - 1e-9))
@@ -91,33 +85,37 @@ def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
+def _charged(seconds: pd.Series, limit: float) -> Array:
+    """Return seconds (problems,), the limit where a problem is not solved."""
+    return np.asarray(seconds.clip(upper=limit), dtype=float)
+
+
 def summary(cases: pd.DataFrame) -> Table:
     """Return each solver of each objective: verdict, success, mean time, times the fastest."""
     levels = accuracies(cases)[::-1]  # the strictest first: it gives order and verdict
-    limit, shift = clock_of(cases, "limit"), clock_of(cases, "shift")
+    limit, shift = cases.attrs.get("limit", LIMIT), cases.attrs.get("shift", SHIFT)
     every = [dict(times_to(cases, level)) for level in levels]
     rows: list[Row] = []
     for objective, strict in every[0].items():
         for name in strict:
-            cells: list[Value] = []
-            verdict = "fastest" if name == strict.columns[0] else ""
+            cells, verdicts = list[Value](), list[str]()
             for seconds in (level[objective] for level in every):
-                own, is_first = seconds[name], name == seconds.columns[0]
-                solved, charged = np.isfinite(own), _charged(own, limit)
+                own, charged = seconds[name], _charged(seconds[name], limit)
+                solved, is_first = np.isfinite(own), name == seconds.columns[0]
                 middle, low, high = ratio(charged, _charged(seconds.iloc[:, 0], limit))
-                bound, is_sure = "" if solved.all() else "≥ ", not math.isnan(low)
+                is_sure = not math.isnan(low)
                 between = f"{significant(low)} … {significant(high)}"
                 cells += [
                     f"{solved.sum()}/{len(own)}",
                     1e3 * float(np.exp(np.log(charged + shift).mean()) - shift),
-                    f"{bound}{significant(middle)}",
+                    f"{'' if solved.all() else '≥ '}{significant(middle)}",
                     between if is_sure and not is_first else "–",
                 ]
-                rank = "slower" if low > 1.0 else "tie"
-                verdict = verdict or (rank if is_sure else "too few problems")
-            if not np.isfinite(strict[name]).any():
-                verdict = "solved none"
-            rows.append((objective, str(name), verdict, *cells))
+                rank = ("slower" if low > 1.0 else "tie") if is_sure else "too few problems"
+                verdicts.append("fastest" if is_first else rank)
+                if not solved.any():
+                    verdicts[-1] = "solved none"
+            rows.append((objective, str(name), verdicts[0], *cells))
         absent = cases[(cases["objective"] == objective) & (cases["status"] == "skipped")]
         blank = [None] * (4 * len(levels))
         rows += [(objective, str(name), "missing", *blank) for name in absent["solver"].unique()]
@@ -137,27 +135,22 @@ def summary(cases: pd.DataFrame) -> Table:
     return Table("Solvers: success and time", tuple(columns), rows, (note,))
 
 
-def _charged(seconds: pd.Series, limit: float) -> Array:
-    """Return seconds (problems,), the limit where a problem is not solved."""
-    return np.asarray(np.minimum(seconds.to_numpy(float), limit))
-
-
 def winners(cases: pd.DataFrame) -> Table:
     """Return the fastest solver of every problem by its shape, and the next one behind it."""
     once = cases.drop_duplicates("problem")
     sizes = zip(once["samples"], once["columns"], strict=True)
     shapes = dict(zip(once["problem"], (f"{m} × {k}" for m, k in sizes), strict=True))
-    strict, limit = accuracies(cases)[-1], clock_of(cases, "limit")
+    strict, limit = accuracies(cases)[-1], cases.attrs.get("limit", LIMIT)
     rows: list[Row] = []
     for objective, seconds in times_to(cases, strict):
         for problem, own in rivals(seconds).iterrows():
-            ranked = [*own.sort_values(kind="stable").items(), *[("", math.nan)] * 2]
-            (first, least), (second, behind) = ranked[:2]
+            (first, least), *others = own.sort_values(kind="stable").items()
             row: Row = ("nobody", None, None, None)
             if math.isfinite(least):
+                second, behind = others[0] if others else (None, math.inf)
                 bound = "≥ " if math.isinf(behind) else ""
-                ahead = f"{bound}{significant(min(behind, limit) / least)}" if second else None
-                row = (str(first), 1e3 * least, str(second) or None, ahead)
+                ahead = f"{bound}{significant(min(behind, limit) / least)}" if others else None
+                row = (str(first), 1e3 * least, str(second) if others else None, ahead)
             rows.append((objective, str(problem), shapes[str(problem)], *row))
     heads = (
         *map(Column, ("objective", "problem", "samples × columns", "fastest")),
@@ -173,11 +166,10 @@ def failures(cases: pd.DataFrame) -> Table:
     alike = bad["reason"].str.replace(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", regex=True)
     rows: list[Row] = []
     keys = [bad["objective"], bad["solver"], bad["status"], alike]
-    for (objective, solver, status, _), here in bad.groupby(keys, sort=False):
+    for key, here in bad.groupby(keys, sort=False):
         names = list(here["problem"].unique())
         words = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        reason = str(here["reason"].iloc[0])
-        rows.append((str(objective), str(solver), str(status), len(here), words, reason))
+        rows.append((*map(str, key[:3]), len(here), words, str(here["reason"].iloc[0])))
     rows.sort(key=lambda row: -int(row[3] or 0))
     heads = ("objective", "solver", "status", "cases", "problems", "reason of the first")
     return Table("Who failed where", tuple(map(Column, heads)), rows)
@@ -185,19 +177,17 @@ def failures(cases: pd.DataFrame) -> Table:
 
 def headline(cases: pd.DataFrame) -> Iterator[str]:
     """Give a sentence per objective: who is fastest to the strictest accuracy, and by how much."""
-    strict, limit = accuracies(cases)[-1], clock_of(cases, "limit")
+    strict, limit = accuracies(cases)[-1], cases.attrs.get("limit", LIMIT)
     for objective, seconds in times_to(cases, strict):
         solved = np.isfinite(rivals(seconds))
         if not solved.any(axis=None):
             yield f"{objective}: no solver solves a problem to a certified {accuracy_text(strict)}."
             continue
-        first, second = islice([*solved, None], 2)
+        first, *others = solved
         said = f"{objective}: {first} is fastest to a certified {accuracy_text(strict)}"
         said += f" and solves {solved[first].sum()} of {len(solved)} problems"
-        if second is not None:
-            middle, low, high = ratio(
-                _charged(seconds[second], limit), _charged(seconds[first], limit)
-            )
+        for second in others[:1]:
+            middle, low, high = ratio(*(_charged(seconds[name], limit) for name in (second, first)))
             bound = "" if solved[second].all() else "at least "
             said += f"; {second} takes {bound}{significant(middle)} times as long"
             if not math.isnan(low):

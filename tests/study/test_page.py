@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.study import page
+from sparsefit.study import page, tables
 from sparsefit.study.compare import compare, write_comparison
 from tests.study.frames import case, frame, solve, study
 
-RNG = np.random.default_rng(5)
+HOSTILE = "</script><script>alert(1)</script>\"'&"
 
 
 def run(flights=10, **more):
@@ -22,53 +22,66 @@ def run(flights=10, **more):
     ))  # fmt: skip
 
 
-class TestPage:
-    def written(self, tmp_path, cases, **outputs):
-        made = study(cases, tmp=tmp_path, **outputs)
-        return {path.name: path for path in page.write(made)}
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The files of a page of two tables and two pictures, a back-end with a hostile name in it."""
+    cases = run()
+    cases.loc[cases["label"] == "stlsq", ["title", "candidate"]] = HOSTILE
+    made = study(cases, tmp=tmp_path_factory.mktemp("page"), tables=("errors", "status"),
+                 figures=("errors", "scatter"))  # fmt: skip
+    made.question = HOSTILE
+    return {path.name: path for path in page.write(made)}
 
-    def test_every_output_is_a_file_and_the_readme_is_the_last(self, tmp_path):
-        files = self.written(tmp_path, run(), tables=("errors",), figures=("errors", "scatter"))
+
+class TestPage:
+    def test_every_output_is_a_file_and_the_readme_is_the_last(self, files):
         assert set(files) == {"errors.csv", "errors.tex", "errors.svg", "errors.png", "scatter.svg",
-                              "scatter.png", "report.html", "README.md"}  # fmt: skip
+                              "scatter.png", "status.csv", "status.tex", "report.html",
+                              "README.md"}  # fmt: skip
         assert list(files)[-1] == "README.md"
         text = files["README.md"].read_text()
         assert "![scatter](scatter.svg)" in text
         assert "20 of 20 planned cases: 20 ok" in text
 
-    def test_a_readme_is_short_whatever_the_study(self, tmp_path):
-        many = frame(*(case(flight, label=f"setting {n}") for n in range(300) for flight in (0, 1)))
-        text = self.written(tmp_path, many, figures=("errors",))["README.md"].read_text()
-        assert len(text.split()) <= 800
-        assert "more rows" in text
-
-    def test_the_page_is_one_file_that_fetches_and_runs_nothing_of_others(self, tmp_path):
-        hostile = "</script><script>alert(1)</script>\"'&"
-        cases = run(title=hostile)
-        cases["candidate"] = cases["title"]
-        made = study(cases, tmp=tmp_path, tables=("errors", "status"), figures=("errors",))
-        made.question = hostile
-        page.write(made)
-        text = (tmp_path / "report.html").read_text()
+    def test_the_page_is_one_file_that_fetches_and_runs_nothing_of_others(self, files):
+        text = files["report.html"].read_text()
         assert text.count("<script>") == 1
         assert "alert(1)</script>" not in text.replace("&lt;/script&gt;", "")
         assert not re.search(r"(src|href)=\"https?:", text)
         assert "default-src 'none'; script-src 'sha256-" in text
 
-    def test_lines_hide_axes_turn_and_parts_share_no_name(self, tmp_path):
-        files = self.written(tmp_path, run(), figures=("errors",))
+    def test_lines_hide_axes_turn_and_parts_share_no_name(self, files):
         text = files["report.html"].read_text()
         assert 'data-line="line-0" aria-pressed="true">lasso<' in text
         assert "linear axes" in text
         clips = re.findall(r'<clipPath id="(\w+)"', text)
         assert len(set(clips)) == len(clips)
 
+    def test_a_readme_is_short_whatever_the_study(self, tmp_path):
+        many = frame(*(case(n % 2, label=f"setting {n // 2}") for n in range(200)))
+        made = study(many, tmp=tmp_path, figures=("errors",))
+        text = page.write(made)[-1].read_text()
+        assert len(text.split()) <= 800
+        assert "more rows" in text
+
     def test_the_verdict_stands_in_front(self, tmp_path):
         cases = frame(*(solve(f"p{n}", name, 0.1) for n in range(5) for name in ("a", "b")))
-        text = self.written(tmp_path, cases)["report.html"].read_text()
+        page.write(study(cases, tmp=tmp_path, figures=("accuracy",)))
+        text = (tmp_path / "report.html").read_text()
         heads = re.findall(r'<button type="button">([^<]*)</button></th>', text)
         assert heads[:3] == ["objective", "solver", "verdict"]
         assert text.index("Solvers: success and time") < text.index("<figure")
+
+    def test_a_study_of_problems_that_are_predicted_begins_with_that(self):
+        sizes = {"a": 0.2, "b": 0.1}
+        cases = frame(*(solve(f"p{n}", name, 0.1, holdout_error=size) for n in range(3)
+                        for name, size in sizes.items()))  # fmt: skip
+        made = next(iter(tables.tables(study(cases), cases).values()))
+        assert made.title == "What is predicted and recovered"
+        assert not made.varies
+        said = page.headline(study(cases), cases)
+        assert said.startswith("Median held-out error, of the target's variance, over 3 problems")
+        assert "10.0 % (b) to 20.0 % (a)" in said
 
     def test_a_headline_without_any_word_of_the_study(self):
         cases = run()
@@ -77,14 +90,13 @@ class TestPage:
         failed = frame(case(0, None, status="error"))
         assert "∞ %" in page.headline(study(failed), failed)
 
-    def test_unknown_outputs_are_refused_before_anything_is_run(self):
-        declared = {"name": "contrasts", "contrasts": [["laso", "stlsq"]]}
-        for outputs in (
-            {"tables": ("eror",)}, {"figures": ("skatter",)}, {"headline": "eror"},
-            {"tables": (declared,)},
-        ):  # fmt: skip
-            with pytest.raises(InputError):
-                page.check_outputs(study(run(), **outputs))
+    @pytest.mark.parametrize("outputs", [
+        {"tables": ("eror",)}, {"figures": ("skatter",)}, {"headline": "eror"},
+        {"tables": ({"name": "contrasts", "contrasts": [["laso", "stlsq"]]},)},
+    ])  # fmt: skip
+    def test_unknown_outputs_are_refused_before_anything_is_run(self, outputs):
+        with pytest.raises(InputError):
+            page.check_outputs(study(run(), **outputs))
 
 
 class TestComparison:
