@@ -189,7 +189,7 @@ class Ascent:
             nothing = tuple(
                 Smoothed(leg.track, np.zeros((len(leg.track) + 1, 2 * leg.track.shape[1])),
                          np.full((len(leg.track), 12), np.nan), np.zeros((len(floor), 2)))
-                for leg, floor in zip(legs, self.floors, strict=True)
+                for leg, floor in zip(step.legs, self.floors, strict=True)
             )  # fmt: skip
             still = replace(step, value=-math.inf, gain=0.0, change=np.zeros_like(step.change))
             return still, nothing, count, reason
