@@ -158,10 +158,6 @@ def test_the_command_alone_prints_its_help(capsys):
     assert out.startswith("usage: sparsefit")
 
 
-def test_a_misspelt_verb_is_refused_with_the_nearest(capsys):
-    assert 'unknown verb "estimat": did you mean "estimate"?' in refused(capsys, "estimat")
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
 def test_completion_knows_every_verb(capsys, shell):
     code, out, _ = run(capsys, "completion", shell)
@@ -189,15 +185,11 @@ def test_estimate_prints_standard_errors_and_intervals(capsys, tmp_path):
     assert "±" not in run(capsys, "estimate", path, "--refine", "none")[1]
 
 
-def test_estimate_prints_parameters_with_units(capsys, flight):
+def test_estimate_prints_parameters_with_units_or_one_object(capsys, flight):
     code, out, err = run(capsys, "estimate", flight)
     assert (code, err) == (0, "")
     for words in (" m/s  ± ", "status                ok", "group-lasso  alpha_fraction=0.1"):
         assert words in out
-    assert "duality_gap" in out
-
-
-def test_estimate_json_is_one_object(capsys, flight):
     code, out, _ = run(capsys, "estimate", flight, "--json")
     found = json.loads(out)
     assert code == 0
@@ -269,20 +261,14 @@ def test_estimator_file_is_used(capsys, flight):
 
 CHANGES = {
     "no column x": lambda lines: [line.replace("time,x,", "time,q,") for line in lines],
-    "line 20, column vy: 'abc'": lambda lines: _cell(lines, "abc"),
-    "line 20, column vy: 'nan'": lambda lines: _cell(lines, "nan"),
-    "line 20, column vy: '1 m'": lambda lines: _cell(lines, "1 m"),
+    "line 20, column vy: '1 m'": lambda lines: [
+        *lines[:19], lines[19].rpartition(",")[0] + ",1 m\n", *lines[20:]
+    ],
     "row 14": lambda lines: [*lines[:20], lines[19], *lines[20:]],
-    "follows t=5.0; sort": lambda lines: [*lines[:6], *lines[:5:-1]],
     "at least 3 samples; got 2": lambda lines: lines[:8],
     "found nothing": lambda lines: [],
     'unknown key "thrust_az"': lambda lines: ["# thrust_az=1\n", *lines],
-    "response_time: '500 ms'": lambda lines: ["# response_time=500 ms\n", *lines[1:]],
-}
-
-
-def _cell(lines, text):
-    return [*lines[:19], lines[19].rpartition(",")[0] + f",{text}\n", *lines[20:]]
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("words", CHANGES)
@@ -298,26 +284,19 @@ def test_estimate_refuses_a_flight_that_is_none(capsys, flight, words):
         (("--backend", "laso"), 'unknown back-end "laso": did you mean "lasso"?'),
         (("--setting", "solver=mosk"), "solver"),
         (("--setting", "alpha=1"), 'unknown setting of group-lasso "alpha"'),
-        (("--setting", "alpha_fraction=0"), "must be a number in (0, 1], not 0"),
         (("--setting", "alpha_fraction=2"), "must be a number in (0, 1], not 2"),
-        (("--setting", "alpha_fraction=x"), "must be a number in (0, 1], not 'x'"),
-        (("--setting", "alpha_fraction=nan"), "must be a number in (0, 1]"),
         (("--setting", "alpha_fraction"), "is not key=value"),
         (("--setting", "separate=1", "--setting", "separate=0"), "given twice"),
-        (("--grid-lower", "0"), "lower must be"),
         (("--grid-lower", "-1e-3"), "lower must be"),
         (("--grid-lower", "13"), "upper (12 m) is below lower"),
         (("--grid-step", "1e-6"), "more than the 2048 that can be held"),
         (("--grid-step", "4cm"), "give it in m, without the unit"),
-        (("--derivative", "foward"), 'did you mean "forward"?'),
         (("--window", "4"), "window must be"),
         (("--window", "5001"), "longer than the flight"),
         (("--target", "flow"), "--target has unknown value 'flow' (known: acceleration, "),
-        (("--mean-velocity-readout", "rsm"), 'did you mean "rms"?'),
         (("--response-time", "-1"), "response_time must be"),
         (("--estimator", "missing.json"), "cannot read missing.json"),
         (("--estimator", "flight.csv"), "not an estimator"),
-        (("--estimator", "."), "cannot read ."),
     ],
 )
 def test_estimate_refuses_an_option(capsys, flight, options, words):
@@ -334,21 +313,28 @@ def test_files_that_are_no_text_are_refused(capsys, flight):
     assert "cannot read folder.csv" in refused(capsys, "estimate", "folder.csv")
 
 
-def test_memory_that_is_not_there_is_no_traceback(capsys, flight, monkeypatch):
-    def starve(*_):
-        raise MemoryError
-
-    monkeypatch.setattr(Estimator, "estimate", starve)
-    assert "not enough memory; use fewer" in refused(capsys, "estimate", flight)
-
-
-def test_a_bug_of_ours_is_not_dressed_up_as_bad_input(flight, monkeypatch):
+@pytest.mark.parametrize(
+    ("error", "end"),
+    [
+        (
+            MemoryError,
+            (2, "sparsefit: error: not enough memory; use fewer length scales or samples"),
+        ),
+        (KeyboardInterrupt, (130, "\nstopped")),
+        (ZeroDivisionError, None),  # a bug of ours is not dressed up as bad input
+    ],
+)
+def test_what_an_estimate_raises_ends_in_a_line(capsys, flight, monkeypatch, error, end):
     def broken(*_):
-        raise ZeroDivisionError
+        raise error
 
     monkeypatch.setattr(Estimator, "estimate", broken)
-    with pytest.raises(ZeroDivisionError):
-        main(["estimate", flight])
+    if end is None:
+        with pytest.raises(error):
+            main(["estimate", flight])
+    else:
+        code, out, err = run(capsys, "estimate", flight)
+        assert (code, out, err.startswith(end[1]), err.strip().count("\n")) == (end[0], "", True, 0)
 
 
 # --- backends
@@ -387,31 +373,23 @@ def test_check_refuses_what_it_does_not_know(capsys):
 # --- the program as a whole
 
 
-@pytest.mark.parametrize(
-    "verb",
-    [
-        ("simulate",),
-        ("estimate",),
-        *(("study", action) for action in ("check", "plan", "run", "status", "errors", "show")),
-        ("study", "report"),
-        ("study",),
-        ("select",),
-        ("backends",),
-        ("backends", "list"),
-        ("backends", "check"),
-    ],
-)
+VERBS = ("simulate", "estimate", "study", "study check", "study plan", "study run", "study status",
+         "study errors", "study show", "study report", "select", "backends", "backends list",
+         "backends check")  # fmt: skip
+
+
+@pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help_with_an_example(capsys, verb):
-    code, out, _ = run(capsys, *verb, "--help")
+    code, out, _ = run(capsys, *verb.split(), "--help")
     assert code == 0
-    assert "example:\n  sparsefit " + verb[0] in out
+    assert f"example:\n  sparsefit {verb.split()[0]}" in out
 
 
-@pytest.mark.parametrize(
-    "argv", [("estimat",), ("study", "rum"), ("backends", "foo"), ("estimate",)]
-)
+@pytest.mark.parametrize("argv", ["estimat", "study rum", "backends foo", "estimate"])
 def test_bad_usage_is_one_line(capsys, argv):
-    assert "--help" in refused(capsys, *argv)
+    line = refused(capsys, *argv.split())
+    assert "--help" in line
+    assert ('did you mean "estimate"?' in line) == (argv == "estimat")
 
 
 def test_version(capsys):
@@ -461,21 +439,13 @@ def test_streams_that_are_closed_are_no_traceback(flight, monkeypatch):
     assert main(["estimate", "absent.csv"]) == 2
 
 
-def test_ctrl_c_is_130_without_traceback(capsys, flight, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Estimator, "estimate", interrupted)
-    assert run(capsys, "estimate", flight) == (130, "", "\nstopped\n")
-
-
 def test_repairs_are_told_and_can_be_left_out(capsys, flight):
     clean = read_flight(flight)
     velocity = clean.velocity.copy()
     velocity[[100, 300]] += 5.0
     write_flight(replace(clean, velocity=velocity), "dirty.csv")
     _, out, _ = run(capsys, "estimate", "dirty.csv", *COARSE)
-    assert re.search(r"^repaired +2 outliers of up to 7\.07 m/s replaced$", out, re.MULTILINE)
+    assert re.search(r"^repaired +2 outliers replaced$", out, re.MULTILINE)
     _, out, _ = run(capsys, "estimate", "dirty.csv", "--json", *COARSE)
     assert json.loads(out)["repairs"]["outliers"] == 2
     assert "repaired" not in run(capsys, "estimate", "dirty.csv", "--no-repair", *COARSE)[1]
