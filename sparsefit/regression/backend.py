@@ -34,6 +34,7 @@ class Solution:
     ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
     verbatim. Weights are None where there is no solution, never zeros.
     ``shared_seconds``: what a factorisation cost that this answer needs and an earlier one made.
+    ``clock``: wall and CPU [s] of the whole path, of a solver that is timed where it runs.
     """
 
     weights: Array | None
@@ -42,6 +43,7 @@ class Solution:
     solver_status: str = ""
     iterations: int | None = None
     shared_seconds: float = 0.0
+    clock: tuple[float, float] | None = None
 
 
 @runtime_checkable

@@ -102,7 +102,7 @@ class PenalisedPath(Checked, ABC):
             from sparsefit.solvers.registry import answers, solver
 
             chosen = solver(self.solver)
-            return answers(chosen, problem, penalty, alpha_fractions, tolerance).solutions
+            return answers(chosen, problem, penalty, alpha_fractions, tolerance)
         alphas = problem.alpha_max(penalty) * np.array(alpha_fractions)
         statistics = problem.statistics
         points = exact_path(problem.design, problem.target, penalty, alphas, statistics=statistics)

@@ -24,7 +24,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from functools import cache, partial
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -42,7 +42,7 @@ from sparsefit.solvers.peers import PEERS, Task, Timed, kind_of, solved_in_parts
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["Answers", "Recipe", "Solver", "answers", "shipped_solvers", "solver", "solver_names"]
+__all__ = ["Recipe", "Solver", "answers", "shipped_solvers", "solver", "solver_names"]
 SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **{cls.name: cls for cls in PEERS}}
 
 
@@ -158,34 +158,24 @@ class Recipe:
         return "" if self.command else str(getattr(self.owner, "package", ""))
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Solutions of a path, with the seconds of wall and CPU [s] that the solver took."""
-
-    solutions: tuple[Solution, ...]
-    wall: float
-    cpu: float
-
-
 def answers(
     solver: Solver,
     problem: RegressionProblem,
     penalty: Any,
     alpha_fractions: Sequence[float],
     tolerance: float | None = None,
-) -> Answers:
+) -> tuple[Solution, ...]:
     """Solutions at descending penalty fractions, in the units of the problem's columns.
 
     An exception becomes the status ``error``; a warning ``inaccurate``, with its first words: a
-    solver is not trusted to be silent.
+    solver is not trusted to be silent. A `Command` keeps its own clock, which each of them has.
     """
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
     design, shape = problem.design, (problem.columns, problem.targets)
     alphas = problem.alpha_max(penalty) * fractions
     if not problem.statistics.cross.any():
         zero = Solution(np.zeros(shape), solver_status="target is zero", iterations=0)
-        return Answers((zero,) * count, 0.0, 0.0)
-    wall, cpu = perf_counter(), process_time()
+        return (zero,) * count
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -196,10 +186,8 @@ def answers(
         except Exception as error:  # a public solver may raise anything
             words = f"{solver.name}: {described(error)}"
             failed = Solution(None, "error", words, type(error).__name__)
-            return Answers((failed,) * count, perf_counter() - wall, process_time() - cpu)
-    wall, cpu = perf_counter() - wall, process_time() - cpu
-    if isinstance(raw, Timed):
-        wall, cpu = raw.wall, raw.cpu
+            return (failed,) * count
+    clock = (raw.wall, raw.cpu) if isinstance(raw, Timed) and isinstance(solver, Command) else None
     future = DeprecationWarning | FutureWarning | PendingDeprecationWarning  # a library's, not ours
     doubts = [
         f"{each.category.__name__}: {each.message}"
@@ -210,7 +198,7 @@ def answers(
     reason = f"{solver.name}: {words}" if doubts else ""
     weights /= design.rms[:, None]
     status: Any = "inaccurate" if doubts else "ok"
-    return Answers(tuple(Solution(each, status, reason, words) for each in weights), wall, cpu)
+    return tuple(Solution(each, status, reason, words, clock=clock) for each in weights)
 
 
 @cache

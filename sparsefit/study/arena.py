@@ -177,7 +177,9 @@ class Arena:
             memory = _number(answer.content, "memory") - _number(ready.content, "memory")
             case.values |= {"memory": memory if memory > 0.0 else 0.0 * memory, "word": words}
         wall = max(answer.wall - self.crew.overhead.get(case.desk, 0.0), 1e-9)
-        return weights, Timing(wall, answer.cpu)
+        # A command is charged for neither its start nor its files.
+        wall, cpu = answer.content.get("clock") or (wall, answer.cpu)
+        return weights, Timing(wall, cpu)
 
     def _ready(
         self, case: Case, rows: Mapping[str, Any]

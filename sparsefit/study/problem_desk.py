@@ -121,7 +121,7 @@ def solve(
     requested = requested or own_fraction(backend)
     if contender.recipe is not None:
         penalty = backend.penalty(problem)
-        return answers(contender.recipe.make(), problem, penalty, requested, stop).solutions
+        return answers(contender.recipe.make(), problem, penalty, requested, stop)
     if isinstance(backend, PathBackend):
         return backend.solve_path(problem, requested)
     penalised: Any = backend
@@ -195,7 +195,8 @@ class SolverDesk:
                 into[...] = np.asarray(solution.weights, float)
         worst = max(solutions, key=lambda each: RANK.get(each.status, 3), default=None)
         words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
-        return {"words": one_line(words, 200), "memory": resident()}
+        clock = worst.clock if worst else None
+        return {"words": one_line(words, 200), "memory": resident(), "clock": clock}
 
 
 class JudgeDesk:

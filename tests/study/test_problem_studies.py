@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import sys
 import time
 from pathlib import Path
 
@@ -142,6 +143,31 @@ def test_one_s_own_solver_is_compared_by_its_settings(own):
     assert cases.attrs == {"accuracies": (1e-4, 1e-6, 1e-8), "limit": 5.0, "shift": 0.001}
     assert own.missing == {}
     assert own.run().computed == 0
+
+
+COMMAND = """
+import sys, time
+import numpy as np
+from pathlib import Path
+time.sleep(0.7)
+folder = Path(sys.argv[1])
+X, y = np.load(folder / "design.npy"), np.load(folder / "target.npy")
+print("ready", flush=True)
+sys.stdin.readline()
+u = np.linalg.lstsq(X, y, rcond=None)[0].T
+print("done", flush=True)
+np.save(folder / "answer.npy", np.stack([u] * 4))
+"""
+
+
+def test_a_command_is_not_charged_for_its_start(tmp_path):
+    (tmp_path / "program.py").write_text(COMMAND)
+    command = f'[[solvers]]\nname = "theirs"\ncommand = ["{sys.executable}", "program.py"]\n'
+    lasso = '[[backends]]\nname = "lasso"\nsolver = "theirs"\ntolerances = [1e-8]\n'
+    study = load(tmp_path, HEAD.replace('"problems"', '"solvers"') + SMALL + command + lasso)
+    study.run()
+    (case,) = study.cases.to_dict("records")
+    assert 0.0 < case["wall"] < 0.5, case["reason"]
 
 
 def test_problems_are_judged_by_held_out_rows_and_truth(own):
