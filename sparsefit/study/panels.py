@@ -89,8 +89,8 @@ class Panel:
         return np.asarray(every[np.isfinite(every)])
 
 
-def _named(panels_: Sequence[Panel], ranks: Ranks) -> dict[str, str]:
-    """Return what a legend calls each curve, the least rank first; empty for those in grey.
+def _named(panels_: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
+    """Return what a legend calls each curve, the least rank first; None of those in grey.
 
     Curves without a point are taken out of the panels, and so are those that coincide with another
     in all of them; where more are there than a legend takes, it names those of the least rank.
@@ -118,7 +118,7 @@ def _named(panels_: Sequence[Panel], ranks: Ranks) -> dict[str, str]:
         panel.curves = [curves[name] for name in names if name in curves]
     more = {name: f" and {twins[name] - 1} alike" if twins[name] > 1 else "" for name in names}
     short = labels(names[:NAMED_CURVES], 52)
-    return {name: f"{short[name]}{more[name]}" if name in short else "" for name in names}
+    return {name: f"{short[name]}{more[name]}" if name in short else None for name in names}
 
 
 def drawn(grid: Sequence[Sequence[Panel]], height: float,
@@ -149,10 +149,10 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
     return figure
 
 
-def _draw(axes: Axes, panel: Panel, words: Mapping[str, str]) -> None:
+def _draw(axes: Axes, panel: Panel, words: Mapping[str, str | None]) -> None:
     """Draw the curves of a panel: those that a legend names by colour, style and marker."""
     names, count, with_bars = list(words), len(panel.curves), panel.bars
-    others = [curve for curve in panel.curves if not words[curve.name]]
+    others = [curve for curve in panel.curves if words[curve.name] is None]
     for order, curve in enumerate(panel.curves[: count - len(others)]):
         place, x = names.index(curve.name), curve.x
         colour, turn = place % len(COLOURS), place // len(COLOURS)
@@ -173,7 +173,7 @@ def _draw(axes: Axes, panel: Panel, words: Mapping[str, str]) -> None:
                 for at in (1, 2))  # fmt: skip
         look |= {"color": GREY, "lw": 0.6, "alpha": 0.6, "ms": 3.0, "mew": 0, "zorder": 2}
         look["marker"] = "." if look["ls"] == "" else ""
-        hidden = sum(not text for text in words.values())
+        hidden = list(words.values()).count(None)
         axes.plot(x, y, **look, gid="line-others", label=f"{hidden} others")
     if not panel.heights.size:
         axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)

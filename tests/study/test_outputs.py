@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sparsefit.errors import InputError
-from sparsefit.plot.style import encoded, labels
+from sparsefit.plot.style import COLOURS, encoded, labels
 from sparsefit.study import figures, measures, page, panels, solver_times, tables
 from sparsefit.study.definition import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
@@ -272,6 +272,8 @@ class TestFigures:
         cases.loc[cases.index[3], ["est_mean_velocity", "est_timescale"]] = 500.0, 0.01
         told = figures.figures(study(cases, figures=("scatter",)), cases)["scatter"]
         assert len(told.figure.axes) == 6
+        assert not told.figure.legends  # the one condition has no name, and is not grey
+        assert told.figure.axes[0].lines[0].get_color() == COLOURS[0]
         assert "the best of 4 by reading: lasso; grid " in told.caption
         assert any("1 above" in axes.get_title() for axes in told.figure.axes)
 
