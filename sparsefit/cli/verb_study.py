@@ -310,20 +310,16 @@ def _show_case(args: argparse.Namespace) -> int:
     """Run one case again, write its picture, and print its numbers beside the stored ones."""
     from sparsefit.study import case_page
 
-    study, suffixes = read_study(args), (".html", ".svg", ".png")
-    file: Path | None = None
-    if args.output is not None and Path(args.output).suffix.lower() not in suffixes:
-        words = f"{args.output} must end in {', '.join(suffixes)}: no other is drawn"
-        raise InputError(f"--output: {words}")
+    study, flown = read_study(args), None
     if study.kind == "flights":
-        file = Path(args.output or study.folder / f"case-{args.case}.html")
-        if args.output is not None:
-            check_output(args.output, force=args.force)
-    elif args.output is not None:
-        raise InputError("--output: there is no flight to draw in a study of solvers")
-    table = case_page.write_case(study, args.case, file)
-    record = {"case": args.case, "picture": None if file is None else str(file), **table.record()}
-    written = [] if file is None else [f"written to {file}"]
+        flown = Path(args.output or study.folder / f"case-{args.case}.html")
+    if args.output is not None:
+        if flown is None:
+            raise InputError("--output: there is no flight to draw in a study of solvers")
+        check_output(args.output, force=args.force, endings=(".html", ".svg", ".png"))
+    table = case_page.write_case(study, args.case, flown)
+    record = {"case": args.case, "picture": flown and str(flown), **table.record()}
+    written = [f"written to {flown}"] if flown else []
     return emit(record, [table.to_text(terminal_width()), *written], as_json=args.json)
 
 

@@ -224,7 +224,7 @@ def test_show_runs_one_case_again_and_draws_it(capsys, finished):
     record = json.loads(run(capsys, "study", "show", finished, *options)[1])
     assert (record["case"], record["picture"]) == (case, "one.svg")
     assert "exists; add --force" in refused(capsys, "study", "show", finished, *options)
-    assert "must end in .html" in refused(
+    assert 'unknown file type ".pdf"' in refused(
         capsys, "study", "show", finished, "--case", case, "--output", "one.pdf"
     )
     assert f"{case} say" in refused(capsys, "study", "show", finished, "--case", case[:-1])
