@@ -212,7 +212,7 @@ def run_study(args: argparse.Namespace) -> int:
         "cases": summary.planned,
         "statuses": dict(summary.statuses),
         **{name: getattr(summary, name) for name in
-           ("done", "resumed", "computed", "stale", "dropped", "seconds", "solver_seconds")},
+           ("done", "resumed", "computed", "stale", "dropped", "seconds")},
     }  # fmt: skip
     lines = [_done(summary)]
     if summary.finished:
@@ -233,17 +233,14 @@ def _stale(stale: int) -> str:
 
 
 def _done(summary: RunSummary) -> str:
-    """The outcome of a run in a line: cases by status, time, and the share of it in solvers."""
+    """The outcome of a run in a line: cases by status, and the time."""
     counted = _by_status(summary.statuses)
     if not summary.computed:
         there = "all" if summary.finished else f"{summary.done} of"
         return f"nothing to run: {there} {summary.planned} cases were there ({counted})"
     before = f", {summary.resumed} of them from before" if summary.resumed else ""
-    spent = duration(summary.processes * summary.seconds)
     together = f" on {summary.processes} processes" if summary.processes > 1 else ""
-    took = f"in {duration(summary.seconds)}{together}"
-    share = f"solvers took {duration(summary.solver_seconds)} of {spent}"
-    return f"{summary.done} cases{before} ({counted}) {took}; {share}"
+    return f"{summary.done} cases{before} ({counted}) in {duration(summary.seconds)}{together}"
 
 
 def _by_status(statuses: Mapping[str, int]) -> str:

@@ -57,10 +57,10 @@ class Column:
     path: str = ""
 
     def read(self, case: object) -> Value | None:
-        """The value of a case; None where there is no path, or nothing on the way."""
-        value: Any = case if self.path else None
+        """The value of a case; None where there is nothing on the way."""
+        value: Any = case
         for name in self.path.split("."):
-            if isinstance(value, Mapping):
+            if isinstance(value, dict):
                 value = value.get(name)
             elif value is not None:
                 value = value[int(name)] if name.isdigit() else getattr(value, name)
@@ -69,11 +69,9 @@ class Column:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of the case of a unit and a cell ended.
+    """The end of the case of a unit and a cell.
 
-    values: the columns that are not planned, by name; shared_seconds of its `seconds` [s] were
-    spent for other fits too; weights: (length scale [m], weight) pairs; body: these three as JSON,
-    where a worker has told them.
+    values: the columns that are not planned, by name; body: as JSON, where a worker has told it.
     """
 
     unit: int
@@ -81,23 +79,19 @@ class Outcome:
     status: str
     reason: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
-    shared_seconds: float = 0.0
-    weights: tuple[tuple[float, float], ...] = ()
     body: str = ""
 
 
-def body_of(outcome: Outcome) -> str:
-    """Values, shared seconds and weights of an outcome as JSON, empty ones left out."""
-    if outcome.body:
-        return outcome.body
-    values = {n: v for n, v in outcome.values.items() if v == v and v != ""}
-    return json.dumps([values, outcome.shared_seconds, outcome.weights], separators=(",", ":"))
+def body_of(values: Mapping[str, Value], weights: Sequence[tuple[float, float]] = ()) -> str:
+    """Values and (length scale [m], weight) pairs as JSON, empty values left out."""
+    content = {name: value for name, value in values.items() if value == value and value != ""}
+    return json.dumps([content, weights], separators=(",", ":"))
 
 
-def read_body(body: str) -> tuple[dict[str, Any], float, list[tuple[float, float]]]:
-    """The values, the shared seconds and the weights of `body_of`."""
-    values, shared, weights = json.loads(body)
-    return values, shared, weights
+def read_body(body: str) -> tuple[dict[str, Any], list[tuple[float, float]]]:
+    """The values and the weights of `body_of`."""
+    values, weights = json.loads(body)
+    return values, weights
 
 
 def outcome_of(
@@ -108,7 +102,7 @@ def outcome_of(
     Raises:
         ValueError, TypeError, LookupError: a status, a column or a value that there is not.
     """
-    values, shared, weights = json.loads(body)
+    values, weights = read_body(body)
     if status not in STATUSES or not isinstance(reason, str):
         raise ValueError(f"a status that there is not: {status!r}"[:80])
     reason.encode()
@@ -120,8 +114,9 @@ def outcome_of(
             value.encode()
         elif kind is int and not -(2**63) <= value < 2**63:
             raise ValueError(f"{name} is too large")
-    pairs = tuple((float(scale), float(weight)) for scale, weight in weights)
-    return Outcome(unit, cell, status, reason, values, float(shared), pairs, body)
+    for scale, weight in weights:
+        float(scale), float(weight)
+    return Outcome(unit, cell, status, reason, values, body)
 
 
 def _columns(*rows: tuple[Kind, str] | tuple[Kind, str, str]) -> tuple[Column, ...]:
@@ -214,5 +209,5 @@ def kinds_of(columns: Sequence[Column]) -> dict[str, Kind]:
 
 def values_of(case: object) -> dict[str, Value]:
     """The values that the columns read from a case of flights, by name; those there are."""
-    values = {column.name: column.read(case) for column in FLIGHT_COLUMNS}
+    values = {column.name: column.read(case) for column in FLIGHT_COLUMNS if column.path}
     return {name: value for name, value in values.items() if value is not None}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
 
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import Outcome, body_of, kinds_of, read_body
+from sparsefit.study.columns import body_of, kinds_of, read_body
 from sparsefit.study.manifest import MANIFEST, check_whole, read_record
 from sparsefit.study.plan import Plan
 from sparsefit.whole_file import whole_file
@@ -90,7 +90,7 @@ def exported_rows(folder: Path, plan: Plan, *, brief: bool = False) -> Iterator[
                 if not brief:
                     values = {n: content[n][number] for n in own if content[n][number] is not None}
                     pairs = weights.get(content["case_id"][number], ())
-                    body = body_of(Outcome(0, 0, "", values=values, weights=tuple(pairs)))
+                    body = body_of(values, pairs)
                 status, reason, version = (text or "" for text in head)
                 yield Row(key, status, reason, version, body)
 
@@ -195,7 +195,7 @@ def _weights_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     pairs = [
         {"case_id": name, "length_scale": scale, "weight": weight}
         for name, row in zip(ids, rows, strict=True)
-        for scale, weight in read_body(row.body)[2]
+        for scale, weight in read_body(row.body)[1]
     ]
     kinds = {"case_id": pa.string(), "length_scale": pa.float64(), "weight": pa.float64()}
     return pa.Table.from_pylist(pairs, schema=pa.schema(kinds))

@@ -33,7 +33,7 @@ from sparsefit.onboard import as_flown
 from sparsefit.regression import Fit
 from sparsefit.regression.fit import path
 from sparsefit.score import strongest
-from sparsefit.study.columns import MAX_REASON, PARAMETERS, Outcome, Value, body_of, values_of
+from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, body_of, values_of
 from sparsefit.study.crossing import Cell
 from sparsefit.study.definition import Definition
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, stream
@@ -173,14 +173,10 @@ class FlightDesk:
     ) -> tuple[int, str, str, str]:
         estimate = self._estimator(cell).read(prepared, fit)
         values = values_of(Reading(estimate, fit, prepared.problem, flown)) | truth_of(flown.draw)
-        weights: tuple[tuple[float, float], ...] = ()
-        if self._definition.keeps_weights:
-            pairs = estimate.weights_by_scale.items()
-            weights = tuple(sorted((float(scale), float(weight)) for scale, weight in pairs))
+        pairs = estimate.weights_by_scale.items() if self._definition.keeps_weights else ()
+        weights = sorted((float(scale), float(weight)) for scale, weight in pairs)
         reason = one_line(estimate.reason or "", MAX_REASON)
-        shared = float(fit.shared_seconds)
-        body = body_of(Outcome(flown.unit, cell.index, "", "", values, shared, weights))
-        return cell.index, estimate.status, reason, body
+        return cell.index, estimate.status, reason, body_of(values, weights)
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,31 +130,19 @@ class FlightExperiment(Experiment):
         rules, design = self.design.cells[cell].setup.flights, self.design
         return truth_of(rules.draw(unit, design.count, self.definition.seed))
 
-    def cost(self, unit: int, cell: int) -> int:
-        """The number of the fit."""
-        return unit * len(self.design.cells) + self.shared["fit"][cell]
-
     @cached_property
-    def shared(self) -> dict[str, list[int]]:
-        """The numbers of the flight, problem, ask and fit that each cell shares with others.
+    def _shared(self) -> dict[str, list[int]]:
+        """The numbers of the flight, problem and ask that each cell shares with others.
 
         An ask is one fit, or those of a path over penalties.
         """
-        numbers: dict[str, list[int]] = {name: [] for name in ("flight", "problem", "ask", "fit")}
-        places: dict[str, dict[object, int]] = {name: {} for name in numbers}
+        places: dict[str, dict[object, int]] = {name: {} for name in ("flight", "problem", "ask")}
+        numbers: dict[str, list[int]] = {name: [] for name in places}
         for cell in self.design.cells:
-            setup, choice = cell.setup, cell.choice
-            flight = places["flight"].setdefault(setup.flights, len(places["flight"]))
-            rows = (flight, setup.derivative, setup.library, setup.online)
-            problem = places["problem"].setdefault(rows, len(places["problem"]))
-            along = {ALPHA} if path_fractions(cell) else set()
+            setup, along = cell.setup, {ALPHA} if path_fractions(cell) else set()
             others = canonical_json({k: v for k, v in cell.settings.items() if k not in along})
-            keys = {
-                "flight": setup.flights,
-                "problem": rows,
-                "ask": (problem, choice, others),
-                "fit": (problem, choice, cell.canonical_settings),
-            }
+            rows = (setup.flights, setup.derivative, setup.library, setup.online)
+            keys = {"flight": setup.flights, "problem": rows, "ask": (rows, cell.choice, others)}
             for name, key in keys.items():
                 numbers[name].append(places[name].setdefault(key, len(places[name])))
         return numbers
@@ -171,7 +159,7 @@ class FlightExperiment(Experiment):
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """A batch per flight, condition and desk, so that nothing is simulated twice."""
         groups: dict[tuple[int, str], list[int]] = {}
-        for cell, key in enumerate(zip(self.shared["flight"], self._desks, strict=True)):
+        for cell, key in enumerate(zip(self._shared["flight"], self._desks, strict=True)):
             groups.setdefault(key, []).append(cell)
         for unit in np.flatnonzero(wanted.any(axis=1)).tolist():
             row = wanted[unit].tolist()
@@ -218,7 +206,7 @@ class FlightExperiment(Experiment):
         """Cells in groups of equal number, in order of first appearance."""
         groups: dict[int, list[int]] = {}
         for cell in cells:
-            groups.setdefault(self.shared[name][cell], []).append(cell)
+            groups.setdefault(self._shared[name][cell], []).append(cell)
         return list(groups.values())
 
     def _ask(self, verb: str, unit: int, cells: list[int]) -> Ask:

@@ -99,10 +99,6 @@ class Experiment:
     def end(self) -> None:
         """Let go of what a run has left, files and what its processes knew."""
 
-    def cost(self, unit: int, cell: int) -> int:
-        """The number of the fit that the case reads: cases of one number share its seconds."""
-        return unit * len(self.cells()["identity"]) + cell
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:

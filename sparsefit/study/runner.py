@@ -38,8 +38,8 @@ class RunSummary:
 
     statuses: counts of all rows; stale: how many are of other code than this; versions: how many
     each version made; dropped: rows of cases that the study no longer plans; damaged: rows that
-    could not be read; resumed: rows that were there before the run, of which `computed` cases,
-    `seconds` [s] and `solver_seconds` of `processes` in the back-ends tell.
+    could not be read; resumed: rows that were there before the run, which computed `computed` cases
+    in `seconds` [s] on `processes`.
     """
 
     folder: Path
@@ -52,7 +52,6 @@ class RunSummary:
     resumed: int = 0
     computed: int = 0
     seconds: float = 0.0
-    solver_seconds: float = 0.0
     processes: int = 1
 
     @classmethod
@@ -159,7 +158,6 @@ def run(
                     "cases": plan.size,
                     "statuses": dict(sorted(summary.statuses.items())),
                     "wall_seconds": round(summary.seconds, 3),
-                    "solver_seconds": round(summary.solver_seconds, 3),
                     "resumed_cases": summary.resumed,
                     "processes": summary.processes,
                 }
@@ -179,7 +177,6 @@ def _stored(
     """Put outcomes into the store as they arrive, each before the next is waited for."""
     plan, begun, shown = store.plan, time.monotonic(), -math.inf
     resumed, total = int((store.done & ~wanted).sum()), int(wanted.sum())
-    solving: dict[int, float] = {}
     computed = 0
 
     def show() -> None:
@@ -191,8 +188,6 @@ def _stored(
     show()
     for outcome in arriving:
         store.put(outcome, plan.versions[outcome.cell])
-        seconds = float(outcome.values.get("seconds", 0.0)) - outcome.shared_seconds
-        solving[plan.experiment.cost(outcome.unit, outcome.cell)] = seconds
         computed += 1
         if computed == total or time.monotonic() - shown > PROGRESS_SECONDS:
             shown = time.monotonic()
@@ -202,7 +197,6 @@ def _stored(
         resumed=resumed,
         computed=computed,
         seconds=time.monotonic() - begun,
-        solver_seconds=math.fsum(value for value in solving.values() if value == value),
         processes=processes,
     )
 
