@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from sparsefit.errors import InputError
 from sparsefit.plot import draw_estimate, encoded
 from sparsefit.study.figures import Picture
 from sparsefit.study.page import drawing, to_html
-from sparsefit.study.table import Column, Row, Table, plain
+from sparsefit.study.table import Table, plain
 from sparsefit.whole_file import write_whole
 
 CAPTION = (
@@ -32,14 +34,16 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
     again, cases = study.again(case_id), study.cases
     mine = cases[cases["case_id"] == case_id].to_dict("records")
     stored: dict[Any, Any] = mine[0] if mine else {}
-    rows: list[Row] = []
-    for name, value in again.values.items():
-        if plain(stored.get(name)) is not None or plain(value) not in (None, ""):
-            truth = _text(stored.get(f"true_{name[4:]}")) if name[:4] == "est_" else ""
-            rows.append((name, truth, _text(stored.get(name)), _text(value)))
-    heads = tuple(map(Column, ("what", "truth", "stored", "run again")))
-    note = () if stored else ("The case has no stored row yet.",)
-    made = Table(f"Case {case_id}", heads, rows, note)
+    truth = {f"est_{name[5:]}": value for name, value in stored.items() if name[:5] == "true_"}
+    rows = [
+        (name, truth.get(name), stored.get(name), value)
+        for name, value in again.values.items()
+        if plain(stored.get(name)) is not None or plain(value) not in (None, "")
+    ]
+    frame = pd.DataFrame(rows, columns=["what", "truth", "stored", "run again"], dtype=object)
+    frame.attrs["title"] = f"Case {case_id}"
+    frame.attrs["notes"] = () if stored else ("The case has no stored row yet.",)
+    made = Table.of(frame.map(_text))
     if file is None or study.kind != "flights":
         return made
     plan = study.plan()

@@ -8,6 +8,7 @@ paired by unit.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -169,6 +170,11 @@ def _effects(sides: list[pd.DataFrame], marks: pd.DataFrame) -> pd.DataFrame:
             **dict(zip((f"{words}: effect", "from", "to"), shown.tolist(), strict=True)),
         })  # fmt: skip
     frame = pd.DataFrame(rows)
+    for _, texts in [] if of_problems else frame.groupby("setting", sort=False)["settings"]:
+        every = [json.loads(text) for text in texts]
+        differ = [key for key in every[0] if any(own.get(key) != every[0][key] for own in every)]
+        short = [", ".join(f"{key}={own.get(key)}" for key in differ) for own in every]
+        frame.loc[texts.index, "settings"] = short
     return frame.sort_values("changed", ascending=False, kind="stable", key=lambda n: n > 0)
 
 

@@ -216,10 +216,12 @@ class Table:
         words = sum(1 for _ in itertools.takewhile(bool, self.is_text))
         names = min(words, len(self.columns) - 1)
         room = max(12, int(0.6 * width / max(names, 1)))
-        every = [self.heads, *self.texts(most)]
-        every = [[_middle_out(text, room if at < names else width // 2) for at, text in
-                  enumerate(row)] for row in every]  # fmt: skip
-        sizes = [max(map(len, texts)) for texts in zip(*every, strict=True)]
+        columns = [
+            _fitted(texts, room if place < names else width // 2)
+            for place, texts in enumerate(zip(self.heads, *self.texts(most), strict=True))
+        ]
+        every = [list(row) for row in zip(*columns, strict=True)]
+        sizes = [max(map(len, texts)) for texts in columns]
         behind = ["  ".join(map(str.ljust, row[:names], sizes)) for row in every]
         frame = pd.DataFrame([row[names:] for row in every[1:]], behind[1:], every[0][names:])
         frame.columns.name = behind[0]
@@ -242,7 +244,9 @@ def _tex(text: str) -> str:
     return f"{{}}{text}" if text[:1] in ("[", "*") else text
 
 
-def _middle_out(text: str, most: int) -> str:
-    """Return text of at most so many letters, the middle of a longer one left out."""
+def _fitted(texts: Sequence[str], most: int) -> Sequence[str]:
+    """Return texts of at most so many letters, without their middle, where they still differ."""
     half = (most - 1) // 2
-    return text if len(text) <= most else f"{text[: most - 1 - half]}…{text[-half:]}"
+    short = [text if len(text) <= most else f"{text[: most - 1 - half]}…{text[-half:]}"
+             for text in texts]  # fmt: skip
+    return short if len(set(short)) == len(set(texts)) else texts

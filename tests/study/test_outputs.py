@@ -208,6 +208,9 @@ class TestText:
         assert "&lt;b&gt;" in self.table.to_markdown()
         narrow = self.table.to_text(30).splitlines()
         assert max(map(len, narrow)) <= 30
+        rows = [(f"{'a' * 60} {n} {'b' * 60}", n) for n in (1, 2)]
+        long = Table("", (Column("name"), Column("n")), rows)
+        assert all(f" {n} " in long.to_text(40) for n in (1, 2))  # what differs is not cut
         assert self.table.record()["rows"][1] == ["[a] \\^~_$", None, None]
         assert "<table" in self.table._repr_html_()
 

@@ -1,5 +1,6 @@
 """Pages, and two runs held against each other."""
 
+import json
 import math
 import re
 
@@ -112,11 +113,13 @@ class TestComparison:
         lasso = second["label"] == "lasso"
         second.loc[lasso, "est_timescale"] *= 1.2
         second.loc[second.index[-1], "status"] = "misfit"
+        for cases in (first, second):
+            cases["settings"] = [json.dumps({"a": 0, "threshold": n % 2}) for n in range(20)]
         made = compare(first, second, ("a", "b"))
         assert made.worse
         assert made.sentence.startswith("11 of 20 cases changed, 1 of them in status")
-        verdicts = {row[0]: row[2] for row in made.tables["effects"].rows}
-        assert verdicts["paper, lasso"] == "worse"
+        verdicts = {row[:2]: row[2] for row in made.tables["effects"].rows}
+        assert verdicts["paper, lasso", "threshold=1"] == "worse"
         assert len(made.tables["changes"].rows) == 11
         assert write_comparison(made, tmp_path)[-1].name == "comparison.md"
         assert made.record()["changed"] == 11
