@@ -111,10 +111,10 @@ def _logs(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -
 
 def _vehicle(owner: Estimate | FlightEstimate) -> Rows:
     for label, name, unit in OF_VEHICLE:
-        value, known = getattr(owner, name), owner.vehicle_uncertainty
+        value, spread = getattr(owner, name), owner.vehicle_uncertainty
         if value is not None and value == value:
-            ends = getattr(known, f"{name}_interval", None)
-            yield label, measured(value, unit, getattr(known, name, None), ends)
+            ends = getattr(spread, f"{name}_interval", None)
+            yield label, measured(value, unit, getattr(spread, name, None), ends)
 
 
 def _answer(estimate: Estimate) -> Rows:
@@ -161,21 +161,21 @@ def _answer(estimate: Estimate) -> Rows:
 
 def _shape(estimate: Estimate) -> Rows:
     """Rows of what the cells are where they are not simply squares along the axes that stand."""
-    shape, known, drift = estimate.shape, estimate.shape_uncertainty, estimate.drift
+    shape, spread, drift = estimate.shape, estimate.shape_uncertainty, estimate.drift
     moves = drift is not None and any(drift)
     if not shape or (shape == "axis" and not moves):
         return
     name = SHAPES[shape] if len(estimate.scales) < 2 else "flows of cells, superposed"
     yield "shape", name + (", drifting" if moves else "")
-    if known is None or estimate.length_scales is None:
+    if spread is None or estimate.length_scales is None:
         return
     if shape != "axis":
-        degrees, spread = math.degrees(estimate.heading), math.degrees(known.heading)
-        yield "heading", f"{degrees:.{decimals(spread)}f} degrees  ± {spread:.2g}"
+        degrees, error = math.degrees(estimate.heading), math.degrees(spread.heading)
+        yield "heading", f"{degrees:.{decimals(error)}f} degrees  ± {error:.2g}"
     if shape in ("rectangle", "pair"):
-        yield "length scales  x, y", measured(estimate.length_scales, "m", known.length_scales)
+        yield "length scales  x, y", measured(estimate.length_scales, "m", spread.length_scales)
     if moves and drift is not None:
-        yield "drift", measured(drift, "m/s", known.drift)
+        yield "drift", measured(drift, "m/s", spread.drift)
 
 
 def measured(
@@ -188,8 +188,8 @@ def measured(
     if value != value:
         return f"{'–':>9} {unit}"
     spreads = spread if isinstance(spread, tuple) else (spread,)
-    known = [each for each in spreads if each is not None and math.isfinite(each)]
-    finest = min(known) if len(known) == len(spreads) else math.nan
+    errors = [each for each in spreads if each is not None and math.isfinite(each)]
+    finest = min(errors) if len(errors) == len(spreads) else math.nan
     places = decimals(finest) if finest == finest else 4
     if isinstance(value, tuple):
         words = f"({value[0]:.{places}f}, {value[1]:.{places}f}) {unit}"
@@ -200,8 +200,8 @@ def measured(
     if finest != finest:
         return f"{words}  ± unknown"
     kind = f".{places}f" if finest >= FINEST else ".1e"
-    told = ", ".join(f"{each:{kind}}" for each in known)
+    shown = ", ".join(f"{each:{kind}}" for each in errors)
     if isinstance(value, tuple):
-        return f"{words}  ± ({told})"
+        return f"{words}  ± ({shown})"
     interval = f"  (95 %: {ends[0]:.{places}f} … {ends[1]:.{places}f})" if ends else ""
-    return f"{words}  ± {told}" + interval * (finest >= FINEST)
+    return f"{words}  ± {shown}" + interval * (finest >= FINEST)

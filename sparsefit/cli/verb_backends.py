@@ -13,7 +13,7 @@ EXAMPLE = """\
   sparsefit backends
   sparsefit backends check group-lasso --setting solver=clarabel
 """
-LIST_SECONDS = 20.0  # for a plug-in to be imported
+SECONDS = 20.0  # for a plug-in to be imported
 CHECK_SECONDS = 60.0
 
 
@@ -45,12 +45,15 @@ def run_list(args: argparse.Namespace) -> int:
     from sparsefit import backends
     from sparsefit.solvers.conic import installed_solvers
     from sparsefit.solvers.registry import Recipe, solver_names
+    from sparsefit.study.worker import in_child
 
-    ours = (*backends.BACKENDS, *backends.PUBLIC)
-    records = [
-        _record(name) if name in ours else _record_apart(name)
-        for name in (*backends.known(), *backends.PUBLIC)
-    ]
+    ours, records = (*backends.BACKENDS, *backends.PUBLIC), []
+    for name in (*backends.known(), *backends.PUBLIC):
+        try:
+            record = _record(name) if name in ours else in_child(_record, name, seconds=SECONDS)
+        except InputError as error:
+            record = {"name": name, "error": str(error)}
+        records.append(record)
     solvers = installed_solvers()
     others = [Recipe(name) for name in solver_names()]
     public = [{"name": o.name, "form": o.form, "installed": not o.missing} for o in others]
@@ -58,19 +61,8 @@ def run_list(args: argparse.Namespace) -> int:
     lines.append(f"\nsolvers that cvxpy finds here: {', '.join(solvers)}")
     lines.append(f"other solvers: {', '.join(o.name for o in others if not o.missing)}")
     lines += [f"  missing: {other.missing}" for other in others if other.missing]
-    record = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
-    return emit(record, lines, as_json=args.json)
-
-
-def _record_apart(name: str) -> dict[str, Any]:
-    """The record of a plug-in, which is imported in a process of its own."""
-    from sparsefit.study.worker import in_child
-
-    try:
-        record: dict[str, Any] = in_child(_record, name, seconds=LIST_SECONDS)
-    except InputError as error:
-        return {"name": name, "error": str(error)}
-    return record
+    every = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
+    return emit(every, lines, as_json=args.json)
 
 
 def _record(name: str) -> dict[str, Any]:
@@ -124,24 +116,16 @@ def run_check(args: argparse.Namespace) -> int:
 
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The answer of the back-end on a small flight, as JSON and in lines."""
-    from sparsefit import backends
-    from sparsefit.estimator.estimator import Estimator
-    from sparsefit.flight import simulate_flight
-    from sparsefit.flight.flow import CellularFlow
-    from sparsefit.flight.vehicle import PointMassVehicle
-    from sparsefit.model import LengthScaleGrid, Library
-    from sparsefit.rows import Derivative
-    from sparsefit.solvers.conic import installed_solvers
+    import sparsefit as sf
     from sparsefit.solvers.contract import faults
 
-    backend = backends.get(name, **settings)
-    truth = CellularFlow(mean_velocity=15.0, length_scale=4.0)
-    flight = simulate_flight(
-        truth, PointMassVehicle(0.5, (5.0, 3.0)), duration=10.0, sample_rate=50.0, seed=7
-    )
-    estimator = Estimator(Derivative(), Library(LengthScaleGrid(3.0, 5.0, 1.0)), backend)
+    backend = sf.backends.get(name, **settings)
+    truth, vehicle = sf.CellularFlow(15.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    flight = sf.simulate_flight(truth, vehicle, duration=10.0, sample_rate=50.0, seed=7)
+    library = sf.Library(sf.model.LengthScaleGrid(3.0, 5.0, 1.0))
+    estimator = sf.Estimator(library=library, backend=backend)
     prepared = estimator.prepare(flight)
-    wrong = [] if name in backends.BACKENDS else faults(backend, prepared.problem)
+    wrong = [] if name in sf.backends.BACKENDS else faults(backend, prepared.problem)
     faulty = [f"  fault: {sentence}" for sentence in wrong]
     try:
         estimate = estimator.read(prepared, estimator.fit(prepared))
@@ -157,8 +141,6 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
         f"  settings: {typed(estimate.settings) or 'none'}",
         f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
         f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)",
-        f"  solvers that cvxpy finds here: {', '.join(installed_solvers())}",
         *faulty,
     ]
-    machinery = {"cvxpy_solvers": installed_solvers()}
-    return {**estimate.to_dict(), **machinery, "faults": wrong, "lines": lines}
+    return {**estimate.to_dict(), "faults": wrong, "lines": lines}

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from sparsefit import backends
 from sparsefit.cli import main
+from sparsefit.errors import InputError
 from sparsefit.solvers.contract import faults
+from sparsefit.study.study import Study
 from tests.problems import regular
 
 GOOD = """
@@ -83,31 +87,21 @@ def test_plug_ins_that_end_their_process_are_listed_with_it(
     assert "error" not in listed["lasso"]
 
 
+WRONG = "it says ok of an answer that is not: fixed_point"
+POOR = "its weights fit the target worse than zeros do"
+TWICE = "it answers the same problem differently the second time: solve must be pure"
+
+
 @pytest.mark.parametrize(
     ("deed", "fault"),
     [
         ("", []),
         ("print", ["it prints: 'not JSON not JSON'"]),
-        (
-            "random",
-            [
-                "it answers the same problem differently the second time: solve must be pure",
-                "its weights fit the target worse than zeros do",
-            ],
-        ),
-        ("zeros", ["it says ok of an answer that is not: fixed_point"]),
-        (
-            "worse",
-            [
-                "it says ok of an answer that is not: fixed_point",
-                "its weights fit the target worse than zeros do",
-            ],
-        ),
+        ("random", [TWICE, POOR]),
+        ("zeros", [WRONG]),
+        ("worse", [WRONG, POOR]),
         ("write", ["raises InputError: back-end 'good' writes into problem.theta, which it is "]),
-        (
-            "shape",
-            ["raises InputError: back-end 'good' returned weights of shape (3,), not (12, 2)"],
-        ),
+        ("shape", ["raises InputError: back-end 'good' returned weights of shape (3,), not (12"]),
         ("raise", ["raises ZeroDivisionError: why"]),
     ],
 )
@@ -136,3 +130,22 @@ def test_what_ends_or_hangs_a_check_is_told_by_name(
 ) -> None:
     assert main(["backends", "check", *argv]) == 2
     assert words in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("dies", "died of SIGABRT"), ("leaves", "SystemExit"), ("good", "")]
+)
+def test_a_study_of_problems_loads_a_plug_in_elsewhere(
+    tmp_path: Path, name: str, words: str
+) -> None:
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\nkind = "problems"\nquestion = "?"\n[[problems]]\ngenerator = "wide"\n'
+        f'[[backends]]\nname = "{name}"\n'
+    )
+    if words:
+        with pytest.raises(InputError, match=words):
+            Study.from_file(tmp_path / "s.toml")
+    else:
+        assert Study.from_file(tmp_path / "s.toml").plan()["solver"].tolist() == [name]
+    assert "dies" not in sys.modules
+    assert "leaves" not in sys.modules
