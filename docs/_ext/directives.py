@@ -242,7 +242,10 @@ def write_pages(app: Sphinx) -> None:
         text = f"# {title}\n"
         for entry in modules:
             module, _, names = entry.partition(": ")
-            names = names or ", ".join(import_module(f"sparsefit.{module}").__all__)
+            room = import_module(f"sparsefit.{module}")
+            names = names or ", ".join(room.__all__)
+            for name in names.split(", "):  # of those that a room imports when they are first used
+                setattr(room, name, getattr(room, name))
             members = f".. automodule:: sparsefit.{module}\n   :members: {names}"
             text += f"\n## `sparsefit.{module}`\n\n````{{eval-rst}}\n{members}\n````\n"
         pages[f"api/{room}"] = text
