@@ -238,7 +238,7 @@ def written(content: Callable[[str, Mapping[str, str]], list[str]]) -> type[Sphi
 def write_pages(app: Sphinx) -> None:
     """Write a page for every study in `results/` and every room, in folders that git ignores."""
     pages = {}
-    for room, (title, modules) in ROOMS.items():
+    for page, (title, modules) in ROOMS.items():
         text = f"# {title}\n"
         for entry in modules:
             module, _, names = entry.partition(": ")
@@ -248,7 +248,7 @@ def write_pages(app: Sphinx) -> None:
                 setattr(room, name, getattr(room, name))
             members = f".. automodule:: sparsefit.{module}\n   :members: {names}"
             text += f"\n## `sparsefit.{module}`\n\n````{{eval-rst}}\n{members}\n````\n"
-        pages[f"api/{room}"] = text
+        pages[f"api/{page}"] = text
     for path in RESULTS.glob("*/README.md"):
         name = path.parent.name
         text = re.sub(r"^###", "##", path.read_text("utf-8"), flags=re.MULTILINE)
