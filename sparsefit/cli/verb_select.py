@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     if selection.chosen is None:
         usage = f"nothing was chosen, and {args.output} is not written"
     elif study.kind == "problems":
-        usage = f"use it: sf.fit(problem, study.backend({selection.chosen.candidate!r}))"
+        usage = f"use it: {_call(study, selection.chosen.candidate)}"
     else:
         estimator = json.loads(study.estimator(selection.chosen.candidate).to_json())
         estimator["provenance"] = evidence.provenance(study, selection)
@@ -110,6 +110,14 @@ def run(args: argparse.Namespace) -> int:
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
     emit(record, [*said, closing, usage], as_json=args.json)
     return 0 if selection.chosen is not None else 1
+
+
+def _call(study: Study, candidate: str) -> str:
+    """The call from Python of a candidate of a study of problems."""
+    cell, cells = study.cells_of(candidate)[0], study.experiment.cells()
+    settings = json.loads(cells["settings"][cell])
+    words = "".join(f", {name}={value!r}" for name, value in settings.items())
+    return f"sf.path(problem, {cells['backend'][cell]!r}{words})"
 
 
 def _flown(study: Study, args: argparse.Namespace) -> Study:

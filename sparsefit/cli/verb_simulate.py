@@ -98,8 +98,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"flying {samples:.3g} samples; Ctrl-C stops it, and writes nothing", file=sys.stderr)
     flight = replace(draw, turbulence_seed=args.seed).fly(SeedSequence(args.seed))
     write_flight(flight, args.output, overwrite=args.force)
-    through = "still air"
-    if "mean_velocity" in values:
+    through = "still air" if draw.flown is None else "air without cells"
+    if draw.flow is not None:
         speed, scale = values["mean_velocity"], values["length_scale"]
         through = f"a flow of {speed:g} m/s and {scale:g} m ({scale / speed:.3g} s)"
     print(

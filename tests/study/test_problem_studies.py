@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
+from sparsefit.cli import main
 from sparsefit.errors import InputError
 from sparsefit.study.clock import Repeats, Timing, median_interval
 from sparsefit.study.data_sets import DATASETS, Generator, read_data, read_public
@@ -184,6 +185,12 @@ def test_problems_are_judged_by_held_out_rows_and_truth(own):
     # A path of one step is further from the data.
     lazy = own.cases[own.cases["solver"] == "ista iterations=1"].set_index("problem")
     assert lazy.loc["correlated", "holdout_error"] > cases.loc["correlated", "holdout_error"]
+
+
+def test_the_winner_is_a_call(own, capsys, tmp_path):
+    options = ("--criterion", "mean holdout-error", "--output", str(tmp_path / "e.json"))
+    assert main(["select", own.path, *options]) == 0
+    assert "use it: sf.path(problem, 'lasso'" in capsys.readouterr().out
 
 
 def test_a_changed_solver_file_is_another_case(own):
