@@ -229,11 +229,12 @@ def _readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
         study.name, study.question, said[0]))  # fmt: skip
     parts = [f"# {name}", f"**{question}**", answer,
              f"{said[1]} Written by `sparsefit study report`; do not edit."]  # fmt: skip
+    shown, texts, linked = list[str](), list[str](), list[str]()
     for name, picture in pictures.items():
         caption = picture.caption.translate(MARKDOWN)
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
-        parts.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
-    room, linked = WORDS - sum(len(part.split()) for part in parts), []
+        shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
+    room = WORDS - sum(len(part.split()) for part in (*parts, *shown))
     for name, each in made.items():
         rows, least = min(len(each.rows), 60), min(6, len(each.rows))
         text = each.to_markdown(rows)
@@ -244,6 +245,7 @@ def _readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
             linked.append(f"[{name}]({name}.csv)")
             continue
         more = len(each.rows) - rows
-        parts.append(text + (f"\n{more} more rows: [{name}.csv]({name}.csv)\n" if more else ""))
+        texts.append(text + (f"\n{more} more rows: [{name}.csv]({name}.csv)\n" if more else ""))
         room -= len(text.split()) + 5
+    parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
     return joined([*parts, f"More tables: {', '.join(linked)}." if linked else ""])

@@ -73,16 +73,17 @@ class TestPage:
         assert heads[:3] == ["objective", "solver", "verdict"]
         assert text.index("Solvers: success and time") < text.index("<figure")
 
-    def test_a_study_of_problems_that_are_predicted_begins_with_that(self):
+    def test_a_study_of_problems_that_are_predicted_begins_with_that(self, tmp_path):
         sizes = {"a": 0.2, "b": 0.1}
         cases = frame(*(solve(f"p{n}", name, 0.1, holdout_error=size) for n in range(3)
                         for name, size in sizes.items()))  # fmt: skip
-        made = next(iter(tables.tables(study(cases), cases).values()))
-        assert made.title == "What is predicted and recovered"
-        assert not made.varies
-        said = page.headline(study(cases), cases)
-        assert said.startswith("Median held-out error, of the target's variance, over 3 problems")
-        assert "10.0 % (b) to 20.0 % (a)" in said
+        made = study(cases, tmp=tmp_path, figures=("accuracy",))
+        assert next(iter(tables.tables(made, cases))) == "prediction"
+        text = page.write(made)[-1].read_text()
+        assert (
+            "Median held-out error, of the target's variance, over 3 problems: 10.0 % (b)" in text
+        )
+        assert text.index("What is predicted and recovered") < text.index("![accuracy]")
 
     def test_a_headline_without_any_word_of_the_study(self):
         cases = run()
