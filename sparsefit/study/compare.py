@@ -26,8 +26,6 @@ from sparsefit.study.resampling import by_unit, difference, pooled
 from sparsefit.study.table import Table, significant
 from sparsefit.whole_file import write_files
 
-SHOWN = 30  # rows of a table of a page
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -185,7 +183,7 @@ def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     sections = {"Tables": list(made.values())}
     files["comparison.html"] = page.to_html(title, title, [comparison.sentence], sections).encode()
     files["comparison.md"] = page.joined(
-        [f"# {title}", comparison.sentence, *(each.to_markdown(SHOWN) for each in made.values())]
+        [f"# {title}", comparison.sentence, *(each.to_markdown(30) for each in made.values())]
     )
     folder.mkdir(parents=True, exist_ok=True)
     return write_files(folder, files)
