@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
+import runpy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -64,48 +64,46 @@ class Entry:
         return words.replace(" ", "-").replace("/", "-")[:100]
 
 
-class Script:
-    """The functions of the Python file that a study names: of the frame of cases, by name."""
+def script_of(study: Any) -> Path | None:
+    """Return the Python file that a study names, beside its own."""
+    name = study.definition.outputs.script
+    return Path(study.path).parent / name if name else None
 
-    def __init__(self, study: Any) -> None:
-        name = study.definition.outputs.script
-        self.path = Path(study.path).parent / name if name else None
-        self.study = study
-        self.functions: dict[str, Callable[..., object]] = {}
-        if self.path is None:
-            return
-        try:
-            spec = importlib.util.spec_from_file_location(f"script_{self.path.stem}", self.path)
-            if spec is None or spec.loader is None or not self.path.is_file():
-                raise FileNotFoundError("no Python file")
-            module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
-        except Exception as error:
-            raise InputError(f"script {self.path}: {type(error).__name__}: {error}") from None
-        self.functions = {
-            name: value for name, value in vars(module).items()
-            if callable(value) and getattr(value, "__module__", "") == module.__name__
-            and not name.startswith("_")
-        }  # fmt: skip
 
-    def call(self, name: str, cases: pd.DataFrame, kind: type | tuple[type, ...]) -> Any:
-        """Return what a function gives of the cases, and of the study if it takes two arguments.
+def functions_of(study: Any) -> dict[str, Callable[..., Any]]:
+    """Return the public functions of the study's script, by name.
 
-        Raises:
-            InputError: with what it raised, or if it returns another kind than asked for.
-        """
-        function = self.functions[name]
-        count = function.__code__.co_argcount if hasattr(function, "__code__") else 1
-        try:
-            made = function(cases, self.study) if count > 1 else function(cases)
-        except Exception as error:
-            words = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self.path}: {name}(cases) raised {words}") from None
-        if not isinstance(made, kind):
-            kinds = kind if isinstance(kind, tuple) else (kind,)
-            names = " and no ".join(each.__name__ for each in kinds)
-            raise InputError(f"{self.path}: {name}(cases) returned no {names}")
-        return made
+    Each takes the frame of cases, and the study if it has two arguments.
+
+    Raises:
+        InputError: with what the script raised.
+    """
+    path = script_of(study)
+    try:
+        names = runpy.run_path(str(path), run_name="script") if path else {}
+    except Exception as error:
+        raise InputError(f"script {path}: {type(error).__name__}: {error}") from None
+    return {
+        name: value for name, value in names.items() if callable(value) and name[0] != "_"
+        and getattr(value, "__module__", "") == "script"
+    }  # fmt: skip
+
+
+def call(function: Callable[..., Any], study: Any, cases: pd.DataFrame, *kinds: type) -> Any:
+    """Return what a function of a script gives of the cases.
+
+    Raises:
+        InputError: with what it raised, or if it returns none of the kinds asked for.
+    """
+    name = f"{script_of(study)}: {getattr(function, '__name__', 'script')}(cases)"
+    count = function.__code__.co_argcount if hasattr(function, "__code__") else 1
+    try:
+        made = function(*(cases, study)[:count])
+    except Exception as error:
+        raise InputError(f"{name} raised {type(error).__name__}: {error}") from None
+    if not isinstance(made, kinds):
+        raise InputError(f"{name} returned no {' and no '.join(kind.__name__ for kind in kinds)}")
+    return made
 
 
 def asked(
@@ -127,16 +125,16 @@ def asked(
     Raises:
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
     """
-    script, own = Script(study), getattr(study.definition.outputs, f"{kind}s")
+    functions, own = functions_of(study), getattr(study.definition.outputs, f"{kind}s")
     declared = {each["name"]: each for each in own if not isinstance(each, str) and "name" in each}
     for entry in names or own or fits:
         name = entry if isinstance(entry, str) else str(entry.get("name", ""))
         if isinstance(entry, str) and name not in declared:
-            if name in script.functions:
-                yield name, partial(script.call, name)
+            if name in functions:
+                yield name, partial(call, functions[name], study)
                 continue
             if name not in named:
-                raise unknown(kind, name, [*named, *script.functions])
+                raise unknown(kind, name, [*named, *functions])
         if "/" in name or "\\" in name or name.startswith("."):
             raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
         given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry

@@ -24,7 +24,7 @@ import pandas as pd
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
-from sparsefit.study.entries import Entry, Script, asked, grouped
+from sparsefit.study.entries import Entry, asked, grouped, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import measure, numbers
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
@@ -212,7 +212,7 @@ def write(study: Any) -> list[Path]:
 
 def _run(study: Any) -> Iterator[Any]:
     """Give the study file, its script, and what the manifest says of versions and machine."""
-    for words, file in (("study file", Path(study.path)), ("script", Script(study).path)):
+    for words, file in (("study file", Path(study.path)), ("script", script_of(study))):
         if file is not None and file.is_file():
             yield Code(f"The {words}, {file.name}", file.read_text(encoding="utf-8"))
     manifest = study.folder / "manifest.json"

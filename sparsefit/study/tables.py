@@ -373,7 +373,7 @@ def tables(
     outputs, every = study.definition.outputs, dict[str, Table]()
     for name, entry in entries.asked(study, "table", NAMED, MEASURED, names, fitting(cases)):
         if not isinstance(entry, Entry):
-            made = entry(cases, (pd.DataFrame, Table))
+            made = entry(cases, pd.DataFrame, Table)
             made = made if isinstance(made, Table) else Table.of(made)
             title = made.title or name.replace("_", " ").capitalize()
             every[name] = replace(made, title=title)
