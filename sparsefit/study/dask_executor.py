@@ -26,6 +26,7 @@ def outcomes_on_dask(
     batches: Iterable[Batch],
     processes: int,
     stop: Callable[[], bool],
+    idle: Callable[[float], None],
 ) -> Generator[Outcome, None, None]:
     """Every cell of every batch, as its task ends.
 
@@ -70,6 +71,7 @@ def outcomes_on_dask(
                 tried.update(mine)
                 for batch in mine:
                     submit([batch])
+            idle(0.0)
             for more in islice(chunks, 0 if stop() else 1):
                 submit(more)
 

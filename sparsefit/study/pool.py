@@ -24,12 +24,14 @@ def outcomes(
     batches: Iterator[Batch],
     processes: int,
     stop: Callable[[], bool] = lambda: False,
+    idle: Callable[[float], None] = lambda patience: None,
 ) -> Generator[Outcome, None, None]:
     """Every cell of every batch as it ends.
 
     Workers end with the generator. Once ``stop`` says so, nothing is asked that is not under way.
+    ``idle`` is called before workers are waited for, with the longest [s] that this takes.
     """
-    pool = Pool(experiment, batches, processes, stop)
+    pool = Pool(experiment, batches, processes, stop, idle)
     try:
         yield from pool.run()
     finally:
@@ -61,6 +63,7 @@ class Pool:
     batches: Iterator[Batch]
     processes: int
     stop: Callable[[], bool]
+    idle: Callable[[float], None]
     slots: list[Slot] = field(default_factory=list)
     stillborn: int = 0
     killed: int = 0
@@ -75,6 +78,7 @@ class Pool:
             busy = [(slot, slot.crew[slot.ask.desk]) for slot in self.slots if slot.ask]
             if not busy:
                 return
+            self.idle(TICK)
             until = min(worker.deadline for _, worker in busy) - time.monotonic()
             wait_for([worker for _, worker in busy], min(until, TICK))
             gap, looked = time.monotonic() - looked, time.monotonic()

@@ -1,6 +1,6 @@
 """Run a study: compute the cases that have no row, and leave finished results behind.
 
-One run at a time holds a results folder. Each row is in the store before the next is waited for;
+One run at a time holds a results folder. Rows are on the disk half a second after they are known;
 an interrupted run, even by SIGKILL, goes on from there. The first Ctrl-C asks for the fits at hand
 to be finished, the second stops at once.
 """
@@ -140,7 +140,7 @@ def run(
             batches = plan.experiment.batches(wanted)
             with (
                 counted_interrupts(stopping or (lambda: None)) as stop,
-                closing(compute(plan.experiment, batches, count, stop)) as arriving,
+                closing(compute(plan.experiment, batches, count, stop, store.sync)) as arriving,
             ):
                 summary = _stored(store, wanted, arriving, count, progress)
                 if stop() and summary.computed < wanted.sum():
@@ -174,7 +174,7 @@ def _stored(
     processes: int,
     progress: Progress | None,
 ) -> RunSummary:
-    """Put outcomes into the store as they arrive, each before the next is waited for."""
+    """Put outcomes into the store as they arrive."""
     plan, begun, shown = store.plan, time.monotonic(), -math.inf
     resumed, total = int((store.done & ~wanted).sum()), int(wanted.sum())
     computed = 0

@@ -1,7 +1,8 @@
 """The rows of a study on disk: `cases.sqlite` while it runs, `cases.parquet` when it is finished.
 
     with Store.opened(folder, plan) as store:      # one writer, by the folder's lock
-        store.put(outcome, version)                # on the disk within half a second
+        store.put(outcome, version)
+        store.sync()                               # on the disk
         store.export()                             # Parquet, in plan order, with its checksums
 
 A row is kept by what it is (its identity) and has a checksum of its own; of two rows for a case the
@@ -162,14 +163,16 @@ class Store:
         self.status[place], self.version[place] = outcome.status, version
 
     def put_row(self, row: Row) -> None:
-        """Write a row, planned or not, within half a second."""
+        """Write a row, planned or not, at the next `sync`."""
         self.exported = False
         self.pending.append(row)
-        if len(self.pending) >= 512 or time.monotonic() - self.synced > 0.5:
+        if len(self.pending) >= 512:
             self.sync()
 
-    def sync(self) -> None:
-        """Commit what is pending to the disk."""
+    def sync(self, patience: float = 0.0) -> None:
+        """Commit what is pending to the disk, if the last time was longer ago than this [s]."""
+        if patience and not (self.pending and time.monotonic() - self.synced > patience):
+            return
         path = self.folder / STORE
         if not path.exists():
             raise InputError(f"{path}: was removed during the run: run it again")
