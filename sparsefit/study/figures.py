@@ -273,7 +273,8 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
 }
 MEASURED = {name: made in (lines, ecdf) for name, made in LAYOUTS.items()}
 NAMED: Mapping[str, Options] = {
-    "scatter": {"compare": "scatter"},
+    "scatter": {"compare": "scatter", "title": "Estimated against true, the best candidate of each "
+                "reading; points beyond the frame stand on its edge"},
     "errors": {"compare": "ecdf", "measure": three("size"), "limits": (5.0,)},
     "sweep": {"compare": "lines", "measure": three("error")[::-1]},
     "methods": {"compare": "lines", "measure": ("timescale-error",),
@@ -282,7 +283,7 @@ NAMED: Mapping[str, Options] = {
                    "measure": three("efficiency")[:2]},
     "scales": {"compare": "lines", "measure": ("scales-found",)},
     "coverage": {"compare": "lines", "along": "condition", "limits": (93.0, 97.0),
-                 "measure": three("coverage")},
+                 "measure": three("coverage"), "notes": ("Bars: 95 % Wilson intervals.",)},
     "profiles": {"compare": "profiles", "measure": ("ratio",), "rows": ("objective",),
                  "columns": "accuracy", "lines": "solver", "title": "Share of problems solved in "
                  "at most so many times the time of the fastest solver of each"},
@@ -319,28 +320,19 @@ def figures(
         shown = styled(partial(LAYOUTS[entry.compare or "settings"], entry, cases))
         words = ", ".join(each.words for each in entry.measures) or "an answer"
         blank = f"{name}: nothing to draw, no case has {words}."
-        every[name] = Picture(shown, _caption(entry, cases) if shown else blank)
+        every[name] = Picture(shown, _caption(entry) if shown else blank)
     return every
 
 
-def _caption(entry: Entry, cases: pd.DataFrame) -> str:
+def _caption(entry: Entry) -> str:
     """Return the title of an entry, or what its picture shows."""
-    said = [entry.title]
-    if entry.compare == "scatter":
-        count, best = cases["title"].nunique(), best_titles(cases[measures.in_flow(cases)])
-        titles = f"{f'the best of {count} by reading: ' if count > 1 else ''}{'; '.join(best)}"
-        said = [entry.title or f"Estimated against true, {titles}",
-                "points beyond the frame stand on its edge"]  # fmt: skip
-    elif not entry.title and entry.compare == "ecdf":
-        words = "; ".join(dict.fromkeys(each.words for each in entry.measures))
-        said = [f"Share of planned cases with at most so much: {words}", "failures never get there"]
-    elif not entry.title:
-        said = list(dict.fromkeys(each.phrase for each in entry.measures))
-        if any(each.summary == "share" for each in entry.measures):
-            said.append("bars: 95 % Wilson intervals")
-        if any(each.miss is not None for each in entry.measures):
-            said.append("a failure ranks behind every number: where it decides, a line breaks")
-    return " ".join(sentence(text) for text in (*said, *entry.notes))
+    words = [each.words if entry.compare == "ecdf" else
+             each.phrase + f", {each.convention}" * (each.miss is not None)
+             for each in entry.measures]  # fmt: skip
+    shown = "; ".join(dict.fromkeys(words))
+    if entry.compare == "ecdf":
+        shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
+    return " ".join(map(sentence, (entry.title or shown, *entry.notes)))
 
 
 def fitting(cases: pd.DataFrame) -> list[str]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -266,10 +265,6 @@ def _unseen(cases: pd.DataFrame) -> BoolArray:
     return np.asarray(ended(cases, "ok") & ~within)
 
 
-def _at(read: Read, place: int, cases: pd.DataFrame) -> Array:
-    return read(cases)[:, place]
-
-
 def _of_each(name: str, unit: str | None, heading: str, words: str, read: Read,
              **more: Any) -> list[Measure]:  # fmt: skip
     """Return a measure of each of U0, L_w and tau_w, the columns (rows, 3) of `read`.
@@ -277,10 +272,14 @@ def _of_each(name: str, unit: str | None, heading: str, words: str, read: Read,
     Args:
         unit: that of the parameter where it is None.
     """
+
+    def column(place: int) -> Read:
+        return lambda cases: read(cases)[:, place]
+
     return [
         Measure(f"{parameter.replace('_', '-')}-{name}", UNITS[parameter] if unit is None else unit,
                 f"{heading} {SYMBOLS[parameter]}", words.format(SYMBOLS[parameter]),
-                partial(_at, read, place), **more)
+                column(place), **more)
         for place, parameter in enumerate(PARAMETERS)
     ]  # fmt: skip
 

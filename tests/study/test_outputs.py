@@ -277,7 +277,9 @@ class TestFigures:
         assert len(told.figure.axes) == 6
         assert not told.figure.legends  # the one condition has no name, and is not grey
         assert told.figure.axes[0].lines[0].get_color() == COLOURS[0]
-        assert "the best of 4 by reading: lasso; grid " in told.caption
+        beside = [axes.get_ylabel() for axes in told.figure.axes[::3]]
+        assert beside[0].startswith("lasso\n")
+        assert beside[1].startswith("grid ")
         assert any("1 above" in axes.get_title() for axes in told.figure.axes)
 
     def test_shares_along_conditions_have_their_wilson_intervals(self):
