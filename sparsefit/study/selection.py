@@ -19,6 +19,7 @@ import pandas as pd
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, suggestion, told_with
 from sparsefit.study import measures, resampling
+from sparsefit.study.entries import factor_words
 from sparsefit.study.measures import Measure, factors
 from sparsefit.study.resampling import ROUNDING, Difference, ends, mean
 from sparsefit.study.table import significant
@@ -271,7 +272,8 @@ class Selection:
         of_units = ("flights.", "problems.")
         own, parts = [name for name in factors(self.cases) if not name.startswith(of_units)], {}
         for row in self.cases.drop_duplicates("candidate").to_dict("records"):
-            words = [str(row.get("reading", row.get("protocol", ""))), *(str(row[n]) for n in own)]
+            levels = (f"{factor_words(n)} none" if row[n] == "none" else str(row[n]) for n in own)
+            words = [str(row.get("reading", row.get("protocol", ""))), *levels]
             reading = ", ".join(part for part in words if part and part != "default")
             parts[str(row["candidate"])] = (reading, str(row.get("label") or row["backend"]))
         return parts

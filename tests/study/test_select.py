@@ -88,6 +88,9 @@ def test_equals_tie_and_the_first_sentence_can_be_read_aloud():
     assert math.isinf(selection.tied[0].apart.more_units)
     assert headline(selection) == "Use ladder; lasso or stlsq will do, lasso is the simplest."
     assert lines(selection)[0].startswith("Score: 2.00 % (2.00 to 2.00) on 6 flights")
+    swept = made.assign(**{"readout.refine": np.where(made["label"] == "bad", "ladder", "none")})
+    said = "Use ladder, refine none; any of 2 back-ends will do, lasso is the simplest."
+    assert headline(chosen(swept)) == said
     every = chosen(made[made["label"] != "bad"])
     assert headline(every) == "Use ladder; any of 2 back-ends will do, lasso is the simplest."
 
