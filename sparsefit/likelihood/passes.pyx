@@ -253,7 +253,7 @@ def forward(
     cdef double fresh[STATES][STATES + COLUMNS + 1]
     cdef double pivot[STATES + COLUMNS + 1]  # P h, the response and minus the innovation
     cdef double reading[4]
-    cdef double total = 0.0, size, dt
+    cdef double total = 0.0, size, dt, excess
     cdef double* saved = NULL
     cdef const double* h
     cdef Step step
@@ -337,6 +337,11 @@ def forward(
             memcpy(rows[k] + n, fresh[k] + n, (q + 1) * sizeof(double))
             for j in range(levels):
                 rows[k][n + p + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
+            if k < 2:  # the first half kick has too much of the position
+                excess = dt / 6.0 * step.slope[k][2 + k] * step.slope[k][2 + k]
+                rows[k][k] -= excess * kick[2 + k]
+                for j in range(levels):
+                    rows[k][n + p + j] -= excess * kicks[j, 2 + k] * adjoint[i + 1, k]
             if stored is not None and k < 4:
                 saved = &stored[i - first, stored.shape[1] - 4 * n + k * n]
                 memcpy(saved, step.slope[k], n * sizeof(double))
@@ -384,6 +389,10 @@ def backward(
                 for k in range(n):
                     sums[k, 0] += 0.5 * dt * r[k] * r[k]
                     sums[k, 1] += 0.5 * dt * cov[k][k]
+                    if k < 2:
+                        part = dt / 6.0 * slope[k * n + 2 + k] * slope[k * n + 2 + k]
+                        sums[2 + k, 0] -= part * r[k] * r[k]
+                        sums[2 + k, 1] -= part * cov[k][k]
                     fade[k] = exp(-rates[k - 4] * dt) if k >= 4 else 0.0
                     new[k] = fade[k] * r[k]
                 for k in range(n):  # N F, then F' times it

@@ -7,8 +7,10 @@ The state is written as a deviation delta from a track s-bar, theta as one from 
 
 f is one step of Runge and Kutta's fourth order. F, E, H and D are exact: derivatives by a complex
 step, Im f(x + i h)/h (Squire and Trapp 1998, SIAM Rev. 40, 110). Half of a step's kick comes before
-it, half after. The filter runs at dtheta = 0 and carries V = d delta/d dtheta (Friedland 1969, IEEE
-Trans. Autom. Control 14, 359); an innovation is then e - G dtheta, and
+it, half after, less a third of what the first half makes of the position: what is left where a
+step is short is the variance dt^3/3 of a position that white noise accelerates. The filter runs at
+dtheta = 0 and carries V = d delta/d dtheta (Friedland 1969, IEEE Trans. Autom. Control 14, 359); an
+innovation is then e - G dtheta, and
 
     log L(dtheta) = log L(0) + b' dtheta - dtheta' J dtheta/2,   J = sum G'G/S,   b = sum G'e/S
 
@@ -177,8 +179,11 @@ def forward(
         sensitivity[:, :p] += inputs[i]
         covariance[:] = matrix @ covariance @ matrix.T
         covariance[half] += 0.5 * step * kick
+        excess = step / 6.0 * matrix[range(2), range(2, 4)] ** 2
+        covariance[range(2), range(2)] -= excess * kick[2:4]
         if last is not None:
             sensitivity[:, p:] += 0.5 * step * (space.kicks * last.adjoint[node + 1, :n]).T
+            sensitivity[:2, p:] -= (excess * space.kicks[:, 2:4] * last.adjoint[node + 1, :2]).T
         if stored is not None:
             stored[i, -4 * n :] = matrix[:4].ravel()
     return total
@@ -203,8 +208,9 @@ def backward(
         stored: written by `forward`.
         carried: r and N of the node after the block (1 + n, n): changed in place.
         result: its delta is added to the track; its adjoint and scores are written.
-        sums: (n, 2) sums of r^2 and of N over the half kicks, times their seconds, then (4, 2) of
-            R u^2 and of R times its variance over the readings: added to.
+        sums: (n, 2) sums of r^2 and of N over the half kicks, times their seconds, those of the
+            velocity less their excess; then (4, 2) of R u^2 and of R times its variance over the
+            readings: added to.
     """
     n, p = carried.shape[1], len(change)
     r, covariance, noise = carried[0], carried[1:], space.noise.sum(axis=0)
@@ -212,10 +218,12 @@ def backward(
         saved = stored[node - first]
         if node + 1 < len(nodes.time):
             step = nodes.time[node + 1] - nodes.time[node]
-            sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
             matrix = np.zeros((n, n))
             matrix[:4] = saved[-4 * n :].reshape(4, n)
             matrix[range(4, n), range(4, n)] = np.exp(-space.rates * step)
+            squares = np.column_stack([r**2, np.diag(covariance)])
+            sums[:n] += 0.5 * step * squares
+            sums[2:4] -= step / 6.0 * matrix[range(2), range(2, 4)][:, None] ** 2 * squares[:2]
             r[:] = matrix.T @ r
             covariance[:] = matrix.T @ covariance @ matrix
             sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])

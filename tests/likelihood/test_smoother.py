@@ -50,6 +50,41 @@ def nearby(pattern=TRUE, share=0.004):
     return StreamPattern(pattern.shape, tuple(values), pattern.drifting)
 
 
+def halves(kicks, step, f):
+    """The variances of the kicks before and after a step, the first half's excess taken off."""
+    excess = np.zeros(len(kicks))
+    excess[:2] = step / 6.0 * f[range(2), range(2, 4)] ** 2 * kicks[2:4]
+    return [0.5 * step * kicks, 0.5 * step * kicks - excess]
+
+
+def test_white_noise_moves_a_position_by_a_third_of_the_cube_of_the_step():
+    """Var(x, v) = q^2 [dt^3/3, dt^2/2; dt^2/2, dt] of a slow vehicle: no level is told from a log
+    without measurement noise by any other, and half kicks alone would halve the wrong way."""
+    f = np.eye(4)
+    step = 0.01
+    f[range(2), range(2, 4)] = step
+    before, after = halves(np.array([0.0, 0.0, 1.0, 1.0]), step, f)
+    covariance = f @ np.diag(before) @ f.T + np.diag(after)
+    expected = np.array([[step**3 / 3.0, step**2 / 2.0], [step**2 / 2.0, step]])
+    np.testing.assert_allclose(covariance[::2, ::2], expected, rtol=1e-12)
+
+
+def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
+    """A motion of white noise, drawn from its exact covariance: 4,000 numbers tell q to 1.1 %."""
+    rng, step, count = np.random.default_rng(5), 0.01, 1000
+    covariance = np.array([[step**3 / 3.0, step**2 / 2.0], [step**2 / 2.0, step]])
+    kicks = rng.normal(size=(2, count, 2)) @ np.linalg.cholesky(covariance).T
+    states = np.zeros((count + 1, 4))
+    for i in range(count):
+        x, v = states[i, :2], states[i, 2:]
+        states[i + 1] = *(x + step * v + kicks[:, i, 0]), *(v + kicks[:, i, 1])
+    log = FlightLog(step * np.arange(count + 1), states[:, :2], states[:, 2:], (0.0, 0.0))
+    still = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
+    model = Model(still, {"response_time": 1e6}, Disturbance(0.5, 1e-9, 1e-7))
+    posterior = measure(log, model, ("acceleration",))
+    assert posterior.model.disturbance.acceleration == pytest.approx(1.0, rel=0.04)
+
+
 def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     """Without waves the motion is linear: delta, score and information of one covariance matrix."""
     log, _ = flown(1, count=12)
@@ -81,7 +116,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
         maps.append(after)
         offset.append(f @ offset[-1] + following[i] - track[i + 1])
         by_theta.append(f @ by_theta[-1] + slopes[i])
-        variances += [0.5 * step * space.kicks.sum(axis=0)] * 2
+        variances += halves(space.kicks.sum(axis=0), step, f)
     prior = np.diag(np.concatenate(variances))
     h = np.vstack([each[:4] for each in maps])
     noise = np.tile(space.noise.sum(axis=0), m)
@@ -104,8 +139,8 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     # the derivative of log L by the logarithm of each variance
     for level, name in enumerate(model.disturbance.levels):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
-        for step in np.diff(nodes.time):
-            kicked += [0.5 * step * space.kicks[level]] * 2
+        for step, f in zip(np.diff(nodes.time), matrices, strict=True):
+            kicked += halves(space.kicks[level], step, f)
         slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
         expected = 0.5 * np.trace(np.linalg.solve(covariance, slope))
         squares = 0.5 * weights @ slope @ weights, expected
@@ -115,8 +150,8 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     pushed = []
     for level in range(4):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
-        for step in np.diff(nodes.time):
-            kicked += [0.5 * step * space.kicks[level]] * 2
+        for step, f in zip(np.diff(nodes.time), matrices, strict=True):
+            kicked += halves(space.kicks[level], step, f)
         slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
         pushed.append(slope @ weights)
     both = np.column_stack([design, *pushed])
