@@ -164,11 +164,12 @@ def diagnose(
                     most = max(most, scored[-1][0])
                     needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
         ready = None
-        if likely and likely[0][2].gain > needed:
+        if likely and _releveled(start, likely[0][2].gain) > needed:
             trials = [
                 _freed(start.models, FREEDOMS[name], name, flight, gain)
                 for name, flight, gain in likely
-                if name in FREEDOMS and gain.gain > max(needed, CALMER * wandering)
+                if name in FREEDOMS
+                and _releveled(start, gain.gain) > max(needed, CALMER * wandering)
             ][:FITTED]
             for name in dict.fromkeys(name for name, _, _ in likely if name in SHAPES):
                 trials += freer(start.models, name, answers=shapes)
@@ -208,6 +209,15 @@ def diagnose(
         gains = gains_of(posterior, {"growth": ("growth",)})
     growth, shares = gains.get(("growth", 0)), _ambiguity(posterior, rivals) if suspects else (0, 0)
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
+
+
+def _releveled(start: Posterior, gain: float) -> float:
+    """The gain where the level of the noise falls with it: -n ln(1 - gain/n) of n readings.
+
+    At a level that stays no cause gains more than the readings there are, however exact it is.
+    """
+    count = sum(int((leg.nodes.weights > 0.0).sum()) for leg in start.legs)
+    return -count * math.log1p(-min(gain / count, 1.0 - 1e-9))
 
 
 def _ambiguity(

@@ -113,3 +113,16 @@ def test_a_wrong_vehicle_is_named_in_a_log_without_noise(ratio):
     estimate = sf.Estimator().estimate(replace(flight, vehicle=believed))
     assert (estimate.status, estimate.goodness.suspect.cause) == ("misfit", "response-time")
     assert sf.Estimator().estimate(flight).status == "ok"
+
+
+def test_a_wrong_response_time_is_named_where_gusts_would_explain_a_log_without_noise_too():
+    """Slow turbulence explains such a log by 37,000 of log L, the response time by more."""
+    flow, vehicle = sf.CellularFlow(4.826126, 2.899105), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    place = (2.13299589, 5.25816715)
+    flown = sf.simulate_flight(
+        flow, vehicle, initial_position=place, duration=20.0, sample_rate=100.0, seed=0
+    )
+    believed = replace(flown, vehicle=replace(vehicle, response_time=0.6))
+    estimate = sf.Estimator().estimate(believed)
+    assert estimate.status == "misfit"
+    assert "response time" in estimate.reason
