@@ -32,7 +32,7 @@ def normal_of(seed, by_rows=False, targets=2):
 @pytest.mark.parametrize("by_rows", [False, True])
 def test_every_optimum_that_is_found_is_one(kind, by_rows):
     penalty, solved, asked = PENALTIES[kind], 0, 0
-    for seed in range(3):
+    for seed in range(2):
         normal, cross = normal_of(seed, by_rows)
         alpha = float(penalty.dual_norm(cross).max())
         start = np.zeros(cross.shape)
