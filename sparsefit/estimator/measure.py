@@ -58,6 +58,7 @@ SLIGHT = 1e-3  # of U0 or L: a cause that moves neither by more only widens thei
 FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
+MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicle hides of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +276,7 @@ def measure_flow(
     white = goodness.whiteness > 1e-6 or likelier.exact
     clear = white and goodness.r_squared > EXPLAINED
     excess = math.inf if clear else _excess(prepared, logs, likelier)
-    if excess > -HIDDEN:
+    if excess > -HIDDEN or goodness.r_squared > MOSTLY:
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         diagnosis = diagnose(
             logs, best, names, shapes=shapes, ready=gusty,
