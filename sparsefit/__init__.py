@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from sparsefit.rows import Derivative as Derivative
     from sparsefit.study.study import Study as Study
 
-__version__ = "0.4.0.dev0"
+__version__ = "0.4.0"
 
 _HOMES = {
     "CellularFlow": "flight.flow",
