@@ -97,3 +97,13 @@ def test_settings_that_share_a_factorisation_are_each_charged_for_it():
     second = sf.fit(problem, backends.get("least-squares", rcond=0.01))
     assert second.seconds >= problem.spectrum.seconds
     assert first.seconds >= problem.spectrum.seconds
+
+
+@pytest.mark.parametrize("level", [0.03, 0.3])
+def test_process_noise_alone_is_no_misfit(level):
+    """A position that process noise moves by micrometres a step has no noise of its own."""
+    flow, vehicle = sf.CellularFlow(9.9, 4.79), sf.PointMassVehicle(0.5, (5.0, 3.0))
+    flight = sf.simulate_flight(
+        flow, vehicle, duration=20.0, sample_rate=100.0, seed=2, process_noise=level
+    )
+    assert sf.Estimator().estimate(flight).status == "ok"
