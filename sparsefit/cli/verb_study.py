@@ -168,7 +168,8 @@ def plan(args: argparse.Namespace) -> int:
         if isinstance(value, dict):
             rows += ((f"{name.rstrip('s')} {key}", str(item)) for key, item in value.items())
         elif isinstance(value, list):
-            rows.append((name, one_line(f"{len(value)}: {'; '.join(value)}", terminal_width())))
+            words = f"{len(value)}: {'; '.join(value)}" if value else "none"
+            rows.append((name, one_line(words, terminal_width())))
         else:
             rows.append((name, str(value)))
     return emit(record, rows_of(rows), as_json=args.json)
