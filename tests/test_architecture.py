@@ -1,6 +1,8 @@
 """The laws of the house, read from the source: who may import whom, and what nobody may do."""
 
 import ast
+import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -199,24 +201,24 @@ def test_files_are_written_whole_or_not_at_all():
     assert not wrong
 
 
-def test_modules_and_what_is_public_in_them_have_docstrings():
-    assert not [missing for path in FILES for missing in undocumented(path)]
+def test_what_is_public_has_a_docstring_of_its_own_or_an_inherited_one():
+    names = {name_of(path).removesuffix(".__init__") for path in FILES}
+    names -= {"sparsefit.__main__", *(f"sparsefit.{room}" for room in BRIDGES)}  # slow to import
+    modules = map(importlib.import_module, sorted(names))
+    assert not [missing for module in modules for missing in undocumented(module)]
 
 
-def undocumented(path):
-    tree = tree_of(path)
-    if not ast.get_docstring(tree):
-        yield name_of(path)
-    if path.name == "__init__.py" and len(tree.body) == 1:
-        return
-    places = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
-    for place in places:
-        if isinstance(place, ast.ClassDef) and place.name.startswith("_"):
-            continue
-        for node in place.body:
-            named = isinstance(node, ast.FunctionDef | ast.ClassDef)
-            if named and not node.name.startswith("_") and not ast.get_docstring(node):
-                yield f"{name_of(path)}:{node.lineno} {node.name}"
+def undocumented(module):
+    """Names of the methods and properties of a module's public classes that say nothing.
+
+    Modules, functions and classes are ruff's; a method that overrides one may say nothing new.
+    """
+    for cls in vars(module).values():
+        if inspect.isclass(cls) and cls.__module__ == module.__name__ and cls.__name__[0] != "_":
+            for name, member in vars(cls).items():
+                is_code = inspect.isfunction(member) or hasattr(member, "__get__")
+                if name[0] != "_" and is_code and not inspect.getdoc(getattr(cls, name)):
+                    yield f"{module.__name__}.{cls.__name__}.{name}"
 
 
 def test_files_stay_readable():
