@@ -151,7 +151,7 @@ def _checked(args: argparse.Namespace) -> Study:
 def check(args: argparse.Namespace) -> int:
     """Exit 0 if the study file is valid; solvers that are missing here are named."""
     study = _checked(args)
-    cases = len(study.plan())
+    cases = study.planned.size
     record = {"study": study.name, "cases": cases, "hash": study.hash, "missing": study.missing}
     kind = "" if study.kind == "flights" else f" of {study.kind}"
     heading = f"{args.study}: ok, study {study.name}{kind} plans {cases} cases"

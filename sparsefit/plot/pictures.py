@@ -8,9 +8,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 
 from sparsefit.arrays import Array
 from sparsefit.flight import Flight
@@ -18,6 +15,10 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.plot.style import COLOURS, GREY, STYLES, labels, legend, logarithmic, panels, styled
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+
     from sparsefit.estimator import Estimate, Estimator
 
 UNITS = {"m": ((5e3, 1e3, "km"),), "s": ((3e5, 86400.0, "days"), (2e4, 3600.0, "h"))}

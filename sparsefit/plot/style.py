@@ -8,18 +8,18 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from sparsefit.arrays import Array
 
-Drawn = TypeVar("Drawn", Figure, "Figure | None")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+Drawn = TypeVar("Drawn", "Figure", "Figure | None")
 WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
 # Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
@@ -55,6 +55,8 @@ STYLE: dict[Any, Any] = {
 
 def styled(draw: Callable[[], Drawn]) -> Drawn:
     """Return a figure drawn in this style, whatever the user's own settings are; or nothing."""
+    import matplotlib as mpl
+
     with mpl.rc_context(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
         warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
@@ -71,6 +73,8 @@ def styled(draw: Callable[[], Drawn]) -> Drawn:
 
 def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure of page width [inches] with a grid of axes that do not overlap."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     return figure, [list(row) for row in grid]
@@ -78,6 +82,8 @@ def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list
 
 def logarithmic(axis: Axis, low: float, high: float) -> None:
     """Number a logarithmic axis from `low` to `high` in plain digits, `0.01  0.1  1`."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     decades = math.log10(high / low) if 0.0 < low < high else 1.0
     axis.set_major_locator(
         LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0), numticks=TICKS)
@@ -93,6 +99,8 @@ def number_text(value: float) -> str:
 
 def level_axis(axes: Axes, levels: Array) -> None:
     """Number the x axis at swept levels (n,), on a log scale where they span a decade."""
+    from matplotlib.ticker import NullLocator
+
     distinct = np.unique(levels)
     positive = distinct[distinct > 0]
     if positive.size > 1 and positive[-1] / positive[0] >= 10 and distinct[0] >= 0:
@@ -164,6 +172,8 @@ def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:
     Args:
         name: by which the parts of an SVG are named apart from those of others on one page.
     """
+    import matplotlib as mpl
+
     stream = io.BytesIO()
     metadata = {".svg": {"Date": None, "Creator": None}, ".pdf": {"CreationDate": None}}
     with mpl.rc_context(STYLE | {"svg.hashsalt": name}), warnings.catch_warnings():

@@ -9,16 +9,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 
 from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, suggestion, unknown
 from sparsefit.study.measures import Measure, factors, measure
 from sparsefit.study.table import Value, plain
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Options: TypeAlias = Mapping[str, object]
 
@@ -164,6 +166,8 @@ def grouped(
     cases: pd.DataFrame, names: Sequence[str]
 ) -> Iterator[tuple[tuple[Value, ...], IntArray]]:
     """Give the values of each group of cases and the places of its rows, as they first appear."""
+    import pandas as pd
+
     if not len(cases):
         return
     group = np.zeros(len(cases), dtype=np.int64)
@@ -191,6 +195,8 @@ def level_text(level: Value) -> str:
 
 def levels_of(cases: pd.DataFrame, factor: str) -> pd.Series:
     """Return a column as text, categories in order: numbers ascending, others as they appear."""
+    import pandas as pd
+
     if factor not in cases:
         raise InputError(f'no factor "{factor}" is swept{suggestion(factor, factors(cases))}')
     codes, values = pd.factorize(cases[factor], use_na_sentinel=False)

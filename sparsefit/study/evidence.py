@@ -8,10 +8,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
@@ -22,6 +21,9 @@ from sparsefit.study.panels import Curve, Panel, drawn
 from sparsefit.study.selection import LIMITS, Check, Scored, Selection, limit_text
 from sparsefit.study.table import Column, Row, Table, significant
 from sparsefit.whole_file import write_files
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DISTURBED = 0.1  # share of timed flights with other programs on the core, from which it is told
 CAPTION = (

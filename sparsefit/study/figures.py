@@ -12,11 +12,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
-from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
@@ -28,6 +26,10 @@ from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure,
 from sparsefit.study.panels import LOG_RANGE, NAMED_CURVES, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
 from sparsefit.study.table import sentence
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 PANELS = 6  # rows of panels, with more nobody reads a picture
 UNIT_OF = {
@@ -74,7 +76,9 @@ def _lines(entry: Entry, cases: pd.DataFrame) -> Iterator[tuple[str, IntArray]]:
 
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
     """Return the swept factors whose every level is a number."""
-    return [name for name in measures.factors(cases) if pd.api.types.is_numeric_dtype(cases[name])]
+    from pandas.api.types import is_numeric_dtype
+
+    return [name for name in measures.factors(cases) if is_numeric_dtype(cases[name])]
 
 
 def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
@@ -83,6 +87,8 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     Without `along` every swept number is an axis; `columns`: a factor with a column of panels per
     level; `rows`: one with a row per level. What is neither is pooled.
     """
+    from pandas.api.types import is_numeric_dtype
+
     has_number = [~np.isnan(each.values(cases)) for each in entry.measures]
     axes_of = [entry.along] if entry.along else numeric_factors(cases)
     if not axes_of:
@@ -97,7 +103,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
             np.any(has_number, axis=0)
         ].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
-        is_number = pd.api.types.is_numeric_dtype(cases[along])
+        is_number = is_numeric_dtype(cases[along])
         shown = np.array(levels, dtype=float) if is_number else list(levels)
         x = np.asarray(shown if is_number else range(len(levels)), dtype=float)
         x_label = with_unit(factor_words(along), UNIT_OF.get(along.rpartition(".")[2], ""))
@@ -311,6 +317,8 @@ def figures(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Picture]:
     """Return pictures by file name: these, or those that a study asks for, or all that fit."""
+    from matplotlib.figure import Figure
+
     every: dict[str, Picture] = {}
     for name, entry in entries.asked(study, "figure", NAMED, MEASURED, names, fitting(cases)):
         if not isinstance(entry, Entry):

@@ -11,17 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
 
-Read: TypeAlias = Callable[[pd.DataFrame], Array]
+if TYPE_CHECKING:
+    import pandas as pd
+
+Read: TypeAlias = "Callable[[pd.DataFrame], Array]"
 SYMBOLS = {"mean_velocity": "U0", "length_scale": "L_w", "timescale": "τ_w"}
 UNITS = {"mean_velocity": "m/s", "length_scale": "m", "timescale": "s"}
 OFF = 5.0  # percent: an estimate that misses a parameter by more should have been doubted
@@ -41,6 +43,8 @@ def parameters(cases: pd.DataFrame, prefix: str) -> Array:
 
 def texts(cases: pd.DataFrame, name: str) -> pd.Series:
     """Return a column as text; empty text where a value, or the column, is absent."""
+    import pandas as pd
+
     if name not in cases:
         return pd.Series("", index=cases.index)
     return cases[name].astype(object).where(cases[name].notna(), "").astype(str)

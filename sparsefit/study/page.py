@@ -15,11 +15,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jinja2
 import numpy as np
-import pandas as pd
 
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
@@ -29,6 +28,9 @@ from sparsefit.study.figures import Picture
 from sparsefit.study.measures import measure, numbers
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.whole_file import write_files
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LARGEST_VECTOR = 1_000_000  # bytes of an SVG that is written beside its PNG
 WORDS = 700  # of a README: what is longer stands in its files and on the page

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from sparsefit.arrays import Array
 from sparsefit.plot.style import (
@@ -24,6 +22,10 @@ from sparsefit.plot.style import (
     panels,
 )
 from sparsefit.study.resampling import TINY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Ranks: TypeAlias = Mapping[str, float]  # a legend names the curves of the least
 NAMED_CURVES = 10  # curves that a legend names; the rest are grey

@@ -12,12 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import pandas as pd
 
 from sparsefit.arrays import Array, IntArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
 RESAMPLES, EXCHANGES = 2000, 4999
@@ -81,6 +83,8 @@ def by_unit(values: Array, units: pd.Series, order: pd.Index | None = None) -> A
         order: the units of the grid's rows, where several grids are to be paired; others are left
             out.
     """
+    import pandas as pd
+
     rows = pd.Index(units.unique()) if order is None else order
     place = rows.get_indexer(pd.Index(units))
     within = units.groupby(units, sort=False).cumcount().to_numpy()

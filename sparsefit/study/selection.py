@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, suggestion, told_with
@@ -23,6 +22,9 @@ from sparsefit.study.entries import factor_words
 from sparsefit.study.measures import Measure, factors
 from sparsefit.study.resampling import ROUNDING, Difference, ends, mean
 from sparsefit.study.table import significant
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SPLITS = ("validate", "evaluate")
 AVERAGE, WORST = "average", "worst"
@@ -120,6 +122,8 @@ class Trials:
         Raises:
             InputError: if the candidates were not all tried on the same units and conditions.
         """
+        import pandas as pd
+
         self.cases, self.candidates, self.criterion = cases, candidates, criterion
         candidate = pd.Index(candidates).get_indexer(pd.Index(cases["candidate"]))
         unit, units = pd.factorize(cases["flight"])

@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.study.resampling import ratio
 from sparsefit.study.table import Column, Row, Table, Value, significant
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ACCURACIES, LIMIT, SHIFT = (1e-4, 1e-6, 1e-8), 10.0, 1e-3  # [s], unless the frame says
 CHARGED = ", certified"  # ends the name of a solver that is timed with its certificates too
@@ -74,6 +77,8 @@ def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
 
     Both are infinite where the accuracy is not reached.
     """
+    import pandas as pd
+
     parts = []
     for level in levels or accuracies(cases):
         for objective, seconds in times_to(cases, level):

@@ -8,10 +8,12 @@ import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import pandas as pd
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Value: TypeAlias = str | float | int | bool | None
 Row: TypeAlias = tuple[Value, ...]
@@ -89,6 +91,8 @@ def cell_text(cell: Value, column: Column) -> str:
 
 def plain(value: object) -> Value:
     """Return a value of a frame as a cell: a NumPy scalar unwrapped, absence as None."""
+    import pandas as pd
+
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or value is pd.NA or value is pd.NaT or value != value:
@@ -131,6 +135,8 @@ class Table:
     @property
     def frame(self) -> pd.DataFrame:
         """All rows as a data frame, numbers unrounded."""
+        import pandas as pd
+
         return pd.DataFrame(self.rows, columns=self.heads)
 
     @property
@@ -166,6 +172,7 @@ class Table:
 
     def to_csv(self) -> str:
         """Return all rows, numbers to six digits; words that a spreadsheet would run are quoted."""
+        import pandas as pd
 
         def cell_of(cell: Value, least: float) -> str:
             if cell is None or cell != cell:
@@ -183,6 +190,8 @@ class Table:
 
     def to_latex(self, label: str = "", most: int = 60) -> str:
         """Return a float of booktabs rules, the cells escaped and the quotes typeset."""
+        import pandas as pd
+
         names = [(_tex(column.group), _tex(column.heading)) for column in self.columns]
         heads: pd.Index = pd.MultiIndex.from_tuples(names)
         if not any(column.group for column in self.columns):
@@ -213,6 +222,8 @@ class Table:
 
         Numbers are never cut: columns that do not fit follow in a further block behind the names.
         """
+        import pandas as pd
+
         words = sum(1 for _ in itertools.takewhile(bool, self.is_text))
         names = min(words, len(self.columns) - 1)
         room = max(12, int(0.6 * width / max(names, 1)))
@@ -232,6 +243,8 @@ class Table:
         return "\n\n".join([self.title, body, *notes]) + "\n"
 
     def _repr_html_(self) -> str:
+        import pandas as pd
+
         shown = pd.DataFrame(self.texts(60), columns=self.heads)
         return shown.style.hide(axis="index").to_html()
 

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, suggestion
@@ -23,6 +22,9 @@ from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
 from sparsefit.study.measures import MEASURES, OFF, SYMBOLS, UNITS, Measure, numbers, three
 from sparsefit.study.table import Column, Row, Table, Value, sentence
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ROWS = ("condition", "title")
 INTERVALS = (
@@ -222,6 +224,8 @@ def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
     A name is a value of one column: a protocol, a title, a back-end, a label or a level; without
     any contrast each title stands against the first.
     """
+    import pandas as pd
+
     titles = [str(title) for title in cases["title"].unique()]
     rows: list[list[Any]] = []
     for first, second in entry.contrasts or [(title, titles[0]) for title in titles[1:]]:
@@ -370,6 +374,8 @@ def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:
     """Return tables by file name: these, or those that the study asks for, or all that fit."""
+    import pandas as pd
+
     outputs, every = study.definition.outputs, dict[str, Table]()
     for name, entry in entries.asked(study, "table", NAMED, MEASURED, names, fitting(cases)):
         if not isinstance(entry, Entry):
